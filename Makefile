@@ -1,0 +1,46 @@
+# One word each; every target sets up what it needs in .venv. Python 3.11+ and make are enough.
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/ready
+OUT ?= demo
+.DEFAULT_GOAL := help
+.PHONY: help demo test check format bench docs clean
+
+help:  ## this list
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and \
+		"anisomap needs Python 3.11 or newer, and $(PYTHON) is " + sys.version.split()[0] + \
+		": name another with make PYTHON=python3.12")'
+	@echo "Setting up .venv (once, about a minute) ..."
+	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt pip
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+		--editable '.[all]' --group dev
+	@touch $@
+
+demo: $(READY)  ## simulate a skin, map it, score the map: picture, report and CSV in demo/
+	@$(BIN)/anisomap demo --output-dir $(OUT)
+
+test: $(READY)  ## every test
+	$(BIN)/python -m pytest --numprocesses auto
+
+check: $(READY)  ## format, lint, types, architecture
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(READY)  ## put the code into the project's format
+	$(BIN)/ruff format
+	$(BIN)/ruff check --fix
+
+bench: $(READY)  ## time the stages against what a user would pick instead
+	$(BIN)/python -m benchmarks
+
+docs: $(READY)  ## the documentation, in docs/_build/html
+	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
+
+clean:  ## remove what the other targets made
+	rm -rf .venv demo docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,0 +1,11 @@
+from ._version import __version__ as __version__
+from .errors import AnisomapError as AnisomapError
+from .estimators import Anisomap as Anisomap
+from .estimators import SensorMapper as SensorMapper
+from .evaluation import align as align
+from .evaluation import mantel as mantel
+from .evaluation import score as score
+from .health import assess as assess
+from .recording import Recording as Recording
+from .reconstruction import reconstruct as reconstruct
+from .sensor_map import SensorMap as SensorMap

@@ -1,0 +1,96 @@
+"""``anisomap map``: from a recording to a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from anisomap import formats
+from anisomap.cli import parameters as options
+from anisomap.cli import pipeline
+from anisomap.cli.console import progress
+from anisomap.evaluation import PERMUTATIONS
+from anisomap.methods import DEFAULT_METHOD, MethodOptions
+from anisomap.numerics.binning import DEFAULT_BINS
+from anisomap.numerics.scaling import SmacofOptions
+
+
+def map_recording(
+    recording: options.RecordingFile,
+    /,
+    *,
+    output: Annotated[
+        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
+    ] = None,
+    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    report: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    method: Annotated[str, Parameter(alias="-m", group=options.method_group)] = DEFAULT_METHOD,
+    dimensions: Annotated[
+        int, Parameter(alias="-d", group=options.method_group, validator=Number(gte=1))
+    ] = 3,
+    drop: options.Drop = None,
+    nan: options.Missing = "error",
+    mu: Annotated[float, Parameter(group=options.method_group)] = MethodOptions.mu,
+    bins: Annotated[int, Parameter(group=options.method_group)] = DEFAULT_BINS,
+    neighbours: Annotated[int | None, Parameter(group=options.method_group)] = None,
+    tolerance: Annotated[float, Parameter(group=options.method_group)] = SmacofOptions.tolerance,
+    max_iterations: Annotated[
+        int, Parameter(group=options.method_group)
+    ] = SmacofOptions.max_iterations,
+    exclude: options.Exclude = None,
+    permutations: options.Permutations = PERMUTATIONS,
+    seed: options.Seed = 0,
+) -> None:
+    """Make a map from a recording.
+
+    Parameters
+    ----------
+    output
+        File to write the map to; its suffix chooses the format, and the option may be repeated.
+        Without it, the map is written beside where you are, as NAME.map.csv.
+    picture
+        Draw the map: .png, .svg or .pdf.
+    report
+        Write all there is to know as one HTML file that works offline.
+    method
+        How to make the map: see `anisomap methods`.
+    dimensions
+        Of the space to map into: 2 for flat skins, 3 for bodies.
+    mu
+        Regularisation of ANISOMAP's reciprocal; 0 leaves unrelated pieces of skin apart.
+    bins
+        Bins a sensor for entropies.
+    neighbours
+        Neighbours in ISOMAP's graph; as few as connect everything unless given.
+    tolerance
+        Stop scaling when an iteration lowers the stress by a smaller share.
+    max_iterations
+        Stop scaling after so many iterations.
+    """
+    outputs = pipeline.Outputs(
+        maps=tuple(output or [Path(f"{recording.name.split('.')[0]}.map.csv")]),
+        picture=picture,
+        report=report,
+    )
+    outputs.check()
+    with progress(f"reading {recording.name}"):
+        readings = formats.read(recording).complete(nan)
+    evidence = pipeline.examine(readings)
+    pipeline.show_recording(evidence)
+    sensor_map = pipeline.make_map(
+        evidence,
+        method,
+        dimensions,
+        options=MethodOptions(
+            mu=mu,
+            bins=bins,
+            n_neighbours=neighbours,
+            smacof=SmacofOptions(tolerance, max_iterations),
+        ),
+        exclude=options.sensors(exclude, readings.names),
+        drop=options.sensors(drop, readings.names),
+    )
+    pipeline.finish(outputs, sensor_map, evidence, permutations, seed)

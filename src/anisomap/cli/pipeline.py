@@ -1,0 +1,223 @@
+"""What `map` and `demo` have in common: make a map, score it, show it, write it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from anisomap import figures, formats, report
+from anisomap.cli.console import console, number, percent, progress, show_facts, show_table
+from anisomap.evaluation import Score, score
+from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
+from anisomap.methods import MethodOptions
+from anisomap.reconstruction import reconstruct
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files to write: maps in any format, a picture, a report."""
+
+    maps: tuple[Path, ...] = ()
+    picture: Path | None = None
+    report: Path | None = None
+
+    def check(self) -> None:
+        """Find out before the work, not after it, what could not be written.
+
+        Raises
+        ------
+        FileError
+            If a folder is missing or a suffix is of no format that can be written.
+        MissingExtraError
+            If a picture or report needs a library that is not installed.
+        """
+        for path in self.maps:
+            formats.check_writable(path)
+        if self.picture:
+            figures.check_writable(self.picture)
+        if self.report:
+            report.check_writable(self.report)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A recording with what was found out about it before any map."""
+
+    recording: Recording
+    health: Sequence[SensorHealth]
+    summary: RecordingSummary
+
+
+def examine(recording: Recording) -> Evidence:
+    """Assess a recording, with progress."""
+    with progress("looking at every sensor"):
+        health = assess(recording)
+        return Evidence(recording, health, summarise(recording, health))
+
+
+def make_map(
+    evidence: Evidence,
+    method: str,
+    dimensions: int,
+    *,
+    options: MethodOptions | None = None,
+    exclude: Sequence[str] = (),
+    drop: Sequence[str] = (),
+) -> SensorMap:
+    """Reconstruct, with progress; doubts are warned of on the way."""
+    with progress("making the map"):
+        return reconstruct(
+            evidence.recording,
+            method,
+            dimensions,
+            options=options,
+            exclude=exclude,
+            drop=drop,
+            health=evidence.health,
+        )
+
+
+def finish(
+    outputs: Outputs, sensor_map: SensorMap, evidence: Evidence, permutations: int, seed: int
+) -> None:
+    """Show a map with all that is known of it, and write the files asked for."""
+    result = _score_if_known(sensor_map, evidence.recording, permutations, seed)
+    show_health(evidence.health)
+    _show_map(sensor_map)
+    if result is not None:
+        show_score(result)
+    _write(outputs, sensor_map, evidence, result)
+
+
+def _score_if_known(
+    sensor_map: SensorMap, recording: Recording, permutations: int, seed: int
+) -> Score | None:
+    if recording.positions is None:
+        return None
+    with progress(f"relabelling the sensors {permutations} times") as tell:
+        return score(
+            sensor_map,
+            recording.positions,
+            units=recording.units,
+            permutations=permutations,
+            rng=np.random.default_rng(seed),
+            progress=tell,
+        )
+
+
+def show_recording(evidence: Evidence) -> None:
+    """Print what is in a recording."""
+    summary = evidence.summary
+    rate = "unknown" if summary.rate_hz is None else f"{number(summary.rate_hz)} Hz"
+    duration = "" if summary.duration is None else f", {number(summary.duration)} s"
+    show_facts(
+        evidence.recording.source or "Recording",
+        {
+            "frames": f"{summary.n_frames}{duration}",
+            "rate": rate,
+            "sensors": f"{summary.n_sensors}, of which {summary.n_constant} never vary",
+            "readings": f"{number(summary.minimum)} to {number(summary.maximum)}, "
+            f"{percent(summary.share_of_zeros)} zeros, {summary.missing} missing",
+            "distinct values": f"{summary.distinct_values} a sensor (median)",
+            "true positions": "known" if evidence.recording.positions is not None else "not known",
+        },
+    )
+
+
+def show_health(health: Sequence[SensorHealth], *, everyone: bool = False) -> None:
+    """Print sensor health: those with a fault, or everyone, and how many are well."""
+    rows = [
+        (
+            sensor.name,
+            sensor.status,
+            f"{number(sensor.minimum)} .. {number(sensor.maximum)}",
+            str(sensor.distinct),
+            percent(sensor.active),
+            str(sensor.contacts),
+            number(sensor.best_match, 2),
+            sensor.reason,
+        )
+        for sensor in sorted(health, key=lambda sensor: sensor.status == "ok")
+        if everyone or sensor.status != "ok"
+    ]
+    counts = Counter(sensor.status for sensor in health)
+    summary = ", ".join(f"{count} {status}" for status, count in counts.most_common())
+    title = f"Sensor health: {summary}"
+    if not rows:
+        show_facts(title, {})
+        return
+    columns = ("sensor", "status", "range", "values", "active", "contacts", "best r", "why")
+    show_table(title, columns, rows)
+
+
+def _show_map(sensor_map: SensorMap) -> None:
+    """Print what a map is, and how far it is known."""
+    show_facts(
+        f"Map by {sensor_map.method}",
+        {
+            "sensors placed": f"{np.count_nonzero(sensor_map.placed)} of {sensor_map.n_sensors}, "
+            f"in {sensor_map.dimensions} dimensions",
+            "Stress-1": f"{number(sensor_map.stress)} (0 is a perfect fit of the metric)",
+            "known up to": "rotation, translation, scale and mirror image",
+        },
+    )
+
+
+def show_score(result: Score) -> None:
+    """Print how a map compares with the truth."""
+    units = result.units or "units of the truth"
+    null = result.mantel.quantiles()
+    facts = {"Mantel r": number(result.mantel.r)}
+    if null:
+        facts |= {
+            "its null": ", ".join(
+                f"{_quantile_name(level)} {value:.3f}" for level, value in null.items()
+            ),
+            "p": f"{number(result.mantel.p_value, 3)} ({result.mantel.null.size} labellings)",
+        }
+    facts |= {
+        "RMS error": f"{number(result.rms)} {units}, or {number(result.rms_in_spacings)} of the "
+        f"median sensor spacing ({number(result.spacing)} {units})",
+        "mirrored": "yes" if result.alignment.reflected else "no",
+        "neighbours kept": percent(result.neighbours_kept),
+        "sensors compared": str(result.mantel.n_sensors),
+    }
+    show_facts("Score against the true positions", facts)
+    for note in result.notes:
+        console.print(f"  note: {note}", markup=False)
+
+
+def _write(
+    outputs: Outputs, sensor_map: SensorMap, evidence: Evidence, result: Score | None
+) -> None:
+    with progress("writing"):
+        for path in outputs.maps:
+            formats.write(sensor_map, path)
+        figure = (
+            figures.map_figure(sensor_map, result) if outputs.picture or outputs.report else None
+        )
+        if outputs.picture and figure is not None:
+            figures.save_figure(figure, outputs.picture)
+        if outputs.report and figure is not None:
+            report.write_report(
+                outputs.report,
+                sensor_map,
+                score=result,
+                health=evidence.health,
+                summary=evidence.summary,
+                figure_png=figures.figure_bytes(figure),
+            )
+    named = [("map", path) for path in outputs.maps]
+    named += [("picture", outputs.picture), ("report", outputs.report)]
+    show_table("Files", ("what", "where"), [(what, str(p)) for what, p in named if p is not None])
+
+
+def _quantile_name(level: float) -> str:
+    names = {0.0: "least", 0.5: "median", 1.0: "greatest"}
+    return names.get(level, f"{level:.0%}")

@@ -1,0 +1,391 @@
+"""The same calls with scikit-learn's faces."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
+from sklearn.metrics import pairwise_distances
+from sklearn.utils.metaestimators import available_if
+from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
+
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
+from anisomap.numerics.accumulators import Moments
+from anisomap.numerics.activity import Rest, estimate_rest
+from anisomap.numerics.binning import DEFAULT_BINS
+from anisomap.numerics.graph import metricise
+from anisomap.numerics.scaling import SmacofOptions, smacof
+from anisomap.reconstruction import reconstruct
+from anisomap.recording import MissingPolicy, Recording
+
+SAMPLE_FRAMES = 4096
+"""Frames that `SensorMapper.partial_fit` keeps, to tell where each sensor rests."""
+
+
+def _incremental(mapper: SensorMapper) -> bool:
+    """Tell whether the method's similarity can be taken in chunks of frames."""
+    return find_method(mapper.method).similarity == "pearson"
+
+
+class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
+    """Map the sensors (columns) of a recording; transform frames into centres of contact.
+
+    Parameters
+    ----------
+    n_components : int, default=3
+        Dimensions of the map.
+    method : str, default="r-anisomap"
+        A name in `anisomap.methods.METHODS`.
+    mu, bins : float, int
+        See `anisomap.methods.MethodOptions`.
+    tol, max_iter : float, int
+        When to stop scaling: see `anisomap.numerics.scaling.SmacofOptions`.
+    missing : {"error", "drop-frames", "interpolate"}, default="error"
+        What to do about NaN in X: see `anisomap.Recording.complete`. With ``"error"`` and
+        ``"drop-frames"``, `transform` leaves missing readings out of a frame's centre.
+
+    Attributes
+    ----------
+    positions_ : ndarray of shape (n_features_in_, n_components)
+        Where the sensors are; NaN for those that never vary.
+    map_ : SensorMap
+        The map, with its health, stress and notes.
+    n_features_in_ : int
+        Number of sensors.
+    n_iter_ : int
+        Iterations of SMACOF.
+    n_samples_seen_ : int
+        Number of frames.
+
+    See Also
+    --------
+    Anisomap : the same for objects that are rows, such as points or a dissimilarity matrix.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> place, touch = np.linspace(0, 1, 12), np.random.default_rng(0).uniform(size=(2000, 1))
+    >>> readings = np.maximum(0, 0.2 - abs(touch - place))
+    >>> mapper = SensorMapper(n_components=1).fit(readings)
+    >>> bool(abs(np.corrcoef(mapper.positions_[:, 0], place)[0, 1]) > 0.99)
+    True
+    """
+
+    def __init__(
+        self,
+        n_components: int = 3,
+        *,
+        method: str = DEFAULT_METHOD,
+        mu: float = 1.0,
+        bins: int = DEFAULT_BINS,
+        tol: float = SmacofOptions.tolerance,
+        max_iter: int = SmacofOptions.max_iterations,
+        missing: MissingPolicy = "error",
+    ) -> None:
+        self.n_components = n_components
+        self.method = method
+        self.mu = mu
+        self.bins = bins
+        self.tol = tol
+        self.max_iter = max_iter
+        self.missing = missing
+
+    def fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Make a map from all frames at once.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_frames, n_sensors)
+            Readings.
+        y : object
+            Not looked at.
+
+        Returns
+        -------
+        SensorMapper
+            Itself.
+
+        Raises
+        ------
+        InputError
+            See `anisomap.reconstruct`.
+        """
+        recording = self._validated(X, reset=True)
+        self._begin()
+        self._take_in(recording)
+        self._set_map(recording)
+        return self
+
+    @available_if(_incremental)
+    def partial_fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Take in more frames of the same sensors, and make the map anew from all so far.
+
+        Only with methods built on Pearson's r; the others need all frames at once.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_frames, n_sensors)
+            Readings that follow those seen before.
+        y : object
+            Not looked at.
+
+        Returns
+        -------
+        SensorMapper
+            Itself.
+
+        Raises
+        ------
+        InputError
+            See `anisomap.reconstruct`.
+
+        Notes
+        -----
+        Frames are not kept: memory does not grow with their number. The map is that of `fit` on
+        all of them, up to rounding, but sensor health is not assessed.
+        """
+        first = not hasattr(self, "n_samples_seen_")
+        recording = self._validated(X, reset=first)
+        if first:
+            self._begin()
+        self._take_in(recording)
+        self._set_map(None)
+        return self
+
+    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+        """Tell where the skin is touched: the centre of contact of every frame.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_frames, n_sensors)
+            Readings.
+
+        Returns
+        -------
+        ndarray of shape (n_frames, n_components)
+            Mean position of the sensors, weighted by how far beyond rest they read; NaN for a
+            frame without contact. Of a map in several pieces, only the largest is looked at.
+        """
+        check_is_fitted(self)
+        readings = validate_data(self, X, reset=False, ensure_all_finite="allow-nan")
+        if self.missing == "error" and np.isnan(readings).any():
+            validate_data(self, X, reset=False)
+        largest = self.map_.component == 0
+        depth = np.nan_to_num(self._rest.depth(readings)[:, largest])
+        total = depth.sum(axis=1, keepdims=True)
+        centre = depth @ self.positions_[largest]
+        nowhere = np.full_like(centre, np.nan)
+        return np.asarray(np.divide(centre, total, out=nowhere, where=total > 0))
+
+    @property
+    def _n_features_out(self) -> int:
+        return self.n_components
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.allow_nan = self.missing != "error"
+        return tags
+
+    def _validated(self, X: ArrayLike, *, reset: bool) -> Recording:
+        readings = validate_data(
+            self,
+            X,
+            reset=reset,
+            dtype=(np.float64, np.float32),
+            ensure_all_finite=True if self.missing == "error" else "allow-nan",
+            ensure_min_samples=2 if reset else 1,
+            ensure_min_features=2 if reset else 0,
+        )
+        names = getattr(self, "feature_names_in_", ())
+        return Recording(readings, names=tuple(names)).complete(self.missing)
+
+    def _begin(self) -> None:
+        self.n_samples_seen_ = 0
+        self._moments: Moments | None = None
+        self._sample: NDArray[np.floating] | None = None
+        self._stride = 1
+
+    def _take_in(self, recording: Recording) -> None:
+        if _incremental(self):
+            moments = Moments.of(recording.readings)
+            self._moments = moments if self._moments is None else self._moments.merged(moments)
+        # Every stride-th frame since the first: the sample is spread evenly, however many come.
+        fresh = recording.readings[-self.n_samples_seen_ % self._stride :: self._stride]
+        sample = fresh if self._sample is None else np.concatenate([self._sample, fresh])
+        while len(sample) > SAMPLE_FRAMES:
+            sample = sample[::2]
+            self._stride *= 2
+        self._sample = sample
+        self.n_samples_seen_ += recording.n_frames
+        self._rest: Rest = estimate_rest(sample)
+
+    def _set_map(self, recording: Recording | None) -> None:
+        moments = self._moments
+        constant = [] if moments is None else np.flatnonzero(~moments.varying()).tolist()
+        self.map_ = reconstruct(
+            recording,
+            method=self.method,
+            dimensions=self.n_components,
+            options=MethodOptions(
+                mu=self.mu,
+                bins=self.bins,
+                smacof=SmacofOptions(self.tol, self.max_iter),
+                fewest_sensors=1,
+            ),
+            similarity=None if moments is None else moments.correlation(),
+            names=getattr(self, "feature_names_in_", ()),
+            drop=constant,
+        )
+        self.positions_ = self.map_.positions
+        self.n_iter_ = int(self.map_.provenance["iterations"])
+
+
+class Anisomap(BaseEstimator):
+    """Embed objects (rows) by their distances, metricised over all pairs: ANISOMAP.
+
+    A drop-in for scikit-learn's ``MDS`` and ``Isomap`` that takes any semi-metric, weights, and
+    missing pairs. There is no `transform`: like MDS, it places only what it was fitted on.
+
+    Parameters
+    ----------
+    n_components : int, default=2
+        Dimensions of the embedding.
+    metric : str or callable, default="euclidean"
+        How to compare rows, as `sklearn.metrics.pairwise_distances` takes it; ``"precomputed"`` if
+        X is a matrix of dissimilarities. It may be any semi-metric (correlation, cosine, squared
+        distance).
+    metric_params : dict, optional
+        More arguments for `metric`.
+    tol, max_iter : float, int
+        When to stop scaling: see `anisomap.numerics.scaling.SmacofOptions`.
+
+    Attributes
+    ----------
+    embedding_ : ndarray of shape (n_samples, n_components)
+        Where the objects are.
+    metric_matrix_ : ndarray of shape (n_samples, n_samples)
+        The metricised dissimilarities that were scaled.
+    stress_ : float
+        Stress-1: 0 is a perfect fit.
+    n_iter_ : int
+        Iterations of SMACOF.
+    n_features_in_ : int
+        Number of columns of X.
+
+    See Also
+    --------
+    SensorMapper : the same for sensors, which are columns.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    >>> embedding = Anisomap().fit_transform(square)
+    >>> np.allclose(np.linalg.norm(embedding, axis=1), 0.5**0.5, atol=1e-4)
+    True
+    """
+
+    def __init__(
+        self,
+        n_components: int = 2,
+        *,
+        metric: str | Any = "euclidean",
+        metric_params: dict[str, Any] | None = None,
+        tol: float = SmacofOptions.tolerance,
+        max_iter: int = SmacofOptions.max_iterations,
+    ) -> None:
+        self.n_components = n_components
+        self.metric = metric
+        self.metric_params = metric_params
+        self.tol = tol
+        self.max_iter = max_iter
+
+    def fit(
+        self,
+        X: ArrayLike,
+        y: object = None,
+        *,
+        weights: ArrayLike | None = None,
+        init: ArrayLike | None = None,
+    ) -> Self:
+        """Embed the rows of X.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_samples, n_features) or (n_samples, n_samples)
+            Objects, or their dissimilarities, where NaN or infinity marks a pair not known (on
+            either side of the diagonal).
+        y : object
+            Not looked at.
+        weights : array_like of shape (n_samples, n_samples), optional
+            How much each distance counts; 0 is not at all.
+        init : array_like of shape (n_samples, n_components), optional
+            Where to set out from; Torgerson's scaling unless given.
+
+        Returns
+        -------
+        Anisomap
+            Itself.
+
+        Raises
+        ------
+        InputError
+            If a dissimilarity is negative or not symmetric, or the known pairs do not connect all
+            objects.
+        """
+        precomputed = self.metric == "precomputed"
+        values = validate_data(
+            self,
+            X,
+            dtype=np.float64,
+            ensure_all_finite=not precomputed,
+            ensure_min_samples=2,
+        )
+        if precomputed:
+            check_non_negative(values, "Anisomap")
+            unknown = np.isnan(values) | np.isnan(values.T)
+            dissimilarity = np.where(unknown, np.inf, values)
+        else:
+            dissimilarity = pairwise_distances(
+                values, metric=self.metric, **(self.metric_params or {})
+            )
+            # Some metrics leave rounding errors: below 0, or of a row to itself.
+            dissimilarity = np.maximum(dissimilarity, 0)
+            np.fill_diagonal(dissimilarity, 0)
+        self.metric_matrix_ = metricise(dissimilarity)
+        scaling = smacof(
+            self.metric_matrix_,
+            dimensions=self.n_components,
+            start=init,
+            weights=weights,
+            options=SmacofOptions(self.tol, self.max_iter),
+        )
+        self.embedding_ = scaling.positions
+        self.stress_ = scaling.stress
+        self.n_iter_ = len(scaling.trace) - 1
+        return self
+
+    def fit_transform(
+        self,
+        X: ArrayLike,
+        y: object = None,
+        *,
+        weights: ArrayLike | None = None,
+        init: ArrayLike | None = None,
+    ) -> NDArray[np.float64]:
+        """Embed the rows of X and give their positions; see `fit`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_components)
+        """
+        return self.fit(X, y, weights=weights, init=init).embedding_
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.pairwise = self.metric == "precomputed"
+        tags.input_tags.allow_nan = tags.input_tags.pairwise
+        tags.input_tags.positive_only = tags.input_tags.pairwise
+        return tags

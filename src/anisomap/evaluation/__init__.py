@@ -1,0 +1,18 @@
+"""How good a map is where the truth is known: Mantel r, alignment, neighbourhoods."""
+
+from anisomap.evaluation.alignment import Alignment, align
+from anisomap.evaluation.mantel_test import PERMUTATIONS, Mantel, mantel
+from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreement
+from anisomap.evaluation.scoring import Score, score
+
+__all__ = [
+    "PERMUTATIONS",
+    "Alignment",
+    "Mantel",
+    "Score",
+    "align",
+    "mantel",
+    "median_spacing",
+    "neighbour_agreement",
+    "score",
+]

@@ -1,0 +1,110 @@
+"""Statistics that can be taken in chunks of frames and merged: what one chunk adds to each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+CHUNK_FRAMES = 8192
+"""Frames that are converted to float64 at a time: enough for fast products, little memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """First and second moments of N sensors over some frames.
+
+    Attributes
+    ----------
+    n_frames : int
+        How many frames they are of, T.
+    mean : ndarray of shape (N,)
+        Mean reading of each sensor.
+    comoment : ndarray of shape (N, N)
+        Sums over frames of the products of deviations from the means: T times the covariance.
+        Symmetric to the last bit; a sensor that never varied has exact zeros.
+    """
+
+    n_frames: int
+    mean: NDArray[np.float64]
+    comoment: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, readings: ArrayLike) -> Moments:
+        """Take the moments of an array.
+
+        Parameters
+        ----------
+        readings : array_like of shape (T, N)
+            Finite readings, T >= 1.
+
+        Returns
+        -------
+        Moments
+        """
+        chunks = _chunks(np.asarray(readings))
+        total = cls._of_chunk(next(chunks))
+        for chunk in chunks:
+            total = total.merged(cls._of_chunk(chunk))
+        return total
+
+    @classmethod
+    def _of_chunk(cls, chunk: NDArray[np.generic]) -> Moments:
+        # Deviations from the first frame first: a constant sensor then has no rounding error.
+        deviations = np.asarray(chunk, dtype=np.float64) - chunk[0]
+        mean = deviations.mean(axis=0)
+        deviations -= mean
+        return cls(len(chunk), chunk[0] + mean, deviations.T @ deviations)
+
+    def merged(self, other: Moments) -> Moments:
+        """Join the moments of two disjoint sets of frames of the same sensors.
+
+        Parameters
+        ----------
+        other : Moments
+            Of the same N sensors.
+
+        Returns
+        -------
+        Moments
+            Of all frames; the order of merging matters only to rounding.
+
+        Notes
+        -----
+        Chan, Golub & LeVeque (1983), The American Statistician 37: 242-247.
+        """
+        n_frames = self.n_frames + other.n_frames
+        step = other.mean - self.mean
+        weight = self.n_frames * other.n_frames / n_frames
+        return Moments(
+            n_frames,
+            self.mean + step * (other.n_frames / n_frames),
+            self.comoment + other.comoment + weight * np.outer(step, step),
+        )
+
+    def varying(self) -> NDArray[np.bool_]:
+        """Tell which sensors ever varied, shape (N,)."""
+        return np.asarray(np.diag(self.comoment) > 0)
+
+    def correlation(self) -> NDArray[np.float64]:
+        """Give Pearson's r of every pair of sensors.
+
+        Returns
+        -------
+        ndarray of shape (N, N)
+            Symmetric to the last bit, in [-1, 1], ones on the diagonal. A sensor that never
+            varied is correlated with nothing: 0.
+        """
+        spread = np.sqrt(np.diag(self.comoment))
+        scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
+        # One product of scales, then one of matrices: the same two roundings for (i, j) and (j, i).
+        correlation = np.clip(self.comoment * np.outer(scale, scale), -1, 1)
+        np.fill_diagonal(correlation, 1.0)
+        return np.asarray(correlation)
+
+
+def _chunks(readings: NDArray[np.generic]) -> Iterator[NDArray[np.generic]]:
+    for start in range(0, len(readings), CHUNK_FRAMES):
+        yield readings[start : start + CHUNK_FRAMES]

@@ -1,0 +1,289 @@
+"""From distances to positions: Torgerson's classical scaling and SMACOF."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.sparse.linalg import LinearOperator, eigsh
+from scipy.spatial.distance import cdist
+
+from anisomap.errors import InputError
+from anisomap.numerics.dissimilarity import symmetric
+from anisomap.numerics.graph import check_semi_metric, components, metricise
+
+logger = logging.getLogger(__name__)
+
+DENSE_LIMIT = 400
+"""Up to so many points a full eigendecomposition costs less than iterating for a few vectors."""
+
+
+@dataclass(frozen=True)
+class SmacofOptions:
+    """When to stop SMACOF.
+
+    Parameters
+    ----------
+    tolerance : float
+        Stop when an iteration lowers the raw stress by less than this share of it. Relative, so
+        that the unit of the distances does not matter.
+    max_iterations : int
+        Stop after so many iterations at the latest.
+    """
+
+    tolerance: float = 1e-8
+    max_iterations: int = 3000
+
+    def __post_init__(self) -> None:
+        if not self.tolerance >= 0:
+            raise InputError(f"the tolerance is {self.tolerance}; it must be at least 0")
+        if self.max_iterations < 0:
+            raise InputError(f"max_iterations is {self.max_iterations}; it must be at least 0")
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """What SMACOF found.
+
+    Attributes
+    ----------
+    positions : ndarray of shape (N, k)
+        Centred on the origin.
+    raw_stress : float
+        Sum over i < j of w_ij (d_ij - D_ij)^2 of `positions`, in squared units of the distances.
+    spread : float
+        Sum over i < j of w_ij d_ij^2 of `positions`.
+    trace : ndarray of shape (iterations + 1,)
+        Raw stress of the start and after each iteration; never rises.
+    converged : bool
+        Whether the tolerance was met before the iterations ran out.
+    """
+
+    positions: NDArray[np.float64]
+    raw_stress: float
+    spread: float
+    trace: NDArray[np.float64]
+    converged: bool
+
+    @property
+    def stress(self) -> float:
+        """Stress-1 of `positions` (Borg & Groenen 2005, eq. 3.9); 0 if all of them coincide."""
+        return float(np.sqrt(self.raw_stress / self.spread)) if self.spread > 0 else 0.0
+
+
+def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
+    """Scale distances classically: the start from which SMACOF sets out.
+
+    Parameters
+    ----------
+    distances : array_like of shape (N, N)
+        Finite, symmetric, zero diagonal.
+    dimensions : int
+        Number of coordinates, k >= 1.
+
+    Returns
+    -------
+    ndarray of shape (N, k)
+        Centred; the columns are orthogonal and their spread falls. Of each, the entry of greatest
+        magnitude is positive, so that runs agree. Coordinates that the distances do not support
+        (eigenvalues of 0 or less) are 0.
+
+    Raises
+    ------
+    InputError
+        If the distances are not such a matrix, or `dimensions` is less than 1.
+
+    Notes
+    -----
+    Torgerson (1952), Psychometrika 17: 401-419; Borg & Groenen (2005), chapter 12. Double
+    centring is applied as an operator, so the leading vectors of a large matrix cost only products
+    with it.
+    """
+    squares = check_semi_metric(distances) ** 2
+    if dimensions < 1:
+        raise InputError(f"{dimensions} dimensions hold no map; use 1 or more")
+    if not np.isfinite(squares).all():
+        raise InputError("some distances are infinite: scale each connected component by itself")
+    n_points = len(squares)
+    if n_points <= max(DENSE_LIMIT, 2 * dimensions + 1):
+        values, vectors = _leading_dense(squares, min(dimensions, n_points))
+    else:
+        values, vectors = _leading_iterated(squares, dimensions)
+    order = np.argsort(values)[::-1]
+    columns = vectors[:, order] * np.sqrt(np.maximum(values[order], 0))
+    peaks = columns[np.abs(columns).argmax(axis=0), np.arange(columns.shape[1])]
+    columns = columns * np.where(peaks < 0, -1.0, 1.0)
+    return np.pad(columns, ((0, 0), (0, dimensions - columns.shape[1])))
+
+
+def _leading_dense(
+    squares: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    rows = squares.mean(axis=0)
+    inner = -(squares - np.add.outer(rows, rows) + rows.mean()) / 2
+    values, vectors = eigh(inner, subset_by_index=[len(inner) - count, len(inner) - 1])
+    return values, vectors
+
+
+def _leading_iterated(
+    squares: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def double_centred(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        product = squares @ (vector - vector.mean())
+        return np.asarray((product - product.mean()) / -2)
+
+    operator = LinearOperator(squares.shape, matvec=double_centred, dtype=np.float64)
+    # ARPACK would draw its own start: a fixed one makes equal input give equal output.
+    start = np.random.default_rng(0).standard_normal(len(squares))
+    values, vectors = eigsh(operator, k=count, which="LA", v0=start)
+    return values, vectors
+
+
+def smacof(
+    distances: ArrayLike,
+    *,
+    dimensions: int = 3,
+    start: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    options: SmacofOptions | None = None,
+) -> Scaling:
+    """Find the configuration whose distances fit best: stress majorisation.
+
+    Parameters
+    ----------
+    distances : array_like of shape (N, N)
+        Symmetric, non-negative, zero diagonal. Infinite where a distance is unknown.
+    dimensions : int
+        Number of coordinates, k >= 1; given by `start` where there is one.
+    start : array_like of shape (N, k), optional
+        Where to set out from; Torgerson's scaling unless given (unknown distances are replaced by
+        shortest paths for it).
+    weights : array_like of shape (N, N), optional
+        How much each distance counts: symmetric, non-negative, the diagonal is not looked at. 0
+        is unknown; 1 everywhere unless given.
+    options : SmacofOptions, optional
+
+    Returns
+    -------
+    Scaling
+
+    Raises
+    ------
+    InputError
+        If shapes disagree, a matrix is not symmetric, a distance or weight is negative, the start
+        is not finite, or the known distances leave separate pieces.
+
+    Notes
+    -----
+    De Leeuw (1977); Borg & Groenen (2005), chapter 8: the Guttman transform
+    ``X <- V^+ B(X) X`` (8.28) never raises the weighted stress. ``V^+`` is never formed: with all
+    weights equal it divides by N, otherwise ``V + 11'/N`` is factorised once.
+    """
+    chosen = options or SmacofOptions()
+    targets = check_semi_metric(distances)
+    w = _check_weights(weights, targets)
+    known = (w > 0) | np.eye(len(w), dtype=bool)
+    edges = np.where(known, targets, np.inf)
+    labels = components(edges)
+    if labels.max() > 0:
+        raise InputError(
+            f"the known distances leave {labels.max() + 1} separate pieces: scale each by itself"
+        )
+    if start is None:
+        start = torgerson(targets if known.all() else metricise(edges), dimensions)
+    positions = _check_start(start, len(targets))
+    targets[~known] = 0
+    return _majorise(targets, w, positions, chosen)
+
+
+def _majorise(
+    targets: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    positions: NDArray[np.float64],
+    options: SmacofOptions,
+) -> Scaling:
+    solve = _laplacian_solver(weights)
+    weighted_targets = weights * targets
+    total = _sum_of_pairs(weighted_targets * targets)
+    distances = cdist(positions, positions)
+    trace = [_raw_stress(weights, distances, targets)]
+    converged = trace[0] == 0
+    while not converged and len(trace) <= options.max_iterations:
+        ratios = np.divide(
+            weighted_targets, distances, out=np.zeros_like(targets), where=distances > 0
+        )
+        # B(X) X with b_ij = -w_ij D_ij / d_ij, and 0 where points coincide (8.25).
+        moved = solve(ratios.sum(axis=1)[:, None] * positions - ratios @ positions)
+        moved_distances = cdist(moved, moved)
+        raw = _raw_stress(weights, moved_distances, targets)
+        if raw > trace[-1]:  # by rounding alone, at the minimum: keep the better configuration
+            converged = True
+            break
+        converged = trace[-1] - raw <= options.tolerance * trace[-1] or raw <= 1e-30 * total
+        positions, distances = moved, moved_distances
+        trace.append(raw)
+    if not converged and options.max_iterations:
+        logger.warning("SMACOF stopped after %d iterations, still improving", len(trace) - 1)
+    history = np.array(trace)
+    positions = positions - positions.mean(axis=0)
+    positions.setflags(write=False)
+    history.setflags(write=False)
+    return Scaling(
+        positions=positions,
+        raw_stress=trace[-1],
+        spread=_sum_of_pairs(weights * distances**2),
+        trace=history,
+        converged=bool(converged),
+    )
+
+
+def _laplacian_solver(
+    weights: NDArray[np.float64],
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Give the map ``Y -> V^+ Y`` for columns Y that sum to zero."""
+    n_points = len(weights)
+    pairs = weights[~np.eye(n_points, dtype=bool)]
+    if n_points == 1 or (pairs == pairs[0]).all():
+        scale = n_points * (pairs[0] if pairs.size else 1.0)
+        return lambda product: np.asarray(product / scale)
+    laplacian = np.diag(weights.sum(axis=1)) - weights
+    # 11'/N fills the null space (all points moved alike), which the product B(X) X never enters.
+    factor = cho_factor(laplacian + weights.mean())
+    return lambda product: np.asarray(cho_solve(factor, product))
+
+
+def _check_weights(weights: ArrayLike | None, targets: NDArray[np.float64]) -> NDArray[np.float64]:
+    if weights is None:
+        checked = np.ones_like(targets)
+    else:
+        checked = symmetric(weights, "weight")
+        if checked.shape != targets.shape:
+            raise InputError(f"weights {checked.shape} do not fit distances {targets.shape}")
+        if (checked < 0).any() or not np.isfinite(checked).all():
+            raise InputError("weights must be finite and at least 0")
+    np.fill_diagonal(checked, 0)
+    checked[np.isinf(targets)] = 0
+    return checked
+
+
+def _check_start(start: ArrayLike, n_points: int) -> NDArray[np.float64]:
+    positions = np.array(start, dtype=np.float64)
+    if positions.ndim != 2 or len(positions) != n_points or not positions.shape[1]:
+        raise InputError(f"the start has shape {positions.shape}; it must be ({n_points}, k)")
+    if not np.isfinite(positions).all():
+        raise InputError("the start holds NaN or infinite coordinates")
+    return positions
+
+
+def _raw_stress(
+    weights: NDArray[np.float64], distances: NDArray[np.float64], targets: NDArray[np.float64]
+) -> float:
+    return _sum_of_pairs(weights * (distances - targets) ** 2)
+
+
+def _sum_of_pairs(matrix: NDArray[np.float64]) -> float:
+    return float(matrix.sum()) / 2

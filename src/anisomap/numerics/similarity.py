@@ -1,0 +1,142 @@
+"""How alike sensors read: the pairwise statistics that maps are made from."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import xlogy
+from scipy.stats import rankdata
+
+from anisomap.numerics.accumulators import CHUNK_FRAMES, Moments
+from anisomap.numerics.activity import estimate_rest
+from anisomap.numerics.binning import DEFAULT_BINS, maximum_entropy_codes
+
+
+def pearson(readings: ArrayLike) -> NDArray[np.float64]:
+    """Correlate the readings of every pair of sensors linearly (Pearson's r).
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        In [-1, 1], symmetric to the last bit, ones on the diagonal; 0 between a sensor that never
+        varies and any other.
+    """
+    return Moments.of(readings).correlation()
+
+
+def spearman(readings: ArrayLike) -> NDArray[np.float64]:
+    """Correlate the ranks of the readings of every pair of sensors (Spearman's rho).
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings. Equal readings share the mean of their ranks.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        As `pearson`; unchanged by any increasing transformation of a sensor.
+    """
+    return pearson(rankdata(np.asarray(readings), axis=0))
+
+
+def co_activation(readings: ArrayLike) -> NDArray[np.float64]:
+    """Correlate whether sensors are beyond rest at all, however far (the phi coefficient).
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        As `pearson`. What rest is: `anisomap.numerics.activity.estimate_rest`.
+    """
+    return pearson(estimate_rest(readings).active(readings))
+
+
+def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray[np.float64]:
+    """Measure what the binned readings of every pair of sensors tell of each other.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings.
+    bins : int
+        Bins a sensor, b >= 2, of maximum entropy.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        I(A; B) in nats, at least 0 and at most the lesser entropy, symmetric to the last bit. On
+        the diagonal stands the sensors' entropy, since I(A; A) = H(A).
+
+    Raises
+    ------
+    InputError
+        If `bins` is less than 2.
+
+    Notes
+    -----
+    McGregor et al. (2011), section "Information Theory"; the plug-in estimate, without any
+    correction for the number of frames.
+    """
+    return information_of_codes(maximum_entropy_codes(readings, bins))
+
+
+def information_of_codes(codes: ArrayLike) -> NDArray[np.float64]:
+    """Measure the mutual information of discrete series, in nats.
+
+    Parameters
+    ----------
+    codes : array_like of int, shape (T, N)
+        Small numbers from 0.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        See `mutual_information`.
+
+    Notes
+    -----
+    With counts n over T frames, ``T I(A; B) = sum n_ab log n_ab - sum n_a log n_a
+    - sum n_b log n_b + T log T``. Counts are exact integers.
+    """
+    values = np.asarray(codes)
+    n_frames, n_sensors = values.shape
+    n_codes = int(values.max()) + 1
+    joint = np.zeros((n_sensors, n_sensors))
+    for a in range(n_codes):
+        counts = _co_occurrences(values, a, a)
+        joint += xlogy(counts, counts)
+        for b in range(a + 1, n_codes):
+            counts = _co_occurrences(values, a, b)
+            terms = xlogy(counts, counts)
+            joint += terms + terms.T
+    # A sensor meets itself only in equal codes, so the diagonal holds its own sum n_a log n_a.
+    marginal = np.diag(joint)
+    information = np.log(n_frames) + (joint - np.add.outer(marginal, marginal)) / n_frames
+    entropy = np.log(n_frames) - marginal / n_frames
+    # Rounding can leave the bounds 0 <= I <= min(H, H) by some 1e-16.
+    bounded = np.clip(information, 0, np.minimum.outer(entropy, entropy).clip(0))
+    np.fill_diagonal(bounded, entropy.clip(0))
+    return np.asarray(bounded)
+
+
+def _co_occurrences(codes: NDArray[np.generic], first: int, second: int) -> NDArray[np.float64]:
+    """Count in how many frames one sensor has the first code while another has the second."""
+    n_sensors = codes.shape[1]
+    counts = np.zeros((n_sensors, n_sensors))
+    for start in range(0, len(codes), CHUNK_FRAMES):
+        chunk = codes[start : start + CHUNK_FRAMES]
+        # float32 holds every count of so few frames exactly, and multiplies fastest.
+        left = (chunk == first).astype(np.float32)
+        right = left if first == second else (chunk == second).astype(np.float32)
+        counts += left.T @ right
+    return counts

@@ -1,0 +1,269 @@
+"""From a recording to a map: what takes part, the method's stages, scaling, and the doubts."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anisomap._version import __version__
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.health import SensorHealth, assess, shortened, weaknesses
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, compute_stages, find_method
+from anisomap.numerics.graph import components
+from anisomap.numerics.scaling import Scaling, SmacofOptions, smacof
+from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
+from anisomap.sensor_map import UNPLACED, SensorMap
+
+logger = logging.getLogger(__name__)
+
+
+def reconstruct(
+    recording: Recording | None = None,
+    method: str = DEFAULT_METHOD,
+    dimensions: int = 3,
+    *,
+    options: MethodOptions | None = None,
+    similarity: ArrayLike | None = None,
+    dissimilarity: ArrayLike | None = None,
+    metric: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    names: Iterable[str] = (),
+    exclude: Iterable[str | int] = (),
+    drop: Iterable[str | int] = (),
+    health: Sequence[SensorHealth] | None = None,
+) -> SensorMap:
+    """Make a map of the sensors from what they read.
+
+    Parameters
+    ----------
+    recording : Recording, optional
+        What was read. May be left out if one of the stages below is given.
+    method : str
+        A name in `METHODS`.
+    dimensions : int
+        Of the space to map into: 1, 2 or 3, or more.
+    options : MethodOptions, optional
+    similarity, dissimilarity, metric : array_like of shape (N, N), optional
+        A stage that is known already: the method sets in behind the last one given.
+    start : array_like of shape (N, k), optional
+        Positions to start scaling from, with k = `dimensions`.
+    weights : array_like of shape (N, N), optional
+        How much each distance counts in scaling; 0 is unknown.
+    names : iterable of str, optional
+        Names of the sensors, where there is no recording to name them.
+    exclude : iterable of str or int
+        Sensors, by name or index, that take part but are left out of scores (as the paper does
+        with its failed sensor 30).
+    drop : iterable of str or int
+        Sensors to leave out altogether.
+    health : sequence of SensorHealth, optional
+        An assessment of the recording, if it is at hand already.
+
+    Returns
+    -------
+    SensorMap
+        In the order of the recording, known up to rotation, translation, scale and mirror image.
+        Sensors that never vary or were dropped have no position. `SensorMap.notes` says what
+        speaks against the map.
+
+    Raises
+    ------
+    InputError
+        If a reading is missing (see `Recording.complete`), fewer than 3 sensors vary or are
+        related to one another, the method or a sensor is unknown, or a given stage does not fit.
+
+    Warns
+    -----
+    AnisomapWarning
+        Once for each of the notes.
+
+    Notes
+    -----
+    McGregor et al. (2011), section "Methods", doi:10.1371/journal.pone.0026561.
+    """
+    find_method(method)
+    chosen = options or MethodOptions()
+    if dimensions < 1:
+        raise InputError(f"{dimensions} dimensions hold no map; use 2 or 3")
+    given = {"similarity": similarity, "dissimilarity": dissimilarity, "metric": metric}
+    matrices = {what: np.asarray(matrix) for what, matrix in given.items() if matrix is not None}
+    n_sensors = _count_sensors(recording, matrices)
+    sensor_names = (tuple(names) if recording is None else recording.names) or default_names(
+        n_sensors
+    )
+    check_names(sensor_names, n_sensors)
+    dropped = _mask(sensor_names, drop)
+    taking_part = ~dropped if recording is None else recording.varying() & ~dropped
+    if np.count_nonzero(taking_part) < chosen.fewest_sensors:
+        raise InputError(
+            f"only {np.count_nonzero(taking_part)} of {n_sensors} sensors take part (those that "
+            f"ever vary and are not dropped); a map takes at least {chosen.fewest_sensors}"
+        )
+    part = np.ix_(taking_part, taking_part)
+    stages = compute_stages(
+        None if recording is None else recording.complete().readings[:, taking_part],
+        method,
+        chosen,
+        **{what: matrix[part] for what, matrix in matrices.items()},
+    )
+    pieces = _scale_pieces(
+        stages.metric,
+        dimensions,
+        start=None if start is None else _checked_start(start, n_sensors, dimensions)[taking_part],
+        weights=None if weights is None else _checked_weights(weights, n_sensors)[part],
+        options=chosen.smacof,
+    )
+    if np.count_nonzero(pieces.labels == 0) < chosen.fewest_sensors:
+        raise InputError(
+            f"no {chosen.fewest_sensors} sensors are related to one another, so there is nothing "
+            "to map; was the skin touched during the recording?"
+        )
+    positions = np.full((n_sensors, dimensions), np.nan)
+    positions[taking_part] = pieces.positions
+    component = np.full(n_sensors, UNPLACED)
+    component[taking_part] = pieces.labels
+    if health is None:
+        health = () if recording is None else assess(recording)
+    notes: list[str] = []
+    if recording is not None:
+        kept = [sensor for sensor, out in zip(health, dropped, strict=True) if not out]
+        notes += weaknesses(recording, kept)
+    notes += _doubts(component, sensor_names, pieces)
+    for note in notes:
+        warnings.warn(note, AnisomapWarning, stacklevel=2)
+    return SensorMap(
+        positions,
+        names=sensor_names,
+        component=component,
+        health=tuple(sensor.status for sensor in health),
+        excluded=_mask(sensor_names, exclude),
+        method=method,
+        stress=pieces.stress,
+        notes=tuple(notes),
+        provenance=_provenance(recording, method, chosen, matrices)
+        | {"iterations": pieces.iterations},
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Every connected component, scaled by itself."""
+
+    positions: NDArray[np.float64]
+    labels: NDArray[np.intp]
+    stress: float
+    converged: bool
+    iterations: int
+
+
+def _scale_pieces(
+    metric: NDArray[np.float64],
+    dimensions: int,
+    *,
+    start: NDArray[np.float64] | None,
+    weights: NDArray[np.float64] | None,
+    options: SmacofOptions,
+) -> _Pieces:
+    labels = components(metric if weights is None else np.where(weights > 0, metric, np.inf))
+    positions = np.empty((len(metric), dimensions))
+    scalings: list[Scaling] = []
+    for label in range(labels.max() + 1):
+        piece = labels == label
+        inside = np.ix_(piece, piece)
+        logger.info("scaling %d sensors into %d dimensions", piece.sum(), dimensions)
+        scaling = smacof(
+            metric[inside],
+            dimensions=dimensions,
+            start=None if start is None else start[piece],
+            weights=None if weights is None else weights[inside],
+            options=options,
+        )
+        positions[piece] = scaling.positions
+        scalings.append(scaling)
+    # Stress-1 of all pairs that lie within a piece.
+    raw = sum(scaling.raw_stress for scaling in scalings)
+    spread = sum(scaling.spread for scaling in scalings)
+    return _Pieces(
+        positions=positions,
+        labels=labels,
+        stress=float(np.sqrt(raw / spread)) if spread > 0 else 0.0,
+        converged=all(scaling.converged for scaling in scalings),
+        iterations=max(len(scaling.trace) - 1 for scaling in scalings),
+    )
+
+
+def _count_sensors(recording: Recording | None, matrices: Mapping[str, NDArray[np.generic]]) -> int:
+    """Count the sensors, and check that everything given is of the same ones."""
+    shapes = {what: matrix.shape for what, matrix in matrices.items()}
+    if recording is not None:
+        shapes = {"recording": (recording.n_sensors, recording.n_sensors), **shapes}
+    if not shapes:
+        raise InputError("there is nothing to map: give a recording, or a precomputed stage")
+    first, expected = next(iter(shapes.items()))
+    for what, shape in shapes.items():
+        if len(shape) != 2 or shape[0] != shape[1] or shape != expected:
+            raise InputError(
+                f"the {what} has shape {shape}; it must be square, and of as many sensors as "
+                f"the {first}"
+            )
+    return int(expected[0])
+
+
+def _mask(names: tuple[str, ...], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
+    mask = np.zeros(len(names), dtype=bool)
+    mask[find_sensors(names, sensors)] = True
+    return mask
+
+
+def _checked_start(start: ArrayLike, n_sensors: int, dimensions: int) -> NDArray[np.float64]:
+    positions = np.asarray(start, dtype=np.float64)
+    if positions.shape != (n_sensors, dimensions):
+        raise InputError(
+            f"the start has shape {positions.shape}; it must be ({n_sensors}, {dimensions})"
+        )
+    return positions
+
+
+def _checked_weights(weights: ArrayLike, n_sensors: int) -> NDArray[np.float64]:
+    values = np.asarray(weights, dtype=np.float64)
+    if values.shape != (n_sensors, n_sensors):
+        raise InputError(
+            f"the weights have shape {values.shape}; they must be ({n_sensors}, {n_sensors})"
+        )
+    return values
+
+
+def _doubts(component: NDArray[np.intp], names: tuple[str, ...], pieces: _Pieces) -> Iterator[str]:
+    sizes = np.bincount(component[component != UNPLACED])
+    if sizes.size > 1:
+        lost = [names[i] for i in np.flatnonzero(component > 0)]
+        yield (
+            f"the sensors fall into {sizes.size} separate pieces (of {shortened(sizes.tolist())} "
+            "sensors), and how these lie to one another is not known; "
+            f"outside the largest: {shortened(lost)}"
+        )
+    if not pieces.converged:
+        yield "scaling stopped before it converged: allow it more iterations"
+
+
+def _provenance(
+    recording: Recording | None,
+    method: str,
+    options: MethodOptions,
+    precomputed: Iterable[str],
+) -> dict[str, Scalar]:
+    facts: dict[str, Scalar] = {"anisomap": __version__}
+    if recording is not None:
+        facts |= {"source": recording.source, "frames": recording.n_frames}
+    facts |= {"similarity": find_method(method).similarity, "mu": options.mu, "bins": options.bins}
+    if options.n_neighbours is not None:
+        facts["n_neighbours"] = options.n_neighbours
+    if given := " ".join(precomputed):
+        facts["precomputed"] = given
+    return facts | asdict(options.smacof)

@@ -1,0 +1,342 @@
+"""A recording: what every sensor of a skin read, frame by frame. Immutable."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anisomap.errors import InputError
+
+Scalar: TypeAlias = str | int | float | bool
+"""What provenance is made of: values that every file format can hold."""
+
+MissingPolicy: TypeAlias = Literal["error", "drop-frames", "interpolate"]
+"""What to do about readings that are NaN or infinite."""
+
+_Array = TypeVar("_Array", bound=NDArray[np.generic])
+_LISTED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Readings of N sensors over T frames, with what else is known of them.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        One row a frame, one column a sensor. Real numbers; NaN and infinities stand for readings
+        that are missing (see `complete`). Kept as float32 where that loses nothing, else float64.
+    names : sequence of str, optional
+        One unique name a sensor; ``s0, s1, ...`` unless given.
+    times : array_like of shape (T,), optional
+        Seconds, strictly increasing.
+    rate_hz : float, optional
+        Frames a second; taken from `times` where those are given.
+    positions : array_like of shape (N, 2) or (N, 3), optional
+        Where the sensors truly are, if that is known: only scores and figures use it.
+    units : str
+        Unit of `positions`, such as ``"mm"``; empty if unknown.
+    source : str
+        Where the recording came from: a file name, a simulation.
+    metadata : mapping of str to str, int, float or bool
+        Whatever else is known: licence, scenario, seed.
+
+    Raises
+    ------
+    InputError
+        If shapes disagree, readings are not real numbers, names are not unique, or times do not
+        increase.
+    """
+
+    readings: NDArray[np.floating]
+    names: tuple[str, ...] = ()
+    times: NDArray[np.float64] | None = None
+    rate_hz: float | None = None
+    positions: NDArray[np.float64] | None = None
+    units: str = ""
+    source: str = ""
+    metadata: Mapping[str, Scalar] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        readings = _as_readings(self.readings)
+        n_frames, n_sensors = readings.shape
+        names = tuple(str(name) for name in self.names) or default_names(n_sensors)
+        check_names(names, n_sensors)
+        times, rate_hz = self.times, self.rate_hz
+        if times is not None:
+            times = _frozen(np.array(times, dtype=np.float64))
+            _check_times(times, n_frames)
+            rate_hz = float(1 / np.median(np.diff(times))) if n_frames > 1 else rate_hz
+        if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
+            raise InputError(
+                f"rate_hz is {rate_hz}; it must be a positive number of frames a second"
+            )
+        positions = self.positions
+        if positions is not None:
+            positions = _frozen(np.array(positions, dtype=np.float64))
+            if (
+                positions.ndim != 2
+                or len(positions) != n_sensors
+                or positions.shape[1] not in (2, 3)
+            ):
+                raise InputError(
+                    f"positions have shape {positions.shape}; "
+                    f"{n_sensors} sensors need ({n_sensors}, 2) or ({n_sensors}, 3)"
+                )
+        for name, value in {
+            "readings": readings,
+            "names": names,
+            "times": times,
+            "rate_hz": rate_hz,
+            "positions": positions,
+            "metadata": MappingProxyType(dict(self.metadata)),
+        }.items():
+            object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> tuple[Callable[..., Recording], tuple[dict[str, object]]]:
+        # A read-only view of a mapping cannot be pickled (and so sent to another process) itself.
+        return _rebuilt, ({**vars(self), "metadata": dict(self.metadata)},)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames, T."""
+        return int(self.readings.shape[0])
+
+    @property
+    def n_sensors(self) -> int:
+        """Number of sensors, N."""
+        return int(self.readings.shape[1])
+
+    @property
+    def duration(self) -> float | None:
+        """Seconds from the first frame to the last, if times or a rate are known."""
+        if self.times is not None:
+            return float(self.times[-1] - self.times[0])
+        return None if self.rate_hz is None else (self.n_frames - 1) / self.rate_hz
+
+    def varying(self) -> NDArray[np.bool_]:
+        """Tell which sensors ever change.
+
+        Returns
+        -------
+        ndarray of bool, shape (N,)
+            False for a sensor whose finite readings are all the same, or that has none.
+        """
+        missing = ~np.isfinite(self.readings)
+        lowest = np.where(missing, np.inf, self.readings).min(axis=0)
+        highest = np.where(missing, -np.inf, self.readings).max(axis=0)
+        return np.asarray(highest > lowest)
+
+    def indices(self, sensors: Iterable[str | int]) -> NDArray[np.intp]:
+        """Find sensors by name, or else by index.
+
+        Parameters
+        ----------
+        sensors : iterable of str or int
+            Names; a number (or a text that is one and is no sensor's name) is an index from 0.
+
+        Returns
+        -------
+        ndarray of int
+            Sorted indices, each once.
+
+        Raises
+        ------
+        InputError
+            If one is neither a name nor an index of a sensor.
+        """
+        return find_sensors(self.names, sensors)
+
+    def select(self, sensors: ArrayLike) -> Recording:
+        """Keep only some sensors.
+
+        Parameters
+        ----------
+        sensors : array_like
+            Indices or a boolean mask, as numpy takes them.
+
+        Returns
+        -------
+        Recording
+            The same frames of those sensors.
+        """
+        chosen = np.arange(self.n_sensors)[np.asarray(sensors)]
+        return Recording(
+            self.readings[:, chosen],
+            names=tuple(self.names[i] for i in chosen),
+            times=self.times,
+            rate_hz=self.rate_hz,
+            positions=None if self.positions is None else self.positions[chosen],
+            units=self.units,
+            source=self.source,
+            metadata=self.metadata,
+        )
+
+    def complete(self, policy: MissingPolicy = "error") -> Recording:
+        """Settle what to do about readings that are NaN or infinite.
+
+        Parameters
+        ----------
+        policy : {"error", "drop-frames", "interpolate"}
+            Refuse; leave out every frame that misses a reading; or fill each sensor linearly
+            between its neighbours in time (its ends with the nearest reading). A sensor with no
+            finite reading at all becomes constant zero, so that it is treated as dead.
+
+        Returns
+        -------
+        Recording
+            One in which every reading is finite; this one if it already was.
+
+        Raises
+        ------
+        InputError
+            Under "error" if a reading is missing, naming sensors and frames; under "drop-frames"
+            if no frame would be left.
+        """
+        missing = ~np.isfinite(self.readings)
+        if not missing.any():
+            return self
+        if policy == "error":
+            raise InputError(self._describe_missing(missing))
+        if policy == "interpolate":
+            return self._replace_readings(_interpolated(self.readings, missing))
+        if policy != "drop-frames":
+            raise InputError(f"unknown policy {policy!r}: use error, drop-frames or interpolate")
+        silent = missing.all(axis=0)
+        whole = ~missing[:, ~silent].any(axis=1)
+        if not whole.any():
+            raise InputError(
+                "every frame misses a reading, so dropping such frames leaves none; "
+                "interpolate instead (--nan interpolate), or drop the sensors that are to blame"
+            )
+        kept = np.where(missing, 0, self.readings)[whole]
+        times = None if self.times is None else self.times[whole]
+        return self._replace_readings(kept, times=times)
+
+    def _replace_readings(
+        self, readings: NDArray[np.floating], times: NDArray[np.float64] | None = None
+    ) -> Recording:
+        return Recording(
+            readings,
+            names=self.names,
+            times=self.times if times is None else times,
+            rate_hz=self.rate_hz,
+            positions=self.positions,
+            units=self.units,
+            source=self.source,
+            metadata=self.metadata,
+        )
+
+    def _describe_missing(self, missing: NDArray[np.bool_]) -> str:
+        sensors = [self.names[i] for i in np.flatnonzero(missing.any(axis=0))]
+        frames = np.flatnonzero(missing.any(axis=1))
+        return (
+            f"{int(missing.sum())} readings are NaN or infinite: "
+            f"{_listing('sensor', sensors)}, {_listing('frame', frames.tolist())}; "
+            "choose what to do about them: drop-frames or interpolate (--nan)"
+        )
+
+
+def default_names(n_sensors: int) -> tuple[str, ...]:
+    """Name sensors that came without names: ``s0, s1, ...``."""
+    return tuple(f"s{i}" for i in range(n_sensors))
+
+
+def check_names(names: Sequence[str], n_sensors: int) -> None:
+    """Refuse names that do not tell N sensors apart.
+
+    Raises
+    ------
+    InputError
+        If there are not `n_sensors` of them, or one stands twice.
+    """
+    if len(names) != n_sensors:
+        raise InputError(f"{len(names)} names for {n_sensors} sensors; give one name a sensor")
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
+        raise InputError(
+            f"names must be unique, but more than one sensor has the {_listing('name', repeated)}"
+        )
+
+
+def find_sensors(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.intp]:
+    """Find sensors by name, or else by index; see `Recording.indices`."""
+    by_name = {name: i for i, name in enumerate(names)}
+    found = set()
+    for sensor in sensors:
+        text = str(sensor)
+        if isinstance(sensor, str) and text in by_name:
+            found.add(by_name[text])
+        elif text.isdecimal() and int(text) < len(names):
+            found.add(int(text))
+        else:
+            raise InputError(
+                f"there is no sensor {text!r}; the {len(names)} sensors are named "
+                f"{names[0]} ... {names[-1]}, or count from 0 to {len(names) - 1}"
+            )
+    return np.array(sorted(found), dtype=np.intp)
+
+
+def _as_readings(values: ArrayLike) -> NDArray[np.floating]:
+    array = np.asarray(values)
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"readings are of type {array.dtype}; they must be real numbers")
+    if array.ndim != 2:
+        raise InputError(
+            f"readings have {array.ndim} dimensions; they must be frames x sensors, shape (T, N)"
+        )
+    if 0 in array.shape:
+        raise InputError(f"readings have shape {array.shape}: there is nothing in them")
+    fits_float32 = array.dtype in (np.float16, np.float32) or (
+        array.dtype.kind in "biu" and array.dtype.itemsize <= 2
+    )
+    return _frozen(np.array(array, dtype=np.float32 if fits_float32 else np.float64))
+
+
+def _frozen(array: _Array) -> _Array:
+    array.setflags(write=False)
+    return array
+
+
+def _check_times(times: NDArray[np.float64], n_frames: int) -> None:
+    if times.shape != (n_frames,):
+        raise InputError(f"times have shape {times.shape}; {n_frames} frames need ({n_frames},)")
+    if not np.isfinite(times).all():
+        raise InputError(f"the time of frame {int(np.argmin(np.isfinite(times)))} is not finite")
+    steps = np.diff(times)
+    if (steps <= 0).any():
+        frame = int(np.argmax(steps <= 0)) + 1
+        raise InputError(
+            f"times must increase, but frame {frame} ({times[frame]:g} s) "
+            f"does not come after frame {frame - 1} ({times[frame - 1]:g} s)"
+        )
+
+
+def _interpolated(
+    readings: NDArray[np.floating], missing: NDArray[np.bool_]
+) -> NDArray[np.floating]:
+    filled = np.array(readings)
+    frames = np.arange(len(readings))
+    for sensor in np.flatnonzero(missing.any(axis=0)):
+        gaps = missing[:, sensor]
+        known = frames[~gaps]
+        filled[gaps, sensor] = (
+            np.interp(frames[gaps], known, readings[known, sensor]) if known.size else 0.0
+        )
+    return filled
+
+
+def _listing(noun: str, items: Sequence[object]) -> str:
+    shown = ", ".join(str(item) for item in items[:_LISTED])
+    more = f" and {len(items) - _LISTED} more" if len(items) > _LISTED else ""
+    return f"{noun}{'s' if len(items) > 1 else ''} {shown}{more}"
+
+
+def _rebuilt(fields: dict[str, Any]) -> Recording:
+    return Recording(**fields)

@@ -1,0 +1,17 @@
+"""What several tests share: where the real recordings are, if they are here at all."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(os.environ.get("ANISOMAP_SHARED", Path(__file__).parents[2] / "shared"))
+
+
+@pytest.fixture(scope="session")
+def recordings_folder() -> Path:
+    """The folder of real recordings; they are not ours to ship, so tests skip without them."""
+    folder = SHARED / "recordings"
+    if not folder.is_dir():
+        pytest.skip("the real recordings are not here (set ANISOMAP_SHARED to their folder)")
+    return folder
