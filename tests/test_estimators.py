@@ -1,12 +1,24 @@
 """The scikit-learn faces: the contract, and what they promise beyond it."""
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.spatial.distance import pdist, squareform
+from sklearn.datasets import make_swiss_roll
+from sklearn.decomposition import PCA
+from sklearn.manifold import MDS
+from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from anisomap import Anisomap, SensorMapper
+from anisomap import Anisomap, SensorMapper, mantel, reconstruct
+from anisomap import estimators as estimators_module
+from anisomap.errors import InputError
+from skins import flat_skin, lattice
+
+SKIN = flat_skin()
 
 
+# The checks use few frames of noise: the doubts that this raises are right, and not the point.
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
 @parametrize_with_checks(
     [
@@ -19,3 +31,106 @@ from anisomap import Anisomap, SensorMapper
 )
 def test_scikit_learn_contract(estimator, check):
     check(estimator)
+
+
+@pytest.mark.parametrize("method", ["r-anisomap", "isomap"])
+def test_a_mapper_makes_the_map_that_reconstruct_makes(method):
+    mapper = SensorMapper(n_components=2, method=method).fit(SKIN.readings)
+    expected = reconstruct(SKIN, method, 2)
+    np.testing.assert_allclose(mapper.positions_, expected.positions, atol=1e-9)
+    assert mapper.map_.stress == pytest.approx(expected.stress)
+
+
+def test_frames_may_come_in_parts(monkeypatch):
+    monkeypatch.setattr(estimators_module, "SAMPLE_FRAMES", 200)
+    whole = SensorMapper(n_components=2).fit(SKIN.readings)
+    parts = SensorMapper(n_components=2)
+    for part in np.split(SKIN.readings, [7, 400, 401, 1100]):
+        # What a map of the first few frames lacks, the last one must have.
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("warnings.warn", lambda *_, **__: None)
+            parts.partial_fit(part)
+    assert parts.n_samples_seen_ == 1500
+    assert len(parts._sample) <= 200
+    np.testing.assert_allclose(parts.positions_, whole.positions_, atol=1e-6)
+    np.testing.assert_allclose(parts.transform(SKIN.readings), whole.transform(SKIN.readings))
+
+
+def test_only_methods_that_can_take_parts_offer_to():
+    assert hasattr(SensorMapper(), "partial_fit")
+    assert not hasattr(SensorMapper(method="i-anisomap"), "partial_fit")
+
+
+def test_the_centre_of_contact_is_where_the_skin_is_touched():
+    mapper = SensorMapper(n_components=2).fit(SKIN.readings)
+    readings = SKIN.readings
+    touched = readings.sum(axis=1) > 0
+    centres = mapper.transform(readings)
+    assert np.isnan(centres[~touched]).all()
+    truth = readings[touched] @ lattice() / readings[touched].sum(axis=1, keepdims=True)
+    some = np.flatnonzero(touched)[::10]
+    assert mantel(centres[some], truth[::10], permutations=0).r > 0.98
+
+
+def test_a_touch_of_one_sensor_is_at_that_sensor():
+    mapper = SensorMapper(n_components=2).fit(SKIN.readings)
+    np.testing.assert_allclose(mapper.transform(np.eye(42)), mapper.positions_)
+
+
+def test_missing_readings_are_left_out_of_the_centre():
+    mapper = SensorMapper(n_components=2, missing="interpolate").fit(SKIN.readings)
+    frame = np.zeros((1, 42))
+    frame[0, [3, 4]] = 1
+    frame[0, 5] = np.nan
+    np.testing.assert_allclose(mapper.transform(frame)[0], mapper.positions_[[3, 4]].mean(axis=0))
+
+
+def test_columns_name_the_sensors():
+    frame = pd.DataFrame(SKIN.readings, columns=[f"pad {i}" for i in range(42)])
+    for mapper in (SensorMapper(2).fit(frame), SensorMapper(2).partial_fit(frame)):
+        assert mapper.map_.names == tuple(frame.columns)
+
+
+def test_a_mapper_works_in_a_pipeline():
+    pipeline = make_pipeline(SensorMapper(n_components=3), PCA(2))
+    touched = SKIN.readings[SKIN.readings.sum(axis=1) > 0]
+    assert pipeline.fit_transform(touched).shape == (len(touched), 2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_anisomap_does_no_worse_than_mds_on_euclidean_distances(seed):
+    points = np.random.default_rng(seed).normal(size=(40, 4))
+    ours = Anisomap(2).fit_transform(points)
+    theirs = MDS(2, n_init=1, init="classical_mds", random_state=0).fit_transform(points)
+    truth = pdist(points)
+    assert ((pdist(ours) - truth) ** 2).sum() <= ((pdist(theirs) - truth) ** 2).sum() * (1 + 1e-6)
+
+
+def test_a_semi_metric_is_metricised():
+    points = np.linspace(0, 1, 25)[:, None]
+    squares = squareform(pdist(points, "sqeuclidean"))
+    embedding = Anisomap(1, metric="precomputed").fit_transform(squares)
+    assert mantel(embedding, points, permutations=0).r > 0.9999
+    same = Anisomap(1, metric="sqeuclidean").fit_transform(points)
+    np.testing.assert_allclose(same, embedding, atol=1e-9)
+
+
+def test_missing_pairs_and_weights():
+    points, _ = make_swiss_roll(60, random_state=0)
+    points = points[:, [0, 2]]
+    distances = squareform(pdist(points))
+    holes = distances > 20
+    for hole in (np.nan, np.inf):
+        found = Anisomap(2, metric="precomputed").fit(np.where(holes, hole, distances))
+        assert mantel(found.embedding_, points, permutations=0).r > 0.98
+    weights = np.where(holes, 0, 1)
+    weighted = Anisomap(2).fit(points, weights=weights)
+    assert mantel(weighted.embedding_, points, permutations=0).r > 0.9999
+
+
+def test_separate_objects_are_not_bridged():
+    distances = np.full((4, 4), np.nan)
+    distances[:2, :2] = distances[2:, 2:] = 1
+    np.fill_diagonal(distances, 0)
+    with pytest.raises(InputError, match="separate pieces"):
+        Anisomap(metric="precomputed").fit(distances)

@@ -307,7 +307,8 @@ def _intermittent(b: _Behaviour) -> dict[int, str]:
 
 def _noisy(b: _Behaviour) -> dict[int, str]:
     typical = float(np.median(b.lag_correlation))
-    limit = min(_NOISE_RATIO * typical, typical - _OUTLIER * _spread(b.lag_correlation))
+    spread = max(_OUTLIER * _spread(b.lag_correlation), _CHANCE / np.sqrt(b.n_frames))
+    limit = min(_NOISE_RATIO * typical, typical - spread)
     suspects = b.lag_correlation < limit
     return {
         int(i): f"jumps from frame to frame: lag-1 autocorrelation {b.lag_correlation[i]:.2f} "

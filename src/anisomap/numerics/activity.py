@@ -13,6 +13,9 @@ ATOM = 0.1
 NOISE_QUANTILE = 0.99
 """Share of the readings on the quiet side of rest that noise must explain: 2.6 sigma if normal."""
 
+SKEW = 2.0
+"""Contact reaches at least so many times as far as noise, or it cannot be told from noise."""
+
 
 @dataclass(frozen=True, eq=False)
 class Rest:
@@ -27,7 +30,7 @@ class Rest:
         1 where contact raises the reading, -1 where it lowers it (raw capacitive skins).
     threshold : ndarray of shape (N,)
         How far a reading strays from rest by noise alone, in units of the reading; 0 where none
-        ever lies on the other side of rest than contact.
+        ever lies on the other side of rest than contact, and where there is no rest.
     """
 
     value: NDArray[np.float64]
@@ -70,18 +73,23 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     Notes
     -----
     Noise reaches equally far on both sides of rest, contact only on one. So contact is on the
-    side where the mean lies, and the other side shows how far noise reaches.
+    side where the mean lies, and the other side shows how far noise reaches. Continuous readings
+    that reach about equally far on both sides (the pixels of a camera) have no rest to leave:
+    what is beyond their median counts as active.
     """
     values = np.asarray(readings, dtype=np.float64)
-    rest = np.array([_rest_value(column) for column in values.T])
-    side = np.where(values.mean(axis=0) < rest, -1.0, 1.0)
-    strayed = side * (rest - values)
-    threshold = [np.quantile(column[column >= 0], NOISE_QUANTILE) for column in strayed.T]
-    return Rest(value=rest, side=side, threshold=np.array(threshold))
+    rest, side, threshold = np.array([_rest_of(column) for column in values.T]).T
+    return Rest(value=rest, side=side, threshold=threshold)
 
 
-def _rest_value(column: NDArray[np.float64]) -> float:
+def _rest_of(column: NDArray[np.float64]) -> tuple[float, float, float]:
     distinct, counts = np.unique(column, return_counts=True)
-    if counts.max() >= max(2, ATOM * column.size):
-        return float(distinct[counts.argmax()])
-    return float(np.median(column))
+    resting = counts.max() >= max(2, ATOM * column.size)
+    value = distinct[counts.argmax()] if resting else np.median(column)
+    side = -1.0 if column.mean() < value else 1.0
+    beyond = side * (column - value)
+    noise = np.quantile(-beyond[beyond <= 0], NOISE_QUANTILE)
+    contact = np.quantile(beyond[beyond >= 0], NOISE_QUANTILE)
+    if not resting and contact < SKEW * noise:
+        return float(value), 1.0, 0.0
+    return float(value), side, float(noise)

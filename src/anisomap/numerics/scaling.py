@@ -227,7 +227,7 @@ def _majorise(
         positions, distances = moved, moved_distances
         trace.append(raw)
     if not converged and options.max_iterations:
-        logger.warning("SMACOF stopped after %d iterations, still improving", len(trace) - 1)
+        logger.info("SMACOF stopped after %d iterations, still improving", len(trace) - 1)
     history = np.array(trace)
     positions = positions - positions.mean(axis=0)
     positions.setflags(write=False)

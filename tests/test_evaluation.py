@@ -1,0 +1,178 @@
+"""Mantel r and its null, alignment, neighbourhoods: closed forms, oracles, invariances."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import procrustes
+from scipy.spatial.distance import pdist, squareform
+from scipy.stats import ortho_group, pearsonr
+
+from anisomap import SensorMap
+from anisomap.errors import InputError
+from anisomap.evaluation import align, mantel, median_spacing, neighbour_agreement, score
+from skins import lattice
+
+
+def cloud(n=20, k=3, seed=0):
+    return np.random.default_rng(seed).normal(size=(n, k))
+
+
+def similar(points, seed):
+    """Turn, scale, shift and maybe mirror."""
+    rng = np.random.default_rng(seed)
+    return 7.5 * points @ ortho_group.rvs(points.shape[1], random_state=rng).T + rng.normal(size=3)
+
+
+def test_mantel_r_is_pearson_r_of_the_pairs():
+    a, b = cloud(seed=0), cloud(seed=1)
+    expected = pearsonr(pdist(a), pdist(b)).statistic
+    assert mantel(a, b, permutations=0).r == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_null_is_that_of_relabelling_sensors():
+    a, b = cloud(6), cloud(6, seed=1)
+    found = mantel(a, b, permutations=200, rng=3)
+    rng = np.random.default_rng(3)
+    for r in found.null:
+        order = rng.permutation(6)
+        assert r == pytest.approx(pearsonr(pdist(a[order]), pdist(b)).statistic, abs=1e-5)
+
+
+def test_p_counts_the_labelling_itself():
+    a = cloud(30)
+    assert mantel(a, a, permutations=99).p_value == pytest.approx(0.01)
+    ps = [mantel(cloud(10, seed=s), cloud(10, seed=s + 100), permutations=99).p_value
+          for s in range(60)]  # fmt: skip
+    # Unrelated configurations give p values spread over (0, 1): the mean of 60 is within 4 errors.
+    assert np.mean(ps) == pytest.approx(0.5, abs=4 * (1 / 12 / 60) ** 0.5)
+
+
+def test_the_median_of_the_null_is_near_zero():
+    found = mantel(cloud(60), cloud(60, seed=1), permutations=2000)
+    assert abs(found.quantiles()[0.5]) < 0.05
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_scores_do_not_see_similarity_transforms(seed):
+    truth = cloud(12)
+    moved = similar(truth + cloud(12, seed=1) / 4, seed)
+    still = truth + cloud(12, seed=1) / 4
+    assert mantel(moved, truth, permutations=0).r == pytest.approx(
+        mantel(still, truth, permutations=0).r, abs=1e-9
+    )
+    assert align(moved, truth).rms == pytest.approx(align(still, truth).rms, abs=1e-9)
+    assert neighbour_agreement(moved, truth) == neighbour_agreement(still, truth)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_alignment_undoes_a_similarity_and_reports_the_mirror(seed):
+    truth = cloud()
+    found = align(similar(truth, seed), truth)
+    assert found.rms < 1e-9
+    assert found.scale == pytest.approx(1 / 7.5)
+    rotation = ortho_group.rvs(3, random_state=np.random.default_rng(seed))
+    assert found.reflected == (np.linalg.det(rotation) < 0)
+
+
+def test_alignment_is_as_good_as_scipys():
+    a, b = cloud(seed=4), cloud(seed=5)
+    b_centred = b - b.mean(axis=0)
+    _, _, disparity = procrustes(b, a)
+    found = align(a, b)
+    assert (found.errors**2).sum() == pytest.approx(disparity * (b_centred**2).sum())
+    rebuilt = found.scale * a @ found.rotation.T + found.translation
+    np.testing.assert_allclose(rebuilt, found.aligned, atol=1e-12)
+    np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-12)
+
+
+def test_flat_and_spatial_configurations_can_be_compared():
+    flat = lattice()
+    lifted = np.column_stack([flat, np.zeros(len(flat))])
+    for a, b in [(flat, lifted), (lifted, flat), (lifted * [1, -1, 1], flat)]:
+        found = align(a, b)
+        assert found.rms < 1e-9
+        assert not found.reflected  # a flat skin turned over is its own mirror image
+    assert align(flat * [1, -1], flat).reflected
+
+
+def test_neighbours_of_a_lattice():
+    points = lattice()
+    assert median_spacing(points) == pytest.approx(1)
+    assert neighbour_agreement(points, points) == 1
+    shuffled = points[np.random.default_rng(0).permutation(len(points))]
+    assert neighbour_agreement(shuffled, points) < 0.35
+
+
+def test_coincident_sensors_have_neighbours_too():
+    points = np.zeros((8, 2))
+    points[4:] = 1
+    assert 0 <= neighbour_agreement(points, cloud(8, 2), neighbours=3) <= 1
+
+
+def noisy_map(seed=0, **fields):
+    positions = similar(np.column_stack([lattice(), np.zeros(42)]), seed)
+    return SensorMap(positions, **fields)
+
+
+def test_a_score_says_what_it_left_out():
+    positions = np.array(noisy_map().positions)
+    component = np.zeros(42, int)
+    positions[0], component[0] = np.nan, -1
+    component[1:3] = 1
+    truth = lattice()
+    truth[5] = np.nan
+    excluded = np.arange(42) == 7
+    found = score(SensorMap(positions, component=component, excluded=excluded), truth)
+    np.testing.assert_array_equal(found.sensors, np.setdiff1d(np.arange(42), [0, 1, 2, 5, 7]))
+    for reason in ("not on the map", "excluded", "separate pieces", "no known true position"):
+        assert any(reason in note for note in found.notes)
+    assert found.mantel.r == pytest.approx(1)
+    assert found.rms < 1e-9
+
+
+def test_error_in_spacings_is_the_error_over_the_spacing():
+    truth = 4 * lattice()
+    noise = np.random.default_rng(0).normal(size=truth.shape)
+    found = score(SensorMap(truth + noise), truth, permutations=0)
+    assert found.spacing == pytest.approx(4)
+    assert found.rms_in_spacings == pytest.approx(found.rms / 4)
+    assert found.rms == pytest.approx(np.sqrt(2), rel=0.2)
+
+
+def test_maps_are_matched_by_name_and_else_by_order():
+    names = [f"pad {i}" for i in range(42)]
+    order = np.random.default_rng(0).permutation(42)
+    truth = SensorMap(lattice()[order], names=[names[i] for i in order], units="mm")
+    by_name = score(noisy_map(names=names), truth, permutations=0)
+    assert by_name.mantel.r == pytest.approx(1)
+    assert by_name.units == "mm"
+    by_order = score(noisy_map(), truth, permutations=0)
+    assert by_order.mantel.r < 0.5
+    assert "by order" in by_order.notes[0]
+    with pytest.raises(InputError, match="share no sensor name"):
+        score(noisy_map(), truth.select(range(10)))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "message"),
+    [
+        (cloud(5), cloud(6), "5 sensors cannot be compared with 6"),
+        (cloud(3), cloud(3), "at least 4"),
+        (np.zeros((5, 2)), cloud(5), "all distances are equal"),
+        (np.full((5, 2), np.nan), cloud(5), "not finite"),
+        (np.triu(np.ones((5, 5))), cloud(5), "symmetric with a zero diagonal"),
+        (np.zeros(5), cloud(5), "neither positions"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(first, second, message):
+    with pytest.raises(InputError, match=message):
+        mantel(first, second)
+
+
+def test_distances_and_positions_say_the_same():
+    a, b = cloud(9), cloud(9, seed=1)
+    from_distances = mantel(squareform(pdist(a)), squareform(pdist(b)), permutations=0)
+    assert from_distances.r == pytest.approx(mantel(a, b, permutations=0).r)

@@ -1,0 +1,123 @@
+"""Sensor health: faults are named, and healthy skins are left in peace."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import anisomap
+from anisomap import Recording, assess, summarise
+from anisomap.health import STATUSES, weaknesses
+from skins import flat_skin, seeing_patch
+
+SENSOR = 16
+
+
+def with_fault(change, seed=0):
+    recording = flat_skin(seed=seed)
+    readings = np.array(recording.readings)
+    readings[:, SENSOR] = change(readings[:, SENSOR], np.random.default_rng(seed), readings)
+    return Recording(readings)
+
+
+def saturates(values, rng, readings):
+    """The paper's sensor 30: full scale at random times, whether it is touched or not."""
+    faulty = values.copy()
+    for start in rng.integers(0, len(values) - 30, 25):
+        faulty[start : start + rng.integers(5, 30)] = readings.max()
+    return faulty
+
+
+FAULTS = {
+    "dead": lambda values, rng, readings: 0 * values,
+    "stuck": lambda values, rng, readings: 0 * values + readings.max(),
+    "saturating": saturates,
+    "intermittent": lambda values, rng, readings: np.where(
+        rng.uniform(size=values.size) < 0.05, rng.uniform(0.1, 1, values.size), 0
+    ),
+    "noisy": lambda values, rng, readings: values + rng.normal(0, 2 * values.std(), values.size),
+}
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_faulty_sensor_is_found_and_no_other(fault, seed):
+    health = assess(with_fault(FAULTS[fault], seed))
+    suspects = {sensor.name: sensor for sensor in health if sensor.status != "ok"}
+    assert set(suspects) == {f"s{SENSOR}"}
+    found = suspects[f"s{SENSOR}"]
+    assert found.reason
+    # Bursts without touch are both intermittent and without rhythm: either name is right.
+    alike = {"intermittent": {"intermittent", "noisy"}}.get(fault, {fault})
+    assert found.status in alike
+
+
+@pytest.mark.parametrize("skin", [flat_skin, seeing_patch])
+@pytest.mark.parametrize("seed", range(5))
+def test_healthy_skins_are_left_in_peace(skin, seed):
+    assert Counter(sensor.status for sensor in assess(skin(seed=seed))) == {"ok": 42}
+
+
+@pytest.mark.parametrize("name", ["icub_hexagon", "icub_palm", "icub_torso", "plantar"])
+def test_healthy_real_skins_are_left_in_peace(recordings_folder, name):
+    health = assess(anisomap.read(recordings_folder / f"{name}.npz"))
+    assert {sensor.status for sensor in health} == {"ok"}
+
+
+def test_thresholding_does_not_make_sensors_ill():
+    readings = np.array(flat_skin().readings) > 0.5
+    assert {sensor.status for sensor in assess(Recording(readings))} == {"ok"}
+
+
+@given(gain=st.sampled_from([-4.0, -0.5, 0.25, 8.0]), offset=st.sampled_from([0.0, 256.0]))
+@settings(max_examples=8, deadline=None)
+def test_units_of_readings_do_not_matter_to_health(gain, offset):
+    recording = with_fault(saturates)
+    readings = np.round(np.array(recording.readings) * 64)
+    plain, changed = (
+        [sensor.status for sensor in assess(Recording(r))]
+        for r in (readings, gain * readings + offset)
+    )
+    assert plain == changed
+
+
+def test_the_figures_of_a_sensor_are_what_it_did():
+    readings = np.zeros((100, 4))
+    readings[10:20, 0] = readings[50:55, 0] = 2
+    readings[10:20, 1] = 1
+    found = assess(Recording(readings, names=["a", "b", "c", "d"]))[0]
+    assert (found.minimum, found.maximum, found.distinct) == (0, 2, 2)
+    assert found.active == pytest.approx(0.15)
+    assert found.contacts == 2
+    assert found.best_match == pytest.approx(np.corrcoef(readings[:, 0], readings[:, 1])[0, 1])
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (2, 2), (5, 1), (3, 40)])
+def test_tiny_recordings_are_assessed_without_fuss(shape):
+    readings = np.random.default_rng(0).integers(0, 3, shape)
+    health = assess(Recording(readings))
+    assert len(health) == shape[1]
+    assert {sensor.status for sensor in health} <= set(STATUSES)
+
+
+def test_a_summary_counts():
+    readings = np.array(flat_skin().readings, dtype=float)
+    readings[:, 3] = 0
+    readings[5, 4] = np.nan
+    readings[6, 4] = np.inf
+    found = summarise(Recording(readings, rate_hz=50))
+    assert (found.n_frames, found.n_sensors, found.missing, found.n_constant) == (1500, 42, 2, 1)
+    assert found.duration == pytest.approx(1499 / 50)
+    assert found.share_of_zeros == np.mean(readings == 0)
+    assert found.maximum == np.nanmax(readings[np.isfinite(readings)])
+    assert any("never vary" in warning for warning in found.warnings)
+
+
+def test_a_skin_that_was_hardly_touched_is_doubted():
+    readings = np.array(flat_skin(n_frames=3000).readings)
+    readings[200:] = 0
+    recording = Recording(readings)
+    doubts = weaknesses(recording, assess(recording))
+    assert any("fewer than 5 times" in doubt for doubt in doubts)

@@ -1,0 +1,244 @@
+"""From a recording to a map: quality, stages that are given, pieces, and doubts that are told."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap import Recording, reconstruct, score
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.methods import METHODS, PAPER_METHODS, SIMILARITIES, MethodOptions, compute_stages
+from anisomap.numerics.scaling import SmacofOptions
+from skins import flat_skin, lattice, rubbed, seeing_patch
+
+
+def mantel_r(sensor_map, recording):
+    return score(sensor_map, recording.positions, permutations=0).mantel.r
+
+
+@pytest.mark.parametrize("method", ["r-anisomap", "spearman-anisomap", "co-activation-anisomap"])
+def test_a_rubbed_flat_skin_is_found_again(method):
+    found = [mantel_r(reconstruct(skin, method, 2), skin)
+             for skin in (flat_skin(seed=seed) for seed in range(4))]  # fmt: skip
+    assert min(found) > 0.95
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_every_method_makes_a_map_far_above_its_null(method, dimensions):
+    # All sensors have the same entropy here, which information distance stands and falls with.
+    skin = seeing_patch()
+    sensor_map = reconstruct(skin, method, dimensions)
+    assert sensor_map.positions.shape == (42, dimensions)
+    assert sensor_map.method == method
+    found = score(sensor_map, skin.positions, permutations=500).mantel
+    assert found.r > found.quantiles()[1.0]
+    assert 0 < sensor_map.stress < 1
+
+
+def test_only_information_distance_is_much_worse_in_space_than_in_the_plane():
+    # McGregor et al. (2011), Figures 3 and 7: it bends flat maps into spheres.
+    loss = {
+        method: np.mean([mantel_r(reconstruct(skin, method, 2), skin)
+                         - mantel_r(reconstruct(skin, method, 3), skin)
+                         for skin in (seeing_patch(seed=seed) for seed in range(3))])
+        for method in PAPER_METHODS
+    }  # fmt: skip
+    assert loss.pop("information-distance") > 0.1
+    assert max(loss.values()) < 0.03
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_relabelling_the_sensors_only_relabels_the_map(method):
+    skin = flat_skin()
+    order = np.random.default_rng(1).permutation(42)
+    straight = reconstruct(skin, method, 2)
+    relabelled = reconstruct(skin.select(order), method, 2)
+    assert anisomap.mantel(
+        straight.positions[order], relabelled.positions, permutations=0
+    ).r == pytest.approx(1, abs=1e-5)
+
+
+def test_units_of_readings_do_not_matter_to_a_map():
+    skin = flat_skin()
+    gains = 2.0 ** np.random.default_rng(0).integers(-4, 5, 42)
+    other = Recording(skin.readings * gains)
+    for method in METHODS:
+        first, second = reconstruct(skin, method, 2), reconstruct(other, method, 2)
+        assert anisomap.mantel(first, second, permutations=0).r == pytest.approx(1, abs=1e-6)
+
+
+def test_the_same_recording_gives_the_same_bytes():
+    for method in METHODS:
+        first, second = (reconstruct(flat_skin(), method) for _ in range(2))
+        assert first.positions.tobytes() == second.positions.tobytes()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_stage_can_be_entered_with_something_precomputed(method):
+    skin = flat_skin()
+    whole = reconstruct(skin, method, 2)
+    stages = compute_stages(skin.readings, method)
+    for stage in ("similarity", "dissimilarity", "metric"):
+        given = {stage: getattr(stages, stage)}
+        for recording in (skin, None):
+            entered = reconstruct(recording, method, 2, **given)
+            np.testing.assert_allclose(entered.positions, whole.positions, atol=1e-9)
+            assert entered.provenance["precomputed"] == stage
+
+
+def test_a_start_is_where_scaling_sets_out_from():
+    skin = flat_skin()
+    stay = MethodOptions(smacof=SmacofOptions(max_iterations=0))
+    with pytest.warns(AnisomapWarning, match="converged"):
+        started = reconstruct(skin, dimensions=2, start=lattice(), options=stay)
+    np.testing.assert_allclose(started.positions, lattice() - lattice().mean(axis=0))
+
+
+def test_weights_of_zero_are_not_looked_at():
+    skin = flat_skin()
+    metric = np.array(compute_stages(skin.readings).metric)
+    truth = reconstruct(metric=metric, dimensions=2)
+    wrong, weights = metric.copy(), np.ones_like(metric)
+    wrong[0, 30] = wrong[30, 0] = 1e3
+    weights[0, 30] = weights[30, 0] = 0
+    spared = reconstruct(metric=wrong, weights=weights, dimensions=2)
+    misled = reconstruct(metric=wrong, dimensions=2)
+    close = anisomap.mantel(spared, truth, permutations=0).r
+    assert close > 0.999
+    assert anisomap.mantel(misled, truth, permutations=0).r < close
+
+
+def test_dead_sensors_are_left_out_and_listed():
+    readings = np.array(flat_skin().readings)
+    readings[:, [4, 17]] = [0, 3]
+    with pytest.warns(AnisomapWarning, match="never vary .*: s4, s17"):
+        sensor_map = reconstruct(Recording(readings), dimensions=2)
+    np.testing.assert_array_equal(np.flatnonzero(~sensor_map.placed), [4, 17])
+    assert np.isnan(sensor_map.positions[[4, 17]]).all()
+    assert (sensor_map.health[4], sensor_map.health[17]) == ("dead", "stuck")
+    assert sensor_map.notes
+
+
+def test_excluded_sensors_stay_and_dropped_ones_go():
+    skin = flat_skin()
+    excluded = reconstruct(skin, dimensions=2, exclude=["s3", 5])
+    np.testing.assert_array_equal(np.flatnonzero(excluded.excluded), [3, 5])
+    np.testing.assert_array_equal(excluded.positions, reconstruct(skin, dimensions=2).positions)
+    assert score(excluded, skin.positions, permutations=0).mantel.n_sensors == 40
+    dropped = reconstruct(skin, dimensions=2, drop=["s3", 5])
+    without = reconstruct(skin.select(np.setdiff1d(np.arange(42), [3, 5])), dimensions=2)
+    np.testing.assert_allclose(dropped.positions[dropped.placed], without.positions, atol=1e-9)
+
+
+def two_skins():
+    """Two patches that are never touched together."""
+    positions = np.vstack([lattice(4, 5), np.add(lattice(3, 4), [100, 0])])
+    first = rubbed(positions[:20], 1200, seed=1) * (np.arange(1200)[:, None] < 700)
+    second = rubbed(positions[20:], 1200, seed=2) * (np.arange(1200)[:, None] >= 700)
+    return Recording(np.hstack([first, second]), positions=positions)
+
+
+def test_without_regularisation_separate_pieces_are_separate_maps():
+    skin = two_skins()
+    with pytest.warns(AnisomapWarning, match="2 separate pieces"):
+        sensor_map = reconstruct(skin, dimensions=2, options=MethodOptions(mu=0))
+    np.testing.assert_array_equal(sensor_map.component, [0] * 20 + [1] * 12)
+    for piece, truth in zip(sensor_map.split(), (lattice(4, 5), lattice(3, 4)), strict=True):
+        assert score(piece, truth, permutations=0).mantel.r > 0.95
+        np.testing.assert_allclose(piece.positions.mean(axis=0), 0, atol=1e-9)
+    found = score(sensor_map, skin.positions, permutations=0)
+    assert found.mantel.n_sensors == 20
+    assert "12 of 32 sensors lie in separate pieces of the map" in found.notes
+
+
+def test_short_recordings_are_doubted():
+    with pytest.warns(AnisomapWarning) as caught:
+        sensor_map = reconstruct(flat_skin(n_frames=300), dimensions=2)
+    assert sensor_map.notes == tuple(str(warning.message) for warning in caught)
+    assert any("only 300 frames" in note for note in sensor_map.notes)
+
+
+def test_a_sensor_related_to_no_other_is_doubted():
+    readings = np.array(flat_skin().readings)
+    readings[:, 8] = np.random.default_rng(0).uniform(size=len(readings)) < 0.02
+    with pytest.warns(AnisomapWarning, match="s8"):
+        sensor_map = reconstruct(Recording(readings), dimensions=2)
+    assert sensor_map.health[8] != "ok"
+
+
+def test_a_good_recording_is_not_doubted():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert reconstruct(flat_skin(), dimensions=2).notes == ()
+
+
+def test_a_map_survives_being_sent_to_another_process():
+    sensor_map = reconstruct(flat_skin(), dimensions=2)
+    again = pickle.loads(pickle.dumps(sensor_map))
+    assert again.positions.tobytes() == sensor_map.positions.tobytes()
+    assert again.provenance == sensor_map.provenance
+
+
+UNTOUCHED = Recording(-np.eye(50)[:, :4])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"recording": Recording(np.zeros((9, 5)))}, "only 0 of 5 sensors take part"),
+        ({"recording": Recording(np.eye(9)[:, :2])}, "only 2 of 2 sensors take part"),
+        ({"recording": UNTOUCHED}, "no 3 sensors are related"),
+        ({"method": "pca"}, "choose from r-anisomap"),
+        ({"dimensions": 0}, "0 dimensions"),
+        ({"exclude": ["nobody"]}, "no sensor 'nobody'"),
+        ({"similarity": np.eye(3)}, r"shape \(3, 3\)"),
+        ({"start": np.zeros((42, 2))}, r"\(42, 3\)"),
+        ({"weights": np.zeros((2, 2))}, r"\(42, 42\)"),
+        ({"recording": None}, "nothing to map"),
+        ({"recording": Recording(np.full((9, 5), np.nan))}, "only 0 of 5"),
+        ({"options": MethodOptions(bins=1), "method": "isomap"}, "1 bins"),
+        ({"options": MethodOptions(mu=-1)}, "mu"),
+        ({"options": MethodOptions(n_neighbours=0), "method": "isomap"}, "0 neighbours"),
+    ],
+)
+def test_what_cannot_be_mapped_is_refused_in_words(arguments, message):
+    with pytest.raises(InputError, match=message):
+        reconstruct(**{"recording": flat_skin(), **arguments})
+
+
+def test_missing_readings_have_to_be_settled_first():
+    readings = np.array(flat_skin().readings)
+    readings[7, 3] = np.nan
+    with pytest.raises(InputError, match="sensor s3, frame 7"):
+        reconstruct(Recording(readings))
+    filled = Recording(readings).complete("interpolate")
+    assert reconstruct(filled, dimensions=2).placed.all()
+
+
+def test_registries_name_what_exists():
+    assert set(PAPER_METHODS) <= set(METHODS)
+    assert {method.similarity for method in METHODS.values()} == set(SIMILARITIES)
+    for entry in [*METHODS.values(), *SIMILARITIES.values()]:
+        assert entry.summary
+
+
+REAL = [("icub_hexagon", 2, 0.985), ("icub_torso", 2, 0.985), ("icub_palm", 3, 0.980),
+        ("plantar", 2, 0.950)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "dimensions", "least"), REAL)
+def test_real_skins(recordings_folder, name, dimensions, least):
+    recording = anisomap.read(recordings_folder / f"{name}.npz")
+    assert mantel_r(reconstruct(recording, dimensions=dimensions), recording) >= least
+
+
+@pytest.mark.parametrize("name", ["icub_hexagon", "icub_palm", "plantar"])
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_rivals_fall_behind_on_real_skins(recordings_folder, name, dimensions):
+    recording = anisomap.read(recordings_folder / f"{name}.npz")
+    best = mantel_r(reconstruct(recording, dimensions=dimensions), recording)
+    for rival in ("information-distance", "isomap"):
+        assert mantel_r(reconstruct(recording, rival, dimensions), recording) < best - 0.01

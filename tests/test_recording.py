@@ -1,0 +1,134 @@
+"""What a recording accepts, refuses and keeps."""
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from anisomap import Recording
+from anisomap.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("dtype", "kept"),
+    [(bool, np.float32), (np.uint8, np.float32), (np.int16, np.float32), (np.float32, np.float32),
+     (np.int32, np.float64), (np.int64, np.float64), (np.float64, np.float64)],
+)  # fmt: skip
+def test_readings_are_kept_without_loss_in_as_few_bytes_as_that_takes(dtype, kept):
+    readings = np.array([[0, 1], [1, 0]], dtype=dtype)
+    recording = Recording(readings)
+    assert recording.readings.dtype == kept
+    np.testing.assert_array_equal(recording.readings, readings)
+
+
+def test_nothing_of_a_recording_can_be_changed():
+    given = np.zeros((3, 2))
+    recording = Recording(given, positions=np.zeros((2, 2)), times=[0, 1, 2])
+    given[:] = 9
+    assert not recording.readings.any()
+    for array in (recording.readings, recording.positions, recording.times):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+    with pytest.raises(TypeError):
+        recording.metadata["seed"] = 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"readings": [1, 2, 3]}, "1 dimensions"),
+        ({"readings": np.zeros((0, 3))}, "nothing in them"),
+        ({"readings": np.array([["a"]])}, "real numbers"),
+        ({"readings": np.zeros((2, 2), complex)}, "complex"),
+        ({"readings": np.zeros((2, 2), object)}, "object"),
+        ({"names": ["a"]}, "1 names for 2 sensors"),
+        ({"names": ["a", "a"]}, "more than one sensor has the name a"),
+        ({"times": [0, 1, 2]}, r"\(2,\)"),
+        ({"times": [1, 1]}, "frame 1"),
+        ({"times": [0, np.inf]}, "frame 1 is not finite"),
+        ({"rate_hz": 0}, "positive"),
+        ({"positions": np.zeros((3, 2))}, r"\(2, 2\) or \(2, 3\)"),
+        ({"positions": np.zeros((2, 4))}, r"\(2, 2\) or \(2, 3\)"),
+    ],
+)
+def test_what_is_no_recording_is_refused_in_words(arguments, message):
+    with pytest.raises(InputError, match=message):
+        Recording(**{"readings": np.zeros((2, 2)), **arguments})
+
+
+def test_rate_comes_from_times():
+    recording = Recording(np.zeros((5, 1)), times=np.arange(5) * 0.02)
+    assert recording.rate_hz == pytest.approx(50)
+    assert recording.duration == pytest.approx(0.08)
+
+
+def test_sensors_are_found_by_name_first_and_then_by_index():
+    recording = Recording(np.zeros((1, 4)), names=["2", "b", "c", "d"])
+    np.testing.assert_array_equal(recording.indices(["2"]), [0])
+    np.testing.assert_array_equal(recording.indices([2, "d", "3", "b"]), [1, 2, 3])
+    for missing in ("x", "4", -1):
+        with pytest.raises(InputError, match="there is no sensor"):
+            recording.indices([missing])
+
+
+def test_selecting_keeps_what_belongs_to_the_sensors():
+    recording = Recording(np.arange(6).reshape(2, 3), positions=np.eye(3), names="abc")
+    part = recording.select([2, 0])
+    assert part.names == ("c", "a")
+    np.testing.assert_array_equal(part.readings, [[2, 0], [5, 3]])
+    np.testing.assert_array_equal(part.positions, np.eye(3)[[2, 0]])
+
+
+HOLES = arrays(
+    np.float64, (8, 3), elements=st.one_of(st.floats(-9, 9), st.just(np.nan), st.just(np.inf))
+)
+
+
+@given(HOLES)
+def test_interpolation_fills_only_holes_and_stays_in_range(readings):
+    filled = Recording(readings).complete("interpolate").readings
+    known = np.isfinite(readings)
+    np.testing.assert_array_equal(filled[known], readings[known])
+    assert np.isfinite(filled).all()
+    for column, values in zip(filled.T, readings.T, strict=True):
+        seen = values[np.isfinite(values)]
+        low, high = (seen.min(), seen.max()) if seen.size else (0, 0)
+        assert ((column >= low) & (column <= high)).all()
+
+
+@given(HOLES)
+def test_dropping_frames_keeps_whole_frames_only(readings):
+    known = np.isfinite(readings)
+    sound = known[:, known.any(axis=0)].all(axis=1)
+    if sound.any():
+        kept = Recording(readings, times=np.arange(8.0)).complete("drop-frames")
+        np.testing.assert_array_equal(kept.times, np.flatnonzero(sound))
+        assert np.isfinite(kept.readings).all()
+    else:
+        with pytest.raises(InputError, match="leaves none"):
+            Recording(readings).complete("drop-frames")
+
+
+def test_missing_readings_are_named():
+    readings = np.zeros((4, 3))
+    readings[2, 1] = readings[3, 1] = np.nan
+    with pytest.raises(InputError, match=r"2 readings .* sensor s1, frames 2, 3; .*--nan"):
+        Recording(readings).complete()
+
+
+def test_a_sensor_that_never_reads_anything_does_not_vary():
+    readings = np.random.default_rng(0).normal(size=(5, 3))
+    readings[:, 1] = np.nan
+    readings[0, 2] = np.inf
+    np.testing.assert_array_equal(Recording(readings).varying(), [True, False, True])
+
+
+def test_a_recording_survives_being_sent_to_another_process():
+    recording = Recording(np.eye(3), names="abc", metadata={"seed": 1})
+    again = pickle.loads(pickle.dumps(recording))
+    assert again.names == recording.names
+    assert again.metadata == recording.metadata
+    assert not again.readings.flags.writeable
