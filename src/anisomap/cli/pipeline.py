@@ -213,7 +213,7 @@ def _write(
                 summary=evidence.summary,
                 figure_png=figures.figure_bytes(figure),
             )
-    named = [("map", path) for path in outputs.maps]
+    named: list[tuple[str, Path | None]] = [("map", path) for path in outputs.maps]
     named += [("picture", outputs.picture), ("report", outputs.report)]
     show_table("Files", ("what", "where"), [(what, str(p)) for what, p in named if p is not None])
 

@@ -113,12 +113,13 @@ def mantel(
 
 
 def _distances(side: SensorMap | ArrayLike) -> NDArray[np.float64]:
-    values = np.asarray(side.positions if isinstance(side, SensorMap) else side, dtype=np.float64)
+    is_map = isinstance(side, SensorMap)
+    values = np.asarray(side.positions if is_map else side, dtype=np.float64)
     if values.ndim != 2:
         raise InputError(f"shape {values.shape} is neither positions (N, k) nor distances (N, N)")
     if not np.isfinite(values).all():
         raise InputError("some distances are not finite; compare only sensors that are placed")
-    if values.shape[0] != values.shape[1] or values.shape[0] < FEWEST_SENSORS:
+    if is_map or values.shape[0] != values.shape[1] or values.shape[0] < FEWEST_SENSORS:
         return np.asarray(squareform(pdist(values)))
     if not np.allclose(values, values.T) or np.diag(values).any():
         raise InputError("a distance matrix must be symmetric with a zero diagonal")

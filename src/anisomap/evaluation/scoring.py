@@ -125,7 +125,11 @@ def score(
         )
     return Score(
         mantel=mantel(
-            positions, true_positions, permutations=permutations, rng=rng, progress=progress
+            SensorMap(positions),
+            SensorMap(true_positions),
+            permutations=permutations,
+            rng=rng,
+            progress=progress,
         ),
         alignment=align(positions, true_positions),
         truth=true_positions,

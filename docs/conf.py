@@ -1,0 +1,23 @@
+"""How the documentation is built: Sphinx, MyST Markdown, numpydoc."""
+
+from anisomap import __version__
+
+project = "anisomap"
+author = "The anisomap developers"
+copyright = "2026, the anisomap developers"
+release = __version__
+
+extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
+source_suffix = {".md": "markdown"}
+exclude_patterns = ["_build"]
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
+myst_heading_anchors = 3
+
+autosummary_generate = True
+autodoc_typehints = "none"
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+
+html_theme = "furo"
+html_title = "anisomap"
+html_static_path = []

@@ -1,0 +1,30 @@
+"""Reading recordings and maps from files, and writing them.
+
+Where things are:
+
+=================  =================================================================
+`registry`         `FORMATS`, and `read`, `read_map`, `write`, which choose from it
+`npz`              NumPy archives: recordings and maps
+`text`             delimited text: recordings
+`map_csv`          delimited text: maps and true positions
+`yarp`             what ``yarpdatadumper`` leaves: ``data.log``
+`map_json`         maps as JSON
+`ply`              maps as point clouds
+`source`           opening files, and one clear sentence for all that can fail
+`frames`           times that increase, readings in as few bytes as they need
+`archive`          the arrays of an NPZ file, checked before they are unpacked
+`table`            numbers in lines of text: fast, and with the line of what is wrong
+`delimited`        delimiter, header and records of delimited text
+`columns`          which columns are time or a frame counter
+`comments`         ``# key: value`` lines at the top of a text file
+=================  =================================================================
+
+A new format is one file with its readers and writers, and one line in `registry.FORMATS`.
+"""
+
+from anisomap.formats.registry import FORMATS as FORMATS
+from anisomap.formats.registry import Format as Format
+from anisomap.formats.registry import check_writable as check_writable
+from anisomap.formats.registry import read as read
+from anisomap.formats.registry import read_map as read_map
+from anisomap.formats.registry import write as write

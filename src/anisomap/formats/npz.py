@@ -1,0 +1,167 @@
+"""NumPy archives: recordings and maps.
+
+A recording has ``readings`` (T, N), and may have ``positions``, ``names``, ``times``, ``rate_hz``,
+``units``, ``source``; single values of any other name are its metadata, other arrays are passed
+over. A map has ``positions`` instead of ``readings``. Nothing is ever unpickled.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anisomap.formats.archive import NUMBERS, SUFFIX, open_archive
+from anisomap.formats.comments import python_scalar
+from anisomap.formats.frames import increasing
+from anisomap.recording import Recording, Scalar
+from anisomap.sensor_map import SensorMap
+
+_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
+_RECORDING_KEYS = {
+    *("readings", "positions", "names", "times", "rate_hz", "units", "source", "metadata"),
+}
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Tell a zip archive by its first bytes."""
+    return head.startswith(_MAGICS)
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording from an NPZ archive.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The archive.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    FileError
+        If `readings` is missing, or an array is damaged, of the wrong shape, or not of numbers.
+    """
+    with open_archive(path) as archive:
+        archive.require("readings", "recording")
+        times = archive.array("times", NUMBERS)
+        return Recording(
+            archive.required("readings", NUMBERS),
+            names=archive.texts("names"),
+            times=None if times is None else increasing(times, path),
+            rate_hz=archive.number("rate_hz"),
+            positions=archive.array("positions", NUMBERS),
+            units=archive.text("units"),
+            source=archive.text("source", path.name),
+            metadata={**archive.scalars(but=_RECORDING_KEYS), **archive.mapping("metadata")},
+        )
+
+
+def read_map(path: Path) -> SensorMap:
+    """Read a map, or the true positions in a recording, from an NPZ archive.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The archive. Readings in it are not read.
+
+    Returns
+    -------
+    SensorMap
+
+    Raises
+    ------
+    FileError
+        If `positions` is missing, or an array is damaged or of the wrong shape or kind.
+    """
+    with open_archive(path) as archive:
+        archive.require("positions", "positions")
+        positions = archive.required("positions", NUMBERS)
+        names, units = archive.texts("names"), archive.text("units")
+        if "readings" in archive.names:
+            return SensorMap(positions, names=names, units=units)
+        stress = archive.number("stress")
+        return SensorMap(
+            positions,
+            names=names,
+            component=archive.list_of("component", np.dtype(np.intp)),
+            health=archive.texts("health"),
+            excluded=archive.list_of("excluded", np.dtype(np.bool_)),
+            units=units,
+            method=archive.text("method"),
+            stress=math.nan if stress is None else stress,
+            notes=archive.texts("notes"),
+            provenance=archive.mapping("provenance"),
+        )
+
+
+def write_recording(recording: Recording, path: Path) -> None:
+    """Write a recording as an NPZ archive; the same recording gives the same bytes.
+
+    Parameters
+    ----------
+    recording : Recording
+        What to write; all of it reads back equal.
+    path : pathlib.Path
+        Where.
+    """
+    arrays: dict[str, Any] = {
+        "readings": recording.readings,
+        "names": np.array(recording.names, dtype=str),
+        "positions": recording.positions,
+        "times": recording.times,
+        "rate_hz": recording.rate_hz,
+        "units": recording.units,
+        "source": recording.source,
+        "metadata": _packed(recording.metadata),
+    }
+    _write(arrays, path)
+
+
+def write_map(sensor_map: SensorMap, path: Path) -> None:
+    """Write a map as an NPZ archive; the same map gives the same bytes.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        What to write; all of it reads back equal.
+    path : pathlib.Path
+        Where.
+    """
+    arrays: dict[str, Any] = {
+        "positions": sensor_map.positions,
+        "names": np.array(sensor_map.names, dtype=str),
+        "component": sensor_map.component.astype(np.int64),
+        "health": np.array(sensor_map.health, dtype=str),
+        "excluded": sensor_map.excluded,
+        "units": sensor_map.units,
+        "method": sensor_map.method,
+        "stress": sensor_map.stress,
+        "notes": np.array(sensor_map.notes, dtype=str),
+        "provenance": _packed(sensor_map.provenance),
+    }
+    _write(arrays, path)
+
+
+def _packed(mapping: Mapping[str, Scalar]) -> str:
+    return json.dumps({key: python_scalar(value) for key, value in mapping.items()})
+
+
+def _write(arrays: Mapping[str, Any], path: Path) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in arrays.items():
+            if array is None:
+                continue
+            # A ZipInfo of its own carries neither the clock nor the system that it was made on.
+            info = zipfile.ZipInfo(name + SUFFIX)
+            info.compress_type, info.create_system = zipfile.ZIP_DEFLATED, 0
+            with archive.open(info, "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)

@@ -1,0 +1,220 @@
+"""What can be read and written: one line a format, and the three calls that choose from them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from anisomap._files import check_target, replacing
+from anisomap.errors import FileError, InputError
+from anisomap.formats import map_csv, map_json, npz, ply, text, yarp
+from anisomap.formats.source import blaming, head
+from anisomap.recording import Recording
+from anisomap.sensor_map import UNPLACED, SensorMap
+
+Writer = TypeVar("Writer")
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of file, and what can be done with it.
+
+    Parameters
+    ----------
+    name : str
+        Unique.
+    suffixes : tuple of str
+        Lower case, with the dot. Writers are chosen by them, readers where content does not tell.
+    summary : str
+        A line for lists of formats.
+    recognises : callable
+        Given a path and the first bytes of the file (gunzipped; none of a folder), tells whether
+        the content is of this format. It must never raise an error.
+    read_recording, read_map : callable, optional
+        Given a path, make a `Recording` or a `SensorMap` of it.
+    write_map, write_recording : callable, optional
+        Given a `SensorMap` or a `Recording` and a path, write the one to the other.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    summary: str
+    recognises: Callable[[Path, bytes], bool]
+    read_recording: Callable[[Path], Recording] | None = None
+    read_map: Callable[[Path], SensorMap] | None = None
+    write_map: Callable[[SensorMap, Path], None] | None = None
+    write_recording: Callable[[Recording, Path], None] | None = None
+
+
+# Delimited text stays last: it takes any text that none before it claims.
+# fmt: off
+FORMATS = (
+    Format("npz", (".npz",), "NumPy archive", npz.recognises,
+           npz.read_recording, npz.read_map, npz.write_map, npz.write_recording),
+    Format("json", (".json",), "JSON", map_json.recognises,
+           read_map=map_json.read_map, write_map=map_json.write_map),
+    Format("ply", (".ply",), "PLY point cloud (ASCII)", ply.recognises,
+           read_map=ply.read_map, write_map=ply.write_map),
+    Format("yarp", (), "YARP data.log, or its folder", yarp.recognises, yarp.read_recording),
+    Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
+           text.recognises,
+           text.read_recording, map_csv.read_map, map_csv.write_map, text.write_recording),
+)
+# fmt: on
+"""Every format; where several recognise a file, the first has it."""
+
+
+def read(path: str | os.PathLike[str]) -> Recording:
+    """Read a recording.
+
+    Parameters
+    ----------
+    path : path-like
+        An NPZ archive, delimited text, a YARP ``data.log`` or its folder; text may be gzipped.
+        The format is told by the content, and by the suffix where the content does not tell.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    FileError
+        If there is no such file, or it is damaged, or holds no recording.
+    """
+    file = Path(path)
+    with blaming(file):
+        chosen = _recognise(file)
+        if chosen.read_recording is None:
+            raise FileError(
+                f"{file} is of the format {chosen.summary}, which holds no recordings; "
+                f"recordings are read from {_summaries(f for f in FORMATS if f.read_recording)}"
+            )
+        return chosen.read_recording(file)
+
+
+def read_map(path: str | os.PathLike[str]) -> SensorMap:
+    """Read a map, or the true positions of sensors.
+
+    Parameters
+    ----------
+    path : path-like
+        A map that `write` made; a text file of positions, with names or without; or an NPZ
+        recording that has positions.
+
+    Returns
+    -------
+    SensorMap
+        Its units are empty where the file does not tell them.
+
+    Raises
+    ------
+    FileError
+        If there is no such file, or it is damaged, or holds no positions.
+    """
+    file = Path(path)
+    with blaming(file):
+        chosen = _recognise(file)
+        if chosen.read_map is None:
+            raise FileError(
+                f"{file} is of the format {chosen.summary}, which holds no positions; "
+                f"positions are read from {_summaries(f for f in FORMATS if f.read_map)}"
+            )
+        found = chosen.read_map(file)
+        if found.component.min() < UNPLACED or found.component.max() >= found.n_sensors:
+            raise FileError(f"{file}: components must count from 0, or be -1 for no position")
+        return found
+
+
+def write(thing: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
+    """Write a map or a recording; the suffix says in which format.
+
+    Parameters
+    ----------
+    thing : SensorMap or Recording
+        What to write.
+    path : path-like
+        ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply`` for maps; ``.csv``, ``.tsv``, ``.npz``
+        for recordings. A file that stands there is replaced, but only once all is written.
+
+    Raises
+    ------
+    FileError
+        If the suffix is unknown or the file cannot be written.
+    InputError
+        If `thing` is neither a map nor a recording.
+    """
+    file = Path(path)
+    if isinstance(thing, SensorMap):
+        _check_encodable((*thing.names, *thing.health), file)
+        write_map = _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
+        with replacing(file) as aside:
+            write_map(thing, aside)
+    elif isinstance(thing, Recording):
+        _check_encodable(thing.names, file)
+        write_recording = _by_suffix(
+            file, {s: f.write_recording for f in FORMATS for s in f.suffixes}
+        )
+        with replacing(file) as aside:
+            write_recording(thing, aside)
+    else:
+        raise InputError(f"a {type(thing).__name__} cannot be written; give a map or a recording")
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Find out before the work whether a map could be written to a file.
+
+    Parameters
+    ----------
+    path : path-like
+        As for `write`.
+
+    Raises
+    ------
+    FileError
+        If no map can be written with this suffix, or there is no such folder.
+    """
+    file = check_target(path)
+    _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
+
+
+def _recognise(file: Path) -> Format:
+    start = head(file)
+    *marked, text_format = FORMATS
+    suffixes = [s.lower() for s in file.suffixes if s.lower() != ".gz"]
+    for chosen in marked:
+        if chosen.recognises(file, start):
+            return chosen
+    if file.is_dir():
+        raise FileError(f"{file} is a folder without a data.log; give a file")
+    for chosen in FORMATS:
+        if suffixes and suffixes[-1] in chosen.suffixes:
+            return chosen
+    if text_format.recognises(file, start):
+        return text_format
+    raise FileError(f"{file} is of no known kind; known are {_summaries(FORMATS)}")
+
+
+def _summaries(formats: Iterable[Format]) -> str:
+    return "; ".join(
+        f"{f.summary} ({', '.join(f.suffixes)})" if f.suffixes else f.summary for f in formats
+    )
+
+
+def _by_suffix(file: Path, writers: Mapping[str, Writer | None]) -> Writer:
+    writer = writers.get(file.suffix.lower())
+    if writer is None:
+        known = ", ".join(suffix for suffix, able in writers.items() if able)
+        problem = f"the suffix {file.suffix!r} is unknown" if file.suffix else "it has no suffix"
+        raise FileError(f"cannot write {file}: {problem}; known are {known}")
+    return writer
+
+
+def _check_encodable(words: Iterable[str], file: Path) -> None:
+    """Refuse text that UTF-8 or numpy cannot hold, before anything is written."""
+    for word in words:
+        if "\0" in word or any("\ud800" <= character <= "\udfff" for character in word):
+            raise FileError(f"cannot write {file}: {word!r} holds a character that is no text")

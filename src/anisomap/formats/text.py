@@ -1,0 +1,195 @@
+"""Recordings as delimited text: CSV, TSV, or columns between blanks; gzipped or not.
+
+A line is a frame, a column a sensor. What may differ from file to file (delimiter, decimal comma,
+header, time column, frame counter) is found out: see `delimited` and `columns`.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import functools
+import itertools
+import logging
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import AnisomapWarning, FileError
+from anisomap.formats import comments, delimited
+from anisomap.formats.columns import Roles, roles_by_content, roles_by_name
+from anisomap.formats.frames import increasing, narrowed
+from anisomap.formats.source import opened_text
+from anisomap.formats.table import Table, line_of, read_table
+from anisomap.recording import Recording, Scalar
+
+TITLE = "anisomap recording"
+MAP_TITLE = "anisomap map"
+"""First words of our own files, after ``#``."""
+
+_TIME_COLUMN = "time_s"
+_DELIMITERS = {"separated by commas": ",", "separated by tabs": "\t"}
+_IN_FIRST_COLUMN, _NO_TIMES = "first column, seconds", "none"
+_logger = logging.getLogger(__name__)
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Tell whether a file is text at all; asked last, after every format with a mark of its own."""
+    return bool(head) and b"\0" not in head
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording from delimited text.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        A line a frame, a column a sensor; empty fields are missing readings, NaN.
+
+    Returns
+    -------
+    Recording
+        Its metadata says which column was taken for time, and which for a frame counter.
+
+    Raises
+    ------
+    FileError
+        With line and column of what cannot be read.
+    """
+    with opened_text(path) as stream:
+        sample = delimited.take_sample(stream)
+    if _is_titled(sample, MAP_TITLE):
+        raise FileError(f"{path} is a map, not a recording; read it with read_map")
+    known, metadata = _own_comments(sample)
+    layout = delimited.find_layout(
+        sample, own_delimiter=_DELIMITERS.get(str(known.get("fields")), "")
+    )
+    if not layout.n_columns:
+        held = "a header and nothing below it" if layout.header else "no line of numbers"
+        raise FileError(f"{path} holds {held}; give a line of numbers for every frame")
+    form = _table(path, layout, sample)
+    values = read_table(form)
+    if known:
+        return _own_recording(path, layout.header, values, known, metadata)
+    names = tuple(name.strip() for name in layout.header)
+    roles = roles_by_name(names, values) if names else roles_by_content(values)
+    return Recording(
+        _readings(path, values, roles),
+        names=tuple(name for i, name in enumerate(names) if i not in roles.left_out),
+        times=_times(form, roles, values),
+        source=path.name,
+        metadata=_remarks(path, names, roles),
+    )
+
+
+def write_recording(recording: Recording, path: Path) -> None:
+    """Write a recording as text: comments, names, and a line a frame.
+
+    Times are the first column, in seconds. Positions are not part of the format: a warning says so.
+
+    Parameters
+    ----------
+    recording : Recording
+        What to write; reading it back gives the same readings, names, times, rate and metadata.
+    path : pathlib.Path
+        Fields are separated by tabs if it ends in ``.tsv``, else by commas.
+    """
+    delimiter = "\t" if path.suffix.lower() == ".tsv" else ","
+    if recording.positions is not None:
+        warnings.warn(
+            f"{path.suffix} holds no positions, so those of the recording are not written; "
+            "write .npz to keep them",
+            AnisomapWarning,
+            stacklevel=2,
+        )
+    fields = next(name for name, mark in _DELIMITERS.items() if mark == delimiter)
+    entries: list[tuple[str, Scalar]] = [
+        ("fields", fields),
+        ("source", recording.source),
+        ("times", _NO_TIMES if recording.times is None else _IN_FIRST_COLUMN),
+    ]
+    if recording.rate_hz is not None:
+        entries.append(("rate_hz", recording.rate_hz))
+    names = (_TIME_COLUMN, *recording.names) if recording.times is not None else recording.names
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(comments.write_comments(TITLE, entries, "metadata", recording.metadata))
+        csv.writer(
+            stream, delimiter=delimiter, quoting=csv.QUOTE_ALL, lineterminator="\n"
+        ).writerow(names)
+        for frame, readings in enumerate(recording.readings):
+            values = readings.tolist()
+            if recording.times is not None:
+                values.insert(0, float(recording.times[frame]))
+            stream.write(delimiter.join(map(repr, values)) + "\n")
+
+
+def _is_titled(sample: list[str], title: str) -> bool:
+    return bool(sample) and sample[0].startswith(f"# {title}")
+
+
+def _own_comments(sample: list[str]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
+    """Give what the comments of a file of our own say, and its metadata; nothing of another."""
+    if not _is_titled(sample, TITLE):
+        return {}, {}
+    leading = itertools.takewhile(lambda line: line.startswith("#"), sample)
+    entries, metadata = comments.read_comments(leading, "metadata")
+    return dict(entries), metadata
+
+
+def _table(path: Path, layout: delimited.Layout, sample: list[str]) -> Table:
+    if layout.header:
+        because = f"the header names {layout.n_columns}"
+    else:
+        first = next(delimited.records(sample, layout.delimiter))[0]
+        because = f"line {first} has {layout.n_columns}"
+    form = Table(
+        path, layout.delimiter, layout.n_columns, because, layout.first_line, layout.header
+    )
+    untouched = layout.delimiter == "," and not layout.trailing
+    return form if untouched else dataclasses.replace(form, clean=layout.clean)
+
+
+def _own_recording(
+    path: Path,
+    header: tuple[str, ...],
+    values: NDArray[np.float64],
+    known: dict[str, Scalar],
+    metadata: dict[str, Scalar],
+) -> Recording:
+    timed = known.get("times") == _IN_FIRST_COLUMN
+    rate_hz = known.get("rate_hz")
+    return Recording(
+        narrowed(values[:, int(timed) :]),
+        names=header[int(timed) :],
+        times=increasing(values[:, 0], path) if timed else None,
+        rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
+        source=str(known.get("source", path.name)),
+        metadata=metadata,
+    )
+
+
+def _readings(path: Path, values: NDArray[np.float64], roles: Roles) -> NDArray[np.floating]:
+    if len(roles.left_out) == values.shape[1]:
+        raise FileError(f"{path} holds times or a frame counter, but no sensor beside them")
+    return narrowed(np.delete(values, roles.left_out, axis=1))
+
+
+def _times(form: Table, roles: Roles, values: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    if roles.time is None:
+        return None
+    times = values[:, roles.time] / roles.per_second
+    return increasing(times, form.path, functools.partial(line_of, form))
+
+
+def _remarks(path: Path, names: tuple[str, ...], roles: Roles) -> dict[str, Scalar]:
+    """Say which columns were not taken for sensors: in the metadata, and in the log."""
+    remarks: dict[str, Scalar] = {}
+    for key, column in (("time_column", roles.time), ("counter_column", roles.counter)):
+        if column is None:
+            continue
+        name = names[column] if names else "no header"
+        remarks[key] = f"column {column + 1} ({name})"
+        _logger.info("%s: %s is %s, no sensor", path, remarks[key], key.replace("_", " "))
+    return remarks

@@ -1,0 +1,169 @@
+"""An example file of every format, written by hand where a foreign program would have made it."""
+
+import gzip
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap import formats
+from anisomap.errors import AnisomapWarning
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+
+N_FRAMES, N_SENSORS = 24, 5
+NAMES = ("a", "b,c", 'd"e', "f\ng", "#h")
+
+
+def _readings() -> np.ndarray:
+    rng = np.random.default_rng(20)
+    values = rng.random((N_FRAMES, N_SENSORS)).round(3)
+    return np.where(values < 0.4, 0, values)
+
+
+@pytest.fixture
+def recording() -> Recording:
+    return Recording(
+        _readings(),
+        names=NAMES,
+        times=np.arange(N_FRAMES) / 10,
+        units="mm",
+        source="by hand",
+        metadata={"seed": 3, "licence": "BSD-3-Clause"},
+    )
+
+
+@pytest.fixture
+def sensor_map() -> SensorMap:
+    positions = np.random.default_rng(21).standard_normal((N_SENSORS, 3))
+    positions[3] = np.nan
+    return SensorMap(
+        positions,
+        names=NAMES,
+        component=[0, 0, 1, -1, 0],
+        health=("ok", "noisy", "ok", "dead", "ok"),
+        excluded=[False, True, False, False, False],
+        method="r-anisomap",
+        stress=0.0625,
+        notes=("one sensor never varies",),
+        provenance={"seed": 3, "mu": 1.0, "weighted": False, "source": "skin.csv"},
+    )
+
+
+def _lines(row: Callable[[int, list[float]], str], end: str = "\n") -> str:
+    return "".join(row(i, values) + end for i, values in enumerate(_readings().tolist()))
+
+
+def _foreign(path: Path) -> None:
+    """A semicolon file with decimal commas, as a German spreadsheet leaves it."""
+    header = "time [ms];frame;" + ";".join(f"s{i}" for i in range(N_SENSORS)) + ";\r\n"
+    rows = _lines(lambda i, v: f"{10 * i};{i};" + ";".join(map(str, v)) + ";", "\r\n")
+    path.write_text(header + rows.replace(".", ","), encoding="utf-8-sig", newline="")
+
+
+def _gzipped(path: Path) -> None:
+    rows = _lines(lambda i, v: f"{i / 50:.2f} " + " ".join(map(str, v)))
+    path.write_bytes(gzip.compress(rows.encode(), mtime=0))
+
+
+def _one_stamp(path: Path) -> None:
+    path.write_text(
+        _lines(lambda i, v: f"{7 + i} {1.3e9 + i / 50:.6f} (" + " ".join(map(str, v)) + ")")
+    )
+
+
+def _two_stamps(path: Path) -> None:
+    path.write_text(
+        _lines(
+            lambda i, v: (
+                f"{i} {1.3e9 + i / 50:.6f} {1.3e9 + 0.001 + i / 50:.6f} " + " ".join(map(str, v))
+            )
+        )
+    )
+
+
+def _archive(path: Path) -> None:
+    """As numpy itself writes it, not packed, so that damage gets to the arrays."""
+    with path.open("wb") as stream:
+        np.savez(
+            stream,
+            readings=_readings(),
+            names=np.array(NAMES),
+            times=np.arange(N_FRAMES) / 10,
+            positions=_readings()[:N_SENSORS, :3],
+            units="mm",
+            licence="MIT",
+            triangle=np.arange(N_SENSORS),
+        )
+
+
+RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
+    "skin.npz": ("npz", None),
+    "numpy.npz": ("npz", _archive),
+    "skin.csv": ("text", None),
+    "skin.tsv": ("text", None),
+    "foreign.csv": ("text", _foreign),
+    "blanks.txt.gz": ("text", _gzipped),
+    "data.log": ("yarp", _two_stamps),
+    "dumped.log": ("yarp", _one_stamp),
+}
+MAPS = {
+    "map.npz": "npz",
+    "map.csv": "text",
+    "map.tsv": "text",
+    "map.json": "json",
+    "map.ply": "ply",
+}
+
+
+@pytest.fixture(params=RECORDINGS)
+def recording_file(request: pytest.FixtureRequest, tmp_path: Path, recording: Recording) -> Path:
+    path = tmp_path / request.param
+    make = RECORDINGS[request.param][1]
+    if make:
+        make(path)
+    else:
+        formats.write(recording, path)
+    return path
+
+
+@pytest.fixture(params=MAPS)
+def map_file(request: pytest.FixtureRequest, tmp_path: Path, sensor_map: SensorMap) -> Path:
+    path = tmp_path / request.param
+    formats.write(sensor_map, path)
+    return path
+
+
+@pytest.fixture
+def exemplified() -> dict[str, set[str]]:
+    """Names of the formats that have an example of a recording, and of a map."""
+    return {
+        "recordings": {name for name, _ in RECORDINGS.values()},
+        "maps": set(MAPS.values()),
+    }
+
+
+@pytest.fixture
+def put(tmp_path: Path) -> Callable[[str, str | bytes], Path]:
+    """Write a file by name, as text or bytes, and give its path."""
+
+    def write(name: str, content: str | bytes) -> Path:
+        path = tmp_path / name
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def tolerantly() -> Callable[[Callable[[Path], object], Path], object]:
+    """Call a reader so that weak evidence is no failure, and any other warning is."""
+
+    def call(reader: Callable[[Path], object], path: Path) -> object:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AnisomapWarning)
+            return reader(path)
+
+    return call

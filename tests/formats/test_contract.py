@@ -1,0 +1,225 @@
+"""What every reader and writer keeps to, whatever its format: one test for the whole registry."""
+
+import logging
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap import formats
+from anisomap.errors import FileError, InputError
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+
+
+def test_every_format_has_an_example(exemplified: dict[str, set[str]]) -> None:
+    assert exemplified["recordings"] == {f.name for f in formats.FORMATS if f.read_recording}
+    assert exemplified["maps"] == {f.name for f in formats.FORMATS if f.read_map}
+
+
+def test_registry_tells_formats_apart() -> None:
+    names = [form.name for form in formats.FORMATS]
+    suffixes = [suffix for form in formats.FORMATS for suffix in form.suffixes]
+    assert len(set(names)) == len(names)
+    assert len(set(suffixes)) == len(suffixes)
+    assert all(suffix.startswith(".") and suffix == suffix.lower() for suffix in suffixes)
+
+
+def test_recordings_keep_the_contract(recording_file: Path, recording: Recording) -> None:
+    found = formats.read(recording_file)
+    assert found.readings.shape == recording.readings.shape
+    assert found.readings.dtype in (np.float32, np.float64)
+    assert not found.readings.flags.writeable
+    np.testing.assert_array_equal(found.readings, recording.readings)
+    assert len(set(found.names)) == found.n_sensors
+    assert found.times is not None
+    assert (np.diff(found.times) > 0).all()
+    assert found.times[0] == 0
+    assert found.rate_hz in (pytest.approx(10), pytest.approx(50), pytest.approx(100))
+    assert str(recording_file.parent) not in found.source, "a file must not tell where it lay"
+
+
+def test_maps_keep_the_contract(map_file: Path, sensor_map: SensorMap) -> None:
+    found = formats.read_map(map_file)
+    kept = sensor_map.select(sensor_map.placed) if map_file.suffix == ".ply" else sensor_map
+    np.testing.assert_array_equal(found.positions, kept.positions)
+    np.testing.assert_array_equal(found.component, kept.component)
+    assert found.names == kept.names
+    assert found.units == kept.units
+    assert not found.positions.flags.writeable
+
+
+def test_content_decides_whatever_the_suffix(recording_file: Path) -> None:
+    expected = formats.read(recording_file)
+    disguised = recording_file.rename(recording_file.with_name("data.bin"))
+    np.testing.assert_array_equal(formats.read(disguised).readings, expected.readings)
+
+
+def test_content_decides_for_maps_too(map_file: Path) -> None:
+    expected = formats.read_map(map_file)
+    disguised = map_file.rename(map_file.with_name("data.bin"))
+    np.testing.assert_array_equal(formats.read_map(disguised).positions, expected.positions)
+
+
+def test_same_thing_same_bytes(
+    tmp_path: Path,
+    sensor_map: SensorMap,
+    recording: Recording,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    files = [
+        (thing, suffix)
+        for form in formats.FORMATS
+        for thing, writer in ((sensor_map, form.write_map), (recording, form.write_recording))
+        if writer
+        for suffix in form.suffixes
+    ]
+    before = []
+    for thing, suffix in files:
+        formats.write(thing, tmp_path / f"file{suffix}")
+        before.append((tmp_path / f"file{suffix}").read_bytes())
+    a_year_on = time.time() + 366 * 86400
+    monkeypatch.setattr(time, "time", lambda: a_year_on)
+    (tmp_path / "elsewhere").mkdir()
+    for (thing, suffix), expected in zip(files, before, strict=True):
+        formats.write(thing, tmp_path / "elsewhere" / f"other{suffix}")
+        assert (tmp_path / "elsewhere" / f"other{suffix}").read_bytes() == expected
+
+
+@given(head=st.binary(max_size=200), name=st.sampled_from(["data.log", "x.csv", "x"]))
+def test_recognising_never_fails(head: bytes, name: str) -> None:
+    for form in formats.FORMATS:
+        assert form.recognises(Path(name), head) in (True, False)
+
+
+@pytest.mark.parametrize("name", ["map.xyz", "map", "map.csv.gz", "data.log.bak"])
+def test_unknown_suffix_lists_the_known(tmp_path: Path, sensor_map: SensorMap, name: str) -> None:
+    with pytest.raises(FileError, match=r"known are .*\.npz.*\.json.*\.ply.*\.csv"):
+        formats.write(sensor_map, tmp_path / name)
+    with pytest.raises(FileError, match=r"\.npz.*\.csv"):
+        formats.check_writable(tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_is_not_written_as_a_map(tmp_path: Path, recording: Recording) -> None:
+    with pytest.raises(FileError, match=r"'\.json' is unknown; known are \.npz, \.csv"):
+        formats.write(recording, tmp_path / "skin.json")
+
+
+def test_only_maps_and_recordings_are_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a list cannot be written"):
+        formats.write([1, 2], tmp_path / "x.npz")
+
+
+def test_no_half_written_file(
+    tmp_path: Path, sensor_map: SensorMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "map.csv"
+    target.write_text("what was there before")
+
+    def full(*_: object) -> str:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("anisomap.formats.comments.write_comments", full)
+    with pytest.raises(FileError, match="No space left"):
+        formats.write(sensor_map, target)
+    assert target.read_text() == "what was there before"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".json", ".ply"])
+@pytest.mark.parametrize("name", ["a\0", "\ud800"])
+def test_names_that_are_no_text_are_refused(tmp_path: Path, suffix: str, name: str) -> None:
+    with pytest.raises(FileError, match="no text"):
+        formats.write(SensorMap([[0.0, 1.0]], names=[name]), tmp_path / f"map{suffix}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    for reader in (formats.read, formats.read_map):
+        with pytest.raises(FileError, match=r"there is no file .*nowhere\.csv"):
+            reader(tmp_path / "nowhere.csv")
+
+
+def test_folder(tmp_path: Path) -> None:
+    for reader in (formats.read, formats.read_map):
+        with pytest.raises(FileError, match=r"is a folder without a data\.log; give a file"):
+            reader(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.npz", "x.json", "x.ply", "data.log", "x"])
+def test_empty_file(put, name: str) -> None:
+    for reader in (formats.read, formats.read_map):
+        with pytest.raises(FileError, match=f"{name} is empty"):
+            reader(put(name, b""))
+
+
+def test_file_that_may_not_be_read(put, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = put("x.csv", "1,2\n")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(FileError, match=r"cannot read .*x\.csv: Permission denied"):
+        formats.read(path)
+
+
+def test_no_ordinary_file(tmp_path: Path) -> None:
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("named pipes are a matter of POSIX")
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(FileError, match="not an ordinary file"):
+        formats.read(tmp_path / "pipe.csv")
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.txt", "data.log", "x.tsv"])
+def test_binary_file_with_the_name_of_a_text(put, name: str) -> None:
+    picture = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(range(256))
+    for reader in (formats.read, formats.read_map):
+        with pytest.raises(FileError, match=rf"{name} is binary, not text"):
+            reader(put(name, picture))
+
+
+def test_binary_file_of_no_known_name_lists_the_formats(put) -> None:
+    with pytest.raises(FileError, match=r"no known kind.*\.npz.*YARP data\.log.*\.csv"):
+        formats.read(put("skin.xyz", b"\0\1\2\3"))
+
+
+@pytest.mark.parametrize("name", ["map.csv", "map.json", "map.ply", "map.npz", "map.tsv"])
+def test_a_map_is_no_recording(tmp_path: Path, sensor_map: SensorMap, name: str) -> None:
+    formats.write(sensor_map, tmp_path / name)
+    with pytest.raises(FileError, match=rf"{name} (is|holds).* no"):
+        formats.read(tmp_path / name)
+
+
+def test_a_recording_without_positions_is_no_map(recording_file: Path) -> None:
+    if recording_file.name == "numpy.npz":
+        pytest.skip("that one has positions")
+    with pytest.raises(FileError, match=r"positions|columns x and y"):
+        formats.read_map(recording_file)
+
+
+def test_library_stays_silent(recording_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    formats.read(recording_file)
+    assert capfd.readouterr() == ("", "")
+    assert not logging.getLogger("anisomap").handlers
+
+
+def test_real_recordings(recordings_folder: Path, tmp_path: Path) -> None:
+    for path in sorted(recordings_folder.glob("*.npz")):
+        found = formats.read(path)
+        assert found.positions is not None
+        assert found.units in ("mm", "pixel")
+        assert found.metadata["licence"] == "GPL-3.0"
+        truth = formats.read_map(path)
+        np.testing.assert_array_equal(truth.positions, found.positions)
+        assert (truth.names, truth.units) == (found.names, found.units)
+        formats.write(found, tmp_path / "copy.npz")
+        copy = formats.read(tmp_path / "copy.npz")
+        np.testing.assert_array_equal(copy.readings, found.readings)
+        assert (copy.source, copy.rate_hz) == (found.source, found.rate_hz)

@@ -1,0 +1,24 @@
+"""One bombardment, flown once and looked at by many tests."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from anisomap.simulation.bodies import Body, sphere
+from anisomap.simulation.bombardment import BombardmentOptions, Flight, fly
+
+
+@dataclass(frozen=True)
+class Bombarded:
+    body: Body
+    options: BombardmentOptions
+    flight: Flight
+
+
+@pytest.fixture(scope="session")
+def bombarded() -> Bombarded:
+    """The default run: 2,000 frames of a sphere with 60 sensors."""
+    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    body, options = sphere(), BombardmentOptions()
+    return Bombarded(body, options, fly(body, 2000, options, np.random.default_rng(1)))

@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import KDTree
+
+from anisomap.errors import InputError
+from anisomap.simulation.bodies import BODIES, Body, Geom, sphere
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_a_body_has_its_sensors_on_its_surface_and_their_normals_point_out_of_it(name: str) -> None:
+    body = BODIES[name]()
+    assert body.name == name
+    np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(body.normals, axis=1), 1)
+    step = 1e-3
+    np.testing.assert_allclose(body.distance(body.positions + step * body.normals), step, rtol=1e-6)
+    np.testing.assert_allclose(
+        body.distance(body.positions - step * body.normals), -step, rtol=1e-6
+    )
+    assert np.linalg.norm(body.positions, axis=1).max() <= body.reach + 1e-9
+
+
+def test_the_papers_sphere_has_60_sensors() -> None:
+    assert sphere().positions.shape == (60, 3)
+
+
+@given(st.integers(min_value=12, max_value=800))
+def test_sensors_are_spread_evenly_over_the_sphere(n_sensors: int) -> None:
+    positions = sphere(n_sensors).positions
+    # On a triangular lattice each of n points has an area of sqrt(3)/2 spacing^2; no n points on a
+    # sphere can all be further from their neighbours than that.
+    densest = np.sqrt(4 * np.pi / n_sensors * 2 / np.sqrt(3))
+    nearest = KDTree(positions).query(positions, k=2)[0][:, 1]
+    assert nearest.min() > 0.8 * densest
+    assert nearest.std() < 0.05 * nearest.mean()
+    assert np.linalg.norm(positions.mean(axis=0)) < 0.1
+    spread = positions.T @ positions / n_sensors
+    np.testing.assert_allclose(spread, np.eye(3) / 3, atol=0.05)
+
+
+def test_each_sensor_stands_for_the_same_area() -> None:
+    points = np.random.default_rng(0).standard_normal((200_000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    body = sphere()
+    share = np.bincount(KDTree(body.positions).query(points)[1], minlength=60) / len(points)
+    assert share.std() < 0.05 * share.mean()
+
+
+@pytest.mark.parametrize("n_sensors", [0, -3, 2.5, True])
+def test_a_body_takes_a_positive_whole_number_of_sensors(n_sensors: int) -> None:
+    with pytest.raises(InputError, match="n_sensors"):
+        sphere(n_sensors)
+
+
+def test_sensors_off_the_surface_are_refused_by_number_and_distance() -> None:
+    positions = np.array([[1.0, 0, 0], [0, 1.25, 0]])
+    with pytest.raises(InputError, match=r"sensor 1 .* 0\.25 m off"):
+        Body(
+            name="ball",
+            positions=positions,
+            normals=positions,
+            geoms=(Geom("sphere", (1.0,)),),
+            distance=lambda points: np.linalg.norm(points, axis=1) - 1,
+            reach=1.0,
+        )
+
+
+def test_a_body_cannot_be_changed() -> None:
+    body = sphere()
+    with pytest.raises(ValueError, match="read-only"):
+        body.positions[0] = 0
+    with pytest.raises(ValueError, match="read-only"):
+        body.normals[0] = 0

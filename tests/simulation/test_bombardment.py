@@ -1,0 +1,288 @@
+"""The laws of physics, of mechanics and of gases, that a bombardment must obey."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
+
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.simulation.bodies import sphere
+from anisomap.simulation.bombardment import BombardmentOptions, Flight, bombardment, fly
+from anisomap.simulation.elastic import ElasticContact
+from anisomap.simulation.sensing import read_balls
+
+mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+
+STEP = 0.001
+
+
+def every_step(n_balls: int, seed: int, n_steps: int, **parameters: Any) -> Flight:
+    """Record each step of the physics, so that nothing happens unseen between frames."""
+    options = BombardmentOptions(n_balls=n_balls, timestep=STEP, frame_interval=STEP, **parameters)
+    assert options.steps_a_frame == 1
+    return fly(sphere(), n_steps, options, np.random.default_rng(seed))
+
+
+def wall_gaps(centres: NDArray[np.float64], options: BombardmentOptions) -> NDArray[np.float64]:
+    return options.box_half_width - options.ball_radius - np.abs(centres)
+
+
+def body_gaps(centres: NDArray[np.float64], options: BombardmentOptions) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(centres, axis=-1) - 1 - options.ball_radius)
+
+
+def ball_gaps(centres: NDArray[np.float64], options: BombardmentOptions) -> NDArray[np.float64]:
+    return np.array([pdist(balls) for balls in centres]) - 2 * options.ball_radius
+
+
+def lag_correlation(readings: NDArray[np.float32]) -> float:
+    pairs = zip(readings[:-1].T, readings[1:].T, strict=True)
+    return float(np.mean([np.corrcoef(now, next_) for now, next_ in pairs], axis=0)[0, 1])
+
+
+def test_energy_is_kept(bombarded: Any) -> None:
+    flight = bombarded.flight
+    start = bombarded.options.n_balls * bombarded.options.speed**2 / 2
+    assert flight.energies[0] == pytest.approx(start, rel=1e-12)
+    relative = flight.energies / start - 1
+    assert np.abs(relative).max() < 0.02
+    # Over ten times as many frames, errors that add up at random grow by the root of ten, and
+    # must still be below 2 %.
+    free = flight.overlaps == 0
+    assert free.mean() > 0.1
+    assert np.abs(relative[free]).max() < 0.02 / np.sqrt(10)
+    assert flight.energy_drift < 0.02 / np.sqrt(10)
+
+
+def test_energy_is_kept_where_balls_touch_several_things_at_once() -> None:
+    options = BombardmentOptions(n_balls=60, box_half_width=2.0)
+    flight = fly(sphere(), 500, options, np.random.default_rng(4))
+    crowded = (ball_gaps(flight.centres, options) < 0).sum(axis=1) > 1
+    assert crowded.mean() > 0.5
+    assert np.abs(flight.energies / flight.energies[0] - 1).max() < 0.02
+
+
+def test_nothing_overlaps_at_the_start(bombarded: Any) -> None:
+    first, options = bombarded.flight.centres[:1], bombarded.options
+    assert wall_gaps(first, options).min() >= 0
+    assert body_gaps(first, options).min() > 0
+    assert ball_gaps(first, options).min() > 0
+    assert bombarded.flight.overlaps[0] == 0
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_no_ball_is_ever_outside_the_box_or_inside_the_body_or_another(seed: int) -> None:
+    n_balls = 40
+    flight = every_step(n_balls, seed, 4000)
+    options = BombardmentOptions(n_balls=n_balls)
+    # Depth grows with the root of speed, and no speed can exceed that of one ball (or of two that
+    # meet) with the energy of all.
+    deepest = options.softness * n_balls**0.25
+    assert wall_gaps(flight.centres, options).min() > -deepest
+    assert body_gaps(flight.centres, options).min() > -deepest
+    assert ball_gaps(flight.centres, options).min() > -deepest * 2**0.25
+    assert flight.overlaps.max() < deepest * 2**0.25
+    assert flight.overlaps.max() > options.softness / 2
+
+
+def test_overlaps_are_those_of_the_positions(bombarded: Any) -> None:
+    centres, options = bombarded.flight.centres, bombarded.options
+    least = [
+        gaps(centres, options).reshape(len(centres), -1).min(axis=1)
+        for gaps in (wall_gaps, body_gaps, ball_gaps)
+    ]
+    np.testing.assert_allclose(
+        bombarded.flight.overlaps, np.maximum(0, -np.min(least, axis=0)), atol=1e-9
+    )
+
+
+def test_momentum_changes_only_at_the_walls_and_the_body() -> None:
+    options = BombardmentOptions(n_balls=30)
+    flight = every_step(30, 5, 4000)
+    momentum = np.diff(flight.centres.sum(axis=1), axis=0) / STEP
+    change = np.abs(np.diff(momentum, axis=0)).max(axis=1)
+    outside = np.minimum(
+        wall_gaps(flight.centres, options).min(axis=(1, 2)),
+        body_gaps(flight.centres, options).min(axis=1),
+    )
+    collided = ball_gaps(flight.centres, options).min(axis=1) < 0
+    alone = outside[1:-1] > 0
+    assert (alone & collided[1:-1]).sum() > 100
+    assert change[alone].max() < 1e-9
+    assert change[~alone].max() > 1
+
+
+def test_a_ball_that_meets_a_wall_goes_back_as_it_came_and_presses_in_as_deep_as_promised() -> None:
+    options = BombardmentOptions(n_balls=1)
+    bounces = 0
+    for seed in range(8):
+        flight = every_step(1, seed, 4000)
+        inside = body_gaps(flight.centres, options)[:, 0] > 0.1
+        for axis in range(3):
+            gap = wall_gaps(flight.centres, options)[:, 0, axis]
+            speed = np.abs(np.diff(flight.centres[:, 0, axis])) / STEP
+            touching = np.flatnonzero(gap < 0)
+            for bounce in np.split(touching, np.flatnonzero(np.diff(touching) > 1) + 1):
+                if not bounce.size or bounce[0] < 2 or bounce[-1] + 2 > speed.size:
+                    continue
+                before, after = speed[bounce[0] - 2], speed[bounce[-1] + 1]
+                if before < 0.5 or not inside[bounce].all():
+                    continue
+                contact = ElasticContact(options.softness, options.speed)
+                depth = options.softness * np.sqrt(before / options.speed)
+                assert after == pytest.approx(before, rel=2e-3)
+                # MuJoCo's impedance cannot rise from exactly 0: the spring is a little stiffer.
+                assert -gap[bounce].min() == pytest.approx(depth, rel=0.05)
+                # As depth / speed, so as speed to the power of -1/2; two steps are not seen whole.
+                duration = contact.duration * np.sqrt(options.speed / before)
+                assert bounce.size * STEP == pytest.approx(duration, abs=2 * STEP)
+                bounces += 1
+    assert bounces > 10
+
+
+def test_balls_are_where_a_gas_in_equilibrium_is(bombarded: Any) -> None:
+    """Each sensor has as many balls in its range as evenly filled space would give it."""
+    options, centres = bombarded.options, bombarded.flight.centres
+    sensing, excluded = options.detection_radius + options.ball_radius, 1 + options.ball_radius
+    free = (2 * (options.box_half_width - options.ball_radius)) ** 3 - 4 / 3 * np.pi * excluded**3
+    # Two balls of radius `sensing` and `excluded`, their middles 1 m apart: volume of their lens.
+    lens = (
+        np.pi
+        * (sensing + excluded - 1) ** 2
+        * (1 + 2 * (sensing + excluded) - 3 * (sensing - excluded) ** 2)
+        / 12
+    )
+    expected = options.n_balls * (4 / 3 * np.pi * sensing**3 - lens) / free
+    sensors = bombarded.body.positions
+    in_range = np.array(
+        [
+            [(np.linalg.norm(balls - s, axis=1) < sensing).sum() for s in sensors]
+            for balls in centres
+        ]
+    )
+    # The balls' own volume makes their neighbourhood with surfaces some per cent denser.
+    assert in_range.mean() == pytest.approx(expected, rel=0.15)
+
+
+def test_velocities_are_maxwells_and_alike_in_all_directions() -> None:
+    flight = every_step(40, 7, 12_000)
+    velocities = np.diff(flight.centres, axis=0)[::100].reshape(-1, 3) / STEP
+    mean_square = np.mean(velocities**2, axis=0)
+    np.testing.assert_allclose(mean_square, 3.0, rtol=0.25)
+    # Of a normal distribution the fourth moment is three times the square of the second.
+    kurtosis = np.mean(velocities**4) / np.mean(velocities**2) ** 2
+    assert kurtosis == pytest.approx(3, rel=0.2)
+
+
+def test_no_side_of_the_sphere_is_favoured(bombarded: Any) -> None:
+    body, options = bombarded.body, bombarded.options
+    readings = read_balls(
+        body.positions, bombarded.flight.centres, options.ball_radius, options.detection_radius
+    )
+    felt = readings.mean(axis=0)
+    assert np.linalg.norm(felt @ body.normals) / felt.sum() < 0.1
+    assert felt.std() < 0.25 * felt.mean()
+    quadrupole = body.normals.T @ (body.normals * felt[:, None]) / felt.sum()
+    np.testing.assert_allclose(quadrupole, np.eye(3) / 3, atol=0.06)
+
+
+def test_readings_late_in_a_run_are_like_those_early_in_it(bombarded: Any) -> None:
+    options = bombarded.options
+    readings = read_balls(
+        bombarded.body.positions,
+        bombarded.flight.centres,
+        options.ball_radius,
+        options.detection_radius,
+    )
+    early, late = readings[:1000], readings[1000:]
+    assert lag_correlation(early) > 0.8
+    assert lag_correlation(late) == pytest.approx(lag_correlation(early), abs=0.03)
+    assert late.mean() == pytest.approx(early.mean(), rel=0.3)
+    assert (late == 0).mean() == pytest.approx((early == 0).mean(), abs=0.04)
+
+
+def test_how_often_frames_are_taken_does_not_change_what_happens() -> None:
+    seldom = BombardmentOptions(timestep=STEP, frame_interval=0.1)
+    often = BombardmentOptions(timestep=STEP, frame_interval=0.02)
+    a = fly(sphere(), 6, seldom, np.random.default_rng(1)).centres
+    b = fly(sphere(), 26, often, np.random.default_rng(1)).centres
+    np.testing.assert_allclose(b[::5], a, atol=1e-6)
+
+
+def test_a_longer_run_begins_with_the_shorter_one(bombarded: Any) -> None:
+    short = fly(sphere(), 50, bombarded.options, np.random.default_rng(1))
+    np.testing.assert_array_equal(short.centres, bombarded.flight.centres[:50])
+
+
+@pytest.mark.parametrize(
+    ("frame_interval", "timestep", "steps"),
+    [(0.05, 0.001, 50), (0.05, 0.0015, 34), (0.3, 0.1 / 80, 240), (0.0004, 0.001, 1)],
+)
+def test_a_whole_number_of_steps_no_longer_than_asked_for_makes_a_frame(
+    frame_interval: float, timestep: float, steps: int
+) -> None:
+    options = BombardmentOptions(frame_interval=frame_interval, timestep=timestep)
+    assert options.steps_a_frame == steps
+    assert options.step * steps == pytest.approx(frame_interval)
+    assert options.step <= timestep * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.1, 3.0, 100.0])
+@pytest.mark.parametrize("softness", [0.002, 0.02, 0.07])
+def test_the_default_step_suits_every_speed_and_softness(speed: float, softness: float) -> None:
+    options = BombardmentOptions(speed=speed, softness=softness, frame_interval=1.0)
+    BombardmentOptions(speed=speed, softness=softness, timestep=options.step)
+    assert options.step > options.contact.duration / 20
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"n_balls": 0}, "n_balls is 0; it must be a whole number of at least 1"),
+        ({"n_balls": 2.5}, r"n_balls is 2\.5"),
+        ({"ball_radius": -0.1}, r"ball_radius is -0\.1 m; it must be a positive number"),
+        ({"detection_radius": 0.0}, "detection_radius is 0 m"),
+        ({"box_half_width": float("nan")}, "box_half_width is nan"),
+        ({"speed": 0.0}, "speed is 0 m/s"),
+        ({"speed": float("inf")}, "speed is inf"),
+        ({"frame_interval": -1.0}, "frame_interval is -1 s"),
+        ({"softness": 0.0}, "softness is 0 m"),
+        ({"softness": 0.1}, r"pass through; take at most 0\.075 m"),
+        ({"timestep": 0.0}, "timestep is 0 s"),
+        ({"timestep": 0.01}, r"too long for balls at 3 m/s.*take at most 0\.00175 s"),
+        ({"timestep": 0.001, "speed": 30.0}, r"take at most 0\.000175 s"),
+    ],
+)
+def test_nonsense_is_refused_with_what_would_be_right(parameters: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        BombardmentOptions(**parameters)
+
+
+def test_the_longest_step_that_an_error_names_is_accepted() -> None:
+    assert BombardmentOptions(timestep=0.0017).step <= 0.0017
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"ball_radius": 1.1}, r"do not fit between the body.*box_half_width more than 3\.2 m"),
+        ({"box_half_width": 0.5}, "do not fit between the body"),
+        ({"n_balls": 5000}, r"only \d+ of 5000 balls .* take fewer or smaller balls"),
+    ],
+)
+def test_balls_that_have_no_room_are_refused(parameters: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        fly(sphere(), 1, BombardmentOptions(**parameters), np.random.default_rng(0))
+
+
+def test_a_run_that_lost_its_energy_is_returned_with_a_warning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Springs that start abruptly and are prescribed by the solver: MuJoCo's usual contacts.
+    monkeypatch.setattr(ElasticContact, "solimp", [0.9, 0.95, 0.001, 0.5, 2])
+    monkeypatch.setattr(ElasticContact, "solref", [0.02, 1.0])
+    with pytest.warns(AnisomapWarning, match=r"energy of the balls strayed by \d+"):
+        run = bombardment(sphere(), 200, BombardmentOptions(), np.random.default_rng(0))
+    assert run.facts["energy_drift"] > 0.02

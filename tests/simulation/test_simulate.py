@@ -1,0 +1,146 @@
+import importlib
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anisomap._version import __version__
+from anisomap.errors import InputError, MissingExtraError
+from anisomap.recording import Recording
+from anisomap.simulation import BODIES, SCENARIOS, BombardmentOptions, simulate
+from anisomap.simulation.sensing import read_balls
+
+
+def needs_mujoco() -> None:
+    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+
+
+def same_bytes(a: Recording, b: Recording) -> bool:
+    return a.readings.tobytes() == b.readings.tobytes() and dict(a.metadata) == dict(b.metadata)
+
+
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_every_scenario_of_every_body_gives_a_recording_that_says_where_it_came_from(
+    body: str, scenario: str
+) -> None:
+    needs_mujoco()
+    recording = simulate(body, scenario, n_frames=40, seed=3)
+    made = BODIES[body]()
+    assert recording.readings.shape == (40, len(made.positions))
+    assert recording.positions is not None
+    np.testing.assert_array_equal(recording.positions, made.positions)
+    assert (recording.readings >= 0).all()
+    assert (recording.readings > 0).any()
+    assert recording.units == "m"
+    assert recording.rate_hz is not None
+    assert body in recording.source
+    assert scenario in recording.source
+    told = recording.metadata
+    assert (told["body"], told["scenario"], told["seed"]) == (body, scenario, 3)
+    assert told["anisomap"] == __version__
+    assert told["mujoco"] == sys.modules["mujoco"].__version__
+    assert all(type(value) in (str, int, float, bool) for value in told.values())
+    for name in vars(SCENARIOS[scenario].options()):
+        assert name in told
+
+
+def test_the_parameters_are_recorded_as_they_were_used() -> None:
+    needs_mujoco()
+    options = BombardmentOptions(n_balls=np.int64(7), detection_radius=0.3, frame_interval=0.04)
+    recording = simulate(n_frames=5, n_sensors=33, options=options)
+    assert recording.n_sensors == 33
+    assert recording.rate_hz == pytest.approx(25)
+    assert recording.metadata["n_balls"] == 7
+    assert recording.metadata["detection_radius"] == 0.3
+    assert recording.metadata["timestep"] == options.step
+    assert 0 <= float(recording.metadata["energy_drift"]) < 0.02
+    assert 0 <= float(recording.metadata["deepest_overlap"]) < 0.1
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
+    needs_mujoco()
+    first = simulate(n_frames=60, seed=5)
+    assert same_bytes(first, simulate(n_frames=60, seed=5))
+    assert not np.array_equal(first.readings, simulate(n_frames=60, seed=6).readings)
+
+
+def test_a_generator_is_a_source_of_seeds_and_the_recording_can_be_made_again() -> None:
+    needs_mujoco()
+    rng = np.random.default_rng(8)
+    first, second = simulate(n_frames=20, seed=rng), simulate(n_frames=20, seed=rng)
+    assert not np.array_equal(first.readings, second.readings)
+    assert same_bytes(first, simulate(n_frames=20, seed=np.random.default_rng(8)))
+    seed = second.metadata["seed"]
+    assert isinstance(seed, int)
+    assert same_bytes(second, simulate(n_frames=20, seed=seed))
+
+
+def test_sensors_do_not_touch_the_dynamics() -> None:
+    needs_mujoco()
+    few, many = (simulate(n_frames=60, n_sensors=n) for n in (20, 300))
+    same = ("energy_drift", "deepest_overlap", "timestep")
+    assert [few.metadata[name] for name in same] == [many.metadata[name] for name in same]
+
+
+def test_progress_rises_from_0_to_1() -> None:
+    needs_mujoco()
+    told: list[float] = []
+    simulate(n_frames=250, progress=told.append)
+    assert told[0] == 0
+    assert told[-1] == 1
+    assert (np.diff(told) > 0).all()
+    assert len(told) > 20
+
+
+def test_one_frame_is_a_recording() -> None:
+    needs_mujoco()
+    assert simulate(n_frames=1).n_frames == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"n_frames": 0}, "n_frames is 0; it must be a whole number of at least 1"),
+        ({"n_frames": 10.5}, r"n_frames is 10\.5"),
+        ({"n_sensors": 0}, "n_sensors is 0"),
+        ({"seed": -1}, "seed is -1; it must be a whole number of at least 0"),
+        ({"seed": 1.5}, r"seed is 1\.5"),
+        ({"seed": None}, "seed is None"),
+        ({"body": "teapot"}, "there is no body 'teapot'; choose from sphere"),
+        ({"scenario": "rain"}, "there is no scenario 'rain'; choose from bombardment"),
+        ({"options": {"n_balls": 3}}, "of type dict; give BombardmentOptions"),
+    ],
+)
+def test_nonsense_is_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        simulate(**arguments)
+
+
+def test_without_mujoco_everything_but_a_simulation_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)  # what importing a missing module looks like
+    for name in [name for name in sys.modules if name.startswith("anisomap.simulation")]:
+        monkeypatch.delitem(sys.modules, name)
+    parent = importlib.import_module("anisomap")
+    monkeypatch.setattr(parent, "simulation", parent.simulation)
+    fresh = importlib.import_module("anisomap.simulation")
+    assert fresh.BODIES["sphere"](12).positions.shape == (12, 3)
+    with pytest.raises(MissingExtraError, match=r"pip install 'anisomap\[simulation\]'"):
+        fresh.simulate(n_frames=2)
+
+
+def test_a_recording_is_what_the_sensors_read_of_the_flight(bombarded: Any) -> None:
+    recording = simulate(seed=1)
+    options = bombarded.options
+    np.testing.assert_array_equal(
+        recording.readings,
+        read_balls(
+            bombarded.body.positions,
+            bombarded.flight.centres,
+            options.ball_radius,
+            options.detection_radius,
+        ),
+    )
+    assert recording.metadata["energy_drift"] == bombarded.flight.energy_drift
+    assert recording.varying().all()
