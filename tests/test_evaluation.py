@@ -176,3 +176,8 @@ def test_distances_and_positions_say_the_same():
     a, b = cloud(9), cloud(9, seed=1)
     from_distances = mantel(squareform(pdist(a)), squareform(pdist(b)), permutations=0)
     assert from_distances.r == pytest.approx(mantel(a, b, permutations=0).r)
+
+
+def test_as_many_dimensions_as_sensors_are_no_distances():
+    truth = cloud(4, 4)
+    assert score(SensorMap(truth), truth, permutations=0).mantel.r == pytest.approx(1)

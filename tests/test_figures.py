@@ -259,7 +259,7 @@ def test_drawing_leaves_no_trace_in_matplotlib() -> None:
         "f.figure_bytes(f.map_figure(SensorMap(numpy.eye(3))));"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True) (our own code)
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_a_failure_leaves_the_old_picture_whole(

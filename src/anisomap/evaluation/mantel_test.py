@@ -91,6 +91,8 @@ def mantel(
     are relabelled, not pairs: the distances of one configuration constrain each other.
     """
     a, b = _distances(first), _distances(second)
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise InputError("some distances are not finite; compare only sensors that are placed")
     if a.shape != b.shape:
         raise InputError(f"{len(a)} sensors cannot be compared with {len(b)}; give the same ones")
     n_sensors = len(a)
@@ -113,17 +115,20 @@ def mantel(
 
 
 def _distances(side: SensorMap | ArrayLike) -> NDArray[np.float64]:
-    is_map = isinstance(side, SensorMap)
-    values = np.asarray(side.positions if is_map else side, dtype=np.float64)
+    if isinstance(side, SensorMap):
+        return _between(side.positions)
+    values = np.asarray(side, dtype=np.float64)
     if values.ndim != 2:
         raise InputError(f"shape {values.shape} is neither positions (N, k) nor distances (N, N)")
-    if not np.isfinite(values).all():
-        raise InputError("some distances are not finite; compare only sensors that are placed")
-    if is_map or values.shape[0] != values.shape[1] or values.shape[0] < FEWEST_SENSORS:
-        return np.asarray(squareform(pdist(values)))
+    if values.shape[0] != values.shape[1] or values.shape[0] < FEWEST_SENSORS:
+        return _between(values)
     if not np.allclose(values, values.T) or np.diag(values).any():
         raise InputError("a distance matrix must be symmetric with a zero diagonal")
     return values
+
+
+def _between(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(squareform(pdist(positions)))
 
 
 def _standardised(distances: NDArray[np.float64]) -> NDArray[np.float64]:
