@@ -31,7 +31,9 @@ _CEILING_EXCESS = 0.3
 _CEILING_FRAMES = 10
 _UNEXPLAINED = 0.5
 _NOISE_RATIO = 0.5
-_CHANCE = 4.0  # standard errors
+_CHANCE = 4.0  # standard errors of an autocorrelation
+_CLEAR_RELATION = 0.6  # no sensor with such a match is suspected of having none
+_SHIFTS = 19  # an unrelated sensor beats all of them in one case of twenty
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,7 @@ class _Behaviour:
     unexplained: NDArray[np.float64]
     lag_correlation: NDArray[np.float64]
     best_match: NDArray[np.float64]
+    chance_match: NDArray[np.float64]
     n_frames: int
 
 
@@ -231,7 +234,7 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
     groups = {
         "never vary and carry no information": ("dead", "stuck"),
         "look faulty": ("saturating", "intermittent", "noisy"),
-        "are related to no other sensor, so their place is a guess": ("isolated",),
+        "are related to no other sensor beyond chance, so their place is a guess": ("isolated",),
     }
     for what, statuses in groups.items():
         names = [sensor.name for sensor in health if sensor.status in statuses]
@@ -252,6 +255,7 @@ def _behaviour(readings: NDArray[np.float64]) -> _Behaviour:
     correlation = pearson(readings)
     np.fill_diagonal(correlation, -np.inf)
     has_match = correlation.shape[0] > 1
+    best_match = correlation.max(axis=1) if has_match else np.full(1, np.nan)
     # The far end of the range on the side of contact: where a sensor that saturates is held.
     ceiling = (rest.side * readings).max(axis=0)
     return _Behaviour(
@@ -261,7 +265,8 @@ def _behaviour(readings: NDArray[np.float64]) -> _Behaviour:
         at_ceiling=_share(active & (rest.side * readings == ceiling), active),
         unexplained=_unexplained(active, correlation),
         lag_correlation=_lag_correlation(readings),
-        best_match=correlation.max(axis=1) if has_match else np.full(1, np.nan),
+        best_match=best_match,
+        chance_match=_chance_match(readings, best_match),
         n_frames=len(readings),
     )
 
@@ -318,14 +323,12 @@ def _noisy(b: _Behaviour) -> dict[int, str]:
 
 
 def _isolated(b: _Behaviour) -> dict[int, str]:
-    # Frames overlap in time: an AR(1) series with autocorrelation a holds as much evidence of a
-    # correlation as T (1 - a^2) / (1 + a^2) independent frames (Bartlett 1935).
-    squared = np.clip(b.lag_correlation, 0, 0.999) ** 2
-    chance = _CHANCE * np.sqrt((1 + squared) / ((1 - squared) * b.n_frames))
     return {
-        int(i): f"related to no other sensor: its highest r is {b.best_match[i]:.2f}, "
-        f"and chance alone gives up to {chance[i]:.2f}"
-        for i in np.flatnonzero(b.best_match < chance)
+        int(
+            i
+        ): f"related to no other sensor beyond chance: its highest r is {b.best_match[i]:.2f}, "
+        f"and chance alone gives up to {b.chance_match[i]:.2f}"
+        for i in np.flatnonzero(b.best_match <= b.chance_match)
     }
 
 
@@ -353,6 +356,29 @@ def _unexplained(
 def _lag_correlation(readings: NDArray[np.float64]) -> NDArray[np.float64]:
     centred = readings - readings.mean(axis=0)
     return np.asarray((centred[1:] * centred[:-1]).sum(axis=0) / (centred**2).sum(axis=0))
+
+
+def _chance_match(
+    readings: NDArray[np.float64], best_match: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Give the highest r that a sensor has with any other if its frames are shifted in time.
+
+    Frames overlap in time, so that no formula for independent frames holds; a shift leaves all
+    that a sensor does as it is, but for when. A sensor with a clear relation is not shifted: -1.
+    """
+    n_frames, n_sensors = readings.shape
+    chance = np.full(n_sensors, -1.0)
+    suspects = np.flatnonzero(best_match < _CLEAR_RELATION)
+    if not suspects.size or n_frames < 2 * _SHIFTS:
+        return chance
+    standard = readings - readings.mean(axis=0)
+    standard /= np.linalg.norm(standard, axis=0)
+    for step in range(1, _SHIFTS + 1):
+        shifted = np.roll(standard[:, suspects], step * n_frames // (_SHIFTS + 1), axis=0)
+        correlation = shifted.T @ standard
+        correlation[np.arange(suspects.size), suspects] = -1
+        chance[suspects] = np.maximum(chance[suspects], correlation.max(axis=1))
+    return chance
 
 
 def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> NDArray[np.float64]:

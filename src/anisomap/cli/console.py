@@ -72,7 +72,8 @@ def progress(task: str) -> Iterator[Callable[[float], None]]:
         TimeElapsedColumn(),
     )
     library = logging.getLogger("anisomap")
-    with Progress(*columns, console=errors, transient=True) as display:
+    silent = not errors.is_terminal  # a bar in a log file is noise
+    with Progress(*columns, console=errors, transient=True, disable=silent) as display:
         shown = display.add_task(escape(task), total=None)
         handler = _Describing(lambda text: display.update(shown, description=escape(text)))
         level = library.level

@@ -1,0 +1,146 @@
+"""Whatever is wrong: one sentence, exit code 2, no traceback, nothing half-written."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+
+from skins import flat_skin
+
+
+def text(content):
+    return lambda path: path.write_text(content)
+
+
+def archive(**arrays):
+    return lambda path: np.savez(path, **arrays)
+
+
+def pickled(path):
+    inner = io.BytesIO()
+    np.lib.format.write_array(inner, np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with zipfile.ZipFile(path, "w") as packed:
+        packed.writestr("readings.npy", inner.getvalue())
+
+
+def npz_bytes():
+    whole = io.BytesIO()
+    np.savez(whole, readings=flat_skin().readings)
+    return whole.getvalue()
+
+
+WAVE = "\n".join(f"{np.sin(i):.3f},{np.cos(i):.3f},{np.sin(2 * i):.3f}" for i in range(9))
+BAD = {
+    "missing.csv": (None, "missing.csv"),
+    "folder.csv": (lambda path: path.mkdir(), "folder"),
+    "empty.csv": (text(""), "empty"),
+    "header.csv": (text("a,b,c\n"), "header"),
+    "ragged.csv": (text("a,b,c\n1,2,3\n4,5\n"), "line 3"),
+    "words.csv": (text("a,b,c\n1,2,3\n4,oops,6\n"), "line 3, column 2"),
+    "missing-readings.csv": (text(WAVE + "\n1,nan,3\n"), "sensor s1, frame 9"),
+    "infinite.csv": (text(WAVE + "\n1,2,inf\n"), "sensor s2, frame 9"),
+    "two.csv": (text("a,b\n1,2\n2,1\n3,3\n"), "2 of 2 sensors"),
+    "constant.csv": (text("a,b,c\n1,2,3\n1,2,3\n"), "0 of 3 sensors"),
+    "twice.csv": (text("a,a,b\n1,2,3\n2,1,3\n"), "name a"),
+    "binary.csv": (lambda path: path.write_bytes(bytes(range(256)) * 9), "binary.csv"),
+    "pickle.npz": (pickled, "pickle.npz"),
+    "nothing.npz": (archive(other=np.eye(3)), "readings"),
+    "flat.npz": (archive(readings=np.arange(5.0)), "flat.npz"),
+    "complex.npz": (archive(readings=np.ones((4, 4), complex)), "complex"),
+    "words.npz": (archive(readings=np.array([["a", "b"]])), "words.npz"),
+    "shapes.npz": (archive(readings=np.eye(4), positions=np.zeros((3, 2))), "positions"),
+    "names.npz": (archive(readings=np.eye(4), names=np.array(["a"])), "names"),
+    "cut.npz": (lambda path: path.write_bytes(npz_bytes()[:3000]), "cut.npz"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize("command", ["map", "info", "compare"])
+def test_bad_recordings(run, tmp_path, name, command):
+    make, message = BAD[name]
+    path = tmp_path / name
+    if make is not None:
+        make(path)
+    before = sorted(tmp_path.iterdir())
+    found = run(command, path, *(["-o", "out.csv"] if command == "map" else []))
+    if command == "info" and found.code == 0:
+        # What is no ground for a map can still be looked at.
+        assert name in {"missing-readings.csv", "infinite.csv", "two.csv", "constant.csv"}
+        return
+    assert found.code == 2
+    assert found.err.startswith("error: ")
+    assert found.err.count("\n") == 1
+    if command == "map":
+        assert message in found.err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("name", ["truth.csv", "map.csv"])
+@pytest.mark.parametrize("content", ["", "x,y\n", "a,b\n1,2\n", "x,y\n1,z\n", "x,y\n1,2\n3\n"])
+@pytest.mark.usefixtures("truth_csv")
+def test_bad_positions(run, skin_csv, tmp_path, name, content):
+    assert run("map", skin_csv, "-o", "map.csv").code == 0
+    (tmp_path / name).write_text(content)
+    found = run("score", "map.csv", "truth.csv")
+    assert found.code == 2
+    assert found.err.startswith("error: ")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["-o", "map.doc"], ".csv"),
+        (["-o", "nowhere/map.csv"], "no folder"),
+        (["-o", "."], "folder"),
+        (["--picture", "map.bmp"], ".png"),
+        (["--report", "nowhere/r.html"], "no folder"),
+        (["-m", "pca"], "r-anisomap"),
+        (["-d", "0"], "-d"),
+        (["-d", "two"], "-d"),
+        (["--exclude", "nobody"], "nobody"),
+        (["--drop", "99"], "99"),
+        (["--mu", "-1"], "mu"),
+        (["-m", "i-anisomap", "--bins", "1"], "bins"),
+        (["-m", "isomap", "--neighbours", "0"], "neighbours"),
+        (["--tolerance", "-1"], "tolerance"),
+        (["--seed", "-1"], "seed"),
+        (["--nan", "ignore"], "drop-frames"),
+        (["--frobnicate"], "frobnicate"),
+    ],
+)
+def test_bad_options(run, skin_npz, tmp_path, options, message):
+    before = sorted(tmp_path.iterdir())
+    found = run("map", skin_npz, *options)
+    assert found.code == 2
+    assert message in found.err
+    assert found.err.startswith("error: ")
+    assert found.err.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_failed_run_leaves_the_old_map_whole(run, skin_csv, tmp_path):
+    old = tmp_path / "map.csv"
+    old.write_text("precious")
+    skin_csv.write_text("a,b,c\n1,2,3\n1,2,3\n")
+    assert run("map", skin_csv, "-o", "map.csv").code == 2
+    assert old.read_text() == "precious"
+
+
+def test_a_recording_without_truth_cannot_be_compared(run, skin_csv):
+    found = run("compare", skin_csv)
+    assert found.code == 2
+    assert "no true positions" in found.err
+
+
+def test_a_defect_of_ours_is_owned_up_to(run, skin_csv, monkeypatch):
+    def broken(*_, **__):
+        message = "a bug"
+        raise KeyError(message)
+
+    monkeypatch.delenv("ANISOMAP_DEBUG")
+    monkeypatch.setattr("anisomap.cli.mapping.formats.read", broken)
+    found = run("map", skin_csv)
+    assert found.code == 70
+    assert "defect in anisomap" in found.err
+    assert "Traceback" not in found.err

@@ -1,0 +1,166 @@
+"""What users do, from the first look at a recording to a score."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap.methods import METHODS, SIMILARITIES
+from skins import flat_skin
+
+
+def test_from_a_recording_to_a_scored_map(run, skin_csv, truth_csv, tmp_path):
+    looked = run("info", skin_csv)
+    assert looked.code == 0
+    assert "1500" in looked.out
+    assert "42 ok" in looked.out
+
+    made = run("map", skin_csv, "-o", "map.csv", "--report", "report.html", "-d", 2)
+    assert made.code == 0
+    assert not made.err
+    assert "<html" in (tmp_path / "report.html").read_text()
+
+    scored = run("score", "map.csv", truth_csv, "--units", "mm", "--permutations", 200)
+    assert scored.code == 0
+    for expected in ("Mantel r", "median", "RMS error", "mm", "mirrored", "neighbours kept"):
+        assert expected in scored.out
+
+    figures = json.loads(run("score", "map.csv", truth_csv, "--json", "--permutations", 99).out)
+    assert figures["mantel_r"] > 0.95
+    assert figures["p_value"] == pytest.approx(0.01)
+    assert figures["sensors_compared"] == 42
+    expected = anisomap.reconstruct(anisomap.read(skin_csv), dimensions=2)
+    np.testing.assert_array_equal(anisomap.read_map("map.csv").positions, expected.positions)
+
+
+def test_a_recording_with_truth_is_scored_on_the_way(run, skin_npz):
+    made = run(
+        "map", skin_npz, "-d", 2, "--permutations", 100, "--picture", "map.png", "-o", "m.csv"
+    )
+    assert made.code == 0
+    assert "Mantel r" in made.out
+    assert "RMS error" in made.out
+
+
+def test_every_map_format_at_once(run, skin_csv, tmp_path):
+    names = ["m.csv", "m.npz", "m.json", "m.ply"]
+    outputs = [argument for name in names for argument in ("-o", name)]
+    assert run("map", skin_csv, "-d", 2, *outputs).code == 0
+    first, *others = (anisomap.read_map(tmp_path / name) for name in names)
+    for other in others:
+        np.testing.assert_array_equal(other.positions, first.positions)
+
+
+def test_without_an_output_the_map_is_named_after_the_recording(run, skin_csv, tmp_path):
+    assert run("map", skin_csv).code == 0
+    assert (tmp_path / "skin.map.csv").exists()
+
+
+def test_sensors_can_be_excluded_and_dropped(run, skin_csv):
+    assert run("map", skin_csv, "-o", "m.json", "--exclude", "s3,s4", "--exclude", 5,
+               "--drop", "s7").code == 0  # fmt: skip
+    made = anisomap.read_map("m.json")
+    np.testing.assert_array_equal(np.flatnonzero(made.excluded), [3, 4, 5])
+    np.testing.assert_array_equal(np.flatnonzero(~made.placed), [7])
+
+
+def test_faults_are_named_and_warned_of(run, tmp_path):
+    readings = np.array(flat_skin().readings)
+    readings[:, 9] = 0
+    anisomap.write(anisomap.Recording(readings), tmp_path / "dead.npz")
+    for command in (["info", "dead.npz"], ["map", "dead.npz", "-o", "m.csv"]):
+        found = run(*command)
+        assert found.code == 0
+        assert "dead" in found.out
+        assert found.err.count("never vary") == 1
+
+
+def test_missing_readings_are_refused_until_a_way_is_chosen(run, skin_csv):
+    lines = skin_csv.read_text().splitlines()
+    lines[7] = lines[7].replace(lines[7].split(",")[2], "nan", 1)
+    skin_csv.write_text("\n".join(lines))
+    refused = run("map", skin_csv, "-o", "m.csv")
+    assert refused.code == 2
+    assert "--nan" in refused.err
+    for policy in ("drop-frames", "interpolate"):
+        assert run("map", skin_csv, "-o", "m.csv", "--nan", policy).code == 0
+    assert "1 missing" in run("info", skin_csv).out
+
+
+def test_separate_pieces_are_warned_of(run, tmp_path):
+    readings = np.zeros((1200, 12))
+    rng = np.random.default_rng(0)
+    for sensors, frames in ((range(7), slice(0, 600)), (range(7, 12), slice(600, 1200))):
+        touch = rng.uniform(sensors.start, sensors.stop, 600)[:, None]
+        readings[frames, sensors.start : sensors.stop] = np.maximum(0, 2 - abs(touch - sensors))
+    anisomap.write(anisomap.Recording(readings), tmp_path / "pieces.npz")
+    made = run("map", "pieces.npz", "--mu", 0, "-o", "m.csv", "--picture", "m.png", "--report",
+               "m.html")  # fmt: skip
+    assert made.code == 0
+    assert "2 separate pieces" in made.err
+    assert anisomap.read_map("m.csv").n_components == 2
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_runs_from_the_command_line(run, skin_npz, method):
+    assert run("map", skin_npz, "-m", method, "-o", "m.csv", "--permutations", 0).code == 0
+    assert anisomap.read_map("m.csv").method == method
+
+
+def test_lists_name_everything(run):
+    listed = run("methods").out
+    assert all(name in listed for name in [*METHODS, *SIMILARITIES])
+    assert all(suffix in run("formats").out for suffix in (".npz", ".csv", ".ply", ".json"))
+
+
+def test_methods_are_compared_in_a_table(run, skin_npz, tmp_path):
+    found = run("compare", skin_npz, "-m", "r-anisomap", "-m", "isomap", "-d", 2, "-o", "t.md")
+    assert found.code == 0
+    header, _, row = (tmp_path / "t.md").read_text().splitlines()
+    assert header == "| recording | sensors x frames | map | r-anisomap | isomap |"
+    assert float(row.split("|")[4]) > 0.95
+
+
+def test_the_demo_ends_with_a_picture_and_a_report(run, tmp_path):
+    pytest.importorskip("mujoco")
+    made = run("demo", "-o", "out", "--frames", 600, "--permutations", 100)
+    assert made.code == 0
+    for name in ("map.csv", "map.png", "report.html", "recording.npz"):
+        assert (tmp_path / "out" / name).stat().st_size > 1000
+        assert name in made.out
+
+
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_the_demos_map_is_good_for_every_seed(seed):
+    pytest.importorskip("mujoco")
+    recording = anisomap.simulate("sphere", "bombardment", seed=seed)
+    found = anisomap.mantel(anisomap.reconstruct(recording), recording.positions, permutations=500)
+    assert found.r >= 0.90
+    assert abs(found.quantiles()[0.5]) < 0.03
+
+
+def test_two_runs_give_the_same_bytes(run, skin_npz, tmp_path):
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        outputs = [a for s in ("csv", "npz", "json", "ply") for a in ("-o", f"{folder}/m.{s}")]
+        assert run("map", skin_npz, *outputs, "--picture", f"{folder}/m.png",
+                   "--report", f"{folder}/m.html", "--permutations", 50).code == 0  # fmt: skip
+    for first in (tmp_path / "one").iterdir():
+        assert first.read_bytes() == (tmp_path / "two" / first.name).read_bytes(), first.name
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\n"
+        "from anisomap.cli.app import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'scipy', 'sklearn', 'matplotlib', 'plotly', 'mujoco'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "map" in done.stdout
