@@ -48,7 +48,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
     Attributes
     ----------
-    positions_ : ndarray of shape (n_features_in_, n_components)
+    positions_ : ndarray of shape (n_sensors, n_components)
         Where the sensors are; NaN for those that never vary.
     map_ : SensorMap
         The map, with its health, stress and notes.
