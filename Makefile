@@ -24,7 +24,7 @@ demo: $(READY)  ## simulate a skin, map it, score the map: picture, report and C
 	@$(BIN)/anisomap demo --output-dir $(OUT)
 
 test: $(READY)  ## every test
-	$(BIN)/python -m pytest --numprocesses auto
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 check: $(READY)  ## format, lint, types, architecture
 	$(BIN)/ruff format --check
