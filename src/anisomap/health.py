@@ -16,7 +16,7 @@ from anisomap.numerics.activity import Rest, estimate_rest
 from anisomap.numerics.similarity import pearson
 from anisomap.recording import Recording
 
-STATUSES = ("ok", "dead", "stuck", "saturating", "intermittent", "noisy", "isolated")
+STATUSES = ("ok", "dead", "stuck", "saturating", "noisy", "intermittent", "isolated")
 """Every status that a sensor can have; one that has several faults has the first."""
 
 FEWEST_FRAMES = 500
@@ -334,8 +334,8 @@ def _isolated(b: _Behaviour) -> dict[int, str]:
 
 _TESTS: dict[str, Callable[[_Behaviour], dict[int, str]]] = {
     "saturating": _saturating,
-    "intermittent": _intermittent,
     "noisy": _noisy,
+    "intermittent": _intermittent,
     "isolated": _isolated,
 }
 
