@@ -1,7 +1,7 @@
 """How good a map is where the truth is known: Mantel r, alignment, neighbourhoods."""
 
 from anisomap.evaluation.alignment import Alignment, align
-from anisomap.evaluation.mantel_test import PERMUTATIONS, Mantel, mantel
+from anisomap.evaluation.mantel_r import PERMUTATIONS, Mantel, mantel
 from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreement
 from anisomap.evaluation.scoring import Score, score
 

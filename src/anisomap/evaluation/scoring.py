@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.evaluation.alignment import Alignment, align
-from anisomap.evaluation.mantel_test import FEWEST_SENSORS, PERMUTATIONS, Mantel, mantel
+from anisomap.evaluation.mantel_r import FEWEST_SENSORS, PERMUTATIONS, Mantel, mantel
 from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreement
 from anisomap.sensor_map import SensorMap
 
