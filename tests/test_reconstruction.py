@@ -242,3 +242,27 @@ def test_the_rivals_fall_behind_on_real_skins(recordings_folder, name, dimension
     best = mantel_r(reconstruct(recording, dimensions=dimensions), recording)
     for rival in ("information-distance", "isomap"):
         assert mantel_r(reconstruct(recording, rival, dimensions), recording) < best - 0.01
+
+
+@pytest.mark.parametrize("name", ["icub_hexagon", "icub_palm"])
+def test_thresholded_skins_have_two_bins_however_many_are_asked_for(recordings_folder, name):
+    recording = anisomap.read(recordings_folder / f"{name}.npz")
+    few, many = (
+        compute_stages(recording.readings, "i-anisomap", MethodOptions(bins=bins)).similarity
+        for bins in (2, 8)
+    )
+    assert few.max() > 0.1
+    np.testing.assert_allclose(few, many, atol=1e-12)
+
+
+def test_bins_of_continuous_readings_are_all_used(recordings_folder):
+    recording = anisomap.read(recordings_folder / "plantar.npz")
+    for bins in (4, 6, 8):
+        information = compute_stages(
+            recording.readings, "i-anisomap", MethodOptions(bins=bins)
+        ).similarity
+        entropy = np.diag(information)
+        assert entropy.max() > 0.9 * np.log(bins)
+        assert (entropy <= np.log(bins) + 1e-12).all()
+        assert mantel_r(reconstruct(recording, "isomap", 2, options=MethodOptions(bins=bins)),
+                        recording) > 0.88  # fmt: skip
