@@ -121,3 +121,8 @@ def test_a_skin_that_was_hardly_touched_is_doubted():
     recording = Recording(readings)
     doubts = weaknesses(recording, assess(recording))
     assert any("fewer than 5 times" in doubt for doubt in doubts)
+
+
+def test_unrelated_channels_are_no_skin():
+    noise = Recording(np.random.default_rng(0).normal(size=(800, 30)))
+    assert any("do not trust" in doubt for doubt in weaknesses(noise, assess(noise)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -35,6 +35,32 @@ def check_target(path: str | os.PathLike[str]) -> Path:
     if not target.parent.is_dir():
         raise FileError(f"cannot write {target}: there is no folder {target.parent}")
     return target
+
+
+def check_distinct(
+    outputs: Iterable[str | os.PathLike[str]], inputs: Iterable[str | os.PathLike[str]]
+) -> None:
+    """Find out before the work whether a result would overwrite its source, or another result.
+
+    Parameters
+    ----------
+    outputs, inputs : iterable of path-like
+        What will be written, and what is read.
+
+    Raises
+    ------
+    FileError
+        If a file is written twice, or both read and written.
+    """
+    read = {Path(path).resolve() for path in inputs}
+    written: set[Path] = set()
+    for path in outputs:
+        file = Path(path).resolve()
+        if file in read:
+            raise FileError(f"{path} is what is read here: write the result to another file")
+        if file in written:
+            raise FileError(f"{path} is named for two results: give each a file of its own")
+        written.add(file)
 
 
 @contextmanager

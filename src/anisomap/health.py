@@ -239,7 +239,9 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
     for what, statuses in groups.items():
         names = [sensor.name for sensor in health if sensor.status in statuses]
         if names:
-            found.append(f"{len(names)} of {len(health)} sensors {what}: {shortened(names)}")
+            verdict = "do not trust a map of this: " if 2 * len(names) > len(health) else ""
+            listed = shortened(names)
+            found.append(f"{verdict}{len(names)} of {len(health)} sensors {what}: {listed}")
     rare = [s.name for s in health if 0 < s.contacts < FEWEST_CONTACTS and s.status == "ok"]
     if rare:
         found.append(
@@ -355,6 +357,7 @@ def _unexplained(
 
 def _lag_correlation(readings: NDArray[np.float64]) -> NDArray[np.float64]:
     centred = readings - readings.mean(axis=0)
+    centred /= np.abs(centred).max(axis=0)
     return np.asarray((centred[1:] * centred[:-1]).sum(axis=0) / (centred**2).sum(axis=0))
 
 
@@ -372,6 +375,7 @@ def _chance_match(
     if not suspects.size or n_frames < 2 * _SHIFTS:
         return chance
     standard = readings - readings.mean(axis=0)
+    standard /= np.abs(standard).max(axis=0)
     standard /= np.linalg.norm(standard, axis=0)
     for step in range(1, _SHIFTS + 1):
         shifted = np.roll(standard[:, suspects], step * n_frames // (_SHIFTS + 1), axis=0)

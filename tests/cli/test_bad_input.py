@@ -144,3 +144,16 @@ def test_a_defect_of_ours_is_owned_up_to(run, skin_csv, monkeypatch):
     assert found.code == 70
     assert "defect in anisomap" in found.err
     assert "Traceback" not in found.err
+
+
+@pytest.mark.parametrize(
+    "options", [["-o", "skin.csv"], ["--report", "skin.csv"], ["-o", "a.csv", "--picture", "a.csv"]]
+)
+def test_nothing_is_written_over_what_is_read_or_written(run, skin_csv, options):
+    before = skin_csv.read_bytes()
+    found = run("map", skin_csv, *options)
+    assert found.code == 2
+    assert "another file" in found.err or "two results" in found.err
+    assert skin_csv.read_bytes() == before
+    assert run("compare", skin_csv, "-o", "skin.csv").code == 2
+    assert skin_csv.read_bytes() == before

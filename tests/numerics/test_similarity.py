@@ -150,3 +150,8 @@ def test_a_sensor_that_never_varies_is_like_no_other(constant):
     r = pearson(readings)
     np.testing.assert_array_equal(r[1], np.eye(7)[1])
     assert mutual_information(readings)[1].max() == 0
+
+
+@pytest.mark.parametrize("unit", [2.0**1000, 2.0**-1000])
+def test_readings_of_absurd_magnitude_are_correlated_all_the_same(unit, readings):
+    np.testing.assert_array_equal(pearson(readings * unit), pearson(readings))

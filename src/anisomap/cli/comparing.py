@@ -12,7 +12,7 @@ from cyclopts.validators import Number
 from numpy.typing import NDArray
 
 from anisomap import formats
-from anisomap._files import check_target, replacing
+from anisomap._files import check_distinct, check_target, replacing
 from anisomap.cli import parameters as options
 from anisomap.cli.console import console, progress, show_table
 from anisomap.errors import AnisomapWarning, InputError
@@ -52,6 +52,7 @@ def compare(
         find_method(name)
     if output:
         check_target(output)
+        check_distinct([output], recordings)
     rows = []
     for path in recordings:
         recording = formats.read(path).complete(nan)

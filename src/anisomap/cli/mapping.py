@@ -75,7 +75,7 @@ def map_recording(
         picture=picture,
         report=report,
     )
-    outputs.check()
+    outputs.check(recording)
     with progress(f"reading {recording.name}"):
         readings = formats.read(recording).complete(nan)
     evidence = pipeline.examine(readings)

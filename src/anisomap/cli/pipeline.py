@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import figures, formats, report
+from anisomap._files import check_distinct
 from anisomap.cli.console import console, number, percent, progress, show_facts, show_table
 from anisomap.evaluation import Score, score
 from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
@@ -27,16 +28,18 @@ class Outputs:
     picture: Path | None = None
     report: Path | None = None
 
-    def check(self) -> None:
+    def check(self, *inputs: Path) -> None:
         """Find out before the work, not after it, what could not be written.
 
         Raises
         ------
         FileError
-            If a folder is missing or a suffix is of no format that can be written.
+            If a folder is missing, a suffix is of no format that can be written, or a file would
+            overwrite an input or another output.
         MissingExtraError
             If a picture or report needs a library that is not installed.
         """
+        check_distinct([path for path in (*self.maps, self.picture, self.report) if path], inputs)
         for path in self.maps:
             formats.check_writable(path)
         if self.picture:

@@ -11,6 +11,8 @@ from anisomap.numerics.accumulators import CHUNK_FRAMES, Moments
 from anisomap.numerics.activity import estimate_rest
 from anisomap.numerics.binning import DEFAULT_BINS, maximum_entropy_codes
 
+_LARGEST = 1e100
+
 
 def pearson(readings: ArrayLike) -> NDArray[np.float64]:
     """Correlate the readings of every pair of sensors linearly (Pearson's r).
@@ -26,7 +28,7 @@ def pearson(readings: ArrayLike) -> NDArray[np.float64]:
         In [-1, 1], symmetric to the last bit, ones on the diagonal; 0 between a sensor that never
         varies and any other.
     """
-    return Moments.of(readings).correlation()
+    return Moments.of(_squarable(readings)).correlation()
 
 
 def spearman(readings: ArrayLike) -> NDArray[np.float64]:
@@ -127,6 +129,17 @@ def information_of_codes(codes: ArrayLike) -> NDArray[np.float64]:
     bounded = np.clip(information, 0, np.minimum.outer(entropy, entropy).clip(0))
     np.fill_diagonal(bounded, entropy.clip(0))
     return np.asarray(bounded)
+
+
+def _squarable(readings: ArrayLike) -> NDArray[np.generic]:
+    """Bring readings whose squares would overflow or vanish near 1, by powers of 2: exactly."""
+    values = np.asarray(readings)
+    if values.dtype.kind != "f":
+        return values
+    reach = np.abs(values).max(axis=0, initial=0).astype(np.float64)
+    if not ((reach > _LARGEST) | ((reach < 1 / _LARGEST) & (reach > 0))).any():
+        return values
+    return np.asarray(np.ldexp(values.astype(np.float64), -np.frexp(reach)[1]))
 
 
 def _co_occurrences(codes: NDArray[np.generic], first: int, second: int) -> NDArray[np.float64]:
