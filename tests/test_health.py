@@ -126,3 +126,13 @@ def test_a_skin_that_was_hardly_touched_is_doubted():
 def test_unrelated_channels_are_no_skin():
     noise = Recording(np.random.default_rng(0).normal(size=(800, 30)))
     assert any("do not trust" in doubt for doubt in weaknesses(noise, assess(noise)))
+
+
+def test_a_sensor_touched_once_is_not_called_faulty_for_it():
+    readings = np.array(flat_skin().readings)
+    readings[:, SENSOR] = 0
+    readings[700, SENSOR] = 1
+    recording = Recording(readings)
+    health = assess(recording)
+    assert health[SENSOR].status in {"ok", "isolated"}
+    assert any(f"s{SENSOR}" in doubt for doubt in weaknesses(recording, health))

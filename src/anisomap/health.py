@@ -289,6 +289,11 @@ def _constant_verdicts(
     return verdicts
 
 
+def _judged(b: _Behaviour) -> NDArray[np.bool_]:
+    """Tell which sensors were active often enough to be judged by how they were."""
+    return np.asarray(b.contacts >= FEWEST_CONTACTS)
+
+
 def _saturating(b: _Behaviour) -> dict[int, str]:
     typical = float(np.median(b.at_ceiling))
     often = b.at_ceiling * b.active * b.n_frames >= _CEILING_FRAMES
@@ -302,7 +307,8 @@ def _saturating(b: _Behaviour) -> dict[int, str]:
 
 def _intermittent(b: _Behaviour) -> dict[int, str]:
     typical = float(np.median(b.unexplained))
-    suspects = b.unexplained > max(_UNEXPLAINED, typical + _OUTLIER * _spread(b.unexplained))
+    limit = max(_UNEXPLAINED, typical + _OUTLIER * _spread(b.unexplained))
+    suspects = _judged(b) & (b.unexplained > limit)
     return {
         int(
             i
@@ -316,7 +322,7 @@ def _noisy(b: _Behaviour) -> dict[int, str]:
     typical = float(np.median(b.lag_correlation))
     spread = max(_OUTLIER * _spread(b.lag_correlation), _CHANCE / np.sqrt(b.n_frames))
     limit = min(_NOISE_RATIO * typical, typical - spread)
-    suspects = b.lag_correlation < limit
+    suspects = _judged(b) & (b.lag_correlation < limit)
     return {
         int(i): f"jumps from frame to frame: lag-1 autocorrelation {b.lag_correlation[i]:.2f} "
         f"(typical: {typical:.2f})"

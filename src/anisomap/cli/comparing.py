@@ -11,9 +11,9 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 from numpy.typing import NDArray
 
-from anisomap import formats
 from anisomap._files import check_distinct, check_target, replacing
 from anisomap.cli import parameters as options
+from anisomap.cli import pipeline
 from anisomap.cli.console import console, progress, show_table
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import score
@@ -55,7 +55,7 @@ def compare(
         check_distinct([output], recordings)
     rows = []
     for path in recordings:
-        recording = formats.read(path).complete(nan)
+        recording = pipeline.read(path).complete(nan)
         truth = recording.positions
         if truth is None:
             raise InputError(f"{path} holds no true positions, so no map of it can be scored")

@@ -12,6 +12,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+_UNBROKEN = 12  # characters that a narrow terminal leaves together
+
 console = Console(highlight=False, soft_wrap=False)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -45,7 +47,12 @@ def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
     )
     for i, column in enumerate(columns):
         numeric = all(_is_number(row[i]) for row in rows)
-        table.add_column(escape(column), justify="right" if numeric else "left", overflow="fold")
+        table.add_column(
+            escape(column),
+            justify="right" if numeric else "left",
+            overflow="fold",
+            min_width=min(_UNBROKEN, max(len(text) for text in (column, *(r[i] for r in rows)))),
+        )
     for row in rows:
         table.add_row(*map(escape, row))
     console.print(table)

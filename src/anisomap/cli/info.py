@@ -6,10 +6,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from anisomap import formats
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline
-from anisomap.cli.console import progress, warn
+from anisomap.cli.console import warn
 
 
 def info(
@@ -25,9 +24,7 @@ def info(
     sensors
         List every sensor, not only those that look faulty.
     """
-    with progress(f"reading {recording.name}"):
-        readings = formats.read(recording)
-    evidence = pipeline.examine(readings)
+    evidence = pipeline.examine(pipeline.read(recording))
     pipeline.show_recording(evidence)
     pipeline.show_health(evidence.health, everyone=sensors)
     for weakness in evidence.summary.warnings:

@@ -8,10 +8,8 @@ from typing import Annotated
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from anisomap import formats
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline
-from anisomap.cli.console import progress
 from anisomap.evaluation import PERMUTATIONS
 from anisomap.methods import DEFAULT_METHOD, MethodOptions
 from anisomap.numerics.binning import DEFAULT_BINS
@@ -76,8 +74,7 @@ def map_recording(
         report=report,
     )
     outputs.check(recording)
-    with progress(f"reading {recording.name}"):
-        readings = formats.read(recording).complete(nan)
+    readings = pipeline.read(recording).complete(nan)
     evidence = pipeline.examine(readings)
     pipeline.show_recording(evidence)
     sensor_map = pipeline.make_map(

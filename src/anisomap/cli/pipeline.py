@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +55,13 @@ class Evidence:
     recording: Recording
     health: Sequence[SensorHealth]
     summary: RecordingSummary
+
+
+def read(path: Path) -> Recording:
+    """Read a recording, with progress; one that does not say where it came from is of its file."""
+    with progress(f"reading {path.name}"):
+        recording = formats.read(path)
+        return replace(recording, source=recording.source or path.name)
 
 
 def examine(recording: Recording) -> Evidence:
@@ -120,8 +127,9 @@ def show_recording(evidence: Evidence) -> None:
     rate = "unknown" if summary.rate_hz is None else f"{number(summary.rate_hz)} Hz"
     duration = "" if summary.duration is None else f", {number(summary.duration)} s"
     show_facts(
-        evidence.recording.source or "Recording",
+        "Recording",
         {
+            "source": evidence.recording.source or "unknown",
             "frames": f"{summary.n_frames}{duration}",
             "rate": rate,
             "sensors": f"{summary.n_sensors}, of which {summary.n_constant} never vary",
@@ -135,6 +143,10 @@ def show_recording(evidence: Evidence) -> None:
 
 def show_health(health: Sequence[SensorHealth], *, everyone: bool = False) -> None:
     """Print sensor health: those with a fault, or everyone, and how many are well."""
+    ill = [sensor for sensor in health if sensor.status != "ok"]
+    well = [sensor for sensor in health if sensor.status == "ok"]
+    counts = Counter(sensor.status for sensor in health)
+    title = "Sensor health: " + ", ".join(f"{n} {status}" for status, n in counts.most_common())
     rows = [
         (
             sensor.name,
@@ -144,19 +156,16 @@ def show_health(health: Sequence[SensorHealth], *, everyone: bool = False) -> No
             percent(sensor.active),
             str(sensor.contacts),
             number(sensor.best_match, 2),
-            sensor.reason,
         )
-        for sensor in sorted(health, key=lambda sensor: sensor.status == "ok")
-        if everyone or sensor.status != "ok"
+        for sensor in (ill + well if everyone else ill)
     ]
-    counts = Counter(sensor.status for sensor in health)
-    summary = ", ".join(f"{count} {status}" for status, count in counts.most_common())
-    title = f"Sensor health: {summary}"
     if not rows:
         show_facts(title, {})
         return
-    columns = ("sensor", "status", "range", "values", "active", "contacts", "best r", "why")
+    columns = ("sensor", "status", "range", "values", "active", "contacts", "best r")
     show_table(title, columns, rows)
+    for sensor in ill:
+        console.print(f"  {sensor.name}: {sensor.reason}", markup=False, soft_wrap=True)
 
 
 def _show_map(sensor_map: SensorMap) -> None:
