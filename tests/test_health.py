@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import anisomap
 from anisomap import Recording, assess, summarise
 from anisomap.health import STATUSES, weaknesses
+from anisomap.simulation import FAULTS as FAULTS_OF_SIMULATION
 from skins import flat_skin, seeing_patch
 
 SENSOR = 16
@@ -64,6 +65,16 @@ def test_healthy_skins_are_left_in_peace(skin, seed):
 def test_healthy_real_skins_are_left_in_peace(recordings_folder, name):
     health = assess(anisomap.read(recordings_folder / f"{name}.npz"))
     assert {sensor.status for sensor in health} == {"ok"}
+
+
+@pytest.mark.parametrize("fault", ["dead", "saturating", "noisy"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_faults_of_a_simulated_skin_are_found_and_nothing_else(fault, seed):
+    pytest.importorskip("mujoco")
+    skin = anisomap.simulate(seed=seed)
+    broken = FAULTS_OF_SIMULATION[fault](skin, ["s5", "s17"], rng=seed)
+    found = {sensor.name: sensor.status for sensor in assess(broken) if sensor.status != "ok"}
+    assert found == {"s5": fault, "s17": fault}
 
 
 def test_thresholding_does_not_make_sensors_ill():
