@@ -1,5 +1,9 @@
+from . import errors as errors
+from . import evaluation as evaluation
 from . import figures as figures
 from . import formats as formats
+from . import health as health
+from . import methods as methods
 from . import numerics as numerics
 from . import report as report
 from . import simulation as simulation
