@@ -336,7 +336,7 @@ def test_fast_and_careful_reading_agree(text: str) -> None:
         by_numpy = np.loadtxt([text], np.float64, comments=None, delimiter=",", ndmin=2)
     except (ValueError, UserWarning):
         return
-    assert by_numpy.tolist() == [[parse_number(text)]]
+    np.testing.assert_array_equal(by_numpy, [[parse_number(text)]])
 
 
 def test_wide_and_long_files(put: Put) -> None:
