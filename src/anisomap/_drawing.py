@@ -233,12 +233,6 @@ def warn_of_pieces(sensor_map: SensorMap) -> list[str]:
     ]
 
 
-def listing(items: Sequence[str], most: int = 5) -> str:
-    """Write out the first few of many: ``a, b and 3 more``."""
-    more = f" and {len(items) - most} more" if len(items) > most else ""
-    return ", ".join(items[:most]) + more
-
-
 def shown(text: str, longest: int | None = None) -> str:
     """Make any text fit to be shown: printable, on one line, and no longer than asked."""
     clean = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)

@@ -10,9 +10,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap._listing import listing
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.health import SensorHealth, assess, shortened, weaknesses
+from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, compute_stages, find_method
 from anisomap.numerics.graph import components
 from anisomap.numerics.scaling import Scaling, SmacofOptions, smacof
@@ -244,9 +245,9 @@ def _doubts(component: NDArray[np.intp], names: tuple[str, ...], pieces: _Pieces
     if sizes.size > 1:
         lost = [names[i] for i in np.flatnonzero(component > 0)]
         yield (
-            f"the sensors fall into {sizes.size} separate pieces (of {shortened(sizes.tolist())} "
+            f"the sensors fall into {sizes.size} separate pieces (of {listing(sizes.tolist())} "
             "sensors), and how these lie to one another is not known; "
-            f"outside the largest: {shortened(lost)}"
+            f"outside the largest: {listing(lost)}"
         )
     if not pieces.converged:
         yield "scaling stopped before it converged: allow it more iterations"

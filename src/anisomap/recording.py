@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap._listing import counted
 from anisomap.errors import InputError
 
 Scalar: TypeAlias = str | int | float | bool
@@ -20,7 +21,6 @@ MissingPolicy: TypeAlias = Literal["error", "drop-frames", "interpolate"]
 """What to do about readings that are NaN or infinite."""
 
 _Array = TypeVar("_Array", bound=NDArray[np.generic])
-_LISTED = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +238,7 @@ class Recording:
         frames = np.flatnonzero(missing.any(axis=1))
         return (
             f"{int(missing.sum())} readings are NaN or infinite: "
-            f"{_listing('sensor', sensors)}, {_listing('frame', frames.tolist())}; "
+            f"{counted('sensor', sensors)}, {counted('frame', frames.tolist())}; "
             "choose what to do about them: drop-frames or interpolate (--nan)"
         )
 
@@ -261,7 +261,7 @@ def check_names(names: Sequence[str], n_sensors: int) -> None:
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         raise InputError(
-            f"names must be unique, but more than one sensor has the {_listing('name', repeated)}"
+            f"names must be unique, but more than one sensor has the {counted('name', repeated)}"
         )
 
 
@@ -330,12 +330,6 @@ def _interpolated(
             np.interp(frames[gaps], known, readings[known, sensor]) if known.size else 0.0
         )
     return filled
-
-
-def _listing(noun: str, items: Sequence[object]) -> str:
-    shown = ", ".join(str(item) for item in items[:_LISTED])
-    more = f" and {len(items) - _LISTED} more" if len(items) > _LISTED else ""
-    return f"{noun}{'s' if len(items) > 1 else ''} {shown}{more}"
 
 
 def _rebuilt(fields: dict[str, Any]) -> Recording:

@@ -22,11 +22,11 @@ from anisomap._drawing import (
     View,
     bodies,
     box_around,
-    listing,
     shown,
     view_axes,
     warn_of_pieces,
 )
+from anisomap._listing import listing
 from anisomap.evaluation import Score
 from anisomap.figures._panels import (
     FAINT,

@@ -1,14 +1,13 @@
 """What is in a recording, and which of its sensors can be trusted."""
 
 from anisomap.health.assessment import STATUSES, SensorHealth, assess
-from anisomap.health.summary import RecordingSummary, shortened, summarise, weaknesses
+from anisomap.health.summary import RecordingSummary, summarise, weaknesses
 
 __all__ = [
     "STATUSES",
     "RecordingSummary",
     "SensorHealth",
     "assess",
-    "shortened",
     "summarise",
     "weaknesses",
 ]

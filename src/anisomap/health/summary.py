@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from anisomap._listing import listing
 from anisomap.health.assessment import FEWEST_CONTACTS, SensorHealth, assess
 from anisomap.recording import Recording
 
@@ -113,18 +114,12 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
         names = [sensor.name for sensor in health if sensor.status in statuses]
         if names:
             verdict = "do not trust a map of this: " if 2 * len(names) > len(health) else ""
-            listed = shortened(names)
+            listed = listing(names)
             found.append(f"{verdict}{len(names)} of {len(health)} sensors {what}: {listed}")
     rare = [s.name for s in health if 0 < s.contacts < FEWEST_CONTACTS and s.status == "ok"]
     if rare:
         found.append(
             f"{len(rare)} of {len(health)} sensors were touched fewer than {FEWEST_CONTACTS} "
-            f"times: {shortened(rare)}"
+            f"times: {listing(rare)}"
         )
     return tuple(found)
-
-
-def shortened(items: Sequence[object], most: int = 8) -> str:
-    """List the first few items, and say how many more there are."""
-    more = f" and {len(items) - most} more" if len(items) > most else ""
-    return ", ".join(map(str, items[:most])) + more

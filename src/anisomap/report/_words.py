@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisomap._drawing import UP_TO, listing, shown, warn_of_pieces
+from anisomap._drawing import UP_TO, shown, warn_of_pieces
+from anisomap._listing import listing
 from anisomap.evaluation import Score
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
