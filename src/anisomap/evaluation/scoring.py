@@ -121,7 +121,7 @@ def score(
     if len(chosen) < FEWEST_SENSORS:
         raise InputError(
             f"only {len(chosen)} sensors can be compared with the truth; it takes at least 4"
-            + "".join(f" ({note})" for note in notes)
+            + (f" ({'; '.join(notes)})" if notes else "")
         )
     return Score(
         mantel=mantel(
