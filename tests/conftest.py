@@ -4,8 +4,15 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 SHARED = Path(os.environ.get("ANISOMAP_SHARED", Path(__file__).parents[2] / "shared"))
+
+
+# Where a change is judged, chance must not judge it; elsewhere every run tries something new.
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+if os.environ.get("CI"):
+    settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session")

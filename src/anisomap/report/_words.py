@@ -77,7 +77,11 @@ def number(value: float | None, digits: int = 3, unit: str = "") -> str:
     if value is None or not math.isfinite(value):
         return UNKNOWN
     rounded = float(f"{value:.{digits}g}")
-    text = f"{rounded:.0f}" if 1000 <= abs(rounded) < 1e7 else f"{rounded:.{digits}g}"
+    if 1000 <= abs(rounded) < 1e7:  # written out, where "g" would begin to write exponents
+        decimals = max(0, digits - len(str(int(abs(rounded)))))
+        text = f"{rounded:.{decimals}f}"
+    else:
+        text = f"{rounded:.{digits}g}"
     return f"{text} {unit}".strip()
 
 
