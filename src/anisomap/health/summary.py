@@ -107,7 +107,11 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
         )
     groups = {
         "never vary and carry no information": ("dead", "stuck"),
-        "look faulty": ("saturating", "intermittent", "noisy"),
+        "look faulty and may distort the whole map (leave them out: --drop)": (
+            "saturating",
+            "intermittent",
+            "noisy",
+        ),
         "are related to no other sensor beyond chance, so their place is a guess": ("isolated",),
     }
     for what, statuses in groups.items():
