@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal, TypeAlias, TypeVar
 
@@ -40,6 +40,11 @@ class Recording:
         Frames a second; taken from `times` where those are given.
     positions : array_like of shape (N, 2) or (N, 3), optional
         Where the sensors truly are, if that is known: only scores and figures use it.
+    normals : array_like of shape (N, 3), optional
+        Unit vectors that point out of the skin, if known.
+    surface_distances : array_like of shape (N, N), optional
+        Distances along the skin (geodesic) in the unit of `positions`, if known; inf between parts
+        that do not touch.
     units : str
         Unit of `positions`, such as ``"mm"``; empty if unknown.
     source : str
@@ -59,6 +64,8 @@ class Recording:
     times: NDArray[np.float64] | None = None
     rate_hz: float | None = None
     positions: NDArray[np.float64] | None = None
+    normals: NDArray[np.float64] | None = None
+    surface_distances: NDArray[np.float64] | None = None
     units: str = ""
     source: str = ""
     metadata: Mapping[str, Scalar] = field(default_factory=dict)
@@ -77,24 +84,21 @@ class Recording:
             raise InputError(
                 f"rate_hz is {rate_hz}; it must be a positive number of frames a second"
             )
-        positions = self.positions
-        if positions is not None:
-            positions = _frozen(np.array(positions, dtype=np.float64))
-            if (
-                positions.ndim != 2
-                or len(positions) != n_sensors
-                or positions.shape[1] not in (2, 3)
-            ):
-                raise InputError(
-                    f"positions have shape {positions.shape}; "
-                    f"{n_sensors} sensors need ({n_sensors}, 2) or ({n_sensors}, 3)"
-                )
+        truth = {
+            "positions": ((n_sensors, 2), (n_sensors, 3)),
+            "normals": ((n_sensors, 3),),
+            "surface_distances": ((n_sensors, n_sensors),),
+        }
+        for name, shapes in truth.items():
+            if getattr(self, name) is not None:
+                array = _frozen(np.array(getattr(self, name), dtype=np.float64))
+                _check_shape(name, array, shapes, n_sensors)
+                object.__setattr__(self, name, array)
         for name, value in {
             "readings": readings,
             "names": names,
             "times": times,
             "rate_hz": rate_hz,
-            "positions": positions,
             "metadata": MappingProxyType(dict(self.metadata)),
         }.items():
             object.__setattr__(self, name, value)
@@ -167,15 +171,14 @@ class Recording:
             The same frames of those sensors.
         """
         chosen = np.arange(self.n_sensors)[np.asarray(sensors)]
-        return Recording(
-            self.readings[:, chosen],
+        apart = self.surface_distances
+        return replace(
+            self,
+            readings=self.readings[:, chosen],
             names=tuple(self.names[i] for i in chosen),
-            times=self.times,
-            rate_hz=self.rate_hz,
             positions=None if self.positions is None else self.positions[chosen],
-            units=self.units,
-            source=self.source,
-            metadata=self.metadata,
+            normals=None if self.normals is None else self.normals[chosen],
+            surface_distances=None if apart is None else apart[np.ix_(chosen, chosen)],
         )
 
     def complete(self, policy: MissingPolicy = "error") -> Recording:
@@ -205,7 +208,7 @@ class Recording:
         if policy == "error":
             raise InputError(self._describe_missing(missing))
         if policy == "interpolate":
-            return self._replace_readings(_interpolated(self.readings, missing))
+            return replace(self, readings=_interpolated(self.readings, missing))
         if policy != "drop-frames":
             raise InputError(f"unknown policy {policy!r}: use error, drop-frames or interpolate")
         silent = missing.all(axis=0)
@@ -217,21 +220,7 @@ class Recording:
             )
         kept = np.where(missing, 0, self.readings)[whole]
         times = None if self.times is None else self.times[whole]
-        return self._replace_readings(kept, times=times)
-
-    def _replace_readings(
-        self, readings: NDArray[np.floating], times: NDArray[np.float64] | None = None
-    ) -> Recording:
-        return Recording(
-            readings,
-            names=self.names,
-            times=self.times if times is None else times,
-            rate_hz=self.rate_hz,
-            positions=self.positions,
-            units=self.units,
-            source=self.source,
-            metadata=self.metadata,
-        )
+        return replace(self, readings=kept, times=times)
 
     def _describe_missing(self, missing: NDArray[np.bool_]) -> str:
         sensors = [self.names[i] for i in np.flatnonzero(missing.any(axis=0))]
@@ -302,6 +291,16 @@ def _as_readings(values: ArrayLike) -> NDArray[np.floating]:
 def _frozen(array: _Array) -> _Array:
     array.setflags(write=False)
     return array
+
+
+def _check_shape(
+    name: str, array: NDArray[np.float64], shapes: tuple[tuple[int, int], ...], n_sensors: int
+) -> None:
+    if array.shape not in shapes:
+        raise InputError(
+            f"{name} have shape {array.shape}; "
+            f"{n_sensors} sensors need {' or '.join(map(str, shapes))}"
+        )
 
 
 def _check_times(times: NDArray[np.float64], n_frames: int) -> None:

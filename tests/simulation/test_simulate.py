@@ -33,6 +33,9 @@ def test_every_scenario_of_every_body_gives_a_recording_that_says_where_it_came_
     np.testing.assert_array_equal(recording.positions, made.positions)
     assert (recording.readings >= 0).all()
     assert (recording.readings > 0).any()
+    np.testing.assert_array_equal(recording.normals, made.normals)
+    assert recording.surface_distances is not None
+    assert recording.names == made.names
     assert recording.units == "m"
     assert recording.rate_hz is not None
     assert body in recording.source
@@ -42,14 +45,15 @@ def test_every_scenario_of_every_body_gives_a_recording_that_says_where_it_came_
     assert told["anisomap"] == __version__
     assert told["mujoco"] == sys.modules["mujoco"].__version__
     assert all(type(value) in (str, int, float, bool) for value in told.values())
-    for name in vars(SCENARIOS[scenario].options()):
-        assert name in told
+    for name, default in vars(SCENARIOS[scenario].options()).items():
+        assert name in told or default is None
 
 
 def test_the_parameters_are_recorded_as_they_were_used() -> None:
     needs_mujoco()
-    options = BombardmentOptions(n_balls=np.int64(7), detection_radius=0.3, frame_interval=0.04)
-    recording = simulate(n_frames=5, n_sensors=33, options=options)
+    given = {"n_balls": np.int64(7), "detection_radius": 0.3, "frame_interval": 0.04}
+    options = BombardmentOptions(**given)
+    recording = simulate(n_frames=5, n_sensors=33, **given)
     assert recording.n_sensors == 33
     assert recording.rate_hz == pytest.approx(25)
     assert recording.metadata["n_balls"] == 7
@@ -110,7 +114,7 @@ def test_one_frame_is_a_recording() -> None:
         ({"seed": None}, "seed is None"),
         ({"body": "teapot"}, "there is no body 'teapot'; choose from sphere"),
         ({"scenario": "rain"}, "there is no scenario 'rain'; choose from bombardment"),
-        ({"options": {"n_balls": 3}}, "of type dict; give BombardmentOptions"),
+        ({"n_bals": 3}, "has no parameter 'n_bals'; choose from box_half_width, n_balls"),
     ],
 )
 def test_nonsense_is_refused(arguments: dict[str, Any], message: str) -> None:

@@ -1,8 +1,9 @@
 """NumPy archives: recordings and maps.
 
-A recording has ``readings`` (T, N), and may have ``positions``, ``names``, ``times``, ``rate_hz``,
-``units``, ``source``; single values of any other name are its metadata, other arrays are passed
-over. A map has ``positions`` instead of ``readings``. Nothing is ever unpickled.
+A recording has ``readings`` (T, N), and may have ``positions``, ``normals``,
+``surface_distances``, ``names``, ``times``, ``rate_hz``, ``units``, ``source``; single values of
+any other name are its metadata, other arrays are passed over. A map has ``positions`` instead of
+``readings``. Nothing is ever unpickled.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from anisomap.sensor_map import SensorMap
 
 _MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
 _RECORDING_KEYS = {
-    *("readings", "positions", "names", "times", "rate_hz", "units", "source", "metadata"),
+    *("readings", "positions", "normals", "surface_distances"),
+    *("names", "times", "rate_hz", "units", "source", "metadata"),
 }
 
 
@@ -59,6 +61,8 @@ def read_recording(path: Path) -> Recording:
             times=None if times is None else increasing(times, path),
             rate_hz=archive.number("rate_hz"),
             positions=archive.array("positions", NUMBERS),
+            normals=archive.array("normals", NUMBERS),
+            surface_distances=archive.array("surface_distances", NUMBERS),
             units=archive.text("units"),
             source=archive.text("source", path.name),
             metadata={**archive.scalars(but=_RECORDING_KEYS), **archive.mapping("metadata")},
@@ -117,6 +121,8 @@ def write_recording(recording: Recording, path: Path) -> None:
         "readings": recording.readings,
         "names": np.array(recording.names, dtype=str),
         "positions": recording.positions,
+        "normals": recording.normals,
+        "surface_distances": recording.surface_distances,
         "times": recording.times,
         "rate_hz": recording.rate_hz,
         "units": recording.units,

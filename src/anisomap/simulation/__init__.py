@@ -14,7 +14,13 @@ from anisomap.simulation.faults import (
     noisy,
     saturating,
 )
-from anisomap.simulation.scenarios import SCENARIOS, simulate
+from anisomap.simulation.scenarios import (
+    SCENARIOS,
+    Simulation,
+    run_simulation,
+    simulate,
+    simulate_runs,
+)
 
 __all__ = [
     "BODIES",
@@ -23,10 +29,13 @@ __all__ = [
     "Body",
     "BombardmentOptions",
     "Fault",
+    "Simulation",
     "dead",
     "fault_mask",
     "inflicted_faults",
     "noisy",
+    "run_simulation",
     "saturating",
     "simulate",
+    "simulate_runs",
 ]

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 _LEMNISCATE = 2.6220575542921198  # a contact of a cubic spring lasts so many times depth / speed
 _WIDTH = 3  # x softness: a ball nine times as fast as `speed` would reach it
 
@@ -62,8 +65,8 @@ class ElasticContact:
         return [_IMPEDANCE_AT_SURFACE, _IMPEDANCE_INSIDE, width, midpoint, power]
 
 
-def total_energy(data: Any, step: float) -> float:
-    """Add up kinetic energy and that stored in contacts, for bodies of 1 kg that do not turn.
+def total_energy(data: Any, step: float, masses: NDArray[np.float64]) -> float:
+    """Add up kinetic energy and that stored in contacts, for bodies that do not turn.
 
     Parameters
     ----------
@@ -71,6 +74,8 @@ def total_energy(data: Any, step: float) -> float:
         Just after ``mj_forward``. Every constraint is an `ElasticContact`.
     step : float
         Seconds; the integrator's velocities are half a step behind its positions.
+    masses : ndarray of shape (nv,)
+        Of what moves along each coordinate. Kilograms.
 
     Returns
     -------
@@ -80,4 +85,4 @@ def total_energy(data: Any, step: float) -> float:
     """
     velocities = data.qvel + step / 2 * data.qacc
     stored = -data.efc_force @ data.efc_pos / 4
-    return float(velocities @ velocities / 2 + stored)
+    return float(masses @ velocities**2 / 2 + stored)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from anisomap.errors import InputError
 from anisomap.numerics.activity import estimate_rest
 from anisomap.recording import Recording
-from anisomap.simulation.world import check_positive
+from anisomap.simulation.checks import check_positive
 
 RECORD = "faults"
 """Key of the metadata that holds, as JSON, what was done."""

@@ -5,8 +5,11 @@ To add a scenario, add one function and one line to `SCENARIOS`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -15,9 +18,13 @@ import numpy as np
 from anisomap._version import __version__
 from anisomap.errors import InputError
 from anisomap.recording import Recording, Scalar
-from anisomap.simulation.bodies import BODIES, UNITS
+from anisomap.scene import Scene
+from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bombardment import BombardmentOptions, bombardment
-from anisomap.simulation.world import Progress, Run, check_count, load_mujoco
+from anisomap.simulation.checks import check_count
+from anisomap.simulation.geodesics import surface_distances
+from anisomap.simulation.options import fitted
+from anisomap.simulation.world import Progress, Run, load_mujoco
 
 Entry = TypeVar("Entry")
 
@@ -40,11 +47,29 @@ class Scenario:
     run : callable
         Takes body, number of frames, options, a numpy Generator and a progress callable or None;
         gives a `Run`.
+    on_mujoco : bool
+        Whether it runs on the physics engine, whose version is then on the record.
     """
 
     summary: str
-    options: Callable[[], Any]
+    options: type[Any]
     run: Callable[..., Run]
+    on_mujoco: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A recording, and how it came about.
+
+    Attributes
+    ----------
+    recording : Recording
+    scene : Scene
+        What there was to be seen, for pictures.
+    """
+
+    recording: Recording
+    scene: Scene
 
 
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
@@ -53,27 +78,28 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
             "elastic balls fly about the body in a box without gravity",
             BombardmentOptions,
             bombardment,
+            on_mujoco=True,
         ),
     }
 )
 
 
 def simulate(
-    body: str = "sphere",
+    body: str | Body = "sphere",
     scenario: str = "bombardment",
     *,
     n_frames: int = DEFAULT_FRAMES,
     seed: int | np.random.Generator = DEFAULT_SEED,
     n_sensors: int | None = None,
-    options: BombardmentOptions | None = None,
     progress: Progress | None = None,
+    **parameters: Any,
 ) -> Recording:
     """Simulate a recording whose truth is known.
 
     Parameters
     ----------
-    body : str
-        A name in `BODIES`.
+    body : str or Body
+        A name in `BODIES`, or a body of your own (`body_from_mesh` and its like).
     scenario : str
         A name in `SCENARIOS`.
     n_frames : int
@@ -82,18 +108,18 @@ def simulate(
         Same seed, same recording, byte for byte on one machine. A generator gives the seed that
         is then used and recorded, so that the recording can be made again from its metadata.
     n_sensors : int, optional
-        Sensors on the body; the body's own number unless given (60 on the sphere).
-    options : BombardmentOptions, optional
-        Parameters of the scenario.
+        Sensors on a body that is named; its own number unless given (60 on the sphere).
     progress : callable, optional
         Told the share done, from 0 to 1.
+    **parameters
+        Those of the scenario, see its options; what is not given has a default that suits the
+        body.
 
     Returns
     -------
     Recording
-        With true positions in metres. Its metadata hold body, scenario, seed, versions, every
-        parameter, and what was measured of the physics: ``energy_drift`` (as a share) and
-        ``deepest_overlap`` (metres).
+        With true positions, normals and distances along the surface. Its metadata hold body,
+        scenario, seed, versions, every parameter, and what was measured of the physics.
 
     Raises
     ------
@@ -107,33 +133,114 @@ def simulate(
     McGregor et al. (2011), section "Tactile Data: Simulated Environment",
     doi:10.1371/journal.pone.0026561.
     """
+    return run_simulation(
+        body,
+        scenario,
+        n_frames=n_frames,
+        seed=seed,
+        n_sensors=n_sensors,
+        progress=progress,
+        **parameters,
+    ).recording
+
+
+def run_simulation(
+    body: str | Body = "sphere",
+    scenario: str = "bombardment",
+    *,
+    n_frames: int = DEFAULT_FRAMES,
+    seed: int | np.random.Generator = DEFAULT_SEED,
+    n_sensors: int | None = None,
+    progress: Progress | None = None,
+    **parameters: Any,
+) -> Simulation:
+    """Simulate as `simulate` does, and keep the scene, too."""
     check_count("n_frames", n_frames)
     chosen = _find("scenario", SCENARIOS, scenario)
-    make = _find("body", BODIES, body)
-    used = chosen.options() if options is None else options
-    if type(used) is not chosen.options:
-        raise InputError(
-            f"options of {scenario} cannot be of type {type(used).__name__}; "
-            f"give {chosen.options.__name__}"
-        )
+    skin = find_body(body, n_sensors)
+    used = fitted(chosen.options, skin, parameters)
     number = _seed_number(seed)
-    skin = make() if n_sensors is None else make(n_sensors)
     run = chosen.run(skin, n_frames, used, np.random.default_rng(number), progress)
-    return Recording(
+    facts = {
+        "body": skin.name,
+        "scenario": scenario,
+        "seed": number,
+        **{name: _plain(value) for name, value in run.facts.items() if value is not None},
+        "anisomap": __version__,
+    }
+    if chosen.on_mujoco:
+        facts["mujoco"] = load_mujoco().__version__
+    recording = Recording(
         run.readings,
+        names=skin.names,
         rate_hz=run.rate_hz,
         positions=skin.positions,
-        units=UNITS,
+        normals=skin.normals,
+        surface_distances=surface_distances(skin),
+        units=skin.units,
         source=f"simulated {scenario} of a {skin.name}, seed {number}",
-        metadata={
-            "body": skin.name,
-            "scenario": scenario,
-            "seed": number,
-            **{name: _plain(value) for name, value in run.facts.items()},
-            "anisomap": __version__,
-            "mujoco": load_mujoco().__version__,
-        },
+        metadata=facts,
     )
+    times = np.arange(n_frames) / run.rate_hz
+    title = f"{skin.name}, {scenario}"
+    scene = Scene(title, run.props, run.sensors, recording.readings, times, skin.units)
+    return Simulation(recording, scene)
+
+
+def simulate_runs(
+    body: str | Body,
+    scenario: str,
+    seeds: Iterable[int],
+    *,
+    workers: int | None = None,
+    **settings: Any,
+) -> list[Recording]:
+    """Simulate with several seeds, in parallel over the cores.
+
+    Parameters
+    ----------
+    body : str or Body
+    scenario : str
+    seeds : iterable of int
+    workers : int, optional
+        Processes; as many as there are cores unless given.
+    **settings
+        What `simulate` takes besides.
+
+    Returns
+    -------
+    list of Recording
+        In the order of the seeds; each the same as `simulate` gives.
+    """
+    one = partial(_simulate_seed, body, scenario, settings)
+    chosen = list(seeds)
+    if workers == 1 or len(chosen) < 2:
+        return [one(seed) for seed in chosen]
+    # Fresh processes, since forked ones inherit threads of the libraries below.
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(one, chosen))
+
+
+def find_body(body: str | Body, n_sensors: int | None = None) -> Body:
+    """Make a body by its name, or take one that is made.
+
+    Raises
+    ------
+    InputError
+        If there is no body of that name, or `n_sensors` is given for one that is made.
+    """
+    if isinstance(body, Body):
+        if n_sensors is not None:
+            raise InputError(f"n_sensors is {n_sensors}, but the body {body.name} has its sensors")
+        return body
+    make = _find("body", BODIES, body)
+    return make() if n_sensors is None else make(n_sensors)
+
+
+def _simulate_seed(
+    body: str | Body, scenario: str, settings: Mapping[str, Any], seed: int
+) -> Recording:
+    return simulate(body, scenario, seed=seed, **settings)
 
 
 def _find(what: str, registry: Mapping[str, Entry], name: str) -> Entry:

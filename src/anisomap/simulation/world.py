@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from anisomap.errors import InputError, MissingExtraError
+from anisomap.errors import MissingExtraError
 from anisomap.recording import Scalar
+from anisomap.scene import Prop
+from anisomap.simulation.bodies.body import Body
+from anisomap.simulation.solids import Solid
 
 Progress: TypeAlias = Callable[[float], None]
 """Told the share done, from 0 to 1."""
@@ -30,11 +34,17 @@ class Run:
         Frames a second.
     facts : mapping of str to str, int, float or bool
         Every parameter as it was used, and what was measured of the physics.
+    props : tuple of Prop
+        What there was to be seen.
+    sensors : ndarray of shape (T, N, 3)
+        Where the sensors were in each frame; T = 1 if they did not move.
     """
 
     readings: NDArray[np.floating]
     rate_hz: float
     facts: Mapping[str, Scalar]
+    props: tuple[Prop, ...]
+    sensors: NDArray[np.float64]
 
 
 def load_mujoco() -> ModuleType:
@@ -51,25 +61,41 @@ def load_mujoco() -> ModuleType:
         raise MissingExtraError("simulating a recording", "simulation") from error
 
 
-def check_positive(name: str, value: float, unit: str = "") -> None:
-    """Refuse a parameter that must be a positive number and is not.
+def add_solids(
+    mujoco: ModuleType, spec: Any, solids: Sequence[Solid], surface: Mapping[str, Any], skin: float
+) -> None:
+    """Put solids that do not move into a model.
 
-    Raises
-    ------
-    InputError
-        If `value` is zero, negative, infinite or not a number.
+    Parameters
+    ----------
+    mujoco : module
+    spec : mujoco.MjSpec
+    solids : sequence of Solid
+    surface : mapping
+        Contact parameters: ``condim``, ``solref``, ``solimp`` ...
+    skin : float
+        Thickness of a mesh's triangles: far below any depth of contact.
+
+    Notes
+    -----
+    MuJoCo takes a mesh for its convex hull. A flexible surface that is pinned to the world keeps
+    its triangles: each pushes back on its own, by springs that add up.
     """
-    if not (np.isfinite(value) and value > 0):
-        raise InputError(f"{name} is {value:g}{unit and ' ' + unit}; it must be a positive number")
+    for i, solid in enumerate(solids):
+        if solid.kind == "mesh":
+            flex = spec.add_flex(name=f"mesh{i}", dim=2, radius=skin, vertbody=["world"], **surface)
+            flex.vert = solid.outline.vertices.ravel()
+            flex.elem = solid.outline.faces.ravel()
+            continue
+        spec.worldbody.add_geom(
+            type=getattr(mujoco.mjtGeom, f"mjGEOM_{solid.kind.upper()}"),
+            size=[*solid.size, *[0.0] * (3 - len(solid.size))],
+            pos=solid.centre,
+            quat=Rotation.from_matrix(solid.rotation).as_quat(scalar_first=True),
+            **surface,
+        )
 
 
-def check_count(name: str, value: int) -> None:
-    """Refuse a count that is not a whole number of at least 1.
-
-    Raises
-    ------
-    InputError
-        If it is not.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise InputError(f"{name} is {value}; it must be a whole number of at least 1")
+def still_life(body: Body) -> tuple[Prop, ...]:
+    """Give a body that stays where it is, as it is drawn."""
+    return tuple(Prop("body", solid.outline, np.zeros((1, 1, 3))) for solid in body.solids)
