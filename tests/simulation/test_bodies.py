@@ -22,7 +22,7 @@ def test_a_body_has_its_sensors_on_its_surface_and_their_normals_point_out_of_it
     # Nothing can be nearer to the surface than along the normal, except near an edge.
     assert (above > 0).all()
     assert (below < 0).all()
-    assert max(above.max(), -below.min()) <= step * (1 + 1e-6)
+    assert max(above.max(), -below.min()) <= step * (1 + 1e-9)
     np.testing.assert_allclose([np.median(above), -np.median(below)], step, rtol=1e-6)
     assert np.linalg.norm(body.positions, axis=1).max() <= body.reach + 1e-9
 

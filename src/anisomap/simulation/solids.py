@@ -11,13 +11,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType, ModuleType
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.scene import Mesh, frozen
+from anisomap.simulation.triangles import TriangleSearch
 
 Points: TypeAlias = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ class Solid:
         """
         local = self.into_own_frame(points)
         if self.kind == "mesh":
-            return np.asarray(-self._query.signed_distance(local))
+            return self._search.signed_distance(local)
         return _DISTANCES[self.kind](local, self.size)
 
     def into_own_frame(self, points: ArrayLike) -> Points:
@@ -110,12 +111,10 @@ class Solid:
         return float(np.linalg.norm(self.outline.vertices, axis=1).max())
 
     @cached_property
-    def _query(self) -> Any:
+    def _search(self) -> TriangleSearch:
         if self.shape is None:
             raise InputError(f"a solid of the kind {self.kind!r} must have a mesh as its shape")
-        trimesh = load_trimesh()
-        surface = trimesh.Trimesh(self.shape.vertices, self.shape.faces, process=False)
-        return trimesh.proximity.ProximityQuery(surface)
+        return TriangleSearch(self.shape)
 
 
 def ball(radius: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
@@ -150,7 +149,7 @@ def mesh(vertices: ArrayLike, faces: ArrayLike) -> Solid:
     InputError
         If the triangles do not close, or have no area.
     MissingExtraError
-        If trimesh, which measures distances from triangles, is not installed.
+        If trimesh is not installed.
     """
     surface = load_trimesh().Trimesh(vertices, faces, process=True)
     if not (len(surface.faces) and np.isfinite(surface.area) and surface.area > 0):
@@ -209,7 +208,7 @@ def projected(solids: Sequence[Solid], points: ArrayLike) -> Points:
 
 
 def load_trimesh() -> ModuleType:
-    """Import trimesh: needed for meshes only.
+    """Import trimesh, which reads meshes and knows whether they close.
 
     Raises
     ------
@@ -217,7 +216,6 @@ def load_trimesh() -> ModuleType:
         If it is not installed.
     """
     try:
-        importlib.import_module("trimesh.proximity")
         return importlib.import_module("trimesh")
     except ImportError as error:
         raise MissingExtraError("simulating a mesh", "simulation") from error
