@@ -3,7 +3,14 @@
 Needs the extra ``simulation`` (MuJoCo) when a simulation runs, and not before.
 """
 
-from anisomap.simulation.bodies import BODIES, Body
+from anisomap.simulation.bodies import (
+    BODIES,
+    Body,
+    body_from_mesh,
+    body_from_mjcf,
+    body_from_points,
+    load_body,
+)
 from anisomap.simulation.bombardment import BombardmentOptions
 from anisomap.simulation.faults import (
     FAULTS,
@@ -30,9 +37,13 @@ __all__ = [
     "BombardmentOptions",
     "Fault",
     "Simulation",
+    "body_from_mesh",
+    "body_from_mjcf",
+    "body_from_points",
     "dead",
     "fault_mask",
     "inflicted_faults",
+    "load_body",
     "noisy",
     "run_simulation",
     "saturating",

@@ -21,9 +21,10 @@ from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body
 from anisomap.simulation.checks import check_count, check_positive
 from anisomap.simulation.elastic import ElasticContact, total_energy
+from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.options import REACH, parameter
 from anisomap.simulation.sensing import read_balls
-from anisomap.simulation.world import Progress, Run, add_solids, load_mujoco, still_life
+from anisomap.simulation.world import Progress, Run, add_solids, still_life
 
 ENERGY_TOLERANCE = 0.02
 """A run whose energy strays further than this share of it is not to be trusted."""

@@ -18,7 +18,7 @@ _SAG = 0.15  # of a hop: how far its middle may be off the surface before it is 
 _FACING = -0.5  # cosine between normals
 
 
-def surface_distances(body: Body, rng: np.random.Generator | int = 0) -> NDArray[np.float64]:
+def surface_distances(body: Body, rng: np.random.Generator | int = 0) -> NDArray[np.float64] | None:
     """Measure distances between sensors along the surface (geodesic distances).
 
     Parameters
@@ -29,12 +29,15 @@ def surface_distances(body: Body, rng: np.random.Generator | int = 0) -> NDArray
 
     Returns
     -------
-    ndarray of shape (N, N)
-        Symmetric; inf between parts that do not touch. Where the body has no closed form: shortest
-        paths over thousands of points drawn from the surface, each joined to those around it
-        unless the straight line between them leaves the surface. Within 2 % of the truth on
-        spheres, cylinders and plates.
+    ndarray of shape (N, N), or None
+        None if what lies between the sensors is not known (`body_from_points`). Symmetric; inf
+        between parts that do not touch. Where the body has no closed form: shortest paths over
+        thousands of points drawn from the surface, each joined to those around it unless the
+        straight line between them leaves the surface. Within 4 % of the truth on spheres,
+        cylinders and plates, and mostly within 1 %.
     """
+    if not body.is_whole:
+        return None
     if body.geodesic is not None:
         return body.geodesic(body.positions)
     stones, normals = sample_surface(body.solids, _STEPPING_STONES, np.random.default_rng(rng))

@@ -22,9 +22,10 @@ from anisomap.scene import Scene
 from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.checks import check_count
+from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.geodesics import surface_distances
 from anisomap.simulation.options import fitted
-from anisomap.simulation.world import Progress, Run, load_mujoco
+from anisomap.simulation.world import Progress, Run
 
 Entry = TypeVar("Entry")
 
@@ -174,7 +175,7 @@ def run_simulation(
         run.readings,
         names=skin.names,
         rate_hz=run.rate_hz,
-        positions=skin.positions,
+        positions=skin.positions + skin.origin,
         normals=skin.normals,
         surface_distances=surface_distances(skin),
         units=skin.units,

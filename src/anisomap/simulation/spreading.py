@@ -15,6 +15,7 @@ Density = Callable[[Points], NDArray[np.float64] | NDArray[np.bool_]]
 
 _CANDIDATES = 100  # a sensor; more make the spacing hardly more even
 _ROUNDS = 50
+_ROUNDING = 1e-9  # of the reach
 
 
 def sample_surface(
@@ -38,19 +39,23 @@ def sample_surface(
     InputError
         If there is next to no surface to be seen.
     """
+    areas = np.array([_areas(solid.outline)[0].sum() for solid in solids])
+    inside = -_ROUNDING * max(solid.reach for solid in solids)
     found: list[tuple[Points, Points]] = []
     n_found = 0
     for _ in range(_ROUNDS):
-        drawn = [_on_solid(solid, n_points, rng) for solid in solids]
-        areas = np.array([area for *_, area in drawn])
-        # Each solid's points stand for its area: keep of each as many as it deserves.
-        for i, (points, normals, area) in enumerate(drawn):
-            kept = rng.random(n_points) < area / areas.max()
-            others = [solid for j, solid in enumerate(solids) if j != i]
-            if others:
-                kept[kept] = distance_to_all(others, points[kept]) > 0
-            found.append((points[kept], normals[kept]))
-            n_found += int(kept.sum())
+        shares = rng.multinomial(n_points, areas / areas.sum())
+        drawn = [
+            _on_solid(solid, int(share), rng)
+            for solid, share in zip(solids, shares, strict=True)
+            if share
+        ]
+        points, normals = (np.vstack(parts) for parts in zip(*drawn, strict=True))
+        if len(solids) > 1:
+            seen = distance_to_all(solids, points) >= inside
+            points, normals = points[seen], normals[seen]
+        found.append((points, normals))
+        n_found += len(points)
         if n_found >= n_points:
             points, normals = (np.vstack(parts) for parts in zip(*found, strict=True))
             chosen = rng.permutation(n_found)[:n_points]
@@ -58,30 +63,26 @@ def sample_surface(
     raise InputError("the solids hide one another's surface, so that no sensor can be put on it")
 
 
-def _on_solid(
-    solid: Solid, n_points: int, rng: np.random.Generator
-) -> tuple[Points, Points, float]:
-    """Draw points from a solid's surface; with its normals there, and its area."""
-    points, normals, area = _on_triangles(solid.outline, n_points, rng)
-    if solid.is_flat:
-        return points, normals, area
-    points = projected([solid], points)
-    return points, outward([solid], points), area
-
-
-def _on_triangles(
-    mesh: Mesh, n_points: int, rng: np.random.Generator
-) -> tuple[Points, Points, float]:
-    """Draw points from triangles by area; with their normals, and the area of all."""
-    corners = mesh.vertices[mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    doubled = np.linalg.norm(cross, axis=1)
+def _on_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tuple[Points, Points]:
+    """Draw points from a solid's surface; with its normals there."""
+    doubled, cross = _areas(solid.outline)
+    corners = solid.outline.vertices[solid.outline.faces]
     chosen = rng.choice(len(corners), size=n_points, p=doubled / doubled.sum())
     # The root spreads points evenly over a triangle (Osada et al. 2002, doi:10.1145/571647.571648).
     first, second = np.sqrt(rng.random(n_points)), rng.random(n_points)
     weights = np.column_stack([1 - first, first * (1 - second), first * second])
     points = np.einsum("nc,ncd->nd", weights, corners[chosen])
-    return points, cross[chosen] / doubled[chosen, None], float(doubled.sum() / 2)
+    if solid.is_flat:
+        return points, cross[chosen] / doubled[chosen, None]
+    points = projected([solid], points)
+    return points, outward([solid], points)
+
+
+def _areas(mesh: Mesh) -> tuple[NDArray[np.float64], Points]:
+    """Give twice the area of each triangle, and the vector of that length out of it."""
+    corners = mesh.vertices[mesh.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.linalg.norm(cross, axis=1), np.asarray(cross)
 
 
 def spread(

@@ -1,8 +1,7 @@
-"""What every scenario shares: the physics engine, and what a scenario hands back."""
+"""What scenarios share: what they hand back, and bodies as the physics engine takes them."""
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
@@ -12,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anisomap.errors import MissingExtraError
 from anisomap.recording import Scalar
 from anisomap.scene import Prop
 from anisomap.simulation.bodies.body import Body
@@ -45,20 +43,6 @@ class Run:
     facts: Mapping[str, Scalar]
     props: tuple[Prop, ...]
     sensors: NDArray[np.float64]
-
-
-def load_mujoco() -> ModuleType:
-    """Import MuJoCo: the one place that does, so that all else works without it.
-
-    Raises
-    ------
-    MissingExtraError
-        If it is not installed.
-    """
-    try:
-        return importlib.import_module("mujoco")
-    except ImportError as error:
-        raise MissingExtraError("simulating a recording", "simulation") from error
 
 
 def add_solids(

@@ -13,10 +13,24 @@ from anisomap.simulation.bodies.further import (
     tube,
     uneven_sphere,
 )
+from anisomap.simulation.bodies.imported import (
+    body_from_mesh,
+    body_from_mjcf,
+    body_from_points,
+    load_body,
+)
 from anisomap.simulation.bodies.paper import cylinder, plane, sphere, y_shape
 from anisomap.simulation.bodies.patch import hexagon
 
-__all__ = ["BODIES", "UNITS", "Body"]
+__all__ = [
+    "BODIES",
+    "UNITS",
+    "Body",
+    "body_from_mesh",
+    "body_from_mjcf",
+    "body_from_points",
+    "load_body",
+]
 
 BODIES: Mapping[str, Callable[..., Body]] = MappingProxyType(
     {

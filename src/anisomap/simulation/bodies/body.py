@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -40,6 +40,11 @@ class Body:
         One unique name a sensor; ``s0, s1, ...`` unless given.
     units : str
         Unit of every length.
+    origin : array_like of shape (3,)
+        Where the body's origin is in the frame in which a user gave it, and in which recordings
+        tell its sensors' places.
+    is_whole : bool
+        Whether the solids' surface is the body's between the sensors, too.
     geodesic : callable, optional
         Takes positions; gives their (N, N) distances along the surface, where there is a closed
         form. Others are found by `anisomap.simulation.geodesics.surface_distances`.
@@ -56,6 +61,8 @@ class Body:
     solids: Sequence[Solid]
     names: tuple[str, ...] = ()
     units: str = UNITS
+    origin: Points = field(default_factory=lambda: frozen(np.zeros(3)))
+    is_whole: bool = True
     geodesic: Callable[[Points], Points] | None = None
 
     def __post_init__(self) -> None:
@@ -72,6 +79,7 @@ class Body:
                 raise InputError(f"sensor {i} of the body {self.name} has no finite place")
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "normals", normals)
+        object.__setattr__(self, "origin", frozen(self.origin))
         object.__setattr__(self, "solids", tuple(self.solids))
         object.__setattr__(self, "names", tuple(self.names) or default_names(len(positions)))
         off = np.abs(self.distance(positions))
