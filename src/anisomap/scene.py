@@ -35,8 +35,8 @@ class Prop:
 
     Parameters
     ----------
-    role : {"body", "stimulus", "ground"}
-        What it is, which decides how it is drawn.
+    role : {"body", "stimulus", "ground", "room"}
+        What it is, which decides how it is drawn; of a room only the edges are.
     mesh : Mesh
         Its surface, in its own frame.
     centres : array_like of shape (T, B, 3)

@@ -35,6 +35,9 @@ for name, target, summary in (
     ("methods", "listing:methods", "List the methods and the similarities."),
     ("formats", "listing:formats", "List the file formats."),
     ("demo", "demo:demo", "Simulate a skin, map it, and score the map."),
+    ("simulate", "simulating:simulate_body", "Make a recording whose truth is known."),
+    ("bodies", "listing:bodies", "List the bodies that can be simulated."),
+    ("scenarios", "listing:scenarios", "List what can happen to a body, and its parameters."),
 ):
     app.command(f"anisomap.cli.{target}", name=name, help=summary)
 

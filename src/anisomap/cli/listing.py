@@ -1,10 +1,17 @@
-"""``anisomap methods`` and ``anisomap formats``: what there is, a line each."""
+"""``anisomap methods``, ``formats``, ``bodies``, ``scenarios``: what there is, a line each."""
 
 from __future__ import annotations
 
-from anisomap.cli.console import show_table
+import inspect
+
+from docstring_parser import parse as parse_docstring
+from rich.markup import escape
+from rich.padding import Padding
+
+from anisomap.cli.console import console, number, show_table
 from anisomap.formats import FORMATS
 from anisomap.methods import METHODS, PAPER_METHODS, SIMILARITIES
+from anisomap.simulation import BODIES, SCENARIOS, find_scenario
 
 
 def methods() -> None:
@@ -40,6 +47,46 @@ def formats() -> None:
             for form in FORMATS
         ],
     )
+
+
+def bodies() -> None:
+    """List the bodies that can be simulated."""
+    rows = []
+    for name, make in BODIES.items():
+        body = make()
+        size = (f"{number(length, 3)} {body.units}" for length in (body.reach, body.spacing))
+        rows.append((name, str(body.n_sensors), *size, _first_line(make).removeprefix("Make ")))
+    show_table("Bodies", ("name", "sensors", "reach", "spacing", "what it is"), rows)
+    console.print(
+        "A closed mesh, a MuJoCo model or a file of positions is a body, too:\n"
+        "  anisomap simulate part.stl --sensors 200",
+        soft_wrap=True,
+    )
+
+
+def scenarios(scenario: str | None = None, /) -> None:
+    """List what can happen to a body; of one scenario, every parameter.
+
+    Parameters
+    ----------
+    scenario
+        Whose parameters to tell, with their defaults for the paper's sphere.
+    """
+    if scenario is None:
+        rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
+        show_table("Scenarios", ("name", "what happens"), rows)
+        return
+    options = find_scenario(scenario).options
+    defaults = options()
+    for entry in parse_docstring(inspect.getdoc(options) or "").params:
+        if hasattr(defaults, entry.arg_name):
+            console.print(f"[bold]{entry.arg_name}[/] = {getattr(defaults, entry.arg_name)}")
+            text = " ".join((entry.description or "").split())
+            console.print(Padding(escape(text), (0, 0, 0, 2)))
+
+
+def _first_line(thing: object) -> str:
+    return (inspect.getdoc(thing) or "").splitlines()[0].removesuffix(".")
 
 
 def _which(**abilities: object) -> str:

@@ -51,7 +51,7 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
     """
     if not sensor_map.placed.any():
         raise InputError("no sensor of the map is placed, so there is nothing to draw")
-    figure: Figure = _load_layout().map_figure(sensor_map, score)
+    figure: Figure = load_drawing("_layout").map_figure(sensor_map, score)
     return figure
 
 
@@ -79,7 +79,7 @@ def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
     """
     if kind not in KINDS:
         raise InputError(f"a picture cannot be saved as {kind!r}; use {', '.join(KINDS)}")
-    content: bytes = _load_layout().figure_bytes(figure, kind)
+    content: bytes = load_drawing("_layout").figure_bytes(figure, kind)
     return content
 
 
@@ -121,7 +121,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         If matplotlib is not installed.
     """
     _kind(check_target(path))
-    _load_layout()
+    load_drawing("_layout")
 
 
 def _kind(path: str | os.PathLike[str]) -> str:
@@ -131,9 +131,15 @@ def _kind(path: str | os.PathLike[str]) -> str:
     return kind
 
 
-def _load_layout() -> ModuleType:
-    """Import what draws only when something is drawn: matplotlib is heavy, and an extra."""
+def load_drawing(room: str) -> ModuleType:
+    """Import what draws only when something is drawn: matplotlib is heavy, and an extra.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
     try:
-        return import_module("anisomap.figures._layout")
+        return import_module(f"anisomap.figures.{room}")
     except ModuleNotFoundError as error:
         raise MissingExtraError("a picture", "report") from error

@@ -24,6 +24,8 @@ from anisomap.simulation.faults import (
 from anisomap.simulation.scenarios import (
     SCENARIOS,
     Simulation,
+    find_body,
+    find_scenario,
     run_simulation,
     simulate,
     simulate_runs,
@@ -42,6 +44,8 @@ __all__ = [
     "body_from_points",
     "dead",
     "fault_mask",
+    "find_body",
+    "find_scenario",
     "inflicted_faults",
     "load_body",
     "noisy",

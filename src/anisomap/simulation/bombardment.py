@@ -250,7 +250,8 @@ def bombardment(
         facts=asdict(options) | {"timestep": options.step} | measured,
         props=(
             *still_life(body),
-            Prop("stimulus", solids.ball(1.0).outline, centres, scales=options.radii),
+            Prop("room", solids.box(3 * (options.box_half_width,)).outline, np.zeros((1, 1, 3))),
+            Prop("stimulus", solids.drawn_ball(), centres, scales=options.radii),
         ),
         sensors=body.positions[None],
     )

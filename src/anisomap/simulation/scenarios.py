@@ -157,7 +157,7 @@ def run_simulation(
 ) -> Simulation:
     """Simulate as `simulate` does, and keep the scene, too."""
     check_count("n_frames", n_frames)
-    chosen = _find("scenario", SCENARIOS, scenario)
+    chosen = find_scenario(scenario)
     skin = find_body(body, n_sensors)
     used = fitted(chosen.options, skin, parameters)
     number = _seed_number(seed)
@@ -179,7 +179,7 @@ def run_simulation(
         normals=skin.normals,
         surface_distances=surface_distances(skin),
         units=skin.units,
-        source=f"simulated {scenario} of a {skin.name}, seed {number}",
+        source=f"simulated {scenario} of {skin.name}, seed {number}",
         metadata=facts,
     )
     times = np.arange(n_frames) / run.rate_hz
@@ -220,6 +220,17 @@ def simulate_runs(
     # Fresh processes, since forked ones inherit threads of the libraries below.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         return list(pool.map(one, chosen))
+
+
+def find_scenario(name: str) -> Scenario:
+    """Look a scenario up.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those that there are.
+    """
+    return _find("scenario", SCENARIOS, name)
 
 
 def find_body(body: str | Body, n_sensors: int | None = None) -> Body:

@@ -23,6 +23,7 @@ from anisomap.simulation.triangles import TriangleSearch
 Points: TypeAlias = NDArray[np.float64]
 
 _ROUND = 48  # corners of a drawn circle
+_COARSE = 16  # the same, where there are many
 _SLOPE_STEP = 1e-5  # of the reach
 _PROJECTIONS = 4
 
@@ -120,6 +121,12 @@ class Solid:
 def ball(radius: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
     """Make a ball."""
     return Solid("sphere", (float(radius),), frozen(centre))
+
+
+def drawn_ball() -> Mesh:
+    """Give a ball of radius 1 for drawing in numbers, with few triangles."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, _COARSE // 2 + 1)
+    return revolved(np.column_stack([np.cos(angle), np.sin(angle)]), _COARSE)
 
 
 def capsule(radius: float, start: ArrayLike, end: ArrayLike) -> Solid:

@@ -1,0 +1,200 @@
+"""Scenes in MuJoCo's own viewer: in a window where there is a screen, else off screen by EGL."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from anisomap.errors import AnisomapError
+from anisomap.scene import Mesh, Prop, Scene
+from anisomap.simulation.engine import load_mujoco
+from anisomap.simulation.solids import drawn_ball
+
+_COLOURS = {
+    "ground": (0.72, 0.78, 0.66, 1.0),
+    "body": (0.79, 0.81, 0.83, 1.0),
+    "stimulus": (0.90, 0.62, 0.0, 0.8),
+}
+_QUIET, _LOUD = np.array([0.27, 0.0, 0.33, 1.0]), np.array([0.99, 0.91, 0.14, 1.0])
+_SENSOR = 0.016  # of the scene's extent
+_DISTANCE = 1.35  # of the eye, times the scene's extent
+
+
+class NoScreenError(AnisomapError):
+    """There is no screen, or nothing that could render without one."""
+
+
+def has_screen() -> bool:
+    """Tell whether there is a screen for a window."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def render(
+    scene: Scene, frames: Sequence[int], *, width: int = 960, height: int = 720
+) -> list[NDArray[np.uint8]]:
+    """Render frames of a scene off screen.
+
+    Parameters
+    ----------
+    scene : Scene
+    frames : sequence of int
+    width, height : int
+        Pixels.
+
+    Returns
+    -------
+    list of ndarray of uint8, shape (height, width, 3)
+        The body grey, what touches it orange, sensors from violet (nothing) to yellow (the most
+        that any sensor ever reads).
+
+    Raises
+    ------
+    NoScreenError
+        If there is no EGL.
+    MissingExtraError
+        If MuJoCo is not installed.
+    """
+    load_mujoco()
+    # In a process of its own, since a graphics library that cannot start may end its process.
+    try:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            return pool.submit(_render_here, scene, list(frames), width, height).result()
+    except (BrokenProcessPool, ImportError, AttributeError, OSError, RuntimeError) as error:
+        raise NoScreenError(f"MuJoCo cannot render here without a screen: {error}") from error
+
+
+def _render_here(
+    scene: Scene, frames: list[int], width: int, height: int
+) -> list[NDArray[np.uint8]]:
+    os.environ["MUJOCO_GL"] = "egl"  # must be set before MuJoCo is imported
+    mujoco = load_mujoco()
+    stage = _build(mujoco, scene, width, height)
+    model = stage.model
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(model, camera)
+    camera.azimuth, camera.elevation, camera.distance = 120, -25, _DISTANCE * model.stat.extent
+    pixels = []
+    with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 100) as renderer:
+        for frame in frames:
+            _pose(mujoco, stage, scene, frame)
+            renderer.update_scene(stage.data, camera)
+            pixels.append(np.array(renderer.render(), dtype=np.uint8))
+    return pixels
+
+
+def show(scene: Scene, speed: float = 1.0) -> None:
+    """Play a scene in MuJoCo's window until it is closed.
+
+    Parameters
+    ----------
+    scene : Scene
+    speed : float
+        How many times as fast as it happened.
+
+    Raises
+    ------
+    NoScreenError
+        If there is no screen.
+    MissingExtraError
+        If MuJoCo is not installed.
+    """
+    if not has_screen():
+        raise NoScreenError("there is no screen for MuJoCo's window")
+    mujoco = load_mujoco()
+    viewer = importlib.import_module("mujoco.viewer")
+    stage = _build(mujoco, scene, 960, 720)
+    step = float(np.median(np.diff(scene.times))) if scene.n_frames > 1 else 1.0
+    frame = 0
+    with viewer.launch_passive(stage.model, stage.data) as window:
+        while window.is_running():
+            _pose(mujoco, stage, scene, frame)
+            window.sync()
+            time.sleep(step / speed)
+            frame = (frame + 1) % scene.n_frames
+
+
+@dataclass(frozen=True, eq=False)
+class _Stage:
+    """A model that is only looked at: first each of the things that it shows, then the sensors."""
+
+    model: Any
+    data: Any
+    things: tuple[tuple[Prop, int], ...]
+
+
+def _build(mujoco: ModuleType, scene: Scene, width: int, height: int) -> _Stage:
+    spec = mujoco.MjSpec()
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
+    spec.visual.headlight.diffuse = [0.6, 0.6, 0.6]
+    sky = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+    spec.add_texture(
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=sky, rgb1=[1, 1, 1], width=64, height=384
+    )
+    things: list[tuple[Prop, int]] = []
+    meshes: dict[tuple[int, float], str] = {}
+
+    def add(mesh: Mesh, scale: float, colour: tuple[float, ...]) -> None:
+        key = (id(mesh), scale)
+        if key not in meshes:
+            meshes[key] = f"mesh{len(meshes)}"
+            spec.add_mesh(
+                name=meshes[key],
+                uservert=scale * mesh.vertices.ravel(),
+                userface=mesh.faces.ravel(),
+                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,  # the ground is not closed
+            )
+        thing = spec.worldbody.add_body(mocap=True)
+        thing.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=meshes[key],
+            rgba=colour,
+            contype=0,
+            conaffinity=0,
+        )
+
+    for prop in scene.props:
+        if prop.role in _COLOURS:
+            count = prop.centres.shape[1]
+            for i, scale in enumerate(np.ones(count) if prop.scales is None else prop.scales):
+                add(prop.mesh, float(scale), _COLOURS[prop.role])
+                things.append((prop, i))
+    bead = drawn_ball()
+    radius = _SENSOR * float(np.ptp(scene.sensors[0], axis=0).max())
+    for _ in range(scene.sensors.shape[1]):
+        add(bead, radius, tuple(_QUIET))
+    seen = np.vstack([s for p in scene.props if p.role != "ground" for s in p.surfaces(0)])
+    spec.stat.extent = float(np.ptp(seen, axis=0).max())
+    spec.stat.center = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    model = spec.compile()
+    return _Stage(model, mujoco.MjData(model), tuple(things))
+
+
+def _pose(mujoco: ModuleType, stage: _Stage, scene: Scene, frame: int) -> None:
+    """Put everything where it is in a frame, and colour the sensors by what they read."""
+    model, data, n_things = stage.model, stage.data, len(stage.things)
+    for thing, (prop, i) in enumerate(stage.things):
+        turn = np.eye(3)
+        if prop.rotations is not None:
+            turn = prop.rotations[frame % len(prop.rotations)][i]
+        data.mocap_pos[thing] = prop.centres[frame % len(prop.centres)][i]
+        data.mocap_quat[thing] = Rotation.from_matrix(turn).as_quat(scalar_first=True)
+    data.mocap_pos[n_things:] = scene.sensors[frame % len(scene.sensors)]
+    loudness = scene.readings[frame] / (float(np.nanmax(scene.readings)) or 1.0)
+    model.geom_rgba[n_things:] = _QUIET + np.nan_to_num(loudness)[:, None] * (_LOUD - _QUIET)
+    mujoco.mj_forward(model, data)
