@@ -21,6 +21,7 @@ from anisomap.simulation.faults import (
     noisy,
     saturating,
 )
+from anisomap.simulation.locomotion import LocomotionOptions
 from anisomap.simulation.scenarios import (
     SCENARIOS,
     Simulation,
@@ -38,6 +39,7 @@ __all__ = [
     "Body",
     "BombardmentOptions",
     "Fault",
+    "LocomotionOptions",
     "Simulation",
     "body_from_mesh",
     "body_from_mjcf",

@@ -24,6 +24,7 @@ from anisomap.simulation.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.checks import check_count
 from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.geodesics import surface_distances
+from anisomap.simulation.locomotion import LocomotionOptions, locomotion, rolls
 from anisomap.simulation.options import fitted
 from anisomap.simulation.world import Progress, Run
 
@@ -50,12 +51,15 @@ class Scenario:
         gives a `Run`.
     on_mujoco : bool
         Whether it runs on the physics engine, whose version is then on the record.
+    suits : callable
+        Takes a body; tells whether this can happen to it. `run` refuses others.
     """
 
     summary: str
     options: type[Any]
     run: Callable[..., Run]
     on_mujoco: bool = False
+    suits: Callable[[Body], bool] = lambda _: True
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +84,13 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
             BombardmentOptions,
             bombardment,
             on_mujoco=True,
+        ),
+        "locomotion": Scenario(
+            "a sphere or cylinder rolls over uneven ground under gravity",
+            LocomotionOptions,
+            locomotion,
+            on_mujoco=True,
+            suits=rolls,
         ),
     }
 )

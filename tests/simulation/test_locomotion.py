@@ -1,0 +1,136 @@
+"""What rolls must roll: forward, without sliding, on the ground and with all of itself."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.simulation.bodies import BODIES
+from anisomap.simulation.bodies.paper import cylinder, sphere
+from anisomap.simulation.locomotion import Journey, LocomotionOptions, locomotion, roll
+from anisomap.simulation.options import fitted
+
+mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+
+FRAMES = 700
+short_runs = pytest.mark.filterwarnings("ignore:the body did not roll well")
+
+
+@pytest.fixture(scope="module", params=["sphere", "cylinder"])
+def journey(request: pytest.FixtureRequest) -> tuple[Any, LocomotionOptions, Journey]:
+    body = BODIES[request.param]()
+    body = body.scaled(1 / body.reach)
+    options = fitted(LocomotionOptions, body)
+    return body, options, roll(body, FRAMES, options, np.random.default_rng(7))
+
+
+def test_it_keeps_moving_and_stays_on_the_ground(journey: Any) -> None:
+    _, options, travelled = journey
+    assert np.mean(travelled.speeds > 0.1 * options.speed) > 0.9
+    assert np.abs(travelled.centres[:, :2]).max() < options.half_width
+    length = np.linalg.norm(np.diff(travelled.centres, axis=0), axis=1).sum()
+    assert length > 0.7 * options.speed * options.frame_interval * FRAMES
+
+
+def test_it_rolls_and_does_not_slide(journey: Any) -> None:
+    body, options, travelled = journey
+    slips = travelled.slips[np.isfinite(travelled.slips)]
+    assert len(slips) > 0.5 * FRAMES
+    assert np.median(slips) < 0.05
+    # From the path alone: a body of radius R turns by distance / R. On bumps the way along the
+    # ground is a little longer than that of the middle.
+    turned = np.einsum("tij,tkj->tik", travelled.rotations[1:], travelled.rotations[:-1])
+    angles = np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    distance = np.linalg.norm(np.diff(travelled.centres, axis=0), axis=1)
+    assert angles.sum() * body.solids[0].size[0] == pytest.approx(distance.sum(), rel=0.1)
+    assert options.speed > 0
+
+
+def test_it_lies_on_the_ground_and_not_in_it(journey: Any) -> None:
+    body, _, travelled = journey
+    assert travelled.overlaps.max() < 0.03
+    outline = body.solids[0].outline.vertices
+    for frame in range(0, FRAMES, 70):
+        surface = outline @ travelled.rotations[frame].T + travelled.centres[frame]
+        lowest = travelled.terrain.distance(surface).min()
+        assert -0.03 < lowest < 0.1  # it may be in the air for a moment
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("make", [sphere, cylinder])
+def test_all_of_it_touches_the_ground_over_a_run(make: Any, seed: int) -> None:
+    body = make()
+    run = locomotion(body, 2000, fitted(LocomotionOptions, body), np.random.default_rng(seed))
+    assert run.facts["share_touched"] == 1
+    assert (run.readings > 0).any(axis=0).all()
+    assert 0.3 < (run.readings == 0).mean() < 0.95
+
+
+@short_runs
+def test_readings_are_those_of_the_ground_in_each_sensors_range(journey: Any) -> None:
+    body, options, travelled = journey
+    run = locomotion(body, 30, options, np.random.default_rng(7))
+    sensors = travelled.sensors(body.positions)[:30]
+    np.testing.assert_allclose(run.sensors, sensors, atol=1e-12)
+    distance = travelled.terrain.distance(sensors.reshape(-1, 3)).reshape(30, -1)
+    np.testing.assert_allclose(
+        run.readings, np.maximum(0, options.detection_radius - distance), atol=1e-6
+    )
+
+
+def test_the_sphere_rolls_about_every_axis() -> None:
+    body = sphere()
+    journey = roll(body, 2000, LocomotionOptions(), np.random.default_rng(3))
+    down = -journey.rotations[:, 2]  # the direction of the ground, as the body sees it
+    spread = down.T @ down / len(down)
+    assert np.linalg.eigvalsh(spread).min() > 0.15  # 1/3 if all directions were alike
+
+
+@short_runs
+def test_the_same_seed_gives_the_same_journey_and_another_seed_another() -> None:
+    body = sphere()
+    one, same, other = (
+        locomotion(body, 40, LocomotionOptions(half_width=5.0), np.random.default_rng(seed))
+        for seed in (1, 1, 2)
+    )
+    assert one.readings.tobytes() == same.readings.tobytes()
+    assert not np.array_equal(one.readings, other.readings)
+
+
+@short_runs
+def test_a_body_of_another_size_rolls_alike() -> None:
+    large = sphere()
+    small = large.scaled(0.05)
+    runs = [
+        locomotion(body, 40, fitted(LocomotionOptions, body), np.random.default_rng(4))
+        for body in (large, small)
+    ]
+    np.testing.assert_allclose(runs[1].readings, 0.05 * runs[0].readings, atol=1e-6)
+
+
+def test_what_slides_is_told_of() -> None:
+    with pytest.warns(AnisomapWarning, match="take more friction"):
+        locomotion(sphere(), 200, LocomotionOptions(friction=0.01), np.random.default_rng(0))
+
+
+def test_too_short_a_run_is_told_of() -> None:
+    with pytest.warns(AnisomapWarning, match="of the sensors touched the ground"):
+        locomotion(sphere(), 5, LocomotionOptions(), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"speed": 0}, "speed is 0 m/s"),
+        ({"gravity": -9.81}, "gravity is -9.81"),
+        ({"half_width": float("nan")}, "half_width is nan"),
+        ({"timestep": 0.02}, "take at most 0.006 s"),
+        ({"cell": 0.3}, "take at most half of that"),
+        ({"roughness": 0.3}, "take at most 0.175 m"),
+    ],
+)
+def test_nonsense_is_refused(change: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        replace(LocomotionOptions(), **change)

@@ -1,0 +1,109 @@
+"""The ground: heights, distances and readings against brute force and against the engine."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from anisomap.simulation.terrain import Terrain, bumpy_terrain
+from anisomap.simulation.triangles import nearest_on_triangles
+
+
+def ground(seed: int = 0, roughness: float = 0.3) -> Terrain:
+    return bumpy_terrain(2.0, 0.25, roughness, 0.6, np.random.default_rng(seed))
+
+
+def brute_force(terrain: Terrain, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    corners = terrain.mesh.vertices[terrain.mesh.faces]
+    return np.array(
+        [
+            np.linalg.norm(
+                nearest_on_triangles(np.repeat(point[None], len(corners), 0), corners) - point,
+                axis=1,
+            ).min()
+            for point in points
+        ]
+    )
+
+
+@given(st.integers(0, 50))
+@settings(max_examples=8, deadline=None)
+def test_the_distance_is_that_of_the_nearest_of_all_triangles(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = ground(seed)
+    points = rng.uniform([-1.5, -1.5, -1], [1.5, 1.5, 1.5], size=(40, 3))
+    found = terrain.distance(points)
+    np.testing.assert_allclose(np.abs(found), brute_force(terrain, points), atol=1e-12)
+    above = points[:, 2] > terrain.height(points)
+    assert ((found > 0) == above).all()
+
+
+def test_no_sampled_point_of_the_ground_is_nearer_than_the_distance_says() -> None:
+    terrain = ground(3)
+    fine = np.linspace(-2, 2, 401)
+    x, y = map(np.ravel, np.meshgrid(fine, fine))
+    surface = np.column_stack([x, y, terrain.height(np.column_stack([x, y]))])
+    points = np.random.default_rng(0).uniform([-1, -1, -0.5], [1, 1, 1], size=(50, 3))
+    sampled = np.linalg.norm(points[:, None] - surface, axis=2).min(axis=1)
+    distance = np.abs(terrain.distance(points))
+    assert (sampled >= distance - 1e-12).all()
+    assert (sampled <= distance + 0.01).all()
+
+
+def test_heights_are_those_of_the_grid_and_of_the_triangles_between() -> None:
+    terrain = ground(1)
+    np.testing.assert_allclose(
+        terrain.height(terrain.mesh.vertices), terrain.heights.ravel(), atol=1e-12
+    )
+    middles = terrain.mesh.vertices[terrain.mesh.faces].mean(axis=1)
+    np.testing.assert_allclose(terrain.height(middles), middles[:, 2], atol=1e-12)
+    np.testing.assert_allclose(terrain.distance(middles), 0, atol=1e-12)
+
+
+def test_cells_are_parted_along_the_diagonal_along_which_the_engine_parts_them() -> None:
+    mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    terrain = ground(2)
+    lowest, highest = terrain.heights.min(), terrain.heights.max()
+    spec = mujoco.MjSpec()
+    n, half = len(terrain.heights), terrain.half_width
+    data = ((terrain.heights - lowest) / (highest - lowest)).ravel()
+    spec.add_hfield(
+        name="ground", nrow=n, ncol=n, size=[half, half, highest - lowest, 1.0], userdata=data
+    )
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", pos=[0, 0, lowest]
+    )
+    model = spec.compile()
+    state = mujoco.MjData(model)
+    mujoco.mj_forward(model, state)
+    places = np.random.default_rng(5).uniform(-1.9, 1.9, size=(200, 2))
+    seen = []
+    for place in places:
+        start = np.array([*place, 5.0])
+        hit = np.zeros(1, dtype=np.int32)
+        seen.append(5 - mujoco.mj_ray(model, state, start, [0, 0, -1.0], None, 1, -1, hit, None))
+    np.testing.assert_allclose(terrain.height(places), seen, atol=1e-6)
+    # With the other diagonal the heights would be others, and this test would tell.
+    flipped = Terrain(terrain.heights[:, ::-1], terrain.cell)
+    mirrored = flipped.height(places * [-1, 1])
+    assert np.abs(mirrored - seen).max() > 1e-3
+
+
+def test_readings_are_the_depth_of_the_ground_in_the_sphere_of_detection() -> None:
+    terrain = ground(4)
+    points = np.random.default_rng(1).uniform([-1.5, -1.5, -0.5], [1.5, 1.5, 3], size=(300, 3))
+    expected = np.maximum(0, 0.4 - terrain.distance(points))
+    np.testing.assert_allclose(terrain.readings(points, 0.4), expected, atol=1e-7)
+    assert 0.1 < (expected > 0).mean() < 0.9
+
+
+def test_the_ground_is_as_rough_as_asked_and_smooth_over_its_correlation_length() -> None:
+    terrain = bumpy_terrain(20.0, 0.2, 0.1, 0.8, np.random.default_rng(0))
+    heights = terrain.heights
+    assert np.sqrt(np.mean(heights**2)) == pytest.approx(0.1)
+    assert abs(heights.mean()) < 1e-12
+    shift = round(0.8 / 0.2)
+    correlation = np.corrcoef(heights[:, :-shift].ravel(), heights[:, shift:].ravel())[0, 1]
+    assert correlation == pytest.approx(np.exp(-0.25), abs=0.08)
+    assert terrain.half_width >= 20
