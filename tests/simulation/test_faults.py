@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,28 @@ from anisomap.errors import InputError
 from anisomap.recording import Recording
 from anisomap.simulation.faults import (
     FAULTS,
+    FRAME_FAULTS,
     Fault,
+    clock_jitter,
+    crosstalk,
     dead,
+    drifting,
+    dropped_frames,
+    duplicated,
     fault_mask,
+    gain_spread,
+    hysteresis,
+    inflict,
     inflicted_faults,
+    mirrored,
+    nan_bursts,
     noisy,
+    parse_fault,
+    quantised,
     saturating,
+    stuck,
+    swapped,
+    thresholded,
 )
 
 seeds = st.integers(0, 2**32 - 1)
@@ -25,12 +42,14 @@ def touched_now_and_then(seed: int, n_frames: int = 400, n_sensors: int = 6) -> 
     rng = np.random.default_rng(seed)
     depth = rng.exponential(size=(n_frames, n_sensors))
     readings = np.where(rng.random((n_frames, n_sensors)) < 0.25, depth, 0).astype(np.float32)
-    return Recording(readings, rate_hz=20, metadata={"scenario": "made up"})
+    places = np.column_stack([np.arange(n_sensors), np.zeros(n_sensors)])
+    return Recording(readings, rate_hz=20, positions=places, metadata={"scenario": "made up"})
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-@given(seed=seeds, sensors=st.sets(st.integers(0, 5)))
-def test_a_fault_touches_exactly_what_it_says(kind: str, seed: int, sensors: set[int]) -> None:
+@given(seed=seeds, chosen=st.sets(st.integers(0, 5), max_size=5))
+def test_a_fault_touches_exactly_what_it_says(kind: str, seed: int, chosen: set[int]) -> None:
+    sensors = sorted(chosen)[: len(chosen) // 2 * 2] if kind == "swapped" else sorted(chosen)
     whole = touched_now_and_then(seed)
     before = whole.readings.copy()
     spoilt = FAULTS[kind](whole, sensors, rng=seed)
@@ -40,7 +59,10 @@ def test_a_fault_touches_exactly_what_it_says(kind: str, seed: int, sensors: set
     assert spoilt.readings.dtype == before.dtype
     assert not mask[:, [i for i in range(6) if i not in sensors]].any()
     done = inflicted_faults(spoilt)
-    assert [fault.sensor for fault in done] == [f"s{i}" for i in sorted(sensors)]
+    named = [f"s{i}" for i in sensors]
+    if kind == "mirrored" and len(sensors) % 2:
+        del named[len(sensors) // 2]  # the middle one stays what it was
+    assert [fault.sensor for fault in done] == named
     assert {fault.kind for fault in done} <= {kind}
     assert mask.sum() == sum(stop - start for fault in done for start, stop in fault.spans)
     assert spoilt.metadata["scenario"] == "made up"
@@ -49,15 +71,88 @@ def test_a_fault_touches_exactly_what_it_says(kind: str, seed: int, sensors: set
     assert not fault_mask(whole).any()
 
 
+@pytest.mark.parametrize("kind", FRAME_FAULTS)
+@given(seed=seeds, share=st.floats(0.01, 0.9))
+def test_a_fault_of_frames_leaves_right_what_it_does_not_name(
+    kind: str, seed: int, share: float
+) -> None:
+    strength = {"level" if kind == "clock-jitter" else "share": share}
+    whole = touched_now_and_then(seed, n_frames=80)
+    times = np.arange(80) / 20 + np.linspace(0, 0.01, 80)
+    whole = replace(whole, times=times)
+    spoilt = FRAME_FAULTS[kind](whole, rng=seed, **strength)
+    (fault,) = inflicted_faults(spoilt)
+    assert fault.kind == kind
+    assert spoilt.times is not None
+    assert (np.diff(spoilt.times) > 0).all()
+    mask = fault_mask(spoilt)
+    if kind == "clock-jitter":
+        assert not mask.any()
+        np.testing.assert_array_equal(spoilt.readings, whole.readings)
+        assert np.abs(spoilt.times - times).max() < 0.06
+        return
+    frames = np.searchsorted(times, spoilt.times)  # where each frame was before
+    np.testing.assert_array_equal(spoilt.readings[~mask], whole.readings[frames][~mask])
+    starts = [start for start, _ in fault.spans]
+    if kind == "dropped-frames":
+        assert not mask.any()
+        np.testing.assert_array_equal(starts, np.flatnonzero(np.diff(frames, prepend=-1) > 1))
+    else:
+        stale = np.flatnonzero(mask.all(axis=1))
+        np.testing.assert_array_equal(starts, stale)
+        np.testing.assert_array_equal(spoilt.readings[stale], spoilt.readings[stale - 1])
+
+
+@given(seed=seeds, share=st.floats(0.05, 0.8))
+def test_spans_stay_true_when_frames_are_lost_afterwards(seed: int, share: float) -> None:
+    whole = replace(touched_now_and_then(seed), times=np.arange(400) / 20)
+    broken = saturating(nan_bursts(whole, ["s1"], rng=seed, mean_gap=30), ["s2"], rng=seed)
+    shorter = dropped_frames(broken, rng=seed, share=share)
+    assert shorter.times is not None
+    frames = np.round(20 * shorter.times).astype(int)
+    np.testing.assert_array_equal(fault_mask(shorter), fault_mask(broken)[frames])
+
+
+@given(seed=seeds, kinds=st.lists(st.sampled_from(sorted(FAULTS)), min_size=2, max_size=5))
+def test_composed_faults_leave_right_what_none_of_them_names(seed: int, kinds: list[str]) -> None:
+    whole = touched_now_and_then(seed)
+    spoilt, rng = whole, np.random.default_rng(seed)
+    for kind in kinds:
+        sensors = rng.choice(6, size=2, replace=False)
+        spoilt = FAULTS[kind](spoilt, sensors, rng=rng)
+    mask = fault_mask(spoilt)
+    np.testing.assert_array_equal(spoilt.readings[~mask], whole.readings[~mask])
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize(
+    "readings",
+    [
+        np.zeros((1, 4)),
+        np.full((5, 4), np.nan),
+        np.array([[0.0, 1, np.nan, 1]] * 3 + [[1.0, 0, 0, np.inf]]),
+        np.random.default_rng(0).integers(0, 2, (50, 4)),
+    ],
+    ids=["one frame", "nothing", "missing", "0/1"],
+)
+def test_no_recording_is_too_strange_to_be_spoilt(kind: str, readings: Any) -> None:
+    recording = Recording(readings, positions=np.eye(4)[:, :3])
+    parameters = {"n_neighbours": 2} if kind == "crosstalk" else {}
+    spoilt = FAULTS[kind](recording, [0, 2], rng=1, **parameters)
+    assert spoilt.readings.shape == recording.readings.shape
+    mask = fault_mask(spoilt)
+    np.testing.assert_array_equal(spoilt.readings[~mask], recording.readings[~mask])
+
+
 @pytest.mark.parametrize("kind", FAULTS)
 def test_the_same_seed_gives_the_same_fault(kind: str) -> None:
     whole = touched_now_and_then(0, n_frames=2000)
     first, again, other = (FAULTS[kind](whole, ["s1", "s4"], rng=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.readings, again.readings)
     assert dict(first.metadata) == dict(again.metadata)
-    if kind != "dead":
-        assert not np.array_equal(first.readings, other.readings)
-        assert not np.array_equal(first.readings[:, 1], first.readings[:, 4])
+    if kind in ("stuck", "saturating", "noisy", "drifting", "gain-spread", "nan-bursts"):
+        assert not np.array_equal(first.readings, other.readings, equal_nan=True)
+        assert not np.array_equal(first.readings[:, 1], first.readings[:, 4], equal_nan=True)
 
 
 @given(seeds)
@@ -156,7 +251,94 @@ def test_a_damaged_record_is_refused(record: str) -> None:
 @pytest.mark.parametrize("kind", FAULTS)
 def test_a_sensor_that_is_not_there_is_refused(kind: str) -> None:
     with pytest.raises(InputError, match="there is no sensor 's99'"):
-        FAULTS[kind](touched_now_and_then(0), ["s99"])
+        FAULTS[kind](touched_now_and_then(0), ["s99", "s1"])
+
+
+@given(seeds)
+def test_each_fault_does_what_its_name_says(seed: int) -> None:
+    whole = touched_now_and_then(seed)
+    before, top = whole.readings, float(whole.readings.max())
+    held = stuck(whole, [1], rng=seed).readings[:, 1]
+    assert len(set(held.tolist())) == 1
+    assert top / 2 <= held[0] <= top
+    walk = drifting(whole, [1], rng=seed, level=0.4).readings[:, 1] - before[:, 1]
+    assert np.abs(walk).max() == pytest.approx(0.4 * top, rel=1e-4)
+    assert np.abs(np.diff(walk)).max() < 0.4 * np.ptp(walk)
+    gains = gain_spread(whole, range(6), rng=seed, factor=5).readings.max(0) / before.max(0)
+    assert (gains * (1 + 1e-6) >= 5**-0.5).all()
+    assert (gains <= 5**0.5 * (1 + 1e-6)).all()
+    slow = hysteresis(whole, [1], recovery=10).readings[:, 1]
+    assert (slow >= before[:, 1]).all()
+    assert (slow[1:] >= slow[:-1] * np.exp(-0.1) - 1e-6).all()
+    few = quantised(whole, range(6), levels=4).readings
+    assert len(np.unique(few)) <= 4
+    assert np.abs(few - before).max() <= top / 6 + 1e-6
+    assert set(np.unique(thresholded(whole, [1]).readings[:, 1])) <= {0, 1}
+
+
+def test_wiring_faults_move_readings_and_leave_names_where_they_are() -> None:
+    whole = touched_now_and_then(1)
+    before = whole.readings
+    traded = swapped(whole, ["s4", "s1", "s0", "s5"]).readings
+    np.testing.assert_array_equal(traded[:, [4, 1, 0, 5]], before[:, [0, 5, 4, 1]])
+    turned = mirrored(whole, ["s0", "s1", "s2"]).readings
+    np.testing.assert_array_equal(turned[:, :3], before[:, 2::-1])
+    copied = duplicated(whole, ["s2", "s3"], source="s5").readings
+    np.testing.assert_array_equal(copied[:, [2, 3]], before[:, [5, 5]])
+    leaking = crosstalk(whole, ["s2"], share=0.5, n_neighbours=2).readings[:, 2]
+    np.testing.assert_allclose(
+        leaking, 0.5 * before[:, 2] + 0.25 * (before[:, 1] + before[:, 3]), rtol=1e-6
+    )
+
+
+def test_faults_are_read_from_a_line_of_text() -> None:
+    whole = touched_now_and_then(2)
+    requests = [
+        parse_fault(text)
+        for text in ("dead:s0", "stuck: 1 , level=7", "noisy:50%,level=0.3", "dropped-frames")
+    ]
+    spoilt = inflict(whole, requests, 5)
+    kinds = [fault.kind for fault in inflicted_faults(spoilt)]
+    assert kinds == ["dead", "stuck", "noisy", "noisy", "noisy", "dropped-frames"]
+    assert spoilt.n_frames < whole.n_frames
+    everyone = parse_fault("thresholded:*").inflict(whole, 0)
+    assert len(inflicted_faults(everyone)) == 6
+    again = inflict(whole, requests, 5)
+    np.testing.assert_array_equal(again.readings, spoilt.readings)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("rusty:s1", "there is no fault 'rusty'; choose from dead, stuck"),
+        ("dead", "the fault dead needs sensors"),
+        ("dead:", "needs sensors"),
+        ("dead:s1,level=3", "the fault dead has no parameter 'level'; it has none"),
+        ("noisy:s1,lvl=3", "no parameter 'lvl'; choose from level"),
+        ("noisy:s1,level=loud", "level of the fault noisy is 'loud', which is no number"),
+        ("dropped-frames:s1", "befalls all sensors; leave s1 out"),
+        ("dead:0%", "'0%' is no share"),
+        ("dead:many%", "'many%' is no share"),
+        ("dead:s77", "there is no sensor 's77'"),
+    ],
+)
+def test_what_cannot_be_understood_is_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parse_fault(text).inflict(touched_now_and_then(0), 0)
+
+
+def test_faults_say_what_they_miss() -> None:
+    bare = Recording(np.eye(4))
+    with pytest.raises(InputError, match="does not say where its sensors are"):
+        crosstalk(bare, [0])
+    with pytest.raises(InputError, match="neither times nor a rate"):
+        clock_jitter(bare)
+    with pytest.raises(InputError, match="none is left to copy from"):
+        duplicated(bare, range(4))
+    with pytest.raises(InputError, match="3 sensors cannot be swapped"):
+        swapped(bare, [0, 1, 2])
+    with pytest.raises(InputError, match="sensor s1 is named twice"):
+        mirrored(bare, [1, 0, 1])
 
 
 @pytest.mark.parametrize(
@@ -166,6 +348,14 @@ def test_a_sensor_that_is_not_there_is_refused(kind: str) -> None:
         (saturating, {"mean_span": float("nan")}, "mean_span is nan"),
         (noisy, {"level": 0}, "level is 0; it must be a positive number"),
         (noisy, {"level": -1}, "level is -1"),
+        (drifting, {"level": 0}, "level is 0"),
+        (gain_spread, {"factor": 0.5}, "factor is 0.5; it must be at least 1"),
+        (hysteresis, {"recovery": 0}, "recovery is 0 frames"),
+        (quantised, {"levels": 1}, "levels is 1; it must be at least 2"),
+        (thresholded, {"level": -0.1}, "level is -0.1"),
+        (nan_bursts, {"mean_span": 0.5}, "mean_span is 0.5 frames"),
+        (crosstalk, {"share": 0}, "share is 0; it must be above 0"),
+        (crosstalk, {"n_neighbours": 6}, "n_neighbours is 6; it must be at least 1 and less"),
     ],
 )
 def test_parameters_that_make_no_sense_are_refused(

@@ -1,4 +1,4 @@
-"""``anisomap methods``, ``formats``, ``bodies``, ``scenarios``: what there is, a line each."""
+"""``anisomap methods``, ``formats``, ``bodies``, ``scenarios``, ``faults``: what there is."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rich.padding import Padding
 from anisomap.cli.console import console, number, show_table
 from anisomap.formats import FORMATS
 from anisomap.methods import METHODS, PAPER_METHODS, SIMILARITIES
-from anisomap.simulation import BODIES, SCENARIOS, find_scenario
+from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS, find_scenario
 
 
 def methods() -> None:
@@ -83,6 +83,21 @@ def scenarios(scenario: str | None = None, /) -> None:
             console.print(f"[bold]{entry.arg_name}[/] = {getattr(defaults, entry.arg_name)}")
             text = " ".join((entry.description or "").split())
             console.print(Padding(escape(text), (0, 0, 0, 2)))
+
+
+def faults() -> None:
+    """List what can go wrong with a recording, for `anisomap spoil`."""
+    rows = []
+    for name, function in {**FAULTS, **FRAME_FAULTS}.items():
+        parameters = inspect.signature(function).parameters.values()
+        taken = ", ".join(
+            f"{one.name}={one.default}"
+            for one in parameters
+            if one.kind is one.KEYWORD_ONLY and one.name not in ("rng", "source")
+        )
+        befalls = "sensors" if name in FAULTS else "all sensors"
+        rows.append((name, befalls, taken or "-", _first_line(function)))
+    show_table("Faults", ("name", "of", "parameters", "what it does"), rows)
 
 
 def _first_line(thing: object) -> str:

@@ -14,11 +14,14 @@ from anisomap.simulation.bodies import (
 from anisomap.simulation.bombardment import BombardmentOptions
 from anisomap.simulation.faults import (
     FAULTS,
+    FRAME_FAULTS,
     Fault,
     dead,
     fault_mask,
+    inflict,
     inflicted_faults,
     noisy,
+    parse_fault,
     saturating,
 )
 from anisomap.simulation.locomotion import LocomotionOptions
@@ -35,6 +38,7 @@ from anisomap.simulation.scenarios import (
 __all__ = [
     "BODIES",
     "FAULTS",
+    "FRAME_FAULTS",
     "SCENARIOS",
     "Body",
     "BombardmentOptions",
@@ -48,9 +52,11 @@ __all__ = [
     "fault_mask",
     "find_body",
     "find_scenario",
+    "inflict",
     "inflicted_faults",
     "load_body",
     "noisy",
+    "parse_fault",
     "run_simulation",
     "saturating",
     "simulate",
