@@ -282,7 +282,12 @@ def _equipped(
         check_count("sensors", int(sensors))
         positions, normals = spread(centred, int(sensors), np.random.default_rng(_SEED))
     else:
-        positions = np.asarray(sensors, dtype=np.float64) - origin
+        places = np.asarray(sensors, dtype=np.float64)
+        if places.ndim != 2 or places.shape[1] != 3 or not len(places):
+            raise InputError(
+                f"sensors have shape {places.shape}; they must be points in space, shape (N, 3)"
+            )
+        positions = places - origin
         _check_near_surface(name, centred, positions, names, units)
         positions = solids.projected(centred, positions)
         normals = solids.outward(centred, positions)
@@ -292,10 +297,6 @@ def _equipped(
 def _check_near_surface(
     name: str, parts: Sequence[Solid], positions: Points, names: Sequence[str], units: str
 ) -> None:
-    if positions.ndim != 2 or positions.shape[1] != 3 or not len(positions):
-        raise InputError(
-            f"sensors have shape {positions.shape}; they must be points in space, shape (N, 3)"
-        )
     off = np.abs(solids.distance_to_all(parts, positions))
     allowed = TOLERANCE * max(part.reach for part in parts)
     if not off.max() <= allowed:

@@ -1,0 +1,169 @@
+"""Bodies that users bring: meshes, MuJoCo models, positions; and what cannot be one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.simulation import simulate, solids
+from anisomap.simulation.bodies import body_from_mesh, body_from_points, load_body
+from anisomap.simulation.bodies.further import hand
+from anisomap.simulation.bodies.paper import sphere
+from anisomap.simulation.geodesics import surface_distances
+
+trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
+mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+
+ROBOT = """<mujoco><worldbody><geom type="plane" size="3 3 .1"/>
+<body pos="0 0 1" euler="0 0 90"><geom type="capsule" fromto="0 0 0 .5 0 0" size=".1"/>
+<geom type="ellipsoid" size=".2 .1 .15" pos=".6 0 0"/>
+<geom type="box" size=".5 .5 .5" contype="0" conaffinity="0"/>
+{sites}</body></worldbody></mujoco>"""
+SITES = """<site name="a" pos="0 0 .1"/><site pos=".2 0 .1"/><site name="c" pos=".2 .1 0"/>"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    part = trimesh.creation.annulus(0.5, 1.0, 1.0)
+    part.apply_translation([10, 20, 30])
+    for suffix in ("stl", "obj", "ply", "off", "glb"):
+        part.export(tmp_path / f"part.{suffix}")
+    (tmp_path / "robot.xml").write_text(ROBOT.format(sites=SITES))
+    (tmp_path / "bare.xml").write_text(ROBOT.format(sites=""))
+    (tmp_path / "floor.xml").write_text(
+        '<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
+    )
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
+    (tmp_path / "broken.stl").write_bytes(b"solid nothing at all")
+    (tmp_path / "notes.txt").write_text("no body")
+    open_part = trimesh.Trimesh(part.vertices, part.faces[:-5], process=False)
+    open_part.export(tmp_path / "open.stl")
+    return tmp_path
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "glb"])
+def test_sensors_are_spread_over_a_mesh_of_any_kind(folder: Path, suffix: str) -> None:
+    body = load_body(folder / f"part.{suffix}", 40)
+    assert (body.name, body.n_sensors) == ("part", 40)
+    np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-6)
+    np.testing.assert_allclose(body.origin, [10, 20, 30], atol=1e-6)
+    recording = simulate(body, n_frames=30)
+    assert recording.positions is not None
+    assert np.abs(recording.positions - [10, 20, 30]).max() <= 1.0 + 1e-6
+
+
+def test_a_body_that_is_not_convex_is_touched_in_its_hole(folder: Path) -> None:
+    # MuJoCo takes a mesh for its convex hull: then nothing could come into the hole.
+    body = load_body(folder / "part.stl", 150)
+    recording = simulate(body, n_frames=1500, seed=3, ball_radius=0.2)
+    inner = np.linalg.norm(body.positions[:, :2], axis=1) < 0.51
+    assert inner.sum() > 10
+    assert (recording.readings[:, inner] > 0.8 * recording.readings.max()).any()
+    assert float(recording.metadata["energy_drift"]) < 0.02
+
+
+def test_a_model_brings_its_sites_as_sensors(folder: Path) -> None:
+    body = load_body(folder / "robot.xml")
+    assert body.names == ("a", "site1", "c")
+    places = body.positions + body.origin
+    np.testing.assert_allclose(places, [[0, 0, 1.1], [0, 0.2, 1.1], [-0.1, 0.2, 1]], atol=1e-9)
+    np.testing.assert_allclose(body.normals, [[0, 0, 1], [0, 0, 1], [-1, 0, 0]], atol=1e-4)
+    assert {solid.kind for solid in body.solids} == {"capsule", "mesh"}  # no floor, no visual box
+    assert body.units == "m"
+    spread_out = load_body(folder / "bare.xml", 30)
+    assert spread_out.n_sensors == 30
+
+
+def test_given_sensors_are_put_onto_the_surface_if_they_are_near_it() -> None:
+    outline = solids.ball(1.0).outline
+    exact = sphere(40).positions
+    body = body_from_mesh(
+        outline.vertices, outline.faces, exact, names=[f"n{i}" for i in range(40)]
+    )
+    assert np.linalg.norm(body.positions - exact, axis=1).max() < 0.01
+    assert body.names[3] == "n3"
+    with pytest.raises(InputError, match=r"sensor s7 is 0\.5.* off the surface of mesh"):
+        body_from_mesh(outline.vertices, outline.faces, np.vstack([exact[:7], 1.5 * exact[7:8]]))
+    with pytest.raises(InputError, match="are they in the frame and unit of the body"):
+        body_from_mesh(outline.vertices, outline.faces, 1000 * exact)
+    with pytest.raises(InputError, match=r"sensors have shape \(40, 2\)"):
+        body_from_mesh(outline.vertices, outline.faces, exact[:, :2])
+
+
+def pebbled(positions: NDArray[np.float64], normals: NDArray[np.float64] | None = None) -> None:
+    body = body_from_points(positions, normals)
+    np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-9)
+    np.testing.assert_allclose(body.positions + body.origin, positions, atol=1e-12)
+
+
+def test_positions_alone_make_a_body_on_which_every_sensor_lies_bare() -> None:
+    for body in (sphere(), hand()):
+        pebbled(body.positions + np.array([3, 2, 1]))
+    ball = sphere(200)
+    estimated = body_from_points(ball.positions).normals
+    assert (np.einsum("nd,nd->n", estimated, ball.normals) > np.cos(np.radians(12))).all()
+    assert surface_distances(body_from_points(ball.positions)) is None
+    assert simulate(body_from_points(ball.positions), n_frames=200).varying().mean() > 0.8
+
+
+def test_normals_are_used_unless_they_contradict_the_positions() -> None:
+    ball = sphere(150)
+    kept = body_from_points(ball.positions, 2 * ball.normals)
+    np.testing.assert_allclose(kept.normals, ball.normals)
+    placeholders = np.tile([1.0, 0, 0], (150, 1))
+    with pytest.warns(AnisomapWarning, match="contradict the places of its sensors"):
+        body = body_from_points(ball.positions, placeholders)
+    assert (np.einsum("nd,nd->n", body.normals, ball.normals) > 0.9).all()
+
+
+def test_the_leg_of_a_robot_is_simulated_from_its_positions(recordings_folder: Path) -> None:
+    path = recordings_folder.parent / "geometry" / "icub_left_leg_upper.npz"
+    if not path.exists():
+        pytest.skip("the robot's geometry is not here")
+    with np.load(path, allow_pickle=False) as part:
+        positions, normals = part["positions"], part["normals"]
+    with pytest.warns(AnisomapWarning, match="the normals of leg contradict"):
+        body = body_from_points(positions, normals, name="leg", units="m")
+    recording = simulate(body, n_frames=500)
+    np.testing.assert_allclose(recording.positions, positions, atol=1e-12)
+    assert recording.n_sensors == 680
+    assert recording.varying().mean() > 0.95
+    assert float(recording.metadata["energy_drift"]) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("name", "sensors", "error", "message"),
+    [
+        ("nothing.stl", 10, FileError, "there is no file"),
+        ("notes.txt", 10, FileError, "notes.txt is no body: a mesh ends in .glb"),
+        ("part.stl", None, FileError, "is a mesh and names no sensors"),
+        ("part.stl", 0, InputError, "sensors is 0; it must be a whole number"),
+        ("open.stl", 10, InputError, "the mesh is not closed"),
+        ("broken.stl", 10, FileError, "cannot be read as a mesh|has no area"),
+        ("bare.xml", None, FileError, "has no sites, which would be its sensors"),
+        ("floor.xml", 10, FileError, "has no geoms that sensors could stand on"),
+        ("broken.xml", 10, FileError, "MuJoCo cannot read"),
+    ],
+)
+def test_what_is_no_body_is_refused(
+    folder: Path, name: str, sensors: int | None, error: type[Exception], message: str
+) -> None:
+    with pytest.raises((error, InputError), match=message):
+        load_body(folder / name, sensors)
+
+
+@pytest.mark.parametrize(
+    ("positions", "message"),
+    [
+        (np.zeros((3, 3)), "at least 4 sensors in space"),
+        (np.zeros((9, 2)), "at least 4 sensors in space"),
+        (np.vstack([np.eye(3), [[1, 0, 0]]]), "sensors 0 and 3 are at one place"),
+    ],
+)
+def test_positions_that_make_no_body_are_refused(
+    positions: NDArray[np.float64], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        body_from_points(positions)

@@ -1,0 +1,103 @@
+"""Sensors spread over surfaces, and distances along them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+from scipy.spatial.distance import pdist, squareform
+
+from anisomap.errors import InputError
+from anisomap.simulation import solids
+from anisomap.simulation.bodies import BODIES
+from anisomap.simulation.bodies.further import DENSEST, covered, uneven_sphere
+from anisomap.simulation.bodies.paper import cylinder, great_circles, plane, sphere
+from anisomap.simulation.geodesics import surface_distances
+from anisomap.simulation.spreading import sample_surface, spread
+
+
+def test_points_are_drawn_uniformly_from_the_surface_that_shows() -> None:
+    rng = np.random.default_rng(0)
+    parts = [solids.box((1, 1, 1)), solids.ball(0.8, (1, 0, 0))]
+    points, normals = sample_surface(parts, 40_000, rng)
+    distances = np.array([part.distance(points) for part in parts])
+    np.testing.assert_allclose(distances.min(axis=0), 0, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+    on_ball = np.abs(distances[1]) < 1e-9
+    # Half of the ball is hidden in the box, and hides a disc of one of its faces.
+    ball, box = 2 * np.pi * 0.8**2, 24 - np.pi * 0.8**2
+    assert on_ball.mean() == pytest.approx(ball / (ball + box), abs=0.01)
+    upper = ~on_ball & (points[:, 2] > 1 - 1e-9)
+    assert upper.mean() == pytest.approx(4 / (ball + box), abs=0.01)
+
+
+def test_spread_sensors_keep_their_distance_and_leave_no_gap() -> None:
+    parts = [solids.ball(1.0)]
+    points, _ = spread(parts, 150, np.random.default_rng(1))
+    nearest = KDTree(points).query(points, k=2)[0][:, 1].min()
+    everywhere, _ = sample_surface(parts, 20_000, np.random.default_rng(2))
+    widest = KDTree(points).query(everywhere)[0].max()
+    # Maximal Poisson-disc: no two nearer than the radius that covers all, up to the sampling.
+    assert widest <= nearest * 1.1
+
+
+def test_density_is_what_was_asked_for() -> None:
+    body = uneven_sphere(800)
+    height = body.positions[:, 2]
+    upper, lower = np.sum(height > 0), np.sum(height < 0)
+    # The density grows linearly with height, and so its means over the halves are:
+    expected = (1 + (DENSEST - 1) * 0.75) / (1 + (DENSEST - 1) * 0.25)
+    assert upper / lower == pytest.approx(expected, rel=0.1)
+
+
+def test_where_the_density_is_zero_there_is_no_sensor() -> None:
+    body = covered("half", [solids.ball(1.0)], 50, lambda points: points[:, 0] > 0.2)
+    assert (body.positions[:, 0] > 0.2).all()
+    with pytest.raises(InputError, match="hardly any surface"):
+        covered("none", [solids.ball(1.0)], 50, lambda points: points[:, 0] > 2)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_the_way_along_the_surface_is_no_shorter_than_the_straight_line(name: str) -> None:
+    body = BODIES[name]()
+    found = surface_distances(body)
+    assert found is not None
+    straight = squareform(pdist(body.positions))
+    np.testing.assert_array_equal(found, found.T)
+    assert (np.diag(found) == 0).all()
+    assert np.isfinite(found).all()
+    assert (found >= straight * (1 - 1e-3)).all()
+    # Shortest paths obey the triangle inequality.
+    assert (found[:, :, None] + found[None] >= found[:, None] * (1 - 1e-6) - 1e-9).all()
+
+
+def test_shortest_paths_agree_with_closed_forms() -> None:
+    pairs = np.triu_indices(60, 1)
+    ball = sphere()
+    found = surface_distances(replace(ball, geodesic=None))
+    assert found is not None
+    np.testing.assert_allclose(found[pairs], great_circles(ball.positions)[pairs], rtol=0.02)
+    tube = cylinder()
+    x, y, z = tube.positions.T
+    turn = np.abs(np.angle(np.exp(1j * (np.arctan2(y, x)[:, None] - np.arctan2(y, x)))))
+    side = np.hypot(0.5 * turn, z[:, None] - z)
+    found = surface_distances(tube)
+    assert found is not None
+    # Over an end the way can be shorter: not between sensors of the two middle rows.
+    middle = np.abs(z) < 0.5
+    near = np.ix_(middle, middle)
+    np.testing.assert_allclose(found[near], side[near], rtol=0.02, atol=1e-12)
+    assert (found <= side * 1.02 + 1e-12).all()
+    flat = plane(49)
+    found = surface_distances(replace(flat, geodesic=None))
+    np.testing.assert_allclose(found, squareform(pdist(flat.positions)), rtol=0.04, atol=1e-12)
+
+
+def test_a_hole_is_walked_around() -> None:
+    body = BODIES["holed-plate"]()
+    found = surface_distances(body)
+    assert found is not None
+    ratio = found / np.maximum(squareform(pdist(body.positions)), 1e-9)
+    far = squareform(pdist(body.positions)) > 0.85
+    assert ratio.max() > 1.3
+    assert ratio[far].min() < 1.03  # beside the hole the straight line is the way
