@@ -26,6 +26,7 @@ from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.geodesics import surface_distances
 from anisomap.simulation.locomotion import LocomotionOptions, locomotion, rolls
 from anisomap.simulation.options import fitted
+from anisomap.simulation.rubbing import RubbingOptions, rubbing
 from anisomap.simulation.world import Progress, Run
 
 Entry = TypeVar("Entry")
@@ -91,6 +92,11 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
             locomotion,
             on_mujoco=True,
             suits=rolls,
+        ),
+        "rubbing": Scenario(
+            "a palm rubs the skin along lines and circles, pressing more and less",
+            RubbingOptions,
+            rubbing,
         ),
     }
 )
