@@ -270,7 +270,7 @@ def _stroke(walk: _Walk, where: Points, rng: np.random.Generator) -> Points:
     else:
         n_frames, turn = math.ceil(length * rng.uniform(*_LINE) / stride), 0.0
         place[1] = _aim(walk, where[0], rng)
-    frames = []
+    frames: list[Points] = []
     for _ in range(n_frames):
         for _ in range(walk.steps):
             heading = turned(place[1], walk.normal(place[0]), turn) if turn else place[1]
@@ -320,7 +320,8 @@ def _on_surface(
     presses: NDArray[np.float64],
     n_strokes: int,
 ) -> Wandering:
-    points = body.projected(frames[:, 0])
-    normals = body.outward(points)
+    # So near the surface, the slope of the distance leads to it in one step.
+    normals = body.outward(frames[:, 0])
+    points = frames[:, 0] - body.distance(frames[:, 0])[:, None] * normals
     headings = tangent(frames[:, 1], normals)
     return Wandering(points, normals, headings, lifts, presses, n_strokes)

@@ -27,7 +27,7 @@ from anisomap.simulation.paths import (
     wandering_values,
 )
 from anisomap.simulation.sensing import read_balls
-from anisomap.simulation.settling import settle
+from anisomap.simulation.settling import CLEAR, Cluster, settle
 from anisomap.simulation.solids import Points
 from anisomap.simulation.world import Progress, Run, still_life
 
@@ -36,8 +36,6 @@ _THICK = (0.3, 0.6)  # radius of a pad, x hand size
 _UNEVEN = 0.2  # x hand size, how much higher one pad may lie than another
 _TURNING = 0.5  # radians a second, at most
 _TURN_CHANGES = 2.0  # seconds
-_CLEAR = 1.5  # x detection radius: how high it lifts off, so that nothing is in range
-_THINNEST = 0.5  # of the thinnest pad's radius: how deep it may press at most
 
 
 @dataclass(frozen=True)
@@ -160,6 +158,7 @@ def rub(
     rate = 2 * wandering_values(n_frames, _TURN_CHANGES / interval, rng) - 1
     angle = rng.uniform(0, 2 * np.pi) + np.cumsum(_TURNING * interval * rate)
     offsets = np.einsum("tij,pj->tpi", path.frames(angle), palm.centres)
-    height = settle(skin, path, offsets, palm.radii, options.press_depth * path.presses)
-    height += path.lifts * _CLEAR * options.detection_radius
-    return np.asarray(path.points[:, None] + offsets + height[:, None, None] * path.normals[:, None])
+    cluster = Cluster(offsets, palm.radii)
+    height = settle(cluster, skin, path, options.press_depth * path.presses)
+    height += path.lifts * CLEAR * options.detection_radius
+    return cluster.placed(path, height)

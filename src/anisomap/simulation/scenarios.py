@@ -26,7 +26,11 @@ from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.geodesics import surface_distances
 from anisomap.simulation.locomotion import LocomotionOptions, locomotion, rolls
 from anisomap.simulation.options import fitted
+from anisomap.simulation.pressing import PressingOptions, pressing
+from anisomap.simulation.pulses import PulsesOptions, pulses
+from anisomap.simulation.rolling import RollerOptions, roller
 from anisomap.simulation.rubbing import RubbingOptions, rubbing
+from anisomap.simulation.touching_oneself import SelfTouchOptions, self_touch
 from anisomap.simulation.world import Progress, Run
 
 Entry = TypeVar("Entry")
@@ -97,6 +101,24 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
             "a palm rubs the skin along lines and circles, pressing more and less",
             RubbingOptions,
             rubbing,
+        ),
+        "roller": Scenario(
+            "a roller lies across the skin and is rolled along it", RollerOptions, roller
+        ),
+        "pressing": Scenario(
+            "a large flat surface is pressed against the body from all sides",
+            PressingOptions,
+            pressing,
+        ),
+        "self-touch": Scenario(
+            "a fingertip with sensors of its own strokes the body, and both feel it",
+            SelfTouchOptions,
+            self_touch,
+        ),
+        "pulses": Scenario(
+            "point sources flash around the body, and the response falls off with distance",
+            PulsesOptions,
+            pulses,
         ),
     }
 )
@@ -188,13 +210,14 @@ def run_simulation(
     }
     if chosen.on_mujoco:
         facts["mujoco"] = load_mujoco().__version__
+    carrier = run.body or skin
     recording = Recording(
         run.readings,
-        names=skin.names,
+        names=carrier.names,
         rate_hz=run.rate_hz,
-        positions=skin.positions + skin.origin,
-        normals=skin.normals,
-        surface_distances=surface_distances(skin),
+        positions=carrier.positions + carrier.origin,
+        normals=carrier.normals,
+        surface_distances=surface_distances(carrier),
         units=skin.units,
         source=f"simulated {scenario} of {skin.name}, seed {number}",
         metadata=facts,

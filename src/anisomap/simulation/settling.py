@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,29 +12,46 @@ from scipy.spatial import KDTree
 from anisomap.simulation.paths import Skin, Wandering
 from anisomap.simulation.solids import Points, Solid
 
+CLEAR = 1.5
+"""How high a thing lifts off, in detection radii: nothing is in range there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cluster:
+    """Balls or capsules that move together.
+
+    Attributes
+    ----------
+    offsets : ndarray of shape (T, B, 3)
+        Where the middle of each is from the middle of the cluster, in each frame.
+    radii : ndarray of shape (B,)
+    axes : ndarray of shape (T, B, 3), optional
+        From the middle of each capsule to the end of its segment; across the normals. None of
+        balls.
+    """
+
+    offsets: Points
+    radii: NDArray[np.float64]
+    axes: Points | None = None
+
+    def placed(self, path: Wandering, heights: NDArray[np.float64]) -> Points:
+        """Give the middle of each ball or capsule, heights (T,) above a path; (T, B, 3)."""
+        middle = path.points + heights[:, None] * path.normals
+        return np.asarray(middle[:, None] + self.offsets)
+
 
 def settle(
-    skin: Skin,
-    path: Wandering,
-    offsets: Points,
-    radii: NDArray[np.float64],
-    depths: NDArray[np.float64],
-    axes: Points | None = None,
+    cluster: Cluster, skin: Skin, path: Wandering, depths: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Bring a rigid cluster of balls or capsules down along the normals of a path.
+    """Bring a cluster down along the normals of a path until it touches.
 
     Parameters
     ----------
+    cluster : Cluster
     skin : Skin
     path : Wandering
-    offsets : ndarray of shape (T, B, 3)
-        Where the middle of each ball or capsule is from the middle of the cluster.
-    radii : ndarray of shape (B,)
     depths : ndarray of shape (T,)
-        How deep the deepest of them may reach into the body. Less than each radius.
-    axes : ndarray of shape (T, B, 3), optional
-        From the middle of each capsule to the end of its segment; across the normals. Balls unless
-        given.
+        How deep the deepest ball or capsule may reach into the body. Less than each radius.
 
     Returns
     -------
@@ -42,20 +60,19 @@ def settle(
         stands in the way is the whole body, as densely as `Skin` samples it: on the paper's sphere
         that is to within some thousandths of the radius.
     """
-    ground = KDTree(skin.points)
-    lengths = np.zeros(offsets.shape[:2]) if axes is None else np.linalg.norm(axes, axis=2)
-    extents = (np.linalg.norm(offsets, axis=2) + lengths + radii).max(axis=1)
-    below = ground.query_ball_point(path.points, extents)
-    heights = np.empty(len(offsets))
+    axes = np.zeros_like(cluster.offsets) if cluster.axes is None else cluster.axes
+    away = np.linalg.norm(cluster.offsets, axis=2) + np.linalg.norm(axes, axis=2)
+    below = KDTree(skin.points).query_ball_point(path.points, (away + cluster.radii).max(axis=1))
+    heights = np.empty(len(depths))
     for t, stones in enumerate(below):
         normal = path.normals[t]
         points = np.vstack([skin.points[stones], path.points[t]]) - path.points[t]
-        from_middle = points[:, None] - offsets[t]
+        from_middle = points[:, None] - cluster.offsets[t]
         up = from_middle @ normal
         across = from_middle - up[..., None] * normal
-        if axes is not None:
+        if cluster.axes is not None:
             across -= _nearest_on_axes(across, axes[t])
-        room = (radii - depths[t]) ** 2 - np.einsum("sbd,sbd->sb", across, across)
+        room = (cluster.radii - depths[t]) ** 2 - np.einsum("sbd,sbd->sb", across, across)
         touching = up + np.sqrt(np.maximum(room, 0))
         heights[t] = np.max(touching, where=room > 0, initial=-depths[t])
     return heights

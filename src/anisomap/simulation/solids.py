@@ -133,7 +133,7 @@ def capsule(radius: float, start: ArrayLike, end: ArrayLike) -> Solid:
     """Make a capsule: all points within `radius` of the segment from `start` to `end`."""
     first, last = frozen(start), frozen(end)
     length = float(np.linalg.norm(last - first))
-    turned = frozen(_turned_to((last - first) / length))
+    turned = frozen(turned_to((last - first) / length))
     return Solid("capsule", (float(radius), length / 2), frozen((first + last) / 2), turned)
 
 
@@ -265,7 +265,7 @@ _DISTANCES: Mapping[str, Callable[[Points, tuple[float, ...]], Points]] = Mappin
 )
 
 
-def _turned_to(axis: Points) -> Points:
+def turned_to(axis: Points) -> Points:
     """Give a rotation whose third column is a unit vector."""
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(helper, axis)

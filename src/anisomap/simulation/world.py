@@ -36,6 +36,9 @@ class Run:
         What there was to be seen.
     sensors : ndarray of shape (T, N, 3)
         Where the sensors were in each frame; T = 1 if they did not move.
+    body : Body, optional
+        What bears the sensors that were read, if not the very body that was given: the scenario
+        put others beside them.
     """
 
     readings: NDArray[np.floating]
@@ -43,6 +46,7 @@ class Run:
     facts: Mapping[str, Scalar]
     props: tuple[Prop, ...]
     sensors: NDArray[np.float64]
+    body: Body | None = None
 
 
 def add_solids(
