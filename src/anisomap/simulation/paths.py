@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.simulation.bodies.body import Body, nearest_neighbours
+from anisomap.simulation.bodies.body import ON_SURFACE, Body, nearest_neighbours
 from anisomap.simulation.checks import check_positive
 from anisomap.simulation.options import REACH, parameter
 from anisomap.simulation.solids import Points
@@ -320,8 +320,13 @@ def _on_surface(
     presses: NDArray[np.float64],
     n_strokes: int,
 ) -> Wandering:
-    # So near the surface, the slope of the distance leads to it in one step.
-    normals = body.outward(frames[:, 0])
-    points = frames[:, 0] - body.distance(frames[:, 0])[:, None] * normals
+    # So near the surface, the slope of the distance leads to it in one step, save where parts meet.
+    points = frames[:, 0]
+    normals = body.outward(points)
+    points = points - body.distance(points)[:, None] * normals
+    off = np.abs(body.distance(points)) > ON_SURFACE * body.reach
+    if off.any():
+        points[off] = body.projected(points[off])
+        normals[off] = body.outward(points[off])
     headings = tangent(frames[:, 1], normals)
     return Wandering(points, normals, headings, lifts, presses, n_strokes)

@@ -1,11 +1,11 @@
 """Pulses: point sources flash around the body, and sensors receive them as radios would.
 
 The setting of Modayil (2010), "Discovering sensor space: constructing spatial embeddings that
-explain sensor correlations", doi:10.1109/DEVLRN.2010.5578854, as McGregor et al. (2011) describe
-it: "sensors were stimulated by multiple point source pulses, with the response at each sensor
-depending on the Euclidean distances of the sensor from the point sources". The body stands in
-nothing's way: no side of it is in the shade. How the response falls off, how many pulses there are
-and how long they last is our choice.
+explain sensor correlations" (IEEE International Conference on Development and Learning), as
+McGregor et al. (2011) describe it: "sensors were stimulated by multiple point source pulses, with
+the response at each sensor depending on the Euclidean distances of the sensor from the point
+sources". The body stands in nothing's way: no side of it is in the shade. How the response falls
+off, how many pulses there are and how long they last is our choice.
 """
 
 from __future__ import annotations

@@ -45,7 +45,10 @@ class SelfTouchOptions(StrokeOptions):
     n_finger_sensors : int
         16: about as dense on the tip as is usual on a robot's finger.
     detection_radius : float
-        Metres, on both sides. 0.4: about that of bombardment, as the stimulus is alike.
+        Metres, of the body's sensors. 0.4: about that of bombardment, as the stimulus is alike.
+    finger_detection_radius : float
+        Metres, of the fingertip's. 0.15: half of its radius, so that it feels with which part of
+        it it touches.
 
     Raises
     ------
@@ -56,11 +59,12 @@ class SelfTouchOptions(StrokeOptions):
     finger_radius: float = parameter(0.3, "m", REACH)
     n_finger_sensors: int = 16
     detection_radius: float = parameter(0.4, "m", REACH)
+    finger_detection_radius: float = parameter(0.15, "m", REACH)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive("finger_radius", self.finger_radius, "m")
-        check_positive("detection_radius", self.detection_radius, "m")
+        for name in ("finger_radius", "detection_radius", "finger_detection_radius"):
+            check_positive(name, getattr(self, name), "m")
         check_count("n_finger_sensors", self.n_finger_sensors)
         if self.press_depth >= self.finger_radius:
             raise InputError(
@@ -101,7 +105,7 @@ def self_touch(
     moved = centres + np.einsum("tij,nj->tni", turns, options.finger_radius * tip)
     felt = read_balls(body.positions, centres, options.finger_radius, options.detection_radius)
     away = body.distance(moved.reshape(-1, 3)).reshape(n_frames, -1)
-    feels = np.maximum(options.detection_radius - away, 0).astype(np.float32)
+    feels = np.maximum(options.finger_detection_radius - away, 0).astype(np.float32)
     if progress is not None:
         progress(1.0)
     still = np.broadcast_to(body.positions, (n_frames, *body.positions.shape))
@@ -158,7 +162,7 @@ def touch(
     path = wander(body, skin := find_skin(body, rng), n_frames, options, rng)
     cluster = Cluster(np.zeros((n_frames, 1, 3)), np.array([options.finger_radius]))
     heights = settle(cluster, skin, path, options.press_depth * path.presses)
-    heights += path.lifts * CLEAR * options.detection_radius
+    heights += path.lifts * CLEAR * max(options.detection_radius, options.finger_detection_radius)
     return cluster.placed(path, heights), _rocked(path, options.frame_interval, rng)
 
 
