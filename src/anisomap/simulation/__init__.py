@@ -12,6 +12,7 @@ from anisomap.simulation.bodies import (
     load_body,
 )
 from anisomap.simulation.bombardment import BombardmentOptions
+from anisomap.simulation.coverage import CoverageCurve, coverage_curve
 from anisomap.simulation.faults import (
     FAULTS,
     FRAME_FAULTS,
@@ -25,6 +26,10 @@ from anisomap.simulation.faults import (
     saturating,
 )
 from anisomap.simulation.locomotion import LocomotionOptions
+from anisomap.simulation.pressing import PressingOptions
+from anisomap.simulation.pulses import PulsesOptions
+from anisomap.simulation.rolling import RollerOptions
+from anisomap.simulation.rubbing import RubbingOptions
 from anisomap.simulation.scenarios import (
     SCENARIOS,
     Simulation,
@@ -34,6 +39,7 @@ from anisomap.simulation.scenarios import (
     simulate,
     simulate_runs,
 )
+from anisomap.simulation.touching_oneself import SelfTouchOptions
 
 __all__ = [
     "BODIES",
@@ -42,12 +48,19 @@ __all__ = [
     "SCENARIOS",
     "Body",
     "BombardmentOptions",
+    "CoverageCurve",
     "Fault",
     "LocomotionOptions",
+    "PressingOptions",
+    "PulsesOptions",
+    "RollerOptions",
+    "RubbingOptions",
+    "SelfTouchOptions",
     "Simulation",
     "body_from_mesh",
     "body_from_mjcf",
     "body_from_points",
+    "coverage_curve",
     "dead",
     "fault_mask",
     "find_body",
