@@ -11,6 +11,8 @@ from anisomap.scene import Mesh
 Points = NDArray[np.float64]
 
 _AT_ONCE = 2_000_000  # pairs of a point and a triangle, which bounds the memory
+_LONGEST = 2.5  # x what the edge of a typical triangle is: longer ones are cut
+_PIECES = 50  # across the whole, at most
 
 
 class TriangleSearch:
@@ -24,11 +26,12 @@ class TriangleSearch:
     Notes
     -----
     A triangle lies in a ball about its middle. So none can be nearest whose middle is further
-    than the nearest vertex and the largest such ball together.
+    than the nearest vertex and the largest such ball together. A few large triangles among small
+    ones would make that a bad bound, so they are cut up.
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self._corners = mesh.vertices[mesh.faces]
+        self._corners = _cut_up(mesh.vertices[mesh.faces])
         middles = self._corners.mean(axis=1)
         self._largest = float(np.linalg.norm(self._corners - middles[:, None], axis=2).max())
         self._middles, self._vertices = KDTree(middles), KDTree(self._corners.reshape(-1, 3))
@@ -78,6 +81,25 @@ class TriangleSearch:
         above = np.where(tied, np.einsum("pd,pd->p", away, self._normals[triangle]), 0.0)
         highest, lowest = np.maximum.reduceat(above, first), np.minimum.reduceat(above, first)
         return np.asarray(np.where(highest >= -lowest, 1.0, -1.0) * np.sqrt(least))
+
+
+def _cut_up(corners: Points) -> Points:
+    """Halve triangles until their edges are of like length; corners of shape (n, 3, 3)."""
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    typical = np.sqrt(np.linalg.norm(doubled, axis=1).mean())
+    extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
+    longest = max(_LONGEST * typical, extent / _PIECES)
+    done = []
+    while len(corners):
+        lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+        fits = lengths.max(axis=1) <= longest
+        done.append(corners[fits])
+        corners, first = corners[~fits], lengths[~fits].argmax(axis=1)
+        turned = np.take_along_axis(corners, (first[:, None] + np.arange(3))[..., None] % 3, axis=1)
+        middle = turned[:, :1] / 2 + turned[:, 1:2] / 2
+        a, b, c = np.split(turned, 3, axis=1)
+        corners = np.concatenate([np.hstack([a, middle, c]), np.hstack([middle, b, c])])
+    return np.concatenate(done)
 
 
 def nearest_on_triangles(points: Points, corners: NDArray[np.float64]) -> Points:
