@@ -35,14 +35,16 @@ def test_every_scenario_of_every_body_gives_a_recording_that_says_where_it_came_
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # so short a run may miss sensors
         recording = simulate(body, scenario, n_frames=40, seed=3)
-    assert recording.readings.shape == (40, len(made.positions))
+    own = slice(made.n_sensors)  # a scenario may add sensors: those of a fingertip
+    assert len(recording.readings) == 40
     assert recording.positions is not None
-    np.testing.assert_array_equal(recording.positions, made.positions)
+    np.testing.assert_array_equal(recording.positions[own], made.positions)
     assert (recording.readings >= 0).all()
     assert (recording.readings > 0).any()
-    np.testing.assert_array_equal(recording.normals, made.normals)
+    assert recording.normals is not None
+    np.testing.assert_array_equal(recording.normals[own], made.normals)
     assert recording.surface_distances is not None
-    assert recording.names == made.names
+    assert recording.names[own] == made.names
     assert recording.units == "m"
     assert recording.rate_hz is not None
     assert body in recording.source
@@ -50,7 +52,8 @@ def test_every_scenario_of_every_body_gives_a_recording_that_says_where_it_came_
     told = recording.metadata
     assert (told["body"], told["scenario"], told["seed"]) == (body, scenario, 3)
     assert told["anisomap"] == __version__
-    assert told["mujoco"] == sys.modules["mujoco"].__version__
+    if SCENARIOS[scenario].on_mujoco:
+        assert told["mujoco"] == sys.modules["mujoco"].__version__
     assert all(type(value) in (str, int, float, bool) for value in told.values())
     for name, default in vars(SCENARIOS[scenario].options()).items():
         assert name in told or default is None

@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from anisomap.errors import InputError
+from anisomap.recording import Recording
+from anisomap.simulation import CoverageCurve, coverage_curve, simulate
+from anisomap.simulation.coverage import QUANTILES, neighbouring_pairs
+
+
+@pytest.fixture(scope="module")
+def curve() -> CoverageCurve:
+    return coverage_curve("sphere", "rubbing", (1500, 40, 250, 250), seeds=(1, 2))
+
+
+def test_more_frames_never_cover_less(curve: CoverageCurve) -> None:
+    assert curve.n_frames.tolist() == [40, 250, 1500]
+    np.testing.assert_allclose(curve.seconds, [2, 12.5, 75])
+    assert curve.touched.shape == curve.pairs.shape == curve.mantel_r.shape == (3, 2)
+    assert curve.contacts.shape == (3, 2, len(QUANTILES))
+    for values in (curve.touched, curve.pairs, curve.contacts):
+        assert (np.diff(values, axis=0) >= 0).all()
+        assert not values.flags.writeable
+    assert (np.diff(curve.contacts, axis=2) >= 0).all()
+    assert (curve.pairs <= curve.n_pairs).all()
+    assert (curve.touched[-1] == 1).all()
+    assert (curve.touched[0] < 0.7).all()
+
+
+def test_maps_of_long_recordings_are_good(curve: CoverageCurve) -> None:
+    assert (curve.mantel_r[-1] > 0.9).all()
+    assert (curve.mantel_r[-1] > curve.mantel_r[1]).all()
+
+
+def test_a_curve_counts_what_one_can_count_by_hand(curve: CoverageCurve) -> None:
+    recording = simulate("sphere", "rubbing", n_frames=1500, seed=2)
+    assert recording.positions is not None
+    on = recording.readings[:250] > 0
+    anew = [sum(now and not was for was, now in zip([False, *s], s, strict=False)) for s in on.T]
+    assert curve.touched[1, 1] == on.any(axis=0).mean()
+    np.testing.assert_array_equal(curve.contacts[1, 1], np.quantile(anew, QUANTILES))
+    pairs = neighbouring_pairs(recording)
+    assert curve.n_pairs == len(pairs)
+    assert curve.pairs[1, 1] == sum((on[:, i] & on[:, j]).any() for i, j in pairs)
+
+
+def test_neighbours_on_a_square_lattice_are_the_eight_around() -> None:
+    x, y = np.meshgrid(np.arange(4.0), np.arange(5.0))
+    positions = np.column_stack([x.ravel(), y.ravel()])
+    pairs = neighbouring_pairs(Recording(np.zeros((2, 20)), positions=positions))
+    expected = {
+        (i, j)
+        for i in range(20)
+        for j in range(i + 1, 20)
+        if np.abs(positions[i] - positions[j]).max() == 1
+    }
+    assert {(int(i), int(j)) for i, j in pairs} == expected
+    with pytest.raises(InputError, match="true positions"):
+        neighbouring_pairs(Recording(np.zeros((2, 20))))
+
+
+def test_a_denser_stimulation_covers_more_and_without_a_method_there_are_no_maps() -> None:
+    sparse, dense = (
+        coverage_curve("sphere", "rubbing", (100,), (3, 4), method=None, n_hands=n) for n in (1, 4)
+    )
+    assert dense.touched.mean() > sparse.touched.mean()
+    assert np.isnan(dense.mantel_r).all()
+
+
+def test_where_nothing_was_touched_there_is_no_map() -> None:
+    curve = coverage_curve("sphere", "pressing", (1,), (1,))
+    assert curve.touched.tolist() == [[0.0]]
+    assert np.isnan(curve.mantel_r).all()
+
+
+@pytest.mark.parametrize(
+    ("lengths", "seeds", "method", "message"),
+    [
+        ((), (1,), "r-anisomap", "at least one length and one seed"),
+        ((5,), (), "r-anisomap", "at least one length and one seed"),
+        ((5, 0), (1,), "r-anisomap", "n_frames is 0"),
+        ((5,), (1,), "magic", "magic"),
+    ],
+)
+def test_nonsense_is_refused(
+    lengths: tuple[int, ...], seeds: tuple[int, ...], method: str, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        coverage_curve("sphere", "rubbing", lengths, seeds, method=method)

@@ -1,0 +1,187 @@
+"""Strokes stay on the skin and come everywhere; what follows them settles on the body."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from anisomap.errors import InputError
+from anisomap.simulation.bodies import BODIES
+from anisomap.simulation.bodies.paper import plane, sphere, y_shape
+from anisomap.simulation.options import fitted
+from anisomap.simulation.paths import (
+    StrokeOptions,
+    Wandering,
+    find_skin,
+    wander,
+    wandering_values,
+)
+from anisomap.simulation.settling import Cluster, settle, support
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@cache
+def wandered(name: str, n_frames: int = 2000, seed: int = 1, **given: float) -> Wandering:
+    body = BODIES[name]()
+    rng = np.random.default_rng(seed)
+    options = fitted(StrokeOptions, body, given)
+    return wander(body, find_skin(body, rng), n_frames, options, rng)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_a_path_keeps_to_the_skin_and_comes_to_every_sensor(name: str) -> None:
+    body = BODIES[name]()
+    path = wandered(name)
+    assert len(path.points) == 2000
+    assert np.abs(body.distance(path.points)).max() < 1e-3 * body.reach
+    for directions in (path.normals, path.headings):
+        np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, rtol=1e-9)
+    assert np.abs(np.einsum("td,td->t", path.normals, path.headings)).max() < 1e-9
+    away = KDTree(path.points).query(body.positions)[0]
+    assert np.max(away) < body.spacing
+    # Not over the bare parts: the back of a plate, the ends of a cylinder.
+    from_sensors = KDTree(body.positions).query(path.points)[0]
+    assert np.max(from_sensors) < 2.5 * body.spacing
+
+
+@pytest.mark.parametrize("name", ["sphere", "plane", "hand"])
+def test_on_the_skin_a_path_goes_on_smoothly_and_only_in_the_air_it_jumps(name: str) -> None:
+    body = BODIES[name]()
+    path = wandered(name)
+    stride = 2.0 * 0.05 * body.reach
+    moved = np.linalg.norm(np.diff(path.points, axis=0), axis=1)
+    top = (path.lifts[:-1] == 1) & (path.lifts[1:] == 1)
+    assert top.any()
+    assert moved[~top].max() < 2 * stride
+    assert np.median(moved[(path.lifts[1:] == 0) & (path.lifts[:-1] == 0)]) > 0.8 * stride
+    assert np.abs(np.diff(path.lifts)).max() < 0.34
+    assert np.abs(np.diff(path.presses)).max() < 0.2
+
+
+def test_lines_are_straight_circles_are_round_and_directions_change() -> None:
+    lines = wandered("plane", circle_share=0.0, lift_share=0.0)
+    circles = wandered("plane", circle_share=1.0, lift_share=0.0)
+    turns = []
+    for path in (lines, circles):
+        angle = np.arctan2(path.headings[:, 1], path.headings[:, 0])
+        turns.append(np.abs((np.diff(angle) + np.pi) % (2 * np.pi) - np.pi))
+    assert np.median(turns[0]) < 1e-9
+    assert np.median(turns[1]) > 0.1
+    everywhere = np.histogram(np.arctan2(*lines.headings[:, :2].T), bins=8, range=(-np.pi, np.pi))
+    assert everywhere[0].min() > 0.03 * len(lines.points)
+    assert (lines.lifts == 0).mean() > 0.9
+    assert lines.n_strokes > 50
+
+
+def test_all_places_of_a_sphere_are_alike() -> None:
+    path = wandered("sphere", n_frames=6000)
+    assert np.linalg.norm(path.points.mean(axis=0)) < 0.1
+    assert np.abs(np.cov(path.points.T) - np.eye(3) / 3).max() < 0.1
+
+
+def test_one_sensor_has_a_skin_too() -> None:
+    body, rng = sphere(1), np.random.default_rng(1)
+    path = wander(body, find_skin(body, rng), 50, StrokeOptions(), rng)
+    assert np.isfinite(path.points).all()
+
+
+@given(st.integers(1, 300), st.floats(0.5, 50), seeds)
+def test_wandering_values_stay_in_range_and_glide(n_frames: int, change: float, seed: int) -> None:
+    values = wandering_values(n_frames, change, np.random.default_rng(seed))
+    assert values.shape == (n_frames,)
+    assert values.min() >= 0
+    assert values.max() <= 1
+    # The steepest cosine from 0 to 1.
+    assert np.abs(np.diff(values)).max(initial=0) <= np.pi / 2 / change + 1e-12
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_a_ball_that_settles_reaches_as_deep_into_the_body_as_it_is_pressed(name: str) -> None:
+    body = BODIES[name]()
+    rng = np.random.default_rng(4)
+    skin = find_skin(body, rng)
+    path = wander(body, skin, 300, fitted(StrokeOptions, body), rng)
+    radius = 0.3 * body.reach
+    depths = 0.1 * body.reach * path.presses
+    cluster = Cluster(np.zeros((300, 1, 3)), np.array([radius]))
+    centres = cluster.placed(path, settle(cluster, skin, path, depths))[:, 0]
+    error = (radius - body.distance(centres) - depths) / body.reach
+    assert error.min() > -1e-3  # as deep as it is pressed ...
+    assert error.max() < 0.02  # ... and no deeper, as far as the surface is sampled
+    assert np.median(np.abs(error)) < 1e-6
+
+
+def test_a_capsule_that_settles_on_a_sphere_touches_it_with_its_middle() -> None:
+    rng = np.random.default_rng(5)
+    body = sphere()
+    skin = find_skin(body, rng)
+    path = wander(body, skin, 200, StrokeOptions(), rng)
+    axes = 0.4 * np.cross(path.normals, path.headings)[:, None]
+    cluster = Cluster(np.zeros_like(axes), np.array([0.2]), axes)
+    heights = settle(cluster, skin, path, 0.1 * path.presses)
+    np.testing.assert_allclose(heights, 0.2 - 0.1 * path.presses, atol=1e-9)
+
+
+def test_a_cluster_on_a_plate_rests_on_its_lowest_ball() -> None:
+    rng = np.random.default_rng(6)
+    body = plane()
+    skin = find_skin(body, rng)
+    path = wander(body, skin, 200, StrokeOptions(), rng)
+    inside = np.abs(path.points[:, :2]).max(axis=1) < 0.5
+    local = np.array([[0, 0, 0.35], [0.3, 0, 0.2]])
+    offsets = np.einsum("tij,bj->tbi", path.frames(np.zeros(200)), local)
+    cluster = Cluster(offsets, np.array([0.2, 0.1]))
+    centres = cluster.placed(path, settle(cluster, skin, path, np.zeros(200)))
+    lowest = (centres[..., 2] - cluster.radii).min(axis=1) - 0.1
+    # Where the lower ball stands between samples, it sinks in by their gaps' sagitta.
+    assert np.abs(lowest[inside]).max() < 0.02
+    assert inside.sum() > 30
+
+
+@settings(max_examples=40)
+@given(seeds, st.sampled_from(sorted(BODIES)))
+def test_the_support_is_the_furthest_point_of_the_surface(seed: int, name: str) -> None:
+    rng = np.random.default_rng(seed)
+    body = BODIES[name]()
+    directions = rng.standard_normal((5, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    turn = Rotation.random(rng=rng).as_matrix()
+    turned = [solid.moved(turn, (0.3, 0.1, -0.2)) for solid in body.solids]
+    drawn = np.vstack([solid.outline.vertices for solid in turned])
+    furthest = (directions @ drawn.T).max(axis=1)
+    found = support(turned, directions)
+    # What is drawn of round things lies inside them, within what one can see.
+    assert (found >= furthest - 1e-9).all()
+    assert (found <= furthest + 5e-3 * body.reach).all()
+    moved = [replace(solid, centre=solid.centre + 1.0) for solid in turned]
+    np.testing.assert_allclose(support(moved, directions), found + directions.sum(axis=1))
+
+
+def test_support_of_a_capsule_and_a_box_in_closed_form() -> None:
+    up, slanted = np.array([0.0, 0, 1]), np.array([1.0, 0, 1]) / np.sqrt(2)
+    np.testing.assert_allclose(
+        support(plane().solids, np.array([up, slanted])), [0.1, 1.1 / np.sqrt(2)]
+    )
+    np.testing.assert_allclose(support(y_shape().solids, np.array([[1.0, 0, 0]])), [1.13])
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"speed": 0.0}, "speed is 0 m/s"),
+        ({"stroke_length": -1.0}, "stroke_length is -1 m"),
+        ({"press_depth": float("nan")}, "press_depth is nan"),
+        ({"circle_share": 1.5}, r"circle_share is 1\.5; it must be from 0 to 1"),
+        ({"lift_share": float("nan")}, "lift_share is nan"),
+        ({"frame_interval": 0.0}, "frame_interval is 0 s"),
+    ],
+)
+def test_nonsense_is_refused(given: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        StrokeOptions(**given)

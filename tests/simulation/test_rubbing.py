@@ -1,0 +1,343 @@
+"""What sensors make of a hand that rubs, a roller, a flat surface, a fingertip, point sources."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from anisomap.errors import InputError
+from anisomap.evaluation.scoring import score
+from anisomap.reconstruction import reconstruct
+from anisomap.scene import Prop
+from anisomap.simulation import BODIES, SCENARIOS, simulate
+from anisomap.simulation.bodies.paper import plane, sphere, y_shape
+from anisomap.simulation.options import fitted
+from anisomap.simulation.paths import find_skin, wander
+from anisomap.simulation.pressing import PressingOptions, draw_presses
+from anisomap.simulation.pulses import PulsesOptions, draw_pulses, read_pulses
+from anisomap.simulation.rolling import RollerOptions
+from anisomap.simulation.rubbing import RubbingOptions, draw_palm, rub, rubbing
+from anisomap.simulation.sensing import read_balls, read_capsules, read_half_spaces
+from anisomap.simulation.settling import support
+from anisomap.simulation.touching_oneself import (
+    SelfTouchOptions,
+    fingertip,
+    touch,
+    with_fingertip,
+)
+
+KINEMATIC = ("rubbing", "roller", "pressing", "self-touch", "pulses")
+OF_TOUCH = KINEMATIC[:4]
+seeds = st.integers(0, 2**32 - 1)
+
+Surface = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+def nearest_by_sampling(surface: Surface, point: NDArray[np.float64], n_shape: int) -> float:
+    """Search a surface, given by parameters in [0, 1], for the point nearest to another."""
+    middle, width = np.full(n_shape, 0.5), 0.5
+    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 13)] * n_shape), axis=-1).reshape(-1, n_shape)
+    for _ in range(24):
+        tried = middle + width * grid
+        away = np.linalg.norm(surface(tried) - point, axis=1)
+        middle = tried[away.argmin()]
+        width *= 0.6
+    return float(away.min())
+
+
+def on_ball(shape: NDArray[np.float64]) -> NDArray[np.float64]:
+    height, angle = np.clip(2 * shape[:, 0] - 1, -1, 1), 2 * np.pi * shape[:, 1]
+    ring = np.sqrt(1 - height**2)
+    return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds)
+def test_readings_equal_brute_force_over_the_surface_of_what_touches(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sensor, radius, detection = rng.uniform(-0.5, 0.5, 3), 0.3, 0.9
+    start, end = rng.uniform(0.8, 1.2, 3), rng.uniform([-1.2, 0.8, 0.8], [-0.8, 1.2, 1.2])
+    sensors = sensor[None]
+
+    def capsule(shape: NDArray[np.float64]) -> NDArray[np.float64]:
+        along = np.clip(shape[:, 2:], 0, 1)
+        return start + along * (end - start) + radius * on_ball(shape)
+
+    def face(shape: NDArray[np.float64]) -> NDArray[np.float64]:
+        normal = start / np.linalg.norm(start)
+        u = np.cross(normal, [1.0, 0, 0])
+        v = np.cross(normal, u)
+        return start + 8 * (shape[:, :1] - 0.5) * u + 8 * (shape[:, 1:] - 0.5) * v
+
+    direction = start / np.linalg.norm(start)
+    cases = [
+        (
+            read_balls(sensors, start[None, None], radius, detection),
+            nearest_by_sampling(lambda shape: start + radius * on_ball(shape), sensor, 2),
+        ),
+        (
+            read_capsules(sensors, start[None, None], end[None, None], radius, detection),
+            nearest_by_sampling(capsule, sensor, 3),
+        ),
+        (
+            read_half_spaces(sensors, direction[None], [start @ direction], detection),
+            nearest_by_sampling(face, sensor, 2),
+        ),
+    ]
+    for reading, nearest in cases:
+        assert abs(reading[0, 0] - max(0.0, detection - nearest)) <= 1e-6 * detection
+
+
+@given(seeds)
+def test_pulses_add_up_and_halve_at_the_half_distance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sensors, places = rng.standard_normal((4, 3)), rng.standard_normal((3, 2, 3))
+    strengths = rng.random((3, 2))
+    found = read_pulses(sensors, places, strengths, 0.4)
+    for t in range(3):
+        for i, sensor in enumerate(sensors):
+            away = [sum((a - b) ** 2 for a, b in zip(sensor, p, strict=True)) for p in places[t]]
+            told = sum(s / (1 + d / 0.16) for s, d in zip(strengths[t], away, strict=True))
+            assert found[t, i] == pytest.approx(told, rel=1e-6)
+    at = read_pulses([[0, 0, 0], [0.4, 0, 0]], [[[0, 0, 0]]], [[0.8]], 0.4)
+    np.testing.assert_allclose(at, [[0.8, 0.4]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("scenario", KINEMATIC)
+@pytest.mark.parametrize("body", ["sphere", "hexagon"])
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(
+    body: str, scenario: str
+) -> None:
+    first, again, other = (simulate(body, scenario, n_frames=60, seed=s) for s in (5, 5, 6))
+    assert first.readings.tobytes() == again.readings.tobytes()
+    assert dict(first.metadata) == dict(again.metadata)
+    assert not np.array_equal(first.readings, other.readings)
+
+
+@pytest.mark.parametrize("scenario", OF_TOUCH)
+@pytest.mark.parametrize("body", ["cylinder", "y-shape"])
+def test_a_default_run_touches_every_sensor_and_leaves_most_of_them_alone(
+    body: str, scenario: str
+) -> None:
+    options = fitted(SCENARIOS[scenario].options, BODIES[body]())
+    made = BODIES[body]()
+    run = SCENARIOS[scenario].run(made, 2000, options, np.random.default_rng(2))
+    touched = run.readings > 0
+    assert touched.any(axis=0).all()
+    assert 0.2 < 1 - touched.mean() < 0.98
+    assert 0 < (~touched.any(axis=1)).mean() < 0.5  # now and then, nothing is in range
+    assert len(run.readings) == 2000
+    assert run.readings.shape[1] == run.sensors.shape[1]
+
+
+@pytest.mark.parametrize("scenario", KINEMATIC)
+def test_a_body_twice_as_large_is_touched_alike(scenario: str) -> None:
+    chosen = SCENARIOS[scenario]
+    runs = [
+        chosen.run(body, 50, fitted(chosen.options, body), np.random.default_rng(3))
+        for body in (y_shape(), y_shape().scaled(2))
+    ]
+    growth = 1 if scenario == "pulses" else 2
+    np.testing.assert_allclose(runs[1].readings, growth * runs[0].readings, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "depths"),
+    [("rubbing", (0.02, 0.06, 0.1)), ("roller", (0.02, 0.1, 0.18)), ("pressing", (0.05, 0.2, 0.4))],
+)
+@pytest.mark.parametrize("body", ["sphere", "plane", "y-shape"])
+def test_pressing_deeper_never_lowers_a_reading(
+    body: str, scenario: str, depths: tuple[float, ...]
+) -> None:
+    made = BODIES[body]()
+    runs = []
+    for depth in depths:
+        options = fitted(SCENARIOS[scenario].options, made, {"press_depth": depth})
+        runs.append(SCENARIOS[scenario].run(made, 200, options, np.random.default_rng(4)).readings)
+    # Among the arms of the Y, a thing that is pressed harder may settle elsewhere.
+    share = 0.97 if body == "y-shape" else 1.0
+    for lighter, harder in pairwise(runs):
+        assert (harder >= lighter - 1e-6).mean() >= share
+        assert harder.sum() > lighter.sum()
+
+
+def test_rubbing_the_hexagon_gives_a_map_as_good_as_the_papers_hardware() -> None:
+    recording = simulate("hexagon", "rubbing", n_frames=1054, seed=1)
+    assert recording.positions is not None
+    assert score(reconstruct(recording, dimensions=2), recording.positions).mantel.r > 0.9
+
+
+def test_the_palm_is_rigid_irregular_and_another_one_with_another_seed() -> None:
+    rng = np.random.default_rng(5)
+    body, options = sphere(), RubbingOptions()
+    palm, other = draw_palm(0.35, rng), draw_palm(0.35, rng)
+    assert not np.allclose(palm.centres, other.centres)
+    assert len(np.unique(palm.radii)) == len(palm.radii)
+    skin = find_skin(body, rng)
+    centres = rub(palm, skin, wander(body, skin, 100, options, rng), options, rng)
+    apart = np.linalg.norm(centres[:, :, None] - centres[:, None], axis=-1)
+    truly = np.linalg.norm(palm.centres[:, None] - palm.centres, axis=-1)
+    np.testing.assert_allclose(apart, np.broadcast_to(truly, apart.shape), atol=1e-9)
+
+
+def test_two_hands_touch_at_once_and_each_reading_is_the_deeper_of_the_two() -> None:
+    body = sphere()
+    one, two = (
+        rubbing(body, 300, RubbingOptions(n_hands=n), np.random.default_rng(6)) for n in (1, 2)
+    )
+    assert (two.readings >= one.readings).all()
+    assert (two.readings > 0).mean() > 1.5 * (one.readings > 0).mean()
+    hands = np.split(two.props[-1].centres, 2, axis=1)
+    sizes = np.split(np.asarray(two.props[-1].scales), 2)
+    alone = [read_balls(body.positions, *hand, 0.3) for hand in zip(hands, sizes, strict=True)]
+    np.testing.assert_array_equal(two.readings, np.max(alone, axis=0))
+
+
+def test_a_roller_touches_whole_lines_of_sensors() -> None:
+    body = plane()
+    options = fitted(RollerOptions, body, {"detection_radius": 0.1})
+    run = SCENARIOS["roller"].run(body, 400, options, np.random.default_rng(7))
+    elongated = []
+    for row in run.readings:
+        spots = body.positions[row > 0][:, :2]
+        if len(spots) >= 8:
+            width = np.linalg.svd(spots - spots.mean(axis=0), compute_uv=False)
+            elongated.append(width[0] / max(width[1], 1e-9))
+    assert len(elongated) > 50
+    assert np.median(elongated) > 2
+
+
+def test_a_flat_surface_meets_the_body_as_deep_as_it_is_pressed_and_comes_from_all_sides() -> None:
+    body, options = sphere(), PressingOptions()
+    directions, depths = draw_presses(body, 4000, options, np.random.default_rng(8))
+    offsets = support(body.solids, directions) - depths
+    np.testing.assert_allclose(offsets, 1 - depths)
+    assert depths.max() <= options.press_depth
+    assert depths.min() == -options.detection_radius
+    assert np.linalg.norm(directions.mean(axis=0)) < 0.05
+    assert np.abs(np.cov(directions.T) - np.eye(3) / 3).max() < 0.05
+
+
+def test_pulses_come_from_all_sides_alike_and_never_from_within() -> None:
+    body, options = sphere(), PulsesOptions()
+    places, strengths = draw_pulses(body, 8000, options, np.random.default_rng(9))
+    away = np.linalg.norm(places, axis=-1)
+    assert away.min() > 1
+    assert away.max() <= options.field_radius
+    # Uniform in the shell: the share within half of its volume is a half.
+    half = ((1 + options.field_radius**3) / 2) ** (1 / 3)
+    assert (away < half).mean() == pytest.approx(0.5, abs=0.03)
+    assert np.linalg.norm((places / away[..., None]).mean(axis=(0, 1))) < 0.05
+    assert strengths.min() >= 0
+    assert strengths.max() <= options.strength
+    told = read_pulses(body.positions, places, strengths, options.half_distance)
+    assert told.mean(axis=0).std() < 0.05 * told.mean()
+    moments = np.array([(told > level).mean(axis=0) for level in np.quantile(told, (0.5, 0.9))])
+    assert np.abs(moments - [[0.5], [0.1]]).max() < 0.05
+
+
+def test_a_fingertip_and_the_body_feel_the_same_touch() -> None:
+    body, options = sphere(), SelfTouchOptions()
+    recording = simulate(body, "self-touch", n_frames=500, seed=10)
+    n = body.n_sensors
+    assert recording.names[:n] == body.names
+    assert recording.names[n:] == tuple(f"finger{i}" for i in range(options.n_finger_sensors))
+    assert recording.positions is not None
+    np.testing.assert_array_equal(recording.positions[:n], body.positions)
+    beside = np.linalg.norm(recording.positions[n:], axis=1)
+    assert beside.min() > body.reach + options.finger_radius
+    apart = recording.surface_distances
+    assert apart is not None
+    assert np.isinf(apart[:n, n:]).all()
+    assert np.isfinite(apart[:n, :n]).all()
+    assert np.isfinite(apart[n:, n:]).all()
+    felt, feels = recording.readings[:, :n] > 0, recording.readings[:, n:] > 0
+    assert feels.any(axis=0).all()
+    # What the tip touches, touches the tip: sensors stand less than its range apart.
+    assert felt[feels.any(axis=1)].any(axis=1).all()
+
+
+def test_both_sides_of_self_touch_equal_the_closed_form() -> None:
+    body, options = sphere(), SelfTouchOptions()
+    run = SCENARIOS["self-touch"].run(body, 100, options, np.random.default_rng(11))
+    centres, turns = touch(body, 100, options, np.random.default_rng(11))
+    tip = options.finger_radius * fingertip(options)
+    for t in range(100):
+        away = np.linalg.norm(body.positions - centres[t, 0], axis=1) - options.finger_radius
+        moved = centres[t] + tip @ turns[t].T
+        own = np.linalg.norm(moved, axis=1) - 1
+        np.testing.assert_allclose(
+            run.readings[t],
+            np.maximum(
+                np.concatenate(
+                    [options.detection_radius - away, options.finger_detection_radius - own]
+                ),
+                0,
+            ),
+            atol=1e-6,
+        )
+        np.testing.assert_allclose(run.sensors[t], np.vstack([body.positions, moved]))
+    np.testing.assert_allclose(
+        turns @ np.swapaxes(turns, 1, 2), np.broadcast_to(np.eye(3), turns.shape), atol=1e-9
+    )
+
+
+def test_a_body_with_a_fingertip_is_a_body() -> None:
+    body = with_fingertip(y_shape(), SelfTouchOptions())
+    assert body.n_sensors == 105 + 16
+    assert np.abs(body.distance(body.positions)).max() < 1e-9
+    np.testing.assert_allclose(body.outward(body.positions)[105:], body.normals[105:], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "given", "message"),
+    [
+        ("rubbing", {"n_hands": 0}, "n_hands is 0"),
+        ("rubbing", {"press_depth": 0.2}, "deeper than the palm is thick; take at most"),
+        ("rubbing", {"hand_size": -1.0}, "hand_size is -1 m"),
+        ("roller", {"press_depth": 0.2}, "must be less than the roller's radius"),
+        ("roller", {"roller_length": 0.0}, "roller_length is 0 m"),
+        ("pressing", {"tilt": -0.1}, r"tilt is -0\.1; it must be from 0 to pi"),
+        ("pressing", {"press_interval": 0.05}, r"it must be at least two frames, 0\.1 s"),
+        ("self-touch", {"n_finger_sensors": 0}, "n_finger_sensors is 0"),
+        ("self-touch", {"press_depth": 0.3}, "less than the fingertip's radius"),
+        ("pulses", {"n_sources": 0}, "n_sources is 0"),
+        ("pulses", {"field_radius": 0.9}, "leaves no room outside the body; take more than 1 m"),
+        ("pulses", {"half_distance": float("inf")}, "half_distance is inf m"),
+    ],
+)
+def test_nonsense_is_refused(scenario: str, given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        simulate("sphere", scenario, n_frames=20, **given)
+
+
+@pytest.mark.parametrize("scenario", KINEMATIC)
+def test_what_is_seen_is_what_is_told(scenario: str) -> None:
+    body = sphere()
+    chosen = SCENARIOS[scenario]
+    told: list[float] = []
+    run = chosen.run(body, 30, chosen.options(), np.random.default_rng(12), told.append)
+    assert told[-1] == 1
+    assert {field.name for field in fields(chosen.options)} <= set(run.facts)
+    for prop in run.props:
+        assert len(prop.centres) in (1, 30)
+        for corners in prop.surfaces(17):
+            assert np.isfinite(corners).all()
+    if scenario in ("rubbing", "roller", "self-touch"):
+        # Drawn where it touches: in the body by the press depth at most, or lifted off.
+        nearest = min(np.linalg.norm(drawn(run.props[-1], t), axis=1).min() for t in range(30))
+        assert nearest > 1 - chosen.options().press_depth - 0.02
+        assert nearest < 1.01
+
+
+def drawn(prop: Prop, frame: int) -> NDArray[np.float64]:
+    """Sample what is drawn: corners and edges of its triangles."""
+    corners = np.array(prop.surfaces(frame))[:, prop.mesh.faces].reshape(-1, 3, 3)
+    along = np.linspace(0, 1, 9)[:, None, None, None]
+    return (along * corners + (1 - along) * np.roll(corners, 1, axis=1)).reshape(-1, 3)
