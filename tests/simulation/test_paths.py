@@ -110,10 +110,10 @@ def test_a_ball_that_settles_reaches_as_deep_into_the_body_as_it_is_pressed(name
     radius = 0.3 * body.reach
     depths = 0.1 * body.reach * path.presses
     cluster = Cluster(np.zeros((300, 1, 3)), np.array([radius]))
-    centres = cluster.placed(path, settle(cluster, skin, path, depths))[:, 0]
+    centres = cluster.placed(path, settle(body, skin, path, cluster, depths))[:, 0]
     error = (radius - body.distance(centres) - depths) / body.reach
     assert error.min() > -1e-3  # as deep as it is pressed ...
-    assert error.max() < 0.02  # ... and no deeper, as far as the surface is sampled
+    assert error.max() < 1e-2  # ... and no deeper, save in the hand's crotches
     assert np.median(np.abs(error)) < 1e-6
 
 
@@ -124,7 +124,7 @@ def test_a_capsule_that_settles_on_a_sphere_touches_it_with_its_middle() -> None
     path = wander(body, skin, 200, StrokeOptions(), rng)
     axes = 0.4 * np.cross(path.normals, path.headings)[:, None]
     cluster = Cluster(np.zeros_like(axes), np.array([0.2]), axes)
-    heights = settle(cluster, skin, path, 0.1 * path.presses)
+    heights = settle(body, skin, path, cluster, 0.1 * path.presses)
     np.testing.assert_allclose(heights, 0.2 - 0.1 * path.presses, atol=1e-9)
 
 
@@ -137,7 +137,7 @@ def test_a_cluster_on_a_plate_rests_on_its_lowest_ball() -> None:
     local = np.array([[0, 0, 0.35], [0.3, 0, 0.2]])
     offsets = np.einsum("tij,bj->tbi", path.frames(np.zeros(200)), local)
     cluster = Cluster(offsets, np.array([0.2, 0.1]))
-    centres = cluster.placed(path, settle(cluster, skin, path, np.zeros(200)))
+    centres = cluster.placed(path, settle(body, skin, path, cluster, np.zeros(200)))
     lowest = (centres[..., 2] - cluster.radii).min(axis=1) - 0.1
     # Where the lower ball stands between samples, it sinks in by their gaps' sagitta.
     assert np.abs(lowest[inside]).max() < 0.02

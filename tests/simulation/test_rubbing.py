@@ -18,11 +18,11 @@ from anisomap.scene import Prop
 from anisomap.simulation import BODIES, SCENARIOS, simulate
 from anisomap.simulation.bodies.paper import plane, sphere, y_shape
 from anisomap.simulation.options import fitted
-from anisomap.simulation.paths import find_skin, wander
+from anisomap.simulation.paths import find_skin
 from anisomap.simulation.pressing import PressingOptions, draw_presses
 from anisomap.simulation.pulses import PulsesOptions, draw_pulses, read_pulses
 from anisomap.simulation.rolling import RollerOptions
-from anisomap.simulation.rubbing import RubbingOptions, draw_palm, rub, rubbing
+from anisomap.simulation.rubbing import RubbingOptions, rub, rubbing
 from anisomap.simulation.sensing import read_balls, read_capsules, read_half_spaces
 from anisomap.simulation.settling import support
 from anisomap.simulation.touching_oneself import (
@@ -175,15 +175,15 @@ def test_rubbing_the_hexagon_gives_a_map_as_good_as_the_papers_hardware() -> Non
 
 def test_the_palm_is_rigid_irregular_and_another_one_with_another_seed() -> None:
     rng = np.random.default_rng(5)
-    body, options = sphere(), RubbingOptions()
-    palm, other = draw_palm(0.35, rng), draw_palm(0.35, rng)
-    assert not np.allclose(palm.centres, other.centres)
-    assert len(np.unique(palm.radii)) == len(palm.radii)
-    skin = find_skin(body, rng)
-    centres = rub(palm, skin, wander(body, skin, 100, options, rng), options, rng)
-    apart = np.linalg.norm(centres[:, :, None] - centres[:, None], axis=-1)
-    truly = np.linalg.norm(palm.centres[:, None] - palm.centres, axis=-1)
-    np.testing.assert_allclose(apart, np.broadcast_to(truly, apart.shape), atol=1e-9)
+    body = sphere()
+    hand, other = (rub(body, find_skin(body, rng), 100, RubbingOptions(), rng) for _ in range(2))
+    assert not np.allclose(hand.radii, other.radii)
+    assert len(np.unique(hand.radii)) == len(hand.radii)
+    apart = np.linalg.norm(hand.centres[:, :, None] - hand.centres[:, None], axis=-1)
+    np.testing.assert_allclose(apart, np.broadcast_to(apart[0], apart.shape), atol=1e-9)
+    assert len(np.unique(apart[0].round(6))) > len(hand.radii)
+    # No deeper than it is pressed, wherever its pads stand.
+    assert (hand.radii + 1 - np.linalg.norm(hand.centres, axis=2)).max() < 0.1 + 1e-9
 
 
 def test_two_hands_touch_at_once_and_each_reading_is_the_deeper_of_the_two() -> None:
@@ -332,7 +332,7 @@ def test_what_is_seen_is_what_is_told(scenario: str) -> None:
     if scenario in ("rubbing", "roller", "self-touch"):
         # Drawn where it touches: in the body by the press depth at most, or lifted off.
         nearest = min(np.linalg.norm(drawn(run.props[-1], t), axis=1).min() for t in range(30))
-        assert nearest > 1 - chosen.options().press_depth - 0.02
+        assert nearest > 1 - chosen.options().press_depth - 0.01
         assert nearest < 1.01
 
 
@@ -340,4 +340,5 @@ def drawn(prop: Prop, frame: int) -> NDArray[np.float64]:
     """Sample what is drawn: corners and edges of its triangles."""
     corners = np.array(prop.surfaces(frame))[:, prop.mesh.faces].reshape(-1, 3, 3)
     along = np.linspace(0, 1, 9)[:, None, None, None]
-    return (along * corners + (1 - along) * np.roll(corners, 1, axis=1)).reshape(-1, 3)
+    edges = along * corners + (1 - along) * np.roll(corners, 1, axis=1)
+    return np.asarray(edges.reshape(-1, 3))

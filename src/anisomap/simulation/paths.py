@@ -20,7 +20,7 @@ from anisomap.simulation.options import REACH, parameter
 from anisomap.simulation.solids import Points
 from anisomap.simulation.spreading import sample_surface
 
-_STONES = 10_000
+_STONES = 4000
 _FACING = 0.5  # cosine: a stone that faces further away than this is no part of a sensor's skin
 _HOLE = 4.0  # typical gaps between stones: the largest hole that chance leaves in them
 _STEP = 0.02  # of the reach

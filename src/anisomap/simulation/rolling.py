@@ -82,7 +82,7 @@ def roller(
     across = np.cross(path.normals, path.headings)
     axes = options.roller_length / 2 * across[:, None]
     cluster = Cluster(np.zeros_like(axes), np.array([options.roller_radius]), axes)
-    heights = settle(cluster, skin, path, options.press_depth * path.presses)
+    heights = settle(body, skin, path, cluster, options.press_depth * path.presses)
     centres = cluster.placed(path, heights + path.lifts * CLEAR * options.detection_radius)
     readings = read_capsules(
         body.positions,

@@ -21,7 +21,6 @@ from anisomap.simulation.options import REACH, parameter
 from anisomap.simulation.paths import (
     Skin,
     StrokeOptions,
-    Wandering,
     find_skin,
     wander,
     wandering_values,
@@ -77,17 +76,21 @@ class RubbingOptions(StrokeOptions):
 
 
 @dataclass(frozen=True, eq=False)
-class Palm:
-    """A hand as pads of different sizes, in its own frame: x and y along the palm, z out of it.
+class Rub:
+    """Where a hand was.
 
     Attributes
     ----------
-    centres : ndarray of shape (P, 3)
+    centres : ndarray of shape (T, P, 3)
+        Of the pads of its palm, in each frame.
     radii : ndarray of shape (P,)
+        Of the pads.
+    n_strokes : int
     """
 
     centres: Points
     radii: NDArray[np.float64]
+    n_strokes: int
 
 
 def rubbing(
@@ -114,23 +117,20 @@ def rubbing(
     Run
     """
     skin = find_skin(body, rng)
-    centres, radii, n_strokes = [], [], 0
+    hands = []
     for done in range(options.n_hands):
         if progress is not None:
             progress(done / options.n_hands)
-        palm = draw_palm(options.hand_size, rng)
-        path = wander(body, skin, n_frames, options, rng)
-        centres.append(rub(palm, skin, path, options, rng))
-        radii.append(palm.radii)
-        n_strokes += path.n_strokes
-    pads, sizes = np.concatenate(centres, axis=1), np.concatenate(radii)
+        hands.append(rub(body, skin, n_frames, options, rng))
+    pads = np.concatenate([hand.centres for hand in hands], axis=1)
+    sizes = np.concatenate([hand.radii for hand in hands])
     readings = read_balls(body.positions, pads, sizes, options.detection_radius)
     if progress is not None:
         progress(1.0)
     return Run(
         readings,
         rate_hz=1 / options.frame_interval,
-        facts=asdict(options) | {"n_strokes": n_strokes},
+        facts=asdict(options) | {"n_strokes": sum(hand.n_strokes for hand in hands)},
         props=(
             *still_life(body),
             Prop("stimulus", solids.ball(1.0).outline, pads, scales=sizes),
@@ -139,26 +139,37 @@ def rubbing(
     )
 
 
-def draw_palm(size: float, rng: np.random.Generator) -> Palm:
-    """Draw a palm: a pad in the middle, and others about it, none like another."""
+def rub(
+    body: Body, skin: Skin, n_frames: int, options: RubbingOptions, rng: np.random.Generator
+) -> Rub:
+    """Move a hand of its own shape over a body."""
+    pads, radii = draw_palm(options.hand_size, rng)
+    path = wander(body, skin, n_frames, options, rng)
+    angles = _turning(n_frames, options.frame_interval, rng)
+    cluster = Cluster(np.einsum("tij,pj->tpi", path.frames(angles), pads), radii)
+    heights = settle(body, skin, path, cluster, options.press_depth * path.presses)
+    heights += path.lifts * CLEAR * options.detection_radius
+    return Rub(cluster.placed(path, heights), radii, path.n_strokes)
+
+
+def draw_palm(size: float, rng: np.random.Generator) -> tuple[Points, NDArray[np.float64]]:
+    """Draw a palm: a pad in the middle, and others about it, none like another.
+
+    Returns
+    -------
+    centres : ndarray of shape (P, 3)
+        x and y along the palm, z out of it; all pads are above z = 0.
+    radii : ndarray of shape (P,)
+    """
     angle = 2 * np.pi * (np.arange(_PADS - 1) + rng.uniform(-0.3, 0.3, _PADS - 1)) / (_PADS - 1)
     away = size * rng.uniform(0.5, 1.0, _PADS - 1)
     radii = size * rng.uniform(*_THICK, _PADS)
     height = radii + size * _UNEVEN * rng.random(_PADS)
     flat = np.column_stack([away * np.cos(angle), away * np.sin(angle)])
-    return Palm(np.column_stack([np.vstack([[0, 0], flat]), height]), radii)
+    return np.column_stack([np.vstack([[0, 0], flat]), height]), radii
 
 
-def rub(
-    palm: Palm, skin: Skin, path: Wandering, options: RubbingOptions, rng: np.random.Generator
-) -> Points:
-    """Move a palm along a path; gives its pads' centres in each frame, shape (T, P, 3)."""
-    n_frames = len(path.points)
-    interval = options.frame_interval
+def _turning(n_frames: int, interval: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw how a hand is turned in each frame, slowly this way and that; radians, (T,)."""
     rate = 2 * wandering_values(n_frames, _TURN_CHANGES / interval, rng) - 1
-    angle = rng.uniform(0, 2 * np.pi) + np.cumsum(_TURNING * interval * rate)
-    offsets = np.einsum("tij,pj->tpi", path.frames(angle), palm.centres)
-    cluster = Cluster(offsets, palm.radii)
-    height = settle(cluster, skin, path, options.press_depth * path.presses)
-    height += path.lifts * CLEAR * options.detection_radius
-    return cluster.placed(path, height)
+    return np.asarray(rng.uniform(0, 2 * np.pi) + np.cumsum(_TURNING * interval * rate))

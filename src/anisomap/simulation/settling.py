@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from anisomap.simulation.bodies.body import Body
 from anisomap.simulation.paths import Skin, Wandering
 from anisomap.simulation.solids import Points, Solid
 
 _ROUNDING = 1e-9  # of a radius
+_ALONG = 9
 
 CLEAR = 1.5
 """How high a thing lifts off, in detection radii: nothing is in range there."""
@@ -43,15 +45,17 @@ class Cluster:
 
 
 def settle(
-    cluster: Cluster, skin: Skin, path: Wandering, depths: NDArray[np.float64]
+    body: Body, skin: Skin, path: Wandering, cluster: Cluster, depths: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Bring a cluster down along the normals of a path until it touches.
 
     Parameters
     ----------
-    cluster : Cluster
+    body : Body
     skin : Skin
     path : Wandering
+        Of that body.
+    cluster : Cluster
     depths : ndarray of shape (T,)
         How deep the deepest ball or capsule may reach into the body. Less than each radius.
 
@@ -60,8 +64,8 @@ def settle(
     ndarray of shape (T,)
         How high the middle of the cluster is above the point of the path, along the normal: the
         lowest place where nothing is deeper in the body than that. The whole body stands in the
-        way, as densely as `Skin` samples it: where the path itself is touched that is exact, and
-        elsewhere small pads sink in by up to a hundredth of the body's reach more.
+        way, first as densely as `Skin` samples it, then by its exact distance (of capsules, that
+        of some points along the axis).
     """
     ground = KDTree(skin.points)
     away = np.linalg.norm(cluster.offsets, axis=2)
@@ -79,7 +83,22 @@ def settle(
             rise = _rise(cluster, t, around, normal, depths[t])
             heights[t] += rise if may_sink else max(rise, 0.0)
             may_sink = False
-    return heights
+    return heights + _too_deep(body, path, cluster, heights, depths)
+
+
+def _too_deep(
+    body: Body,
+    path: Wandering,
+    cluster: Cluster,
+    heights: NDArray[np.float64],
+    depths: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Tell by how much a cluster is too deep in a body, where it stands between samples; (T,)."""
+    points = cluster.placed(path, heights)[:, :, None]
+    if cluster.axes is not None:
+        points = points + np.linspace(-1, 1, _ALONG)[:, None] * cluster.axes[:, :, None]
+    clear = body.distance(points.reshape(-1, 3)).reshape(points.shape[:3]).min(axis=2)
+    return np.asarray(np.maximum((cluster.radii - clear).max(axis=1) - depths, 0))
 
 
 def _rise(cluster: Cluster, frame: int, points: Points, normal: Points, depth: float) -> float:

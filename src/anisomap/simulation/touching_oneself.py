@@ -161,7 +161,7 @@ def touch(
     """Move a fingertip over a body: its centres (T, 1, 3), and how it is turned (T, 3, 3)."""
     path = wander(body, skin := find_skin(body, rng), n_frames, options, rng)
     cluster = Cluster(np.zeros((n_frames, 1, 3)), np.array([options.finger_radius]))
-    heights = settle(cluster, skin, path, options.press_depth * path.presses)
+    heights = settle(body, skin, path, cluster, options.press_depth * path.presses)
     heights += path.lifts * CLEAR * max(options.detection_radius, options.finger_detection_radius)
     return cluster.placed(path, heights), _rocked(path, options.frame_interval, rng)
 
