@@ -80,7 +80,7 @@ def test_lines_are_straight_circles_are_round_and_directions_change() -> None:
 
 
 def test_all_places_of_a_sphere_are_alike() -> None:
-    path = wandered("sphere", n_frames=6000)
+    path = wandered("sphere", n_frames=4000)
     assert np.linalg.norm(path.points.mean(axis=0)) < 0.1
     assert np.abs(np.cov(path.points.T) - np.eye(3) / 3).max() < 0.1
 
@@ -106,10 +106,10 @@ def test_a_ball_that_settles_reaches_as_deep_into_the_body_as_it_is_pressed(name
     body = BODIES[name]()
     rng = np.random.default_rng(4)
     skin = find_skin(body, rng)
-    path = wander(body, skin, 300, fitted(StrokeOptions, body), rng)
+    path = wander(body, skin, 150, fitted(StrokeOptions, body), rng)
     radius = 0.3 * body.reach
     depths = 0.1 * body.reach * path.presses
-    cluster = Cluster(np.zeros((300, 1, 3)), np.array([radius]))
+    cluster = Cluster(np.zeros((150, 1, 3)), np.array([radius]))
     centres = cluster.placed(path, settle(body, skin, path, cluster, depths))[:, 0]
     error = (radius - body.distance(centres) - depths) / body.reach
     assert error.min() > -1e-3  # as deep as it is pressed ...

@@ -27,6 +27,7 @@ _STEP = 0.02  # of the reach
 _FREE = 0.2  # of a stroke's length: nearer than that there is nowhere to head for
 _STRAY = 0.3  # radians by which a stroke misses what it heads for
 _ATTEMPTS = 3
+_STEEPEST = 0.1  # sine between heading and normal: a wall
 _LINE = (0.5, 1.5)  # x stroke length
 _CIRCLE = (0.15, 0.35)  # radius, x stroke length
 _TURNS = (1.0, 2.0)
@@ -237,57 +238,62 @@ class _Walk:
         nearest = np.asarray(self._nearest_sensor.query(points)[1])
         self.visits += np.bincount(nearest, minlength=len(self.visits))
 
-    def step(self, point: Points, heading: Points) -> Points | None:
-        """Take one step; None where that leaves the skin. Gives point and heading, (2, 3)."""
+    def step(self, place: Points, turn: float) -> Points | None:
+        """Take one step; None where that leaves the skin.
+
+        A place is a point, the heading there, and the normal: shape (3, 3).
+        """
+        point, heading, normal = place
+        if turn:
+            heading = turned(heading, normal, turn)
         point = point + self.stride / self.steps * heading
         away, stone = self._ground.query(point)
         if away > self._hole:
             return None
         normal = self._normals[stone]
-        point = point - ((point - self._points[stone]) @ normal) * normal
-        return np.stack([point, tangent(heading, normal)])
-
-    def normal(self, point: Points) -> Points:
-        """Give the normal of the skin near a point, shape (3,)."""
-        return np.asarray(self._normals[self._ground.query(point)[1]])
+        across = heading - (heading @ normal) * normal
+        length = math.sqrt(across @ across)
+        if length < _STEEPEST:
+            return None
+        return np.array(
+            [point - ((point - self._points[stone]) @ normal) * normal, across / length, normal]
+        )
 
 
 def _set_down(walk: _Walk, rng: np.random.Generator) -> Points:
-    """Come down where the walk has been least; gives point and heading, shape (2, 3)."""
+    """Come down where the walk has been least; gives a place, shape (3, 3)."""
     sensor = int(np.argmin(walk.visits + rng.random(len(walk.visits))))
-    heading = tangent(rng.standard_normal(3), walk.facing[sensor])
-    return np.stack([walk.sensors[sensor], heading])
+    normal = walk.facing[sensor]
+    return np.array([walk.sensors[sensor], tangent(rng.standard_normal(3), normal), normal])
 
 
-def _stroke(walk: _Walk, where: Points, rng: np.random.Generator) -> Points:
-    """Make one stroke, until it is done or leaves the skin; shape (n_frames, 2, 3)."""
+def _stroke(walk: _Walk, place: Points, rng: np.random.Generator) -> Points:
+    """Make one stroke, until it is done or leaves the skin; places, shape (n_frames, 3, 3)."""
     length, stride = walk.options.stroke_length, walk.stride
-    place = where.copy()
     if rng.random() < walk.options.circle_share:
         radius = length * rng.uniform(*_CIRCLE)
         n_frames = math.ceil(2 * np.pi * radius * rng.uniform(*_TURNS) / stride)
         turn = rng.choice([-1, 1]) * stride / radius / walk.steps
     else:
         n_frames, turn = math.ceil(length * rng.uniform(*_LINE) / stride), 0.0
-        place[1] = _aim(walk, where[0], rng)
+        place = np.array([place[0], _aim(walk, place, rng), place[2]])
     frames: list[Points] = []
     for _ in range(n_frames):
         for _ in range(walk.steps):
-            heading = turned(place[1], walk.normal(place[0]), turn) if turn else place[1]
-            taken = walk.step(place[0], heading)
+            taken = walk.step(place, turn)
             if taken is None:
-                return np.array(frames).reshape(-1, 2, 3)
+                return np.array(frames).reshape(-1, 3, 3)
             place = taken
         frames.append(place)
     return np.array(frames)
 
 
-def _aim(walk: _Walk, point: Points, rng: np.random.Generator) -> Points:
+def _aim(walk: _Walk, place: Points, rng: np.random.Generator) -> Points:
     """Choose a direction, towards a sensor within a stroke that was visited least; (3,)."""
+    point, _, normal = place
     length = walk.options.stroke_length
     away = np.linalg.norm(walk.sensors - point, axis=1)
     candidates = np.flatnonzero((away > _FREE * length) & (away < _LINE[1] * length))
-    normal = walk.normal(point)
     if not candidates.size:
         return tangent(rng.standard_normal(3), normal)
     chosen = candidates[np.argmin(walk.visits[candidates] + rng.random(candidates.size))]
