@@ -91,6 +91,13 @@ def test_one_sensor_has_a_skin_too() -> None:
     assert np.isfinite(path.points).all()
 
 
+def test_a_stroke_without_end_ends_with_the_recording() -> None:
+    path = wandered("sphere", n_frames=50, stroke_length=1e9, circle_share=0.0, lift_share=0.0)
+    # A great circle: three points of it and the middle are in one plane.
+    assert abs(np.linalg.det(path.points[[0, 10, 20]])) < 0.02
+    assert path.n_strokes == 1
+
+
 @given(st.integers(1, 300), st.floats(0.5, 50), seeds)
 def test_wandering_values_stay_in_range_and_glide(n_frames: int, change: float, seed: int) -> None:
     values = wandering_values(n_frames, change, np.random.default_rng(seed))
@@ -180,6 +187,7 @@ def test_support_of_a_capsule_and_a_box_in_closed_form() -> None:
         ({"circle_share": 1.5}, r"circle_share is 1\.5; it must be from 0 to 1"),
         ({"lift_share": float("nan")}, "lift_share is nan"),
         ({"frame_interval": 0.0}, "frame_interval is 0 s"),
+        ({"speed": 100.0}, "is over within a frame of 0.05 s; take a speed of at most 24 m/s"),
     ],
 )
 def test_nonsense_is_refused(given: dict[str, float], message: str) -> None:

@@ -63,7 +63,8 @@ class StrokeOptions:
     Raises
     ------
     InputError
-        If a length, the speed or the interval is not positive, or a share is not in [0, 1].
+        If a length, the speed or the interval is not positive, a share is not in [0, 1], or a
+        stroke is over within a frame.
     """
 
     speed: float = parameter(2.0, "m/s", REACH)
@@ -81,6 +82,12 @@ class StrokeOptions:
         for name in ("circle_share", "lift_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} is {getattr(self, name):g}; it must be from 0 to 1")
+        if self.speed * self.frame_interval > self.stroke_length:
+            raise InputError(
+                f"at {self.speed:g} m/s a stroke of {self.stroke_length:g} m is over within a "
+                f"frame of {self.frame_interval:g} s; take a speed of at most "
+                f"{self.stroke_length / self.frame_interval:g} m/s, or shorter frames"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +190,7 @@ def wander(
     lifts: list[NDArray[np.float64]] = []
     n_done = n_strokes = failures = 0
     while n_done < n_frames:
-        stroke = _stroke(walk, where, rng)
+        stroke = _stroke(walk, where, n_frames - n_done, rng)
         n_strokes += bool(len(stroke))
         failures = 0 if len(stroke) else failures + 1
         parts, heights = [stroke], [np.zeros(len(stroke))]
@@ -267,8 +274,8 @@ def _set_down(walk: _Walk, rng: np.random.Generator) -> Points:
     return np.array([walk.sensors[sensor], tangent(rng.standard_normal(3), normal), normal])
 
 
-def _stroke(walk: _Walk, place: Points, rng: np.random.Generator) -> Points:
-    """Make one stroke, until it is done or leaves the skin; places, shape (n_frames, 3, 3)."""
+def _stroke(walk: _Walk, place: Points, most: int, rng: np.random.Generator) -> Points:
+    """Make one stroke, until it is done or leaves the skin; places, shape (<= most, 3, 3)."""
     length, stride = walk.options.stroke_length, walk.stride
     if rng.random() < walk.options.circle_share:
         radius = length * rng.uniform(*_CIRCLE)
@@ -278,7 +285,7 @@ def _stroke(walk: _Walk, place: Points, rng: np.random.Generator) -> Points:
         n_frames, turn = math.ceil(length * rng.uniform(*_LINE) / stride), 0.0
         place = np.array([place[0], _aim(walk, place, rng), place[2]])
     frames: list[Points] = []
-    for _ in range(n_frames):
+    for _ in range(min(n_frames, most)):
         for _ in range(walk.steps):
             taken = walk.step(place, turn)
             if taken is None:
