@@ -95,7 +95,9 @@ def pressing(
     -------
     Run
         What lies in a hollow (the inside of a ring, a crotch) is in range only as far as
-        `detection_radius` bridges it: nothing flat gets there.
+        `detection_radius` bridges it: nothing flat gets there. And all of a straight line is
+        touched at once: r-ANISOMAP reaches a Mantel r of .99 on sphere and plane, but of .57 on
+        the cylinder, whose length it cannot see.
     """
     directions, depths = draw_presses(body, n_frames, options, rng)
     offsets = support(body.solids, directions) - depths
