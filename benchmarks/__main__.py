@@ -25,6 +25,7 @@ from anisomap.numerics.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph import metricise
 from anisomap.numerics.scaling import SmacofOptions, smacof, torgerson
 from anisomap.numerics.similarity import information_of_codes, pearson, spearman
+from benchmarks import simulation
 
 Matrix = NDArray[np.float64]
 
@@ -122,6 +123,8 @@ def main() -> None:
                 f"| {theirs / ours:.1f} | {same} |",
                 flush=True,
             )
+    print()
+    simulation.main()
 
 
 def _timed(run: Callable[[], Matrix], least_seconds: float = 0.2) -> tuple[float, Matrix]:

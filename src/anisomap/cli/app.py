@@ -36,6 +36,7 @@ for name, target, summary in (
     ("formats", "listing:formats", "List the file formats."),
     ("demo", "demo:demo", "Simulate a skin, map it, and score the map."),
     ("simulate", "simulating:simulate_body", "Make a recording whose truth is known."),
+    ("coverage", "covering:coverage", "Tell how long a skin must be stimulated."),
     ("spoil", "spoiling:spoil", "Break sensors of a recording, on the record."),
     ("bodies", "listing:bodies", "List the bodies that can be simulated."),
     ("scenarios", "listing:scenarios", "List what can happen to a body, and its parameters."),

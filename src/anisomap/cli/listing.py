@@ -78,11 +78,13 @@ def scenarios(scenario: str | None = None, /) -> None:
         return
     options = find_scenario(scenario).options
     defaults = options()
-    for entry in parse_docstring(inspect.getdoc(options) or "").params:
-        if hasattr(defaults, entry.arg_name):
-            console.print(f"[bold]{entry.arg_name}[/] = {getattr(defaults, entry.arg_name)}")
-            text = " ".join((entry.description or "").split())
-            console.print(Padding(escape(text), (0, 0, 0, 2)))
+    # Options may inherit parameters, which are documented where they come from.
+    for kind in reversed(options.__mro__):
+        for entry in parse_docstring(inspect.cleandoc(kind.__doc__ or "")).params:
+            if hasattr(defaults, entry.arg_name):
+                console.print(f"[bold]{entry.arg_name}[/] = {getattr(defaults, entry.arg_name)}")
+                text = " ".join((entry.description or "").split())
+                console.print(Padding(escape(text), (0, 0, 0, 2)))
 
 
 def faults() -> None:

@@ -10,23 +10,18 @@ from cyclopts.validators import Number
 
 from anisomap import figures, formats
 from anisomap._files import check_distinct
+from anisomap.cli import bodies
 from anisomap.cli.console import console, number, percent, progress, show_facts, show_table, warn
 from anisomap.errors import InputError
 from anisomap.figures import stage
 from anisomap.scene import Scene
-from anisomap.sensor_map import SensorMap
 from anisomap.simulation import (
-    BODIES,
     Body,
     Simulation,
-    body_from_points,
-    find_body,
-    load_body,
     run_simulation,
     simulate_runs,
     viewing,
 )
-from anisomap.simulation.bodies.imported import MESH_SUFFIXES, MODEL_SUFFIXES
 
 _looks = Group("Looks", sort_key=1)
 
@@ -79,10 +74,10 @@ def simulate_body(
     view
         Watch the run in MuJoCo's window.
     """
-    skin = _find_body(body, sensors)
+    skin = bodies.find(body, sensors)
     target = output or Path(f"{skin.name}-{scenario}.npz")
     _check_outputs(target, picture, video, body)
-    settings = {"n_frames": frames, **_parse(parameter or [])}
+    settings = {"n_frames": frames, **bodies.parse_parameters(parameter or [])}
     if runs > 1:
         if picture or video or view:
             raise InputError("a picture, video or view is of one run: leave --runs out")
@@ -100,50 +95,6 @@ def simulate_body(
         _view(simulation.scene)
 
 
-def _find_body(body: str, sensors: str | None) -> Body:
-    given = _sensors(sensors)
-    if body in BODIES:
-        if given is None or isinstance(given, int):
-            return find_body(body, given)
-        raise InputError(f"the body {body} has sensors of its own; --sensors takes their number")
-    path = Path(body)
-    if path.suffix.lower() in (*MESH_SUFFIXES, *MODEL_SUFFIXES) and not _holds_only_points(path):
-        if isinstance(given, Path):
-            found = _positions(given)
-            return load_body(path, found.positions, found.names)
-        return load_body(path, given)
-    if not path.exists():
-        raise InputError(
-            f"there is no body {body!r}, nor a file of that name; choose from {', '.join(BODIES)}, "
-            "or give a mesh, a MuJoCo model or a file of positions"
-        )
-    found = _positions(path)
-    return body_from_points(
-        found.positions, names=found.names, name=path.name.split(".")[0], units=found.units
-    )
-
-
-def _sensors(text: str | None) -> int | Path | None:
-    if text is None:
-        return None
-    return int(text) if text.lstrip("-").isdecimal() else Path(text)
-
-
-def _holds_only_points(path: Path) -> bool:
-    """Tell a PLY file that anisomap wrote, which has no faces, from one of a mesh."""
-    if path.suffix.lower() != ".ply" or not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return b"element face" not in file.read(4096).split(b"end_header")[0]
-
-
-def _positions(path: Path) -> SensorMap:
-    found = formats.read_map(path)
-    if found.dimensions != 3:
-        raise InputError(f"{path} holds positions in {found.dimensions} dimensions; give them in 3")
-    return found
-
-
 def _check_outputs(target: Path, picture: Path | None, video: Path | None, body: str) -> None:
     check_distinct([path for path in (target, picture, video) if path], [Path(body)])
     formats.check_writable(target)
@@ -153,20 +104,6 @@ def _check_outputs(target: Path, picture: Path | None, video: Path | None, body:
         figures.check_writable(picture)
     if video:
         stage.check_animation(video)
-
-
-def _parse(parameters: list[str]) -> dict[str, Any]:
-    parsed: dict[str, Any] = {}
-    for text in parameters:
-        name, equals, value = text.partition("=")
-        try:
-            parsed[name.strip().replace("-", "_")] = (
-                int(value) if value.strip().lstrip("+-").isdecimal() else float(value)
-            )
-        except ValueError as error:
-            hint = f"{value!r} is no number" if equals else "write NAME=VALUE"
-            raise InputError(f"--parameter {text!r}: {hint}") from error
-    return parsed
 
 
 def _simulate_many(

@@ -1,0 +1,30 @@
+"""How fast scenarios are simulated, on one core."""
+
+from __future__ import annotations
+
+import time
+import warnings
+
+from anisomap.errors import AnisomapWarning
+from anisomap.simulation import BODIES, SCENARIOS, find_body, simulate
+
+
+def main(n_frames: int = 2000) -> None:
+    """Print frames a second for each scenario, of the first body and of the last that it suits."""
+    print("| scenario | body | sensors | frames a second |")
+    print("|---|---|---|---|")
+    made = [find_body(name) for name in BODIES]
+    for name, scenario in SCENARIOS.items():
+        suited = [body for body in made if scenario.suits(body)]
+        for body in (suited[0], suited[-1]):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", AnisomapWarning)
+                simulate(body, name, n_frames=2)
+                begin = time.perf_counter()
+                simulate(body, name, n_frames=n_frames)
+            speed = n_frames / (time.perf_counter() - begin)
+            print(f"| {name} | {body.name} | {body.n_sensors} | {speed:,.0f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

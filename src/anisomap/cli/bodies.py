@@ -1,0 +1,95 @@
+"""Bodies and parameters as they are given on the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from anisomap import formats
+from anisomap.errors import InputError
+from anisomap.sensor_map import SensorMap
+from anisomap.simulation import BODIES, Body, body_from_points, find_body, load_body
+from anisomap.simulation.bodies.imported import MESH_SUFFIXES, MODEL_SUFFIXES
+
+
+def find(body: str, sensors: str | None) -> Body:
+    """Make the body that was asked for by name or file.
+
+    Parameters
+    ----------
+    body : str
+        A name, or the path of a mesh, a MuJoCo model or positions.
+    sensors : str or None
+        How many, or the path of their positions.
+
+    Returns
+    -------
+    Body
+
+    Raises
+    ------
+    InputError
+        If there is no such body, or the sensors are not on it.
+    """
+    given = _sensors(sensors)
+    if body in BODIES:
+        if given is None or isinstance(given, int):
+            return find_body(body, given)
+        raise InputError(f"the body {body} has sensors of its own; --sensors takes their number")
+    path = Path(body)
+    if path.suffix.lower() in (*MESH_SUFFIXES, *MODEL_SUFFIXES) and not _holds_only_points(path):
+        if isinstance(given, Path):
+            found = _positions(given)
+            return load_body(path, found.positions, found.names)
+        return load_body(path, given)
+    if not path.exists():
+        raise InputError(
+            f"there is no body {body!r}, nor a file of that name; choose from {', '.join(BODIES)}, "
+            "or give a mesh, a MuJoCo model or a file of positions"
+        )
+    found = _positions(path)
+    return body_from_points(
+        found.positions, names=found.names, name=path.name.split(".")[0], units=found.units
+    )
+
+
+def _sensors(text: str | None) -> int | Path | None:
+    if text is None:
+        return None
+    return int(text) if text.lstrip("-").isdecimal() else Path(text)
+
+
+def _holds_only_points(path: Path) -> bool:
+    """Tell a PLY file that anisomap wrote, which has no faces, from one of a mesh."""
+    if path.suffix.lower() != ".ply" or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return b"element face" not in file.read(4096).split(b"end_header")[0]
+
+
+def _positions(path: Path) -> SensorMap:
+    found = formats.read_map(path)
+    if found.dimensions != 3:
+        raise InputError(f"{path} holds positions in {found.dimensions} dimensions; give them in 3")
+    return found
+
+
+def parse_parameters(parameters: list[str]) -> dict[str, Any]:
+    """Read ``NAME=VALUE`` pairs.
+
+    Raises
+    ------
+    InputError
+        If one is no such pair, or its value no number.
+    """
+    parsed: dict[str, Any] = {}
+    for text in parameters:
+        name, equals, value = text.partition("=")
+        try:
+            parsed[name.strip().replace("-", "_")] = (
+                int(value) if value.strip().lstrip("+-").isdecimal() else float(value)
+            )
+        except ValueError as error:
+            hint = f"{value!r} is no number" if equals else "write NAME=VALUE"
+            raise InputError(f"--parameter {text!r}: {hint}") from error
+    return parsed
