@@ -1,15 +1,17 @@
 import importlib
 import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import anisomap
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning, InputError, MissingExtraError
 from anisomap.recording import Recording
-from anisomap.simulation import BODIES, SCENARIOS, BombardmentOptions, simulate
+from anisomap.simulation import BODIES, SCENARIOS, BombardmentOptions, simulate, simulate_runs
 from anisomap.simulation.sensing import read_balls
 
 
@@ -57,6 +59,30 @@ def test_every_scenario_of_every_body_gives_a_recording_that_says_where_it_came_
     assert all(type(value) in (str, int, float, bool) for value in told.values())
     for name, default in vars(SCENARIOS[scenario].options()).items():
         assert name in told or default is None
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_all_that_is_known_comes_back_from_a_file(scenario: str, tmp_path: Path) -> None:
+    needs_mujoco()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)
+        recording = simulate("cylinder", scenario, n_frames=20, seed=2)
+    anisomap.write(recording, tmp_path / "run.npz")
+    again = anisomap.read(tmp_path / "run.npz")
+    for name in ("readings", "positions", "normals", "surface_distances"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(recording, name))
+    for name in ("names", "units", "source", "rate_hz"):
+        assert getattr(again, name) == getattr(recording, name)
+    assert dict(again.metadata) == dict(recording.metadata)
+
+
+def test_runs_in_parallel_are_those_that_run_alone() -> None:
+    needs_mujoco()
+    together = simulate_runs("sphere", "bombardment", [3, 4], workers=2, n_frames=20)
+    assert all(
+        same_bytes(run, simulate(n_frames=20, seed=seed))
+        for run, seed in zip(together, (3, 4), strict=True)
+    )
 
 
 def test_the_parameters_are_recorded_as_they_were_used() -> None:
