@@ -285,7 +285,12 @@ def _as_readings(values: ArrayLike) -> NDArray[np.floating]:
     fits_float32 = array.dtype in (np.float16, np.float32) or (
         array.dtype.kind in "biu" and array.dtype.itemsize <= 2
     )
-    return _frozen(np.array(array, dtype=np.float32 if fits_float32 else np.float64))
+    dtype = np.float32 if fits_float32 else np.float64
+    if array.dtype == dtype and array.base is None and not array.flags.writeable:
+        return (
+            array  # it was handed over for good, and large recordings should not stand here twice
+        )
+    return _frozen(np.array(array, dtype=dtype))
 
 
 def _frozen(array: _Array) -> _Array:

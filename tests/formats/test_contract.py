@@ -17,7 +17,7 @@ from anisomap.sensor_map import SensorMap
 
 
 def test_every_format_has_an_example(exemplified: dict[str, set[str]]) -> None:
-    assert exemplified["recordings"] == {f.name for f in formats.FORMATS if f.read_recording}
+    assert exemplified["recordings"] == {f.name for f in formats.FORMATS if f.open_recording}
     assert exemplified["maps"] == {f.name for f in formats.FORMATS if f.read_map}
 
 

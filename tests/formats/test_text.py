@@ -314,10 +314,26 @@ def test_zeros_in_the_middle(put: Put) -> None:
     assert "line 20001, column 2: '\\x00\\x00' is not a number" in read_error(put("x.csv", far))
 
 
-def test_gzip_that_ends_early(put: Put) -> None:
-    packed = gzip.compress(table(np.random.default_rng(0).random((500, 5))).encode())
-    assert "damaged or cut short" in read_error(put("x.csv.gz", packed[:-500]))
-    assert "damaged or cut short" in read_error(put("x.csv", packed[:1000]))
+def test_of_a_gzip_that_ends_early_all_that_is_whole_is_read(put: Put) -> None:
+    values = np.random.default_rng(0).integers(0, 256, (9000, 5))
+    packed = gzip.compress(table(values).encode())
+    for end in (len(packed) - 9, len(packed) // 2, 4000):
+        with pytest.warns(AnisomapWarning, match=r"x\.csv.*damaged or cut short.* frames before"):
+            found = formats.read(put("x.csv", packed[:end]))
+        np.testing.assert_array_equal(found.readings, values[: found.n_frames])
+        assert found.n_frames > 0.9 * len(values) * end / len(packed) - 700
+    assert "damaged or cut short" in read_error(put("x.csv", packed[:20]))
+
+
+def test_a_last_line_that_was_cut_off(put: Put) -> None:
+    with pytest.warns(AnisomapWarning, match=r"last line \(4\) was cut off in field 2 of 3"):
+        found = formats.read(put("x.csv", "a,b,c\n1,2,3\n4,5,6\n7,8"))
+    assert found.readings.tolist() == [[1, 2, 3], [4, 5, 6]]
+    with pytest.warns(AnisomapWarning, match="field 3 of 3"):
+        assert formats.read(put("x.csv", "1,2,3\n4,5,6\n7,8,-")).n_frames == 2
+    assert "line 4 has 2 fields" in read_error(put("x.csv", "a,b,c\n1,2,3\n4,5,6\n7,8\n"))
+    assert "line 3 has 4 fields" in read_error(put("x.csv", "a,b,c\n1,2,3\n4,5,6,7"))
+    assert "line 2 has 2 fields" in read_error(put("x.csv", "a,b,c\n1,2"))
 
 
 def test_quotation_marks_that_never_end(put: Put) -> None:

@@ -127,3 +127,65 @@ def test_stamps_and_nothing_else(put: Put) -> None:
     assert formats.read(put("data.log", text)).n_sensors == 1, "one value as large as a stamp"
     with pytest.raises(FileError, match="stamps, but no values"):
         formats.read(put("data.log", "".join(f"{i} {s:.6f} ()\n" for i, s in enumerate(SENT))))
+
+
+def session(put: Put, tmp_path: Path, **ports: str) -> Path:
+    for port, text in ports.items():
+        (tmp_path / "run" / port).mkdir(parents=True)
+        put(f"run/{port}/data.log", text)
+        put(f"run/{port}/info.log", f"Type: Bottle;\n[1.5] /icub/skin/{port} [connected]\n")
+    return tmp_path / "run"
+
+
+def test_a_session_with_one_port_is_that_port(put: Put, tmp_path: Path) -> None:
+    found = formats.read(session(put, tmp_path, left_hand=log(SENT)))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.metadata["port"] == "/icub/skin/left_hand"
+    assert found.source == "run/left_hand"
+
+
+@pytest.mark.parametrize("select", ["left_arm", "/icub/skin/left_arm"])
+def test_a_session_with_several_ports(put: Put, tmp_path: Path, select: str) -> None:
+    late = log(SENT).replace(" ", " ", 1)
+    folder = session(put, tmp_path, left_arm=log(SENT), left_hand=late)
+    with pytest.raises(formats.ChoiceError, match=r"2 ports.*left_arm \(/icub/skin/left_arm\)"):
+        formats.read(folder)
+    assert [content.name for content in formats.contents(folder)] == ["left_arm", "left_hand"]
+    found = formats.read(folder, options=formats.ReadOptions(select=select))
+    assert found.metadata["port"] == "/icub/skin/left_arm"
+    with pytest.raises(FileError, match=r"there is no port 'torso'; it holds left_arm"):
+        formats.read(folder, options=formats.ReadOptions(select="torso"))
+
+
+@pytest.mark.parametrize("late", [-0.5, -0.004, 0.0, 0.004, 0.31])
+def test_ports_are_joined_by_what_was_read_last(put: Put, tmp_path: Path, late: float) -> None:
+    folder = session(put, tmp_path, torso=log(SENT), arm=log(SENT + late))
+    options = formats.ReadOptions(select="torso, arm")
+    found = formats.read(folder, options=options)
+    assert found.names == tuple(f"{port}/s{i}" for port in ("torso", "arm") for i in range(6))
+    pairs = [
+        (i, max(j for j in range(40) if SENT[j] + late <= SENT[i]))
+        for i in range(40)
+        if SENT[0] + late <= SENT[i] <= SENT[-1] + late
+    ]
+    expected = [np.hstack([READINGS[i], READINGS[j]]) for i, j in pairs]
+    np.testing.assert_array_equal(found.readings, expected)
+    with formats.open_stream(folder, frames=3, options=options) as stream:
+        in_blocks = np.vstack([block.readings for block in stream.blocks])
+    np.testing.assert_array_equal(in_blocks, expected)
+
+
+def test_ports_that_never_ran_together(put: Put, tmp_path: Path) -> None:
+    folder = session(put, tmp_path, torso=log(SENT), arm=log(SENT + 100))
+    with pytest.raises(FileError, match="torso, arm never ran at the same time"):
+        formats.read(folder, options=formats.ReadOptions(select="torso,arm"))
+
+
+def test_the_receiver_steps_in_where_the_sender_falls_back_late(put: Put) -> None:
+    """The stamps are all right in all that is looked at before reading."""
+    lines = [
+        f"{i} {1.3e9 + t - (i == 1500):.2f} {1.3e9 + t + 0.01:.2f} {i % 9} 2\n"
+        for i, t in enumerate(np.arange(2000) / 50)
+    ]
+    found = formats.read(put("data.log", "".join(lines)))
+    np.testing.assert_allclose(found.times, np.arange(2000) / 50, atol=1e-5)

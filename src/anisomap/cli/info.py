@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline
 from anisomap.cli.console import warn
+from anisomap.formats import ChoiceError
 
 
 def info(
@@ -16,6 +17,7 @@ def info(
     /,
     *,
     sensors: Annotated[bool, Parameter(negative=())] = False,
+    reading: options.Reading = options.AS_IT_COMES,
 ) -> None:
     """Say what is in a recording, before anyone spends time on it.
 
@@ -24,7 +26,14 @@ def info(
     sensors
         List every sensor, not only those that look faulty.
     """
-    evidence = pipeline.examine(pipeline.read(recording))
+    how = reading.checked()
+    pipeline.show_contents(recording, how)
+    try:
+        found = pipeline.read(recording, how)
+    except ChoiceError as error:
+        warn(str(error))  # to list what there is to choose from was all that could be asked for
+        return
+    evidence = pipeline.examine(found)
     pipeline.show_recording(evidence)
     pipeline.show_health(evidence.health, everyone=sensors)
     for weakness in evidence.summary.warnings:

@@ -40,7 +40,7 @@ def formats() -> None:
             (
                 form.name,
                 " ".join(form.suffixes),
-                _which(recording=form.read_recording, map=form.read_map),
+                _which(recording=form.open_recording, map=form.read_map),
                 _which(recording=form.write_recording, map=form.write_map),
                 form.summary,
             )

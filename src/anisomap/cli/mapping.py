@@ -38,6 +38,7 @@ def map_recording(
     max_iterations: Annotated[
         int, Parameter(group=options.method_group)
     ] = SmacofOptions.max_iterations,
+    reading: options.Reading = options.AS_IT_COMES,
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
@@ -74,7 +75,7 @@ def map_recording(
         report=report,
     )
     outputs.check(recording)
-    readings = pipeline.read(recording).complete(nan)
+    readings = pipeline.read(recording, reading.checked()).complete(nan)
     evidence = pipeline.examine(readings)
     pipeline.show_recording(evidence)
     sensor_map = pipeline.make_map(

@@ -2,15 +2,62 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
+from anisomap.errors import InputError
+from anisomap.formats import ReadOptions
+
+reading_group = Group("Reading", sort_key=0)
 outputs_group = Group("Output", sort_key=1)
 method_group = Group("Method", sort_key=2)
 score_group = Group("Score", sort_key=3)
+
+
+@dataclass(frozen=True)
+class ReadingOptions:
+    """What a reader cannot find out by itself.
+
+    Parameters
+    ----------
+    select
+        Which of several recordings in a file: a topic (with its field: /skin:data), a dataset, a
+        column, a port; see what there is with anisomap info. Topics and ports may be several,
+        between commas.
+    grid
+        Rows and columns of a rectangular array, as in 32x64, row after row: gives true positions.
+    msg
+        Message definition (.msg) of a bag that holds none; may be repeated.
+    preset
+        Robot whose numbering of sensors is known: icub, icub-hand.
+    """
+
+    select: Annotated[str, Parameter(name=("--select", "--topic", "--dataset", "--field"))] = ""
+    grid: str = ""
+    msg: Annotated[list[Path], Parameter(negative=())] = field(default_factory=list)
+    preset: str = ""
+
+    def checked(self) -> ReadOptions:
+        """Give them in the words of the library."""
+        grid = _rows_and_columns(self.grid) if self.grid else None
+        return ReadOptions(self.select, grid, tuple(self.msg), self.preset)
+
+
+AS_IT_COMES = ReadingOptions()
+
+
+def _rows_and_columns(text: str) -> tuple[int, int]:
+    sizes = [int(size) for size in text.lower().split("x") if size.strip().isdecimal()]
+    if len(sizes) != 2 or not all(sizes):
+        raise InputError(
+            f"--grid {text} is no size of an array; give rows and columns, as in 32x64"
+        )
+    return sizes[0], sizes[1]
+
 
 RecordingFile: TypeAlias = Annotated[Path, Parameter(help="File of a recording.")]
 
@@ -52,6 +99,9 @@ Missing: TypeAlias = Annotated[
         help="What to do about readings that are NaN or infinite.",
     ),
 ]
+
+
+Reading: TypeAlias = Annotated[ReadingOptions, Parameter(name="*", group=reading_group)]
 
 
 def sensors(chosen: list[str] | None, names: tuple[str, ...]) -> list[str]:

@@ -57,11 +57,19 @@ class Evidence:
     summary: RecordingSummary
 
 
-def read(path: Path) -> Recording:
+def read(path: Path, how: formats.ReadOptions | None = None) -> Recording:
     """Read a recording, with progress; one that does not say where it came from is of its file."""
-    with progress(f"reading {path.name}"):
-        recording = formats.read(path)
+    with progress(f"reading {path.name}") as tell:
+        recording = formats.read(path, options=how, progress=tell)
         return replace(recording, source=recording.source or path.name)
+
+
+def show_contents(path: Path, how: formats.ReadOptions) -> None:
+    """Print what a file holds, if it is of a kind that can hold several recordings."""
+    held = formats.contents(path, options=how)
+    if held:
+        rows = [(c.name, c.summary, "yes" if c.usable else "no") for c in held]
+        show_table(f"In {path.name}", ("name", "what it is", "a recording"), rows)
 
 
 def examine(recording: Recording) -> Evidence:

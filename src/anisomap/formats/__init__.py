@@ -7,9 +7,12 @@ Where things are:
 `npz`              NumPy archives: recordings and maps
 `text`             delimited text: recordings
 `map_csv`          delimited text: maps and true positions
-`yarp`             what ``yarpdatadumper`` leaves: ``data.log``
+`yarp`             what ``yarpdatadumper`` leaves: ``data.log``, folders and sessions
 `map_json`         maps as JSON
 `ply`              maps as point clouds
+`stream`           recordings as they come, block by block, and what is made of them
+`choice`           files that hold several things, and which is the recording
+`joining`          parts of a skin that were recorded side by side
 `source`           opening files, and one clear sentence for all that can fail
 `frames`           times that increase, readings in as few bytes as they need
 `archive`          the arrays of an NPZ file, checked before they are unpacked
@@ -22,9 +25,16 @@ Where things are:
 A new format is one file with its readers and writers, and one line in `registry.FORMATS`.
 """
 
+from anisomap.formats.choice import ChoiceError as ChoiceError
+from anisomap.formats.choice import Content as Content
 from anisomap.formats.registry import FORMATS as FORMATS
 from anisomap.formats.registry import Format as Format
 from anisomap.formats.registry import check_writable as check_writable
+from anisomap.formats.registry import contents as contents
+from anisomap.formats.registry import open_stream as open_stream
 from anisomap.formats.registry import read as read
 from anisomap.formats.registry import read_map as read_map
 from anisomap.formats.registry import write as write
+from anisomap.formats.stream import Block as Block
+from anisomap.formats.stream import ReadOptions as ReadOptions
+from anisomap.formats.stream import Stream as Stream

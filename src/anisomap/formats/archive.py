@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
+from anisomap.formats.source import check_unpacked
 from anisomap.recording import Scalar
 
 SUFFIX = ".npy"
@@ -28,9 +29,7 @@ NUMBERS, WHOLE, TEXT = "biuf", "biu", "US"
 """Kinds of arrays, as letters of numpy's `dtype.kind`."""
 _WANTED = {NUMBERS: "numbers", WHOLE: "whole numbers"}
 
-# Deflate turns a byte into 1032 at most; not even an idle skin comes near it over a whole gigabyte.
-_LARGEST_RATIO = 1032
-_SUSPICIOUS_RATIO, _SUSPICIOUS_BYTES = 900, 1 << 30
+_LARGEST_RATIO = 1032  # of deflate
 _LARGEST_SCALAR = 1 << 16
 
 
@@ -69,6 +68,36 @@ class Archive:
 
     def required(self, name: str, kinds: str) -> NDArray[Any]:
         """Give an array that is there; `kinds` are the letters of numpy's `dtype.kind`."""
+        with self._member(name, kinds) as (member, shape, fortran_order, dtype):
+            # Reading to the end has zipfile compare the checksum.
+            values = np.frombuffer(member.read(), dtype)
+        return values.reshape(shape, order="F" if fortran_order else "C")
+
+    def shape(self, name: str, kinds: str) -> tuple[int, ...]:
+        """Give the shape of an array that is there."""
+        with self._member(name, kinds) as (_, shape, _, _):
+            return shape
+
+    def rows(self, name: str, kinds: str, n_bytes: int) -> Iterator[NDArray[Any]]:
+        """Give the rows of a 2-D array in blocks of about so many bytes.
+
+        An array that lies column after column has to be unpacked whole.
+        """
+        with self._member(name, kinds) as (member, shape, fortran_order, dtype):
+            row_bytes = shape[1] * dtype.itemsize
+            if fortran_order:
+                yield self.required(name, kinds)
+                return
+            n_rows = max(1, n_bytes // max(row_bytes, 1))
+            # The last of it is asked for once more, which has zipfile compare the checksum.
+            while content := member.read(n_rows * row_bytes):
+                yield np.frombuffer(content, dtype).reshape(-1, shape[1])
+
+    @contextmanager
+    def _member(
+        self, name: str, kinds: str
+    ) -> Iterator[tuple[IO[bytes], tuple[int, ...], bool, np.dtype[Any]]]:
+        """Open an array behind its header, once that is known to be true."""
         info = self.zip.getinfo(name + SUFFIX)
         self._check_size(info)
         with self.zip.open(info) as member:
@@ -84,9 +113,7 @@ class Archive:
                     f"{self.path}: {name} is damaged: "
                     f"its shape {shape} takes {promised} bytes, but it holds {held}"
                 )
-            # Reading to the end has zipfile compare the checksum.
-            values = np.frombuffer(member.read(), dtype)
-        return values.reshape(shape, order="F" if fortran_order else "C")
+            yield member, shape, fortran_order, dtype
 
     def array(self, name: str, kinds: str) -> NDArray[Any] | None:
         """Give an array, or None if it is not there."""
@@ -187,10 +214,4 @@ class Archive:
             )
         ratio = 1 if info.compress_type == zipfile.ZIP_STORED else _LARGEST_RATIO
         packed = min(info.compress_size, self.path.stat().st_size)
-        impossible = info.file_size > ratio * packed
-        suspicious = info.file_size > max(_SUSPICIOUS_BYTES, _SUSPICIOUS_RATIO * packed)
-        if impossible or suspicious:
-            raise FileError(
-                f"{self.path}: {info.filename} says that it unpacks to {info.file_size} bytes "
-                f"from {packed}, which no recording does; it is damaged or made to fill memory"
-            )
+        check_unpacked(self.path, info.filename, packed, info.file_size, largest_ratio=ratio)

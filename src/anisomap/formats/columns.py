@@ -9,6 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+ROWS_LOOKED_AT = 1000
+"""How many rows from the start tell what the columns are: a long file need not be read twice."""
+
 _TIME_WORDS = {"time", "t", "timestamp", "stamp", "elapsed"}
 _PER_SECOND = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
@@ -25,7 +28,6 @@ _COUNTER_NAMES = {
 # Seconds since 1970 stay below 1e11 until the year 5138; the same in ms, us and ns lie above.
 _EPOCHS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
 _FEWEST_FRAMES = 8
-_LOOKED_AT = 1000
 _MOSTLY = 0.95
 _ALL_BUT_A_GLITCH = 0.99
 
@@ -65,8 +67,8 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
     ----------
     header : sequence of str
         One name a column.
-    table : ndarray of shape (T, n_columns)
-        What stands below.
+    table : ndarray of shape (t, n_columns)
+        The first `ROWS_LOOKED_AT` rows below.
 
     Returns
     -------
@@ -94,8 +96,8 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
 
     Parameters
     ----------
-    table : ndarray of shape (T, n_columns)
-        All columns.
+    table : ndarray of shape (t, n_columns)
+        All columns of the first `ROWS_LOOKED_AT` rows.
 
     Returns
     -------
@@ -104,7 +106,7 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
     n_frames, n_columns = table.shape
     if n_frames < _FEWEST_FRAMES:
         return Roles()
-    rising = [i for i in range(n_columns) if _rises(table[:_LOOKED_AT, i])]
+    rising = [i for i in range(n_columns) if _rises(table[:, i])]
     if rising not in ([0], [0, 1]) or len(rising) == n_columns:
         return Roles()
     first, last = table[:, 0], table[:, rising[-1]]

@@ -7,9 +7,11 @@ import itertools
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TextIO
 
+from anisomap.formats.source import DAMAGED_GZIP
 from anisomap.formats.table import is_skipped, parse_number
 
 Record = tuple[int, list[str]]
@@ -57,13 +59,18 @@ class Layout:
 
 
 def take_sample(stream: TextIO) -> list[str]:
-    """Read as many lines from the start of a file as it takes to know its layout."""
-    sample, characters = [], 0
-    for line in itertools.islice(stream, _SAMPLE_LINES):
-        sample.append(line)
-        characters += len(line)
-        if characters > _SAMPLE_CHARACTERS:
-            break
+    """Read as many lines from the start of a file as it takes to know its layout.
+
+    Where a gzipped file is damaged they end, so that what is whole can still be read.
+    """
+    sample: list[str] = []
+    characters = 0
+    with suppress(*DAMAGED_GZIP):
+        for line in itertools.islice(stream, _SAMPLE_LINES):
+            sample.append(line)
+            characters += len(line)
+            if characters > _SAMPLE_CHARACTERS:
+                break
     return sample
 
 

@@ -11,19 +11,24 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from anisomap.formats.archive import NUMBERS, SUFFIX, open_archive
+from anisomap.errors import FileError
+from anisomap.formats.archive import NUMBERS, SUFFIX, Archive, open_archive
 from anisomap.formats.comments import python_scalar
 from anisomap.formats.frames import increasing
+from anisomap.formats.stream import Block, ReadOptions, Stream
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
 
 _MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
+_BLOCK_BYTES = 1 << 22
 _RECORDING_KEYS = {
     *("readings", "positions", "normals", "surface_distances"),
     *("names", "times", "rate_hz", "units", "source", "metadata"),
@@ -35,17 +40,20 @@ def recognises(path: Path, head: bytes) -> bool:
     return head.startswith(_MAGICS)
 
 
-def read_recording(path: Path) -> Recording:
-    """Read a recording from an NPZ archive.
+@contextmanager
+def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open a recording in an NPZ archive.
 
     Parameters
     ----------
     path : pathlib.Path
         The archive.
+    options : ReadOptions
+        None of them matters here.
 
-    Returns
-    -------
-    Recording
+    Yields
+    ------
+    Stream
 
     Raises
     ------
@@ -54,11 +62,18 @@ def read_recording(path: Path) -> Recording:
     """
     with open_archive(path) as archive:
         archive.require("readings", "recording")
+        shape = archive.shape("readings", NUMBERS)
+        if len(shape) != 2:
+            raise FileError(
+                f"{path}: readings have {len(shape)} dimensions; "
+                "they must be frames x sensors, shape (T, N)"
+            )
         times = archive.array("times", NUMBERS)
-        return Recording(
-            archive.required("readings", NUMBERS),
+        yield Stream(
+            path,
+            shape[1],
+            _blocks(archive, shape, None if times is None else increasing(times, path)),
             names=archive.texts("names"),
-            times=None if times is None else increasing(times, path),
             rate_hz=archive.number("rate_hz"),
             positions=archive.array("positions", NUMBERS),
             normals=archive.array("normals", NUMBERS),
@@ -67,6 +82,21 @@ def read_recording(path: Path) -> Recording:
             source=archive.text("source", path.name),
             metadata={**archive.scalars(but=_RECORDING_KEYS), **archive.mapping("metadata")},
         )
+
+
+def _blocks(
+    archive: Archive, shape: tuple[int, ...], times: NDArray[np.float64] | None
+) -> Iterator[Block]:
+    if 0 in shape:
+        raise FileError(f"{archive.path}: readings have shape {shape}: there is nothing in them")
+    if times is not None and len(times) != shape[0]:
+        raise FileError(
+            f"{archive.path}: times have shape {times.shape}; {shape[0]} frames need ({shape[0]},)"
+        )
+    done = 0
+    for rows in archive.rows("readings", NUMBERS, _BLOCK_BYTES):
+        start, done = done, done + len(rows)
+        yield Block(rows, done / shape[0], None if times is None else times[start:done])
 
 
 def read_map(path: Path) -> SensorMap:

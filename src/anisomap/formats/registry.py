@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 from anisomap._files import check_target, replacing
 from anisomap.errors import FileError, InputError
 from anisomap.formats import map_csv, map_json, npz, ply, text, yarp
+from anisomap.formats.choice import Content
+from anisomap.formats.grids import with_grid
+from anisomap.formats.presets import apply_preset
 from anisomap.formats.source import blaming, head
+from anisomap.formats.stream import (
+    BLOCK_FRAMES,
+    Block,
+    ReadOptions,
+    Stream,
+    assemble,
+    recut,
+)
 from anisomap.recording import Recording
 from anisomap.sensor_map import UNPLACED, SensorMap
 
@@ -33,67 +45,153 @@ class Format:
     recognises : callable
         Given a path and the first bytes of the file (gunzipped; none of a folder), tells whether
         the content is of this format. It must never raise an error.
-    read_recording, read_map : callable, optional
-        Given a path, make a `Recording` or a `SensorMap` of it.
+    open_recording : callable, optional
+        Given a path and `ReadOptions`, a context in which the file is open as a `Stream`.
+    read_map : callable, optional
+        Given a path, make a `SensorMap` of it.
     write_map, write_recording : callable, optional
         Given a `SensorMap` or a `Recording` and a path, write the one to the other.
+    contents : callable, optional
+        Given a path and `ReadOptions`, lists what a file holds that can hold several recordings.
+    extra : str
+        The extra that brings the library it needs; empty if it needs none.
     """
 
     name: str
     suffixes: tuple[str, ...]
     summary: str
     recognises: Callable[[Path, bytes], bool]
-    read_recording: Callable[[Path], Recording] | None = None
+    open_recording: Callable[[Path, ReadOptions], AbstractContextManager[Stream]] | None = None
     read_map: Callable[[Path], SensorMap] | None = None
     write_map: Callable[[SensorMap, Path], None] | None = None
     write_recording: Callable[[Recording, Path], None] | None = None
+    contents: Callable[[Path, ReadOptions], tuple[Content, ...]] | None = None
+    extra: str = ""
 
 
 # Delimited text stays last: it takes any text that none before it claims.
 # fmt: off
 FORMATS = (
     Format("npz", (".npz",), "NumPy archive", npz.recognises,
-           npz.read_recording, npz.read_map, npz.write_map, npz.write_recording),
+           npz.open_recording, npz.read_map, npz.write_map, npz.write_recording),
     Format("json", (".json",), "JSON", map_json.recognises,
            read_map=map_json.read_map, write_map=map_json.write_map),
     Format("ply", (".ply",), "PLY point cloud (ASCII)", ply.recognises,
            read_map=ply.read_map, write_map=ply.write_map),
-    Format("yarp", (), "YARP data.log, or its folder", yarp.recognises, yarp.read_recording),
+    Format("yarp", (), "YARP data.log, its folder or session", yarp.recognises, yarp.open_recording,
+           contents=yarp.contents),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            text.recognises,
-           text.read_recording, map_csv.read_map, map_csv.write_map, text.write_recording),
+           text.open_recording, map_csv.read_map, map_csv.write_map, text.write_recording),
 )
 # fmt: on
 """Every format; where several recognise a file, the first has it."""
 
 
-def read(path: str | os.PathLike[str]) -> Recording:
+def read(
+    path: str | os.PathLike[str],
+    *,
+    options: ReadOptions | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
     """Read a recording.
 
     Parameters
     ----------
     path : path-like
-        An NPZ archive, delimited text, a YARP ``data.log`` or its folder; text may be gzipped.
+        A file or folder of any format in `FORMATS` that holds recordings; text may be gzipped.
         The format is told by the content, and by the suffix where the content does not tell.
+    options : ReadOptions, optional
+        What the reader cannot find out by itself.
+    progress : callable, optional
+        Called now and then with the share of the file that has been read, from 0 to 1.
 
     Returns
     -------
     Recording
+        Reading takes hardly more memory than this itself.
 
     Raises
     ------
     FileError
         If there is no such file, or it is damaged, or holds no recording.
+    MissingExtraError
+        If the format needs a library that is not installed.
+
+    Warns
+    -----
+    AnisomapWarning
+        If the end of the file is damaged: what was whole is read.
+    """
+    how = options or ReadOptions()
+    with _opened(Path(path), how) as stream, blaming(stream.path):
+        return apply_preset(with_grid(assemble(stream, progress), how.grid), how.preset)
+
+
+@contextmanager
+def open_stream(
+    path: str | os.PathLike[str],
+    *,
+    frames: int = BLOCK_FRAMES,
+    options: ReadOptions | None = None,
+) -> Iterator[Stream]:
+    """Open a recording to take it block by block, without ever holding the whole.
+
+    Parameters
+    ----------
+    path : path-like
+        As for `read`.
+    frames : int
+        Frames in every block but the last, at least 1.
+    options : ReadOptions, optional
+        What the reader cannot find out by itself.
+
+    Yields
+    ------
+    Stream
+        Its `blocks` can be gone through once, and only within the context.
+
+    Raises
+    ------
+    FileError
+        If there is no such file, or it is damaged, or holds no recording.
+    InputError
+        If `frames` is less than 1.
+    MissingExtraError
+        If the format needs a library that is not installed.
+    """
+    if frames < 1:
+        raise InputError(f"blocks of {frames} frames hold nothing; use 1 or more")
+    with _opened(Path(path), options or ReadOptions()) as stream:
+        yield replace(stream, blocks=recut(stream.blocks, frames))
+
+
+def contents(
+    path: str | os.PathLike[str], *, options: ReadOptions | None = None
+) -> tuple[Content, ...]:
+    """List what a file holds that can hold several recordings: topics, datasets, ports.
+
+    Parameters
+    ----------
+    path : path-like
+    options : ReadOptions, optional
+
+    Returns
+    -------
+    tuple of Content
+        Empty where a file is one recording.
+
+    Raises
+    ------
+    FileError
+        If there is no such file, or it is damaged.
+    MissingExtraError
+        If the format needs a library that is not installed.
     """
     file = Path(path)
     with blaming(file):
         chosen = _recognise(file)
-        if chosen.read_recording is None:
-            raise FileError(
-                f"{file} is of the format {chosen.summary}, which holds no recordings; "
-                f"recordings are read from {_summaries(f for f in FORMATS if f.read_recording)}"
-            )
-        return chosen.read_recording(file)
+        return chosen.contents(file, options or ReadOptions()) if chosen.contents else ()
 
 
 def read_map(path: str | os.PathLike[str]) -> SensorMap:
@@ -179,6 +277,26 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     """
     file = check_target(path)
     _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
+
+
+@contextmanager
+def _opened(file: Path, options: ReadOptions) -> Iterator[Stream]:
+    with ExitStack() as stack:
+        with blaming(file):
+            chosen = _recognise(file)
+            if chosen.open_recording is None:
+                raise FileError(
+                    f"{file} is of the format {chosen.summary}, which holds no recordings; "
+                    f"recordings are read from {_summaries(f for f in FORMATS if f.open_recording)}"
+                )
+            stream = stack.enter_context(chosen.open_recording(file, options))
+        yield replace(stream, blocks=_blamed(stream.blocks, file))
+
+
+def _blamed(blocks: Iterator[Block], file: Path) -> Iterator[Block]:
+    """Give blocks on; what goes wrong in reading them, and only that, is blamed on the file."""
+    with blaming(file):
+        yield from blocks
 
 
 def _recognise(file: Path) -> Format:

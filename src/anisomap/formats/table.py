@@ -5,17 +5,25 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import FileError
-from anisomap.formats.source import opened_text, quoted, readable
+from anisomap.errors import AnisomapWarning, FileError
+from anisomap.formats.source import (
+    DAMAGED_GZIP,
+    opened_text,
+    opened_with_share,
+    quoted,
+    readable,
+)
 
-_BLOCK_LINES = 512
+_BLOCK_LINES, _BLOCK_CHARACTERS = 512, 1 << 22
 
 
 class LineError(FileError):
@@ -71,40 +79,116 @@ class Table:
     clean: Callable[[str], str] = _as_it_is
 
 
-def read_table(table: Table, *, before_line: int | None = None) -> NDArray[np.float64]:
-    """Read lines of numbers.
+def read_blocks(table: Table, *, aloud: bool = True) -> Iterator[tuple[NDArray[np.float64], float]]:
+    """Read lines of numbers, some at a time.
 
     Comments from ``#`` to the end of a line and blank lines are passed over; an empty field is a
-    missing number, NaN.
+    missing number, NaN. A last line that was cut off is left out, with a warning.
 
     Parameters
     ----------
     table : Table
         The file, and how its numbers are laid out.
-    before_line : int, optional
-        Read no further than to the line before this one.
+    aloud : bool
+        Whether to warn of a last line that was cut off.
 
-    Returns
-    -------
-    ndarray of float64, shape (T, n_columns)
+    Yields
+    ------
+    ndarray of float64, shape (t, n_columns)
+        At least one row.
+    float
+        The share of the file that has been read.
 
     Raises
     ------
     LineError
         At the first line with another number of fields, or a field that is no number.
+    EOFError, zlib.error, gzip.BadGzipFile
+        If a gzipped file is damaged: all that is whole has come before.
     """
-    blocks = [np.empty((0, table.n_columns))]
-    first_line = table.first_line
-    with opened_text(table.path) as stream:
-        lines = itertools.islice(stream, first_line - 1, before_line and before_line - 1)
-        while block := list(itertools.islice(lines, _BLOCK_LINES)):
-            blocks.append(_fast(block, table, first_line))
-            first_line += len(block)
-    return np.concatenate(blocks)
+    first_line, n_rows = table.first_line, 0
+    with opened_with_share(table.path) as text:
+        lines = itertools.islice(text.lines, first_line - 1, None)
+        for block, damage in _line_blocks(lines):
+            rows = _all_but_a_cut_line(
+                block, table, first_line, n_before=n_rows, later=lines, aloud=aloud
+            )
+            first_line, n_rows = first_line + len(block), n_rows + len(rows)
+            if len(rows):
+                yield rows, text.share()
+            if damage:
+                raise damage
+
+
+def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
+    """Read as many rows, or all if there are fewer; of damage behind them nothing is said.
+
+    Raises
+    ------
+    LineError
+        As `read_blocks`.
+    """
+    held = [np.empty((0, table.n_columns))]
+    with suppress(*DAMAGED_GZIP):
+        for rows, _ in read_blocks(table, aloud=False):
+            held.append(rows)
+            if sum(map(len, held)) >= n_rows:
+                break
+    return np.concatenate(held)[:n_rows]
+
+
+def _line_blocks(lines: Iterator[str]) -> Iterator[tuple[list[str], Exception | None]]:
+    """Gather lines; what goes wrong with unpacking comes after the last lines that are whole."""
+    block: list[str] = []
+    characters = 0
+    try:
+        for line in lines:
+            block.append(line)
+            characters += len(line)
+            if len(block) == _BLOCK_LINES or characters > _BLOCK_CHARACTERS:
+                yield block, None
+                block, characters = [], 0
+    except DAMAGED_GZIP as error:
+        yield block, error
+    else:
+        if block:
+            yield block, None
+
+
+def _all_but_a_cut_line(
+    lines: list[str],
+    table: Table,
+    first_line: int,
+    *,
+    n_before: int,
+    later: Iterator[str],
+    aloud: bool,
+) -> NDArray[np.float64]:
+    """Read lines; a last one without an end, and with too little in it, was cut off."""
+    try:
+        return _fast(lines, table, first_line)
+    except LineError as error:
+        *whole, broken = lines
+        is_last = error.line == first_line + len(whole) and next(later, None) is None
+        n_fields = len(_fields(broken, table.delimiter))
+        if not is_last or broken.endswith(("\n", "\r")) or n_fields > table.n_columns:
+            raise
+        rows = _fast(whole, table, first_line)
+        if not n_before + len(rows):
+            raise
+        if aloud:
+            warnings.warn(
+                f"{table.path}: the last line ({error.line}) was cut off in field "
+                f"{n_fields} of {table.n_columns}; its frame is lost, "
+                f"the {n_before + len(rows)} frames before it are whole",
+                AnisomapWarning,
+                stacklevel=2,
+            )
+        return rows
 
 
 def line_of(table: Table, row: int) -> str:
-    """Tell on which line a row of `read_table` stands: ``"line 12"``."""
+    """Tell on which line a row of `read_blocks` stands: ``"line 12"``."""
     with opened_text(table.path) as stream:
         lines = itertools.islice(enumerate(stream, start=1), table.first_line - 1, None)
         filled = (number for number, line in lines if not is_skipped(line, table.delimiter))

@@ -12,17 +12,19 @@ import functools
 import itertools
 import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.formats import comments, delimited
-from anisomap.formats.columns import Roles, roles_by_content, roles_by_name
-from anisomap.formats.frames import increasing, narrowed
-from anisomap.formats.source import opened_text
-from anisomap.formats.table import Table, line_of, read_table
+from anisomap.formats.columns import ROWS_LOOKED_AT, Roles, roles_by_content, roles_by_name
+from anisomap.formats.frames import narrowed
+from anisomap.formats.source import DAMAGED_GZIP, opened_text
+from anisomap.formats.stream import Block, ReadOptions, Stream, salvaged
+from anisomap.formats.table import Table, first_rows, line_of, read_blocks
 from anisomap.recording import Recording, Scalar
 
 TITLE = "anisomap recording"
@@ -40,17 +42,20 @@ def recognises(path: Path, head: bytes) -> bool:
     return bool(head) and b"\0" not in head
 
 
-def read_recording(path: Path) -> Recording:
-    """Read a recording from delimited text.
+@contextmanager
+def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open a recording in delimited text.
 
     Parameters
     ----------
     path : pathlib.Path
         A line a frame, a column a sensor; empty fields are missing readings, NaN.
+    options : ReadOptions
+        None of them matters here.
 
-    Returns
-    -------
-    Recording
+    Yields
+    ------
+    Stream
         Its metadata says which column was taken for time, and which for a frame counter.
 
     Raises
@@ -70,17 +75,20 @@ def read_recording(path: Path) -> Recording:
         held = "a header and nothing below it" if layout.header else "no line of numbers"
         raise FileError(f"{path} holds {held}; give a line of numbers for every frame")
     form = _table(path, layout, sample)
-    values = read_table(form)
-    if known:
-        return _own_recording(path, layout.header, values, known, metadata)
-    names = tuple(name.strip() for name in layout.header)
-    roles = roles_by_name(names, values) if names else roles_by_content(values)
-    return Recording(
-        _readings(path, values, roles),
+    names = layout.header if known else tuple(name.strip() for name in layout.header)
+    roles = _own_roles(known) if known else _foreign_roles(form, names)
+    if len(roles.left_out) == layout.n_columns:
+        raise FileError(f"{path} holds times or a frame counter, but no sensor beside them")
+    rate_hz = known.get("rate_hz")
+    yield Stream(
+        path,
+        layout.n_columns - len(roles.left_out),
+        salvaged(_blocks(form, roles), path, DAMAGED_GZIP),
         names=tuple(name for i, name in enumerate(names) if i not in roles.left_out),
-        times=_times(form, roles, values),
-        source=path.name,
-        metadata=_remarks(path, names, roles),
+        rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
+        source=str(known.get("source", path.name)),
+        metadata=metadata if known else _remarks(path, names, roles),
+        locate=None if known else functools.partial(line_of, form),
     )
 
 
@@ -151,36 +159,20 @@ def _table(path: Path, layout: delimited.Layout, sample: list[str]) -> Table:
     return form if untouched else dataclasses.replace(form, clean=layout.clean)
 
 
-def _own_recording(
-    path: Path,
-    header: tuple[str, ...],
-    values: NDArray[np.float64],
-    known: dict[str, Scalar],
-    metadata: dict[str, Scalar],
-) -> Recording:
+def _own_roles(known: dict[str, Scalar]) -> Roles:
     timed = known.get("times") == _IN_FIRST_COLUMN
-    rate_hz = known.get("rate_hz")
-    return Recording(
-        narrowed(values[:, int(timed) :]),
-        names=header[int(timed) :],
-        times=increasing(values[:, 0], path) if timed else None,
-        rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
-        source=str(known.get("source", path.name)),
-        metadata=metadata,
-    )
+    return Roles(time=0, left_out=(0,)) if timed else Roles()
 
 
-def _readings(path: Path, values: NDArray[np.float64], roles: Roles) -> NDArray[np.floating]:
-    if len(roles.left_out) == values.shape[1]:
-        raise FileError(f"{path} holds times or a frame counter, but no sensor beside them")
-    return narrowed(np.delete(values, roles.left_out, axis=1))
+def _foreign_roles(form: Table, names: tuple[str, ...]) -> Roles:
+    start = first_rows(form, ROWS_LOOKED_AT)
+    return roles_by_name(names, start) if names else roles_by_content(start)
 
 
-def _times(form: Table, roles: Roles, values: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    if roles.time is None:
-        return None
-    times = values[:, roles.time] / roles.per_second
-    return increasing(times, form.path, functools.partial(line_of, form))
+def _blocks(form: Table, roles: Roles) -> Iterator[Block]:
+    for values, share in read_blocks(form):
+        times = None if roles.time is None else values[:, roles.time] / roles.per_second
+        yield Block(narrowed(np.delete(values, roles.left_out, axis=1)), share, times)
 
 
 def _remarks(path: Path, names: tuple[str, ...], roles: Roles) -> dict[str, Scalar]:

@@ -1,7 +1,8 @@
-"""Recordings that ``yarpdatadumper`` made: ``data.log``, or the folder that holds it.
+"""Recordings that ``yarpdatadumper`` made: ``data.log``, its folder, or a session of folders.
 
 A line is ``sequence stamp value value ...``, or with two stamps (``--txTime --rxTime``) first the
-sender's, then the receiver's; the values may stand in brackets.
+sender's, then the receiver's; the values may stand in brackets. ``info.log`` beside it names the
+port. A session is a folder with a folder for every port.
 """
 
 from __future__ import annotations
@@ -9,21 +10,28 @@ from __future__ import annotations
 import functools
 import itertools
 import re
-import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError
-from anisomap.formats.frames import increasing, narrowed
-from anisomap.formats.source import opened_text
-from anisomap.formats.table import LineError, Table, is_skipped, line_of, read_table
-from anisomap.recording import Recording
+from anisomap.errors import FileError
+from anisomap.formats.choice import Content, choose
+from anisomap.formats.frames import narrowed
+from anisomap.formats.joining import joined
+from anisomap.formats.source import DAMAGED_GZIP, opened_text
+from anisomap.formats.stream import Block, ReadOptions, Stream, salvaged
+from anisomap.formats.table import Table, first_rows, is_skipped, line_of, read_blocks
+from anisomap.recording import Scalar
 
-_FILE = "data.log"
+_FILE, _INFO = "data.log", "info.log"
 _LINE = re.compile(rb"\s*(\d+)\s+(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s+[-+.(\dni]")
-_LOOKED_AT = 3
+_PORT = re.compile(r"\]\s*(/\S+)\s*\[connected\]")
+_INFO_CHARACTERS = 1 << 16
+_LOOKED_AT, _ROWS_LOOKED_AT = 3, 1000
 # Seconds since 1970 of any recording that there is; no reading of a skin is as large.
 _EPOCH = 1e8
 _SAME_CLOCK_S = 60.0
@@ -36,7 +44,7 @@ def recognises(path: Path, head: bytes) -> bool:
     Stamps of a simulator start near zero; a file with such is recognised by its name, too.
     """
     if path.is_dir():
-        return (path / _FILE).is_file()
+        return bool(_logs(path))
     lines = head.splitlines()
     whole = lines[:-1] or lines  # the last one may be cut
     found = [match for line in whole[:_LOOKED_AT] if (match := _LINE.match(line))]
@@ -48,37 +56,107 @@ def recognises(path: Path, head: bytes) -> bool:
     return rising and stamps == sorted(stamps) and (stamps[0] >= _EPOCH or path.name == _FILE)
 
 
-def read_recording(path: Path) -> Recording:
-    """Read a recording from a data.log.
+def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
+    """List the ports of a session; nothing of a single file.
 
     Parameters
     ----------
     path : pathlib.Path
-        The file, or the folder that holds it.
+        The file, its folder, or the folder of the session.
+    options : ReadOptions
+        None of them matters here.
+    """
+    if not path.is_dir() or (path / _FILE).is_file():
+        return ()
+    return tuple(Content(_part(path, log), _port(log) or "no info.log") for log in _logs(path))
 
-    Returns
-    -------
-    Recording
+
+@contextmanager
+def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open a recording in a data.log.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file, the folder that holds it, or the folder of a session.
+    options : ReadOptions
+        `select` names the port of a session, or several between commas: these become one
+        recording, on the clock of the first.
+
+    Yields
+    ------
+    Stream
         Its times are the sender's stamps from 0 on, or the receiver's where the sender's do not
-        increase. If the last line was cut off, the frames before it, with a warning.
+        increase. A last line that was cut off is left out, with a warning.
 
     Raises
     ------
     FileError
         With line and column of what cannot be read.
     """
-    file = path / _FILE if path.is_dir() else path
-    form = _table(file)
-    values = _frames(form)
-    n_stamps = 2 if _has_two_stamps(values) else 1
-    if values.shape[1] <= 1 + n_stamps:
-        raise FileError(f"{file} holds sequence numbers and stamps, but no values after them")
-    return Recording(
-        narrowed(values[:, 1 + n_stamps :]),
-        times=_times(form, values[:, 1 : 1 + n_stamps]),
-        source=f"{path.name}/{_FILE}" if path.is_dir() else path.name,
-        metadata={"format": "YARP data.log", "stamps": n_stamps},
+    ports = contents(path, options)
+    if not ports:
+        folder = path.is_dir()
+        source = f"{path.name}/{_FILE}" if folder else path.name
+        yield replace(_stream(path / _FILE if folder else path), source=source)
+        return
+    wanted = [name.strip() for name in options.select.split(",")]
+    by_port = tuple(replace(content, name=content.summary) for content in ports)
+    if all(any(port.name == name for port in by_port) for name in wanted):
+        chosen = [ports[by_port.index(choose(path, by_port, name, "port"))].name for name in wanted]
+    else:
+        chosen = [choose(path, ports, name, "port").name for name in wanted]
+    logs = {_part(path, log): log for log in _logs(path)}
+    streams = {name: _stream(logs[name]) for name in chosen}
+    stream = joined(streams) if len(streams) > 1 else streams[chosen[0]]
+    yield replace(stream, source=f"{path.name}/{', '.join(chosen)}")
+
+
+def _logs(folder: Path) -> list[Path]:
+    """Find the logs of a folder or a session, two folders deep at the most."""
+    here = folder / _FILE
+    if here.is_file():
+        return [here]
+    return sorted(log for depth in ("*", "*/*") for log in folder.glob(f"{depth}/{_FILE}"))
+
+
+def _part(session: Path, log: Path) -> str:
+    return log.parent.relative_to(session).as_posix()
+
+
+def _port(log: Path) -> str:
+    """Read from info.log which port was recorded; empty if it does not say."""
+    try:
+        with (log.parent / _INFO).open(encoding="utf-8", errors="replace") as stream:
+            found = _PORT.search(stream.read(_INFO_CHARACTERS))
+    except OSError:
+        return ""
+    return found[1] if found else ""
+
+
+def _stream(log: Path) -> Stream:
+    form = _table(log)
+    n_stamps = 2 if _has_two_stamps(first_rows(form, _ROWS_LOOKED_AT)) else 1
+    n_sensors = form.n_columns - 1 - n_stamps
+    if n_sensors < 1:
+        raise FileError(f"{log} holds sequence numbers and stamps, but no values after them")
+    metadata: dict[str, Scalar] = {"format": "YARP data.log", "stamps": n_stamps}
+    if port := _port(log):
+        metadata["port"] = port
+    return Stream(
+        log,
+        n_sensors,
+        salvaged(_blocks(form, n_stamps), log, DAMAGED_GZIP),
+        metadata=metadata,
+        from_zero=True,
+        locate=functools.partial(line_of, form),
     )
+
+
+def _blocks(form: Table, n_stamps: int) -> Iterator[Block]:
+    for values, share in read_blocks(form):
+        receipts = values[:, 2] if n_stamps == 2 else None
+        yield Block(narrowed(values[:, 1 + n_stamps :]), share, values[:, 1], receipts)
 
 
 def _table(path: Path) -> Table:
@@ -89,25 +167,6 @@ def _table(path: Path) -> Table:
         raise FileError(f"{path} holds no frame")
     width = len(_without_brackets(line).split())
     return Table(path, None, width, f"line {number} has {width}", number, clean=_without_brackets)
-
-
-def _frames(form: Table) -> NDArray[np.float64]:
-    try:
-        return read_table(form)
-    except LineError as error:
-        with opened_text(form.path) as stream:
-            broken, *after = itertools.islice(stream, error.line - 1, None)
-        if error.line == form.first_line or not all(map(is_skipped, after)):
-            raise
-        values = read_table(form, before_line=error.line)
-        warnings.warn(
-            f"{form.path}: the last line ({error.line}) was cut off in field "
-            f"{len(broken.split())} of {form.n_columns}; its frame is lost, "
-            f"the {len(values)} frames before it are whole",
-            AnisomapWarning,
-            stacklevel=2,
-        )
-        return values
 
 
 def _without_brackets(line: str) -> str:
@@ -124,11 +183,3 @@ def _has_two_stamps(values: NDArray[np.float64]) -> bool:
     with np.errstate(invalid="ignore"):
         rising = len(values) >= _LOOKED_AT and (np.diff(second) > 0).all()
         return bool(rising and (np.abs(second - first) <= _SAME_CLOCK_S).all())
-
-
-def _times(form: Table, stamps: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    for stamp in stamps.T:
-        with np.errstate(invalid="ignore"):
-            if (np.diff(stamp) > 0).all() and np.isfinite(stamp).all():
-                return np.asarray(stamp - stamp[0])
-    return increasing(stamps[:, 0], form.path, functools.partial(line_of, form))
