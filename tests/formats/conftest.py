@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 
 from anisomap import formats
 from anisomap.errors import AnisomapWarning
@@ -99,6 +100,41 @@ def _archive(path: Path) -> None:
         )
 
 
+def _tables(path: Path, transposed: bool = False) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w", userblock_size=512 if transposed else 0) as file:
+        readings, times = _readings(), np.arange(N_FRAMES) / 50
+        if transposed:
+            readings, times = np.ascontiguousarray(readings.T), times[None]
+        else:
+            file["skin/names"] = np.array(NAMES, dtype="S")
+        file.create_dataset("skin/readings", data=readings, chunks=True, compression="gzip")
+        file["skin/time"] = times
+    if transposed:
+        with path.open("r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512))
+
+
+def _matlab(path: Path) -> None:
+    contents = {"readings": _readings(), "time": np.arange(N_FRAMES) / 50}
+    scipy.io.savemat(path, contents, do_compression=True)
+
+
+def _robot_learning(path: Path, *, feather: bool = False) -> None:
+    arrow = pytest.importorskip("pyarrow")
+    values = arrow.array(_readings().ravel())
+    columns = {
+        "observation.tactile": arrow.FixedSizeListArray.from_arrays(values, N_SENSORS),
+        "timestamp": np.arange(N_FRAMES) / 50,
+        "frame_index": np.arange(N_FRAMES),
+    }
+    if feather:
+        pytest.importorskip("pyarrow.feather").write_feather(arrow.table(columns), path)
+    else:
+        parquet = pytest.importorskip("pyarrow.parquet")
+        parquet.write_table(arrow.table(columns), path, row_group_size=9)
+
+
 RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "skin.npz": ("npz", None),
     "numpy.npz": ("npz", _archive),
@@ -108,6 +144,11 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "blanks.txt.gz": ("text", _gzipped),
     "data.log": ("yarp", _two_stamps),
     "dumped.log": ("yarp", _one_stamp),
+    "skin.h5": ("hdf5", _tables),
+    "skin.mat": ("mat", _matlab),
+    "v73.mat": ("mat", lambda path: _tables(path, transposed=True)),
+    "skin.parquet": ("parquet", _robot_learning),
+    "skin.feather": ("parquet", lambda path: _robot_learning(path, feather=True)),
 }
 MAPS = {
     "map.npz": "npz",

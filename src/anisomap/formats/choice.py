@@ -45,7 +45,7 @@ def choose(path: Path, contents: Sequence[Content], select: str, what: str) -> C
     contents : sequence of Content
         What it holds.
     select : str
-        The name of one, or the end of its name behind a ``/``; empty if none was chosen.
+        The name of one, or a part of its name between ``/``; empty if none was chosen.
     what : str
         What such things are called: ``"dataset"``.
 
@@ -63,10 +63,10 @@ def choose(path: Path, contents: Sequence[Content], select: str, what: str) -> C
     usable = [content for content in contents if content.usable]
     if select:
         named = [content for content in contents if content.name == select] or [
-            content for content in usable if f"/{content.name}".endswith(f"/{select.lstrip('/')}")
+            content for content in usable if f"/{select.strip('/')}/" in f"/{content.name}/"
         ]
         if len(named) != 1:
-            problem = "several things end on" if named else f"there is no {what}"
+            problem = "several things go by" if named else f"there is no {what}"
             raise FileError(f"{path}: {problem} {select!r}; it holds {_listed(named or contents)}")
         return named[0]
     if len(usable) > 1:

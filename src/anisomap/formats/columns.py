@@ -74,7 +74,7 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
     -------
     Roles
     """
-    times = [i for i, name in enumerate(header) if _is_time(name, i)]
+    times = [i for i, name in enumerate(header) if is_time(name, i)]
     counters = [
         i
         for i, name in enumerate(header[:2])
@@ -82,7 +82,7 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
     ]
     return Roles(
         time=times[0] if times else None,
-        per_second=_units_per_second(header[times[0]], table[:, times[0]]) if times else 1.0,
+        per_second=units_per_second(header[times[0]], table[:, times[0]]) if times else 1.0,
         counter=counters[0] if counters else None,
         left_out=tuple(sorted({*times, *counters})),
     )
@@ -117,7 +117,7 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
         return Roles()
     return Roles(
         time=rising[-1],
-        per_second=_units_per_second("", last),
+        per_second=units_per_second("", last),
         counter=0 if len(rising) == 2 else None,
         left_out=tuple(rising),
     )
@@ -127,7 +127,8 @@ def _words(name: str) -> list[str]:
     return re.findall(r"[a-z\u00b5\u03bc]+", name.lower())
 
 
-def _is_time(name: str, column: int) -> bool:
+def is_time(name: str, column: int = 0) -> bool:
+    """Tell whether a column, the how-manieth counts, has the name of one that holds times."""
     words = _words(name)
     if not words or re.search(r"\d", name) or words == ["t"]:
         return words == ["t"] and name.strip().lower() == "t" and column < 2
@@ -135,7 +136,8 @@ def _is_time(name: str, column: int) -> bool:
     return known and (words[0] in _TIME_WORDS or words[0] in _TIME_UNITS)
 
 
-def _units_per_second(name: str, times: NDArray[np.float64]) -> float:
+def units_per_second(name: str, times: NDArray[np.float64]) -> float:
+    """Tell the unit of times by the name of their column, or else by their size."""
     units = [word for word in _words(name) if word in _PER_SECOND]
     if units:
         return _PER_SECOND[units[-1]]

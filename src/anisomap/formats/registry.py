@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from anisomap._files import check_target, replacing
 from anisomap.errors import FileError, InputError
-from anisomap.formats import map_csv, map_json, npz, ply, text, yarp
+from anisomap.formats import arrow, hdf5, map_csv, map_json, mat, npz, ply, text, yarp
 from anisomap.formats.choice import Content
 from anisomap.formats.grids import with_grid
 from anisomap.formats.presets import apply_preset
@@ -69,7 +69,8 @@ class Format:
     extra: str = ""
 
 
-# Delimited text stays last: it takes any text that none before it claims.
+# MATLAB comes before HDF5, since its files may be that, too; delimited text stays last, since it
+# takes any text that none before it claims.
 # fmt: off
 FORMATS = (
     Format("npz", (".npz",), "NumPy archive", npz.recognises,
@@ -80,6 +81,12 @@ FORMATS = (
            read_map=ply.read_map, write_map=ply.write_map),
     Format("yarp", (), "YARP data.log, its folder or session", yarp.recognises, yarp.open_recording,
            contents=yarp.contents),
+    Format("mat", (".mat",), "MATLAB (7.3: with the extra)", mat.recognises, mat.open_recording,
+           contents=mat.contents, extra=mat.EXTRA),
+    Format("hdf5", (".h5", ".hdf5", ".hdf"), "HDF5", hdf5.recognises, hdf5.open_recording,
+           contents=hdf5.contents, extra=hdf5.EXTRA),
+    Format("parquet", (".parquet", ".arrow", ".feather"), "Parquet, Arrow, Feather",
+           arrow.recognises, arrow.open_recording, contents=arrow.contents, extra=arrow.EXTRA),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            text.recognises,
            text.open_recording, map_csv.read_map, map_csv.write_map, text.write_recording),

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError
+from anisomap.formats.foreign import DamagedError, reason_of
 from anisomap.formats.frames import increasing
 from anisomap.recording import Recording, Scalar
 
@@ -173,7 +174,7 @@ def recut(blocks: Iterator[Block], n_frames: int) -> Iterator[Block]:
 
 
 def salvaged(
-    blocks: Iterator[Block], path: Path, damage: tuple[type[Exception], ...]
+    blocks: Iterator[Block], path: Path, damage: tuple[type[Exception], ...] = (DamagedError,)
 ) -> Iterator[Block]:
     """Give the blocks before the damage, and warn of what is lost; an error if there are none.
 
@@ -191,22 +192,16 @@ def salvaged(
             n_frames, share = n_frames + len(block.readings), block.share
             yield block
     except damage as error:
-        reason = reason_of(error)
         if not n_frames:
-            raise FileError(f"{path} is damaged or cut short: {reason}") from error
+            raise
+        told = reason_of(error.__cause__ or error)
         lost = f", about {1 - share:.0%} of the file" if 1 - share > _WORTH_TELLING else ""
         warnings.warn(
-            f"{path} is damaged or cut short ({reason}): the {n_frames} frames before that are "
+            f"{path} is damaged or cut short ({told}): the {n_frames} frames before that are "
             f"whole, what follows is lost{lost}",
             AnisomapWarning,
             stacklevel=2,
         )
-
-
-def reason_of(error: Exception) -> str:
-    """Say on one line, and in short, what another library found wrong."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text if len(text) <= 200 else text[:200] + "..."
 
 
 class _Pile:
