@@ -113,8 +113,9 @@ def _dataset(path: Path, item: Any, frames_last: bool) -> Dataset:
             return np.asarray(item[start:stop])
         return np.asarray(item[..., start:stop]).T
 
-    kind = "S" if item.dtype.metadata and "vlen" in item.dtype.metadata else item.dtype.kind
-    return Dataset(name, shape or (1,), str(item.dtype), kind, read, chunks[0] if chunks else 1)
+    return Dataset(
+        name, shape or (1,), str(item.dtype), item.dtype.kind, read, chunks[0] if chunks else 1
+    )
 
 
 def _check_size(path: Path, item: Any, name: str) -> None:
