@@ -1,6 +1,7 @@
 """An example file of every format, written by hand where a foreign program would have made it."""
 
 import gzip
+import shutil
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -135,6 +136,19 @@ def _robot_learning(path: Path, *, feather: bool = False) -> None:
         parquet.write_table(arrow.table(columns), path, row_group_size=9)
 
 
+def _bag(path: Path) -> None:
+    bags = pytest.importorskip("bags")
+    bag = bags.Bag(path.suffix[1:])
+    for i, row in enumerate(_readings()):
+        bag.add("/skin", bag.array(row), i)
+    bag.messages = [
+        (topic, message, bags.START + 20_000_000 * i)
+        for i, (topic, message, _) in enumerate(bag.messages)
+    ]
+    bag.write(path)
+    shutil.rmtree(path.with_suffix(""), ignore_errors=True)
+
+
 RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "skin.npz": ("npz", None),
     "numpy.npz": ("npz", _archive),
@@ -144,6 +158,9 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "blanks.txt.gz": ("text", _gzipped),
     "data.log": ("yarp", _two_stamps),
     "dumped.log": ("yarp", _one_stamp),
+    "run.bag": ("ros", _bag),
+    "run.mcap": ("ros", _bag),
+    "run.db3": ("ros", _bag),
     "skin.h5": ("hdf5", _tables),
     "skin.mat": ("mat", _matlab),
     "v73.mat": ("mat", lambda path: _tables(path, transposed=True)),

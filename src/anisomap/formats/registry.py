@@ -11,7 +11,19 @@ from typing import TypeVar
 
 from anisomap._files import check_target, replacing
 from anisomap.errors import FileError, InputError
-from anisomap.formats import arrow, hdf5, map_csv, map_json, mat, npz, ply, text, yarp
+from anisomap.formats import (
+    arrow,
+    hdf5,
+    map_csv,
+    map_json,
+    mat,
+    npz,
+    ply,
+    ros_files,
+    rosbag,
+    text,
+    yarp,
+)
 from anisomap.formats.choice import Content
 from anisomap.formats.grids import with_grid
 from anisomap.formats.presets import apply_preset
@@ -87,6 +99,8 @@ FORMATS = (
            contents=hdf5.contents, extra=hdf5.EXTRA),
     Format("parquet", (".parquet", ".arrow", ".feather"), "Parquet, Arrow, Feather",
            arrow.recognises, arrow.open_recording, contents=arrow.contents, extra=arrow.EXTRA),
+    Format("ros", (".bag", ".mcap", ".db3"), "ROS 1 and 2 bags, MCAP", rosbag.recognises,
+           rosbag.open_recording, contents=rosbag.contents, extra=ros_files.EXTRA),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            text.recognises,
            text.open_recording, map_csv.read_map, map_csv.write_map, text.write_recording),
