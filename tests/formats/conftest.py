@@ -149,6 +149,21 @@ def _bag(path: Path) -> None:
     shutil.rmtree(path.with_suffix(""), ignore_errors=True)
 
 
+def _mat_export(path: Path) -> None:
+    frames = _lines(lambda i, v: f"Frame {i + 1}\n" + ",".join(map(str, v)) + "\n")
+    path.write_text(
+        "DATA_TYPE MOVIE\nROWS 1\nCOLS 5\nROW_SPACING 8.4 mm\nCOL_SPACING 5.1 mm\n"
+        f"SECONDS_PER_FRAME 0.02\nASCII_DATA @@\n\n{frames}@@\n"
+    )
+
+
+def _images(path: Path) -> None:
+    """Floating-point pixels, a page a frame."""
+    pillow = pytest.importorskip("PIL.Image")
+    pages = [pillow.fromarray(row[None].astype(np.float32)) for row in _readings()]
+    pages[0].save(path, save_all=True, append_images=pages[1:], compression=None)
+
+
 RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "skin.npz": ("npz", None),
     "numpy.npz": ("npz", _archive),
@@ -161,6 +176,8 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "run.bag": ("ros", _bag),
     "run.mcap": ("ros", _bag),
     "run.db3": ("ros", _bag),
+    "mat.asf": ("mat-export", _mat_export),
+    "film.tif": ("images", _images),
     "skin.h5": ("hdf5", _tables),
     "skin.mat": ("mat", _matlab),
     "v73.mat": ("mat", lambda path: _tables(path, transposed=True)),

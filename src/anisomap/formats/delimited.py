@@ -23,6 +23,7 @@ _SAMPLE_RECORDS = 50
 _DELIMITERS = (";", "\t", ",", None)
 _BLANK_SEPARATED = re.compile(r'"((?:[^"]|"")*)"|(\S+)')
 _FEWEST_COUNTED = 4
+_LINES_ABOVE, _ROWS_BEYOND_DOUBT = 100, 5
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,52 @@ def find_delimiter(sample: Sequence[str]) -> str | None:
         splits[delimiter] = sum(width > 1 for width in widths)
     best, count = splits.most_common(1)[0]
     return best if count else ","
+
+
+def lines_above(sample: Sequence[str]) -> int:
+    """Count the lines above a table, as measuring programs write them to say what was measured.
+
+    They are such only beyond doubt: the first line has hardly as many fields as the many rows of
+    numbers that follow, which agree with one another.
+
+    Parameters
+    ----------
+    sample : sequence of str
+        The first lines of a file.
+
+    Returns
+    -------
+    int
+        0 if the file begins with its table. The line of names, if there is one, is of the table.
+    """
+    top = sample[:_LINES_ABOVE]
+    for delimiter in _DELIMITERS:
+        widths = [0 if is_skipped(s, delimiter) else len(_split(s, delimiter)) for s in top]
+        first = next((width for width in widths if width), 0)
+        wide = (i for i, width in enumerate(widths) if width > first + 1)
+        start = next((i for i in wide if _is_numeric(top[i], delimiter)), None)
+        if start is None:
+            continue
+        rows = range(start, min(start + _ROWS_BEYOND_DOUBT, len(top)))
+        alike = all(widths[i] == widths[start] and _is_numeric(top[i], delimiter) for i in rows)
+        if alike and len(rows) == _ROWS_BEYOND_DOUBT:
+            named = abs(widths[start - 1] - widths[start]) <= 1
+            return start - named
+    return 0
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
+    return line.strip("\r\n").split(delimiter)
+
+
+def _is_numeric(line: str, delimiter: str | None) -> bool:
+    fields = _split(line, delimiter)
+    try:
+        for field in fields:
+            parse_number(field if delimiter == "," else field.replace(",", "."))
+    except ValueError:
+        return False
+    return len(fields) > 1 and any(field.strip() for field in fields)
 
 
 def find_layout(sample: Sequence[str], *, own_delimiter: str = "") -> Layout:

@@ -14,9 +14,11 @@ from anisomap.errors import FileError, InputError
 from anisomap.formats import (
     arrow,
     hdf5,
+    images,
     map_csv,
     map_json,
     mat,
+    mats,
     npz,
     ply,
     ros_files,
@@ -101,6 +103,10 @@ FORMATS = (
            arrow.recognises, arrow.open_recording, contents=arrow.contents, extra=arrow.EXTRA),
     Format("ros", (".bag", ".mcap", ".db3"), "ROS 1 and 2 bags, MCAP", rosbag.recognises,
            rosbag.open_recording, contents=rosbag.contents, extra=ros_files.EXTRA),
+    Format("mat-export", (".asf",), "export of a pressure mat, a block of rows a frame",
+           mats.recognises, mats.open_recording),
+    Format("images", (".gif", ".tif", ".tiff"), "folder of images; TIFF or GIF of several pages",
+           images.recognises, images.open_recording, extra=images.EXTRA),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            text.recognises,
            text.open_recording, map_csv.read_map, map_csv.write_map, text.write_recording),
@@ -328,7 +334,10 @@ def _recognise(file: Path) -> Format:
         if chosen.recognises(file, start):
             return chosen
     if file.is_dir():
-        raise FileError(f"{file} is a folder without a data.log; give a file")
+        raise FileError(
+            f"{file} is a folder of no known kind: it holds no data.log, no bag and no images; "
+            "give a file"
+        )
     for chosen in FORMATS:
         if suffixes and suffixes[-1] in chosen.suffixes:
             return chosen

@@ -35,8 +35,11 @@ def disguised(path: Path) -> Path:
     start = _start(path)
     suffix = next((kind for magic, kind in MAGICS.items() if start.startswith(magic)), path.suffix)
     known: dict[str, Any] = {"suffix": suffix}
-    if suffix == ".mcap" and not _has_end(path):
-        known["open"] = lambda self, *_, **__: io.BufferedReader(_WithEnd(path))
+    if suffix != ".db3":
+        is_cut = suffix == ".mcap" and not _has_end(path)
+        known["open"] = lambda self, *_, **__: _BagFile(
+            _WithEnd(path) if is_cut else _unbuffered(path)
+        )
     named: Path = type("BagPath", (type(path),), known)(path)
     return named
 
@@ -120,6 +123,27 @@ def _end_of_records(path: Path) -> int:
             if len(head) < _RECORD_HEAD or end + _RECORD_HEAD + length > size:
                 return end
             end += _RECORD_HEAD + length
+
+
+def _unbuffered(path: Path) -> io.FileIO:
+    """Open a file without a buffer."""
+    return io.FileIO(path, "r")
+
+
+class _BagFile(io.BufferedReader):
+    """A file that is never asked for more than it has, whatever a damaged length says.
+
+    Python sets aside as much memory as is asked for, before it looks how much there is.
+    """
+
+    def __init__(self, raw: io.RawIOBase) -> None:
+        super().__init__(raw)
+        self._size = self.seek(0, io.SEEK_END)
+        self.seek(0)
+
+    def read(self, size: int | None = -1) -> bytes:
+        left = max(self._size - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 class _WithEnd(io.RawIOBase):

@@ -119,7 +119,7 @@ class _Bag:
         tactile = any(ros_messages.is_tactile(info.msgtype or "") for info in topics.values())
         return tuple(
             Content(
-                topic,
+                str(topic),
                 f"{info.msgtype}, {info.msgcount} messages",
                 self._usable(info, tactile),
             )

@@ -68,13 +68,14 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     if _is_titled(sample, MAP_TITLE):
         raise FileError(f"{path} is a map, not a recording; read it with read_map")
     known, metadata = _own_comments(sample)
+    above = 0 if known else delimited.lines_above(sample)
     layout = delimited.find_layout(
-        sample, own_delimiter=_DELIMITERS.get(str(known.get("fields")), "")
+        sample[above:], own_delimiter=_DELIMITERS.get(str(known.get("fields")), "")
     )
     if not layout.n_columns:
         held = "a header and nothing below it" if layout.header else "no line of numbers"
         raise FileError(f"{path} holds {held}; give a line of numbers for every frame")
-    form = _table(path, layout, sample)
+    form = _table(path, layout, sample, above)
     names = layout.header if known else tuple(name.strip() for name in layout.header)
     roles = _own_roles(known) if known else _foreign_roles(form, names)
     if len(roles.left_out) == layout.n_columns:
@@ -146,14 +147,14 @@ def _own_comments(sample: list[str]) -> tuple[dict[str, Scalar], dict[str, Scala
     return dict(entries), metadata
 
 
-def _table(path: Path, layout: delimited.Layout, sample: list[str]) -> Table:
+def _table(path: Path, layout: delimited.Layout, sample: list[str], above: int) -> Table:
     if layout.header:
         because = f"the header names {layout.n_columns}"
     else:
-        first = next(delimited.records(sample, layout.delimiter))[0]
-        because = f"line {first} has {layout.n_columns}"
+        first = next(delimited.records(sample[above:], layout.delimiter))[0]
+        because = f"line {above + first} has {layout.n_columns}"
     form = Table(
-        path, layout.delimiter, layout.n_columns, because, layout.first_line, layout.header
+        path, layout.delimiter, layout.n_columns, because, above + layout.first_line, layout.header
     )
     untouched = layout.delimiter == "," and not layout.trailing
     return form if untouched else dataclasses.replace(form, clean=layout.clean)
