@@ -26,5 +26,7 @@ from .methods import SIMILARITIES as SIMILARITIES
 from .methods import MethodOptions as MethodOptions
 from .reconstruction import reconstruct as reconstruct
 from .recording import Recording as Recording
+from .runs import join_runs as join_runs
+from .runs import reconstruct_runs as reconstruct_runs
 from .sensor_map import SensorMap as SensorMap
 from .simulation import simulate as simulate

@@ -108,7 +108,7 @@ def reconstruct(
         )
     part = np.ix_(taking_part, taking_part)
     stages = compute_stages(
-        None if recording is None else recording.complete().readings[:, taking_part],
+        None if recording is None or matrices else recording.complete().readings[:, taking_part],
         method,
         chosen,
         **{what: matrix[part] for what, matrix in matrices.items()},

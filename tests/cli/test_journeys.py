@@ -164,3 +164,36 @@ def test_help_imports_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "map" in done.stdout
+
+
+def test_several_recordings_are_one_map(run, skin_csv, tmp_path):
+    header, *lines = skin_csv.read_text().splitlines()
+    for name, part in (("one", lines[:700]), ("two", lines[700:])):
+        (tmp_path / f"{name}.csv").write_text("\n".join([header, *part]) + "\n")
+    assert run("map", "skin.csv", "-d", "2", "-o", "whole.csv").code == 0
+    assert run("map", "one.csv", "two.csv", "-d", "2", "-o", "parts.csv").code == 0
+    whole, parts = (anisomap.read_map(f"{name}.csv") for name in ("whole", "parts"))
+    np.testing.assert_allclose(parts.positions, whole.positions, atol=1e-6)
+    assert run("map", "one.csv", "two.csv", "-o", "two.csv").code == 2
+
+
+def test_a_grid_is_its_own_truth(run, tmp_path):
+    np.savetxt(tmp_path / "mat.csv", flat_skin().readings, "%.4g", ",")
+    found = run("map", "mat.csv", "--grid", "6x7", "-d", "2", "--permutations", "9")
+    assert found.code == 0
+    assert "Score against the true positions" in found.out
+    assert run("map", "mat.csv", "--grid", "6x8").code == 2
+    assert "rows and columns, as in 32x64" in run("map", "mat.csv", "--grid", "six").err
+
+
+def test_info_lists_what_there_is_to_choose_from(run, tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "skin.h5", "w") as file:
+        file["left"] = file["right"] = flat_skin().readings
+        file["note"] = np.arange(3)
+    found = run("info", "skin.h5")
+    assert found.code == 0
+    assert "left" in found.out
+    assert "choose one with --select" in found.err
+    assert run("map", "skin.h5", "-d", "2").code == 2
+    assert run("map", "skin.h5", "--dataset", "left", "-d", "2").code == 0

@@ -17,7 +17,9 @@ from anisomap.numerics.scaling import SmacofOptions
 
 
 def map_recording(
-    recording: options.RecordingFile,
+    recordings: Annotated[
+        list[Path], Parameter(help="File of a recording, or several of the same skin.")
+    ],
     /,
     *,
     output: Annotated[
@@ -43,7 +45,9 @@ def map_recording(
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
 ) -> None:
-    """Make a map from a recording.
+    """Make a map from a recording, or one from several of the same skin.
+
+    Sensors of several recordings are matched by name; some may be missing in some.
 
     Parameters
     ----------
@@ -70,13 +74,15 @@ def map_recording(
         Stop scaling after so many iterations.
     """
     outputs = pipeline.Outputs(
-        maps=tuple(output or [Path(f"{recording.name.split('.')[0]}.map.csv")]),
+        maps=tuple(output or [Path(f"{recordings[0].name.split('.')[0]}.map.csv")]),
         picture=picture,
         report=report,
     )
-    outputs.check(recording)
-    readings = pipeline.read(recording, reading.checked()).complete(nan)
-    evidence = pipeline.examine(readings)
+    outputs.check(*recordings)
+    how = reading.checked()
+    runs = [pipeline.read(path, how).complete(nan) for path in recordings]
+    evidence = pipeline.examine_runs(runs)
+    names = evidence.recording.names
     pipeline.show_recording(evidence)
     sensor_map = pipeline.make_map(
         evidence,
@@ -88,7 +94,7 @@ def map_recording(
             n_neighbours=neighbours,
             smacof=SmacofOptions(tolerance, max_iterations),
         ),
-        exclude=options.sensors(exclude, readings.names),
-        drop=options.sensors(drop, readings.names),
+        exclude=options.sensors(exclude, names),
+        drop=options.sensors(drop, names),
     )
     pipeline.finish(outputs, sensor_map, evidence, permutations, seed)

@@ -15,8 +15,8 @@ from anisomap.cli.console import console, number, percent, progress, show_facts,
 from anisomap.evaluation import Score, score
 from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
 from anisomap.methods import MethodOptions
-from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
+from anisomap.runs import assess_runs, join_runs, reconstruct_runs
 from anisomap.sensor_map import SensorMap
 
 
@@ -50,11 +50,12 @@ class Outputs:
 
 @dataclass(frozen=True)
 class Evidence:
-    """A recording with what was found out about it before any map."""
+    """A recording, and the runs it was joined from, with what was found out before any map."""
 
     recording: Recording
     health: Sequence[SensorHealth]
     summary: RecordingSummary
+    runs: Sequence[Recording] = ()
 
 
 def read(path: Path, how: formats.ReadOptions | None = None) -> Recording:
@@ -79,6 +80,15 @@ def examine(recording: Recording) -> Evidence:
         return Evidence(recording, health, summarise(recording, health))
 
 
+def examine_runs(runs: Sequence[Recording]) -> Evidence:
+    """Assess one recording, or several as one, with progress."""
+    if len(runs) == 1:
+        return examine(runs[0])
+    with progress("looking at every sensor"):
+        joined, health = join_runs(runs), assess_runs(runs)
+        return Evidence(joined, health, summarise(joined, health), tuple(runs))
+
+
 def make_map(
     evidence: Evidence,
     method: str,
@@ -90,8 +100,8 @@ def make_map(
 ) -> SensorMap:
     """Reconstruct, with progress; doubts are warned of on the way."""
     with progress("making the map"):
-        return reconstruct(
-            evidence.recording,
+        return reconstruct_runs(
+            evidence.runs or [evidence.recording],
             method,
             dimensions,
             options=options,

@@ -41,6 +41,8 @@ def joined(streams: Mapping[str, Stream]) -> Stream:
         blocks=_blocks(leader, [_Follower(name, stream) for name, stream in followers], [*streams]),
         names=names,
         positions=None,
+        normals=None,
+        surface_distances=None,
         locate=None,
     )
 

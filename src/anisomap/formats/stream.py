@@ -95,7 +95,7 @@ class Stream:
         N, of every block.
     blocks : iterator of Block
         Can be gone through once.
-    names, rate_hz, positions, units, source, metadata
+    names, rate_hz, positions, normals, surface_distances, units, source, metadata
         As for `Recording`.
     from_zero : bool
         Whether times count from the first frame on, whatever the file has.
@@ -109,6 +109,8 @@ class Stream:
     names: tuple[str, ...] = ()
     rate_hz: float | None = None
     positions: NDArray[np.float64] | None = None
+    normals: NDArray[np.float64] | None = None
+    surface_distances: NDArray[np.float64] | None = None
     units: str = ""
     source: str = ""
     metadata: Mapping[str, Scalar] = field(default_factory=dict)
@@ -151,6 +153,8 @@ def assemble(stream: Stream, progress: Callable[[float], None] | None = None) ->
         times=_best_clock(stream, [p.array() for p in (times, receipts) if p.n_rows]),
         rate_hz=stream.rate_hz,
         positions=stream.positions,
+        normals=stream.normals,
+        surface_distances=stream.surface_distances,
         units=stream.units,
         source=stream.source,
         metadata=stream.metadata,
