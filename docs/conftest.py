@@ -1,8 +1,58 @@
 """Run the code blocks of the documentation, each page as one program."""
 
-from sybil import Sybil
-from sybil.parsers.myst import PythonCodeBlockParser
+import os
+import shlex
+import tempfile
+from pathlib import Path
 
-pytest_collect_file = Sybil(
-    parsers=[PythonCodeBlockParser()], patterns=["*.md"], fixtures=["elsewhere"]
-).pytest()
+import pytest
+from sybil import Example, Sybil
+from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser
+
+from anisomap.cli import main
+
+
+def _run_commands(example: Example) -> None:
+    """Call anisomap line by line, as a shell would; every call must end well."""
+    for line in example.parsed.splitlines():
+        program, *arguments = shlex.split(line, comments=True) or ["#"]
+        if program == "#":
+            continue
+        if program != "anisomap" or _exit_code(arguments):
+            pytest.fail(line)
+
+
+def _exit_code(arguments: list[str]) -> int:
+    try:
+        main(arguments)
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def _enter_a_folder(names: dict[str, object]) -> None:
+    folder = tempfile.TemporaryDirectory()
+    names["_back"] = (folder, Path.cwd())
+    os.chdir(folder.name)
+
+
+def _leave_the_folder(names: dict[str, object]) -> None:
+    folder, before = names.pop("_back")
+    os.chdir(before)
+    folder.cleanup()
+
+
+# Pages about robots make the files first that they speak of, so their commands can be run, too.
+robots = Sybil(
+    [PythonCodeBlockParser(), CodeBlockParser("sh", _run_commands)],
+    patterns=["robots/*.md", "formats.md"],
+    setup=_enter_a_folder,
+    teardown=_leave_the_folder,
+)
+others = Sybil(
+    [PythonCodeBlockParser()],
+    patterns=["*.md"],
+    excludes=["robots/*.md", "formats.md"],
+    fixtures=["elsewhere"],
+)
+pytest_collect_file = (robots + others).pytest()

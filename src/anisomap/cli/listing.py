@@ -35,14 +35,14 @@ def formats() -> None:
     """List the file formats, what can be read from and written to each, and what that needs."""
     show_table(
         "Formats",
-        ("name", "suffixes", "reads", "writes", "needs", "what it is"),
+        ("name", "suffixes", "reads", "writes", "extra", "what it is"),
         [
             (
                 form.name,
                 " ".join(form.suffixes),
                 _which(recording=form.open_recording, map=form.read_map),
                 _which(recording=form.write_recording, map=form.write_map),
-                f"anisomap[{form.extra}]" if form.extra else "-",
+                form.extra or "-",
                 form.summary,
             )
             for form in FORMATS
