@@ -56,10 +56,13 @@ class Bag:
         received = START + round(frame / rate * 1e9) + 10**6 * (1 + frame % 3)
         self.messages.append((topic, message, received))
 
-    def write(self, path: Path, **options: Any) -> Path:
+    def write(self, path: Path, packed: str = "", **options: Any) -> Path:
         """Write all messages: a file, or the folder of a bag for ROS 2."""
         if self.kind == "bag":
-            with rosbag1.Writer(path) as writer:
+            writer = rosbag1.Writer(path)
+            if packed:
+                writer.set_compression(rosbag1.Writer.CompressionFormat[packed])
+            with writer:
                 self._fill(writer, self.store.serialize_ros1)
             return path
         plugin = (

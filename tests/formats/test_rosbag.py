@@ -247,19 +247,39 @@ def forget_definitions(path: Path) -> None:
     database.close()
 
 
-def test_an_mcap_whose_end_is_missing_gives_what_is_whole(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["mcap", "bag", "bag LZ4", "bag BZ2"])
+def test_a_bag_without_an_end_gives_what_is_whole(tmp_path: Path, kind: str) -> None:
     """As a recorder leaves it that was killed: no index, no footer, half a record."""
-    bag = Bag("mcap")
-    for i in range(2000):
-        bag.add("/skin", bag.array(np.full(300, float(i))), i)
-    path = bag.write(tmp_path / "run.mcap")
+    kind, _, packed = kind.partition(" ")
+    bag = Bag(kind)
+    rows = np.random.default_rng(0).random((4000, 100))
+    rows[:, 0] = np.arange(4000)
+    for i, row in enumerate(rows):
+        bag.add("/skin" if i else "/first", bag.array(row), i)
+    path = bag.write(tmp_path / f"run.{kind}", packed)
     whole = path.read_bytes()
+    n_whole = formats.read(path, options=select("/skin")).n_frames
+    assert n_whole == 3999
     read = []
-    for share in (0.3, 0.6, 0.95):
+    for share in (0.4, 0.7, 0.999):
         path.write_bytes(whole[: int(share * len(whole))])
-        with pytest.warns(AnisomapWarning, match=r"was cut off: its last \d+ of \d+ bytes"):
-            found = formats.read(path)
-        np.testing.assert_array_equal(found.readings[:, 0], np.arange(found.n_frames))
+        with pytest.warns(AnisomapWarning, match=r"cut off or never closed: its last \d+ of \d+"):
+            found = formats.read(path, options=select("/skin"))
+        np.testing.assert_array_equal(found.readings, rows[1 : found.n_frames + 1])
         read.append(found.n_frames)
     assert read == sorted(read)
-    assert read[-1] > 0
+    assert 0 < read[0] < read[1]
+    assert read[-1] > 0.5 * n_whole
+
+
+def test_a_bag_that_was_never_closed(tmp_path: Path) -> None:
+    bag = Bag("bag")
+    for i, row in enumerate(READINGS):
+        bag.add("/skin", bag.array(row), i)
+    path = bag.write(tmp_path / "run.bag")
+    whole = path.read_bytes()
+    at = whole.index(b"index_pos=") + len("index_pos=")
+    end = int.from_bytes(whole[at : at + 8], "little")
+    path.write_bytes(whole[:at] + bytes(8) + whole[at + 8 : end])
+    with pytest.warns(AnisomapWarning, match="never closed: its last 0 of"):
+        np.testing.assert_array_equal(formats.read(path).readings, READINGS)

@@ -20,7 +20,6 @@ from anisomap.formats.choice import Content, choose
 from anisomap.formats.foreign import foreign, guarded, imported
 from anisomap.formats.joining import joined
 from anisomap.formats.ros_files import (
-    EXTRA,
     MAGICS,
     check_chunks,
     disguised,
@@ -28,6 +27,7 @@ from anisomap.formats.ros_files import (
     with_definitions,
 )
 from anisomap.formats.ros_messages import Kind, kind_of
+from anisomap.formats.ros_repair import EXTRA
 from anisomap.formats.stream import Block, ReadOptions, Stream, salvaged
 from anisomap.recording import Scalar
 
