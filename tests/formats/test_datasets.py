@@ -194,12 +194,24 @@ def test_parquet_bombs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("module", "extra", "name"),
-    [("h5py", "hdf5", "skin.h5"), ("h5py", "mat", "v73.mat"), ("pyarrow", "parquet", "a.feather")],
+    [
+        ("h5py", "hdf5", "skin.h5"),
+        ("h5py", "mat", "v73.mat"),
+        ("pyarrow", "parquet", "a.feather"),
+        ("rosbags.highlevel", "ros", "run.bag"),
+        ("PIL.Image", "images", "film.gif"),
+    ],
 )
 def test_a_missing_library_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, extra: str, name: str
 ) -> None:
-    marks = {"h5": b"\x89HDF\r\n\x1a\n", "mat": b"MATLAB 7.3 MAT-file", "feather": b"ARROW1\0\0"}
+    marks = {
+        "h5": b"\x89HDF\r\n\x1a\n",
+        "mat": b"MATLAB 7.3 MAT-file",
+        "feather": b"ARROW1\0\0",
+        "bag": b"#ROSBAG V2.0\n",
+        "gif": b"GIF89a",
+    }
     (tmp_path / name).write_bytes(marks[name.rpartition(".")[2]])
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtraError, match=rf"pip install 'anisomap\[{extra}\]'"):

@@ -34,6 +34,7 @@ def compare(
         Parameter(alias="-d", group=options.method_group, negative=(), validator=Number(gte=1)),
     ] = None,
     nan: options.Missing = "error",
+    reading: options.Reading = options.AS_IT_COMES,
     output: Annotated[Path | None, Parameter(alias="-o", group=options.outputs_group)] = None,
 ) -> None:
     """Score several methods on recordings with known positions: a table of Mantel r.
@@ -55,7 +56,7 @@ def compare(
         check_distinct([output], recordings)
     rows = []
     for path in recordings:
-        recording = pipeline.read(path).complete(nan)
+        recording = pipeline.read(path, reading.checked()).complete(nan)
         truth = recording.positions
         if truth is None:
             raise InputError(f"{path} holds no true positions, so no map of it can be scored")

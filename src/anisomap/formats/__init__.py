@@ -3,19 +3,31 @@
 Where things are:
 
 =================  =================================================================
-`registry`         `FORMATS`, and `read`, `read_map`, `write`, which choose from it
+`registry`         `FORMATS`, and `read`, `open_stream`, `write` ..., which choose from it
 `npz`              NumPy archives: recordings and maps
 `text`             delimited text: recordings
 `map_csv`          delimited text: maps and true positions
 `yarp`             what ``yarpdatadumper`` leaves: ``data.log``, folders and sessions
+`mats`             exports of pressure mats
+`mat`, `hdf5`      MATLAB and HDF5: named arrays
+`arrow`            Parquet, Arrow, Feather
+`rosbag`           ROS 1 and 2 bags, MCAP
+`images`           stacks of images
 `map_json`         maps as JSON
 `ply`              maps as point clouds
 `stream`           recordings as they come, block by block, and what is made of them
 `choice`           files that hold several things, and which is the recording
 `joining`          parts of a skin that were recorded side by side
+`presets`          robots whose numbering of sensors is known
+`grids`            rectangular arrays
 `source`           opening files, and one clear sentence for all that can fail
+`foreign`          other people's readers: loaded when needed, kept in bounds
 `frames`           times that increase, readings in as few bytes as they need
 `archive`          the arrays of an NPZ file, checked before they are unpacked
+`datasets`         which of several named arrays is the recording, and what belongs to it
+`ros_messages`     what messages of tactile sensors hold
+`ros_files`        what rosbags has to be told about files
+`ros_repair`       bags without an end
 `table`            numbers in lines of text: fast, and with the line of what is wrong
 `delimited`        delimiter, header and records of delimited text
 `columns`          which columns are time or a frame counter

@@ -45,7 +45,7 @@ _SIZES = {"rows": "rows", "cols": "columns", "columns": "columns"}
 _OUTSIDE = re.compile(r"\b[Bb]\b")
 _LENGTHS = {"mm": "mm", "millimeters": "mm", "cm": "cm", "centimeters": "cm", "m": "m"}
 _LONGEST_HEADER, _MOST_CELLS = 1000, 1 << 22
-_BLOCK_BYTES = 1 << 22
+_BLOCK_BYTES = 1 << 20
 _DAY_S = 86400.0
 
 

@@ -154,8 +154,8 @@ class _Chunk:
 def _of_ros1(file: BinaryIO) -> Repair | None:
     size = _size(file)
     head = _record(file, len(_ROS1), size)
-    if head is None:
-        return None
+    if head is None or not head.fields.keys() >= {b"index_pos", b"conn_count", b"chunk_count"}:
+        return None  # there is no beginning either
     wanted = head.number(b"conn_count") + head.number(b"chunk_count")
     index = head.number(b"index_pos")
     if index and sum(1 for _ in _records(file, index, size)) >= wanted:
@@ -252,6 +252,8 @@ def _records(file: BinaryIO, start: int, size: int) -> Iterator[_Record]:
 
 
 def _record(file: BinaryIO, start: int, size: int) -> _Record | None:
+    if start >= size:
+        return None
     file.seek(start)
     length = int.from_bytes(file.read(4), "little")
     if not 0 < length <= min(_LONGEST_HEADER, size - start - 8):
