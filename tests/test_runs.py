@@ -3,11 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from anisomap import Recording, join_runs, reconstruct, reconstruct_runs, score
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.health import assess
 from anisomap.methods import METHODS
+from anisomap.runs import assess_runs
 from skins import flat_skin
 
 SKIN = flat_skin(n_frames=3000)
@@ -57,6 +60,18 @@ def test_pairs_that_met_are_compared_over_all_frames_in_which_they_did() -> None
     np.testing.assert_allclose(placed.positions, expected.positions, atol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def test_pairs_are_correlated_as_pandas_does_where_readings_are_missing() -> None:
+    rng = np.random.default_rng(1)
+    runs = [frames(900 * i, 900 * (i + 1), rng.permutation(42)[: 42 - 4 * i]) for i in range(3)]
+    joined = join_runs(runs)
+    similarity = pd.DataFrame(joined.readings).corr().to_numpy()
+    assert np.isfinite(similarity).all(), "all met, though not in all runs"
+    found = reconstruct_runs(runs, "r-anisomap", 2)
+    expected = reconstruct(joined, "r-anisomap", 2, similarity=similarity)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-6)
+
+
 def test_parts_that_share_no_sensor_are_refused() -> None:
     with pytest.raises(InputError, match="shares no sensor with those before it"):
         join_runs([frames(0, 900, slice(0, 20)), frames(0, 900, slice(20, 42))])
@@ -86,3 +101,16 @@ def test_positions_that_contradict_each_other_are_no_truth() -> None:
     moved = Recording(NAMED.readings[:900], names=NAMED.names, positions=SKIN.positions + 1)
     assert join_runs([frames(0, 900), moved]).positions is None
     assert join_runs([frames(0, 900), frames(0, 900)]).units == "mm"
+
+
+def test_a_sensor_is_judged_by_the_run_in_which_it_was_touched() -> None:
+    silent = np.array(NAMED.readings[:1500])
+    silent[:, 5] = 0
+    runs = [
+        Recording(silent[:, :40], names=NAMED.names[:40]),
+        frames(1500, 3000),
+    ]
+    assert assess(runs[0])[5].status == "dead"
+    health = assess_runs(runs)
+    assert [sensor.name for sensor in health] == list(NAMED.names)
+    assert health[5].status == "ok"

@@ -21,6 +21,7 @@ from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording, default_names
 from anisomap.sensor_map import SensorMap
 
+_SILENT = ("dead", "stuck", "isolated")
 _SAME_RATE = 0.02
 _MOST_RUNS = 62  # of which sensors took part in is kept in the bits of a whole number
 
@@ -74,7 +75,10 @@ def join_runs(runs: Sequence[Recording]) -> Recording:
 
 
 def assess_runs(runs: Sequence[Recording]) -> tuple[SensorHealth, ...]:
-    """Judge every sensor of several recordings by the run in which it was touched most.
+    """Judge every sensor of several recordings by the run that tells most of it.
+
+    That is the one in which it was touched most; but one in which it is merely silent, or alone,
+    says less than any other.
 
     Parameters
     ----------
@@ -91,7 +95,7 @@ def assess_runs(runs: Sequence[Recording]) -> tuple[SensorHealth, ...]:
     for run in runs:
         for sensor in assess(run):
             known = best.get(sensor.name)
-            if known is None or sensor.contacts > known.contacts:
+            if known is None or _telling(sensor) > _telling(known):
                 best[sensor.name] = sensor
     return tuple(best.values())
 
@@ -165,6 +169,10 @@ def reconstruct_runs(
         health=judged,
     )
     return replace(made, provenance={**made.provenance, "runs": len(runs)})
+
+
+def _telling(sensor: SensorHealth) -> tuple[bool, int]:
+    return sensor.status not in _SILENT, sensor.contacts
 
 
 def _check_matching(runs: Sequence[Recording]) -> None:

@@ -171,7 +171,7 @@ def open_stream(
     frames : int
         Frames in every block but the last, at least 1.
     options : ReadOptions, optional
-        What the reader cannot find out by itself.
+        What the reader cannot find out by itself; a preset and a grid are for `read`.
 
     Yields
     ------
