@@ -31,6 +31,7 @@ for name, target, summary in (
     ("map", "mapping:map_recording", "Make a map from a recording."),
     ("info", "info:info", "Say what is in a recording, before anyone spends time on it."),
     ("score", "scoring:score_map", "Compare a map with the true positions of its sensors."),
+    ("convert", "converting:convert", "Write a map in another format, or in metres."),
     ("compare", "comparing:compare", "Score several methods on recordings with known positions."),
     ("methods", "listing:methods", "List the methods and the similarities."),
     ("formats", "listing:formats", "List the file formats."),

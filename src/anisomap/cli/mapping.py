@@ -41,6 +41,7 @@ def map_recording(
         int, Parameter(group=options.method_group)
     ] = SmacofOptions.max_iterations,
     reading: options.Reading = options.AS_IT_COMES,
+    placing: options.Placing = options.AS_IT_IS,
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
@@ -79,6 +80,7 @@ def map_recording(
         report=report,
     )
     outputs.check(*recordings)
+    placing.check(outputs.maps)
     how = reading.checked()
     runs = [pipeline.read(path, how).complete(nan) for path in recordings]
     evidence = pipeline.examine_runs(runs)
@@ -97,4 +99,5 @@ def map_recording(
         exclude=options.sensors(exclude, names),
         drop=options.sensors(drop, names),
     )
+    sensor_map = placing.applied(sensor_map)
     pipeline.finish(outputs, sensor_map, evidence, permutations, seed)

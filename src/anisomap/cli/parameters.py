@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
+from anisomap import formats
 from anisomap.errors import InputError
 from anisomap.formats import ReadOptions
+from anisomap.placement import METRES, mirrored, parse_length, scaled_to_spacing
+from anisomap.sensor_map import SensorMap
 
 reading_group = Group("Reading", sort_key=0)
 outputs_group = Group("Output", sort_key=1)
@@ -48,6 +52,58 @@ class ReadingOptions:
 
 
 AS_IT_COMES = ReadingOptions()
+
+
+@dataclass(frozen=True)
+class PlacingOptions:
+    """What is known of a map beyond its readings.
+
+    Parameters
+    ----------
+    spacing
+        Give the map a scale: how far apart neighbouring sensors are (median), such as 6.5mm. What
+        robots' software reads is in metres, and needs it.
+    mirror
+        Write the mirror image: a map does not know left from right.
+    frame
+        Name of the frame that the sensors are in.
+    """
+
+    spacing: str = ""
+    mirror: Annotated[bool, Parameter(negative=())] = False
+    frame: str = ""
+
+    def check(self, outputs: Iterable[Path], units: str = "") -> None:
+        """Find out before the work what could not be written.
+
+        Raises
+        ------
+        InputError
+            If the spacing is no length, or a file needs a scale and there is none.
+        """
+        if self.spacing:
+            parse_length(self.spacing)
+            return
+        for path in outputs:
+            if formats.needs_scale(path) and units not in METRES:
+                raise InputError(
+                    f"{path} is in metres, but the map will have no scale; say how far apart "
+                    "neighbouring sensors are, such as --spacing 6.5mm"
+                )
+
+    def applied(self, sensor_map: SensorMap) -> SensorMap:
+        """Place a map as was asked for."""
+        if self.mirror:
+            sensor_map = mirrored(sensor_map)
+        if self.spacing:
+            sensor_map = scaled_to_spacing(sensor_map, *parse_length(self.spacing))
+        if self.frame:
+            known = {**sensor_map.provenance, "frame": self.frame}
+            sensor_map = replace(sensor_map, provenance=known)
+        return sensor_map
+
+
+AS_IT_IS = PlacingOptions()
 
 
 def _rows_and_columns(text: str) -> tuple[int, int]:
@@ -101,6 +157,7 @@ Missing: TypeAlias = Annotated[
 ]
 
 
+Placing: TypeAlias = Annotated[PlacingOptions, Parameter(name="*", group=outputs_group)]
 Reading: TypeAlias = Annotated[ReadingOptions, Parameter(name="*", group=reading_group)]
 
 

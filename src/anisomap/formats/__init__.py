@@ -43,6 +43,7 @@ from anisomap.formats.registry import FORMATS as FORMATS
 from anisomap.formats.registry import Format as Format
 from anisomap.formats.registry import check_writable as check_writable
 from anisomap.formats.registry import contents as contents
+from anisomap.formats.registry import needs_scale as needs_scale
 from anisomap.formats.registry import open_stream as open_stream
 from anisomap.formats.registry import read as read
 from anisomap.formats.registry import read_map as read_map

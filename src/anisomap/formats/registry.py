@@ -14,16 +14,22 @@ from anisomap.errors import FileError, InputError
 from anisomap.formats import (
     arrow,
     hdf5,
+    icub_positions,
     images,
     map_csv,
     map_json,
     mat,
     mats,
+    mjcf,
     npz,
+    pcd,
     ply,
     ros_repair,
     rosbag,
     text,
+    transforms,
+    urdf,
+    xml_files,
     yarp,
 )
 from anisomap.formats.choice import Content
@@ -69,6 +75,8 @@ class Format:
         Given a path and `ReadOptions`, lists what a file holds that can hold several recordings.
     extra : str
         The extra that brings the library it needs; empty if it needs none.
+    in_metres : bool
+        Whether a map must have a scale to be written.
     """
 
     name: str
@@ -81,6 +89,7 @@ class Format:
     write_recording: Callable[[Recording, Path], None] | None = None
     contents: Callable[[Path, ReadOptions], tuple[Content, ...]] | None = None
     extra: str = ""
+    in_metres: bool = False
 
 
 # MATLAB comes before HDF5, since its files may be that, too; delimited text stays last, since it
@@ -93,6 +102,19 @@ FORMATS = (
            read_map=map_json.read_map, write_map=map_json.write_map),
     Format("ply", (".ply",), "PLY point cloud (ASCII)", ply.recognises,
            read_map=ply.read_map, write_map=ply.write_map),
+    Format("pcd", (".pcd",), "PCD point cloud with normals (ASCII)", pcd.recognises,
+           read_map=pcd.read_map, write_map=pcd.write_map),
+    Format("urdf", (".urdf", ".xacro"), "URDF: fixed frames and the tactile element",
+           urdf.recognises, read_map=urdf.read_map, write_map=urdf.write_map,
+           extra=xml_files.EXTRA, in_metres=True),
+    Format("mjcf", (".mjcf", ".xml"), "MuJoCo model: sites", mjcf.recognises,
+           read_map=mjcf.read_map, write_map=mjcf.write_map, extra=xml_files.EXTRA,
+           in_metres=True),
+    Format("transforms", (".launch.xml",), "ROS 2 launch file of static transforms",
+           transforms.recognises, write_map=transforms.write_map, in_metres=True),
+    Format("icub", (".icub.txt",), "iCub file of taxel positions", icub_positions.recognises,
+           read_map=icub_positions.read_map, write_map=icub_positions.write_map,
+           in_metres=True),
     Format("yarp", (), "YARP data.log, its folder or session", yarp.recognises, yarp.open_recording,
            contents=yarp.contents),
     Format("mat", (".mat",), "MATLAB (7.3: with the extra)", mat.recognises, mat.open_recording,
@@ -262,8 +284,10 @@ def write(thing: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     thing : SensorMap or Recording
         What to write.
     path : path-like
-        ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply`` for maps; ``.csv``, ``.tsv``, ``.npz``
-        for recordings. A file that stands there is replaced, but only once all is written.
+        ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``, ``.pcd``, and for maps with a scale
+        ``.urdf``, ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``; ``.csv``,
+        ``.tsv``, ``.npz`` for recordings. A file that stands there is replaced, but only once all
+        is written.
 
     Raises
     ------
@@ -304,6 +328,19 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     """
     file = check_target(path)
     _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
+
+
+def needs_scale(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a map must have a scale to be written to a file: if that is in metres.
+
+    Parameters
+    ----------
+    path : path-like
+        As for `write`.
+    """
+    return _by_suffix(
+        Path(path), {s: f for f in FORMATS if f.write_map for s in f.suffixes}
+    ).in_metres
 
 
 @contextmanager
@@ -353,7 +390,9 @@ def _summaries(formats: Iterable[Format]) -> str:
 
 
 def _by_suffix(file: Path, writers: Mapping[str, Writer | None]) -> Writer:
-    writer = writers.get(file.suffix.lower())
+    # The longest that fits: .launch.xml is not .xml.
+    fitting = [suffix for suffix in writers if file.name.lower().endswith(suffix)]
+    writer = writers[max(fitting, key=len)] if fitting else None
     if writer is None:
         known = ", ".join(suffix for suffix, able in writers.items() if able)
         problem = f"the suffix {file.suffix!r} is unknown" if file.suffix else "it has no suffix"

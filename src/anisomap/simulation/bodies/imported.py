@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.numerics.normals import estimate_normals
 from anisomap.recording import default_names
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body, nearest_neighbours
@@ -28,7 +29,6 @@ TOLERANCE = 0.02
 
 _SEED = 0
 _PEBBLE = 0.6  # of the spacing: neighbouring pebbles overlap, so that nothing slips between them
-_NEIGHBOURS = 8
 _DISAGREE = 45.0  # degrees
 _CONTRADICTIONS = 0.1  # of the sensors; on an edge an estimate can be wrong
 
@@ -200,11 +200,12 @@ def body_from_points(
         raise InputError(
             f"positions have shape {places.shape}; a body needs at least 4 sensors in space"
         )
-    around = nearest_neighbours(places, min(_NEIGHBOURS, len(places) - 1))
-    if around[0][:, 0].min() <= 0:
-        twin = int(around[0][:, 0].argmin())
-        raise InputError(f"sensors {twin} and {around[1][twin, 0]} are at one place")
-    outward = estimated_normals(places, around[1])
+    apart = nearest_neighbours(places, 1)[0]
+    if apart.min() <= 0:
+        here = places[int(apart.argmin())]
+        first, second = np.flatnonzero((places == here).all(axis=1))[:2]
+        raise InputError(f"sensors {first} and {second} are at one place")
+    outward, _ = estimate_normals(places)
     if normals is not None:
         given = np.asarray(normals, dtype=np.float64)
         agreement = np.abs(np.einsum("nd,nd->n", given, outward))
@@ -220,7 +221,7 @@ def body_from_points(
             )
     origin = (places.min(axis=0) + places.max(axis=0)) / 2
     centred = places - origin
-    widest = _PEBBLE * float(np.median(around[0][:, 0]))
+    widest = _PEBBLE * float(np.median(apart))
     radii = np.array(
         [_largest_ball(centred - at, out, widest) for at, out in zip(centred, outward, strict=True)]
     )
@@ -238,25 +239,6 @@ def body_from_points(
         origin=origin,
         is_whole=False,
     )
-
-
-def estimated_normals(positions: Points, neighbours: NDArray[np.intp]) -> Points:
-    """Estimate which way is out of a skin, from the plane through each sensor's neighbours.
-
-    Parameters
-    ----------
-    positions : ndarray of shape (N, 3)
-    neighbours : ndarray of int, shape (N, k)
-
-    Returns
-    -------
-    ndarray of shape (N, 3)
-        Unit vectors that point away from the middle of all.
-    """
-    patch = positions[neighbours] - positions[neighbours].mean(axis=1, keepdims=True)
-    normals = np.linalg.svd(patch, full_matrices=False)[2][:, -1]
-    inward = np.einsum("nd,nd->n", normals, positions - positions.mean(axis=0)) < 0
-    return np.asarray(np.where(inward[:, None], -normals, normals))
 
 
 def _largest_ball(others: Points, outward: Points, widest: float) -> float:
