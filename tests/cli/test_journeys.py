@@ -197,3 +197,17 @@ def test_info_lists_what_there_is_to_choose_from(run, tmp_path):
     assert "choose one with --select" in found.err
     assert run("map", "skin.h5", "-d", "2").code == 2
     assert run("map", "skin.h5", "--dataset", "left", "-d", "2").code == 0
+
+
+def test_a_triangle_that_is_silent_in_one_run_is_still_there(run, tmp_path):
+    """Under a preset, what never varies is absent: but only if it never does in any run."""
+    readings = flat_skin(n_frames=2000).readings[:, :36] * 10
+    readings = np.round(readings).astype(int)
+    first, second = readings[:1000], readings[1000:].copy()
+    second[:, 24:] = 0
+    np.savetxt(tmp_path / "one.csv", first, "%d", ",")
+    np.savetxt(tmp_path / "two.csv", second, "%d", ",")
+    assert run("map", "one.csv", "two.csv", "--preset", "icub", "-d", "2", "-o", "m.csv").code == 0
+    made = anisomap.read_map("m.csv")
+    assert made.n_sensors == 30
+    assert "b0.t2.k11" in made.names

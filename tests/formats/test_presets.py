@@ -46,6 +46,16 @@ def test_a_hand_is_told_by_its_port(source: str) -> None:
     np.testing.assert_array_equal(found.readings[:, -1], skin(1).readings[:, 143])
 
 
+def test_joined_ports_are_numbered_each_by_itself() -> None:
+    arm, hand = skin(2), skin(1)
+    names = [f"left_arm/s{i}" for i in range(384)] + [f"left_hand/s{i}" for i in range(192)]
+    found = apply_preset(Recording(np.hstack([arm.readings, hand.readings]), names=names), "icub")
+    assert found.n_sensors == (2 * 16 - 1) * 10 + 60 + 44
+    assert found.names[0] == "left_arm/b0.t0.k0"
+    assert found.names[-1] == "left_hand/palm.47"
+    np.testing.assert_array_equal(found.readings[:, -1], hand.readings[:, 143])
+
+
 def test_what_does_not_fit() -> None:
     with pytest.raises(InputError, match="no whole triangles of 12"):
         apply_preset(Recording(np.eye(13)), "icub")

@@ -1,6 +1,7 @@
 """Bags of ROS 1, ROS 2 and MCAP: every kind of message of a tactile sensor."""
 
 import sqlite3
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -283,3 +284,26 @@ def test_a_bag_that_was_never_closed(tmp_path: Path) -> None:
     path.write_bytes(whole[:at] + bytes(8) + whole[at + 8 : end])
     with pytest.warns(AnisomapWarning, match="never closed: its last 0 of"):
         np.testing.assert_array_equal(formats.read(path).readings, READINGS)
+
+
+@pytest.mark.parametrize("kind", ["bag LZ4", "bag BZ2", "mcap"])
+@pytest.mark.parametrize("cut", [False, True])
+def test_chunks_made_to_fill_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, cut: bool
+) -> None:
+    kind, _, packed = kind.partition(" ")
+    bag = Bag(kind)
+    for i in range(20):
+        bag.add("/skin", bag.array(np.zeros(20_000)), i)
+    path = bag.write(tmp_path / f"run.{kind}", packed)
+    monkeypatch.setattr("anisomap.formats.source._SUSPICIOUS_BYTES", 1 << 18)
+    monkeypatch.setattr("anisomap.formats.source._SUSPICIOUS_RATIO", 20)
+    if kind == "mcap":
+        assert formats.read(path).n_frames == 20, "what is not packed is no bomb"
+        return
+    if cut:
+        path.write_bytes(path.read_bytes()[:-100])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)
+        with pytest.raises(FileError, match="made to fill memory"):
+            formats.read(path)

@@ -81,8 +81,7 @@ def map_recording(
     )
     outputs.check(*recordings)
     placing.check(outputs.maps)
-    how = reading.checked()
-    runs = [pipeline.read(path, how).complete(nan) for path in recordings]
+    runs = pipeline.read_runs(recordings, reading.checked(), nan)
     evidence = pipeline.examine_runs(runs)
     names = evidence.recording.names
     pipeline.show_recording(evidence)

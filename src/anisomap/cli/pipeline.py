@@ -15,7 +15,7 @@ from anisomap.cli.console import console, number, percent, progress, show_facts,
 from anisomap.evaluation import Score, score
 from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
 from anisomap.methods import MethodOptions
-from anisomap.recording import Recording
+from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import assess_runs, join_runs, reconstruct_runs
 from anisomap.sensor_map import SensorMap
 
@@ -63,6 +63,19 @@ def read(path: Path, how: formats.ReadOptions | None = None) -> Recording:
     with progress(f"reading {path.name}") as tell:
         recording = formats.read(path, options=how, progress=tell)
         return replace(recording, source=recording.source or path.name)
+
+
+def read_runs(
+    paths: Sequence[Path], how: formats.ReadOptions, nan: MissingPolicy
+) -> list[Recording]:
+    """Read one recording, or several of one skin.
+
+    What a preset calls absent must be silent in all of them, so it is applied to all as one.
+    """
+    if len(paths) == 1 or not how.preset:
+        return [read(path, how).complete(nan) for path in paths]
+    runs = [read(path, replace(how, preset="")).complete(nan) for path in paths]
+    return [formats.apply_preset(join_runs(runs), how.preset)]
 
 
 def show_contents(path: Path, how: formats.ReadOptions) -> None:

@@ -34,7 +34,8 @@ def apply_preset(recording: Recording, preset: str) -> Recording:
     Parameters
     ----------
     recording : Recording
-        As the robot's port gave it: not yet renumbered.
+        As the robot's port gave it: not yet renumbered. Ports that were joined are numbered each
+        by itself.
     preset : str
         A name in `PRESETS`; empty for none.
 
@@ -52,7 +53,11 @@ def apply_preset(recording: Recording, preset: str) -> Recording:
         return recording
     if preset not in PRESETS:
         raise InputError(f"there is no preset {preset!r}; known are {', '.join(PRESETS)}")
-    kept = PRESETS[preset](recording)
+    kept = {
+        index: name
+        for port, indices in _ports(recording).items()
+        for index, name in _numbered(recording, port, indices, PRESETS[preset])
+    }
     if not kept:
         raise InputError(f"under the preset {preset}, no sensor of this recording ever varies")
     chosen = recording.select(list(kept))
@@ -63,6 +68,23 @@ def apply_preset(recording: Recording, preset: str) -> Recording:
         names=tuple(kept.values()),
         metadata={**recording.metadata, "preset": preset, "skin": state},
     )
+
+
+def _ports(recording: Recording) -> dict[str, list[int]]:
+    """Tell which values came from which port: by what stands before their numbers."""
+    found: dict[str, list[int]] = {}
+    for index, name in enumerate(recording.names):
+        found.setdefault(name.rpartition("/")[0], []).append(index)
+    return found
+
+
+def _numbered(
+    recording: Recording, port: str, indices: list[int], numbering: Numbering
+) -> list[tuple[int, str]]:
+    if not port:
+        return list(numbering(recording).items())
+    part = replace(recording.select(indices), source=port, metadata={})
+    return [(indices[i], f"{port}/{name}") for i, name in numbering(part).items()]
 
 
 def icub(recording: Recording) -> dict[int, str]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.formats.foreign import imported
-from anisomap.formats.ros_repair import EXTRA, BagFile, repair_of
+from anisomap.formats.ros_repair import EXTRA, BagFile, repair_of, unpacked
 from anisomap.formats.source import check_unpacked
 
 MAGICS = {b"#ROSBAG V2.0\n": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
@@ -75,12 +76,20 @@ def with_definitions(store: Any, files: Iterable[Path]) -> Any:
 
 
 def check_chunks(path: Path, reader: Any) -> None:
-    """Refuse a bag whose chunks say that they unpack to far more than any recording does."""
+    """See to it that no chunk unpacks to far more than any recording does.
+
+    MCAP says beforehand how much that will be; of a ROS 1 bag it is found out in unpacking.
+    """
     for each in reader.readers:
         storage = getattr(each, "storage", None)
         for part in getattr(storage, "storages", [storage]):
             for chunk in getattr(part, "chunks", []):
                 check_unpacked(path, "a chunk", chunk.compressed_size, chunk.uncompressed_size)
+        if storage is None:
+            for at, chunk in each.chunks.items():
+                how = chunk.decompressor.__module__.partition(".")[0].removeprefix("_")
+                bounded = partial(unpacked, path, compression=how)
+                each.chunks[at] = chunk._replace(decompressor=bounded)
 
 
 def _type_name(file: Path) -> str:

@@ -11,12 +11,13 @@ from __future__ import annotations
 import bz2
 import io
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from anisomap.formats.foreign import imported
+from anisomap.formats.source import check_unpacked, most_unpacked
 
 EXTRA = "ros"
 
@@ -46,7 +47,34 @@ def repair_of(path: Path, suffix: str) -> Repair | None:
         ``".mcap"`` or ``".bag"``.
     """
     with path.open("rb") as file:
-        return _of_mcap(file) if suffix == ".mcap" else _of_ros1(file)
+        return _of_mcap(file) if suffix == ".mcap" else _of_ros1(path, file)
+
+
+def unpacked(path: Path, packed: bytes, compression: str) -> bytes:
+    """Unpack a chunk of a ROS 1 bag, unless it is made to fill memory.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file to name.
+    packed : bytes
+    compression : {"none", "bz2", "lz4"}
+
+    Raises
+    ------
+    FileError
+        If it unpacks to far more than any recording does.
+    """
+    most = most_unpacked(len(packed))
+    if compression == "bz2":
+        content = bz2.BZ2Decompressor().decompress(packed, max_length=most + 1)
+    elif compression == "lz4":
+        lz4 = imported("lz4.frame", "reading bags", EXTRA)
+        content = lz4.LZ4FrameDecompressor().decompress(packed, max_length=most + 1)
+    else:
+        content = packed
+    check_unpacked(path, "a chunk", len(packed), len(content))
+    return content
 
 
 class BagFile(io.BufferedReader):
@@ -151,7 +179,7 @@ class _Chunk:
     times: list[int]
 
 
-def _of_ros1(file: BinaryIO) -> Repair | None:
+def _of_ros1(path: Path, file: BinaryIO) -> Repair | None:
     size = _size(file)
     head = _record(file, len(_ROS1), size)
     if head is None or not head.fields.keys() >= {b"index_pos", b"conn_count", b"chunk_count"}:
@@ -160,7 +188,7 @@ def _of_ros1(file: BinaryIO) -> Repair | None:
     index = head.number(b"index_pos")
     if index and sum(1 for _ in _records(file, index, size)) >= wanted:
         return None
-    chunks, connections, end = _scan(file, head.end, size)
+    chunks, connections, end = _scan(path, file, head.end, size)
     tail = b"".join(connections.values()) + b"".join(map(_chunk_info, chunks))
     file.seek(0)
     start = file.read(head.data)
@@ -174,7 +202,9 @@ def _of_ros1(file: BinaryIO) -> Repair | None:
     return Repair(start, end, tail)
 
 
-def _scan(file: BinaryIO, start: int, size: int) -> tuple[list[_Chunk], dict[int, bytes], int]:
+def _scan(
+    path: Path, file: BinaryIO, start: int, size: int
+) -> tuple[list[_Chunk], dict[int, bytes], int]:
     """Gather chunks that are indexed, the connections of their messages, and where they end."""
     chunks: list[_Chunk] = []
     connections: dict[int, bytes] = {}
@@ -190,7 +220,7 @@ def _scan(file: BinaryIO, start: int, size: int) -> tuple[list[_Chunk], dict[int
     whole = [chunk for chunk in chunks if chunk.counts]
     for chunk in whole:
         if not connections.keys() >= chunk.counts.keys():
-            connections |= _connections(file, chunk.record)
+            connections |= _connections(path, file, chunk.record)
     return whole, connections, end
 
 
@@ -204,25 +234,16 @@ def _take_index(file: BinaryIO, record: _Record, chunk: _Chunk) -> None:
     chunk.times += [seconds << 32 | nanoseconds for seconds, nanoseconds in stamps]
 
 
-def _connections(file: BinaryIO, chunk: _Record) -> dict[int, bytes]:
+def _connections(path: Path, file: BinaryIO, chunk: _Record) -> dict[int, bytes]:
     file.seek(chunk.data + 4)
     packed = file.read(chunk.end - chunk.data - 4)
-    content = _unpacked(packed, chunk.fields.get(b"compression", b"none"))
+    content = unpacked(path, packed, chunk.fields.get(b"compression", b"none").decode("latin-1"))
     inner = io.BytesIO(content)
     return {
         record.number(b"conn"): content[record.start : record.end]
         for record in _records(inner, 0, len(content))
         if record.kind == _CONNECTION
     }
-
-
-def _unpacked(packed: bytes, compression: bytes) -> bytes:
-    unpack: Callable[[bytes], bytes] = bytes
-    if compression == b"bz2":
-        unpack = bz2.decompress
-    elif compression == b"lz4":
-        unpack = imported("lz4.frame", "reading bags", EXTRA).decompress
-    return unpack(packed)
 
 
 def _chunk_info(chunk: _Chunk) -> bytes:

@@ -86,12 +86,16 @@ def check_unpacked(
         If they are made to fill memory. Deflate turns a byte into 1032 at most; not even an idle
         skin comes near it over a whole gigabyte.
     """
-    suspicious = unpacked > max(_SUSPICIOUS_BYTES, _SUSPICIOUS_RATIO * packed)
-    if suspicious or unpacked > largest_ratio * packed:
+    if unpacked > most_unpacked(packed) or unpacked > largest_ratio * packed:
         raise FileError(
             f"{path}: {what} says that it unpacks to {unpacked} bytes "
             f"from {packed}, which no recording does; it is damaged or made to fill memory"
         )
+
+
+def most_unpacked(packed: int) -> int:
+    """Give the most bytes that so many packed ones may unpack to."""
+    return max(_SUSPICIOUS_BYTES, _SUSPICIOUS_RATIO * packed)
 
 
 class _Gunzipped(gzip.GzipFile):
