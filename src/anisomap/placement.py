@@ -8,6 +8,7 @@ in metres.
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,6 +59,14 @@ class Taxels:
         x /= np.linalg.norm(x, axis=1, keepdims=True)
         y = np.cross(self.normals, x)
         return Rotation.from_matrix(np.stack([x, y, self.normals], axis=-1))
+
+    @property
+    def roll_pitch_yaw(self) -> NDArray[np.float64]:
+        """The same as turns about the fixed axes x, y and z, in radians, shape (n, 3)."""
+        with warnings.catch_warnings():
+            # Of a normal along x only the sum of two turns is known; any two will do.
+            warnings.filterwarnings("ignore", message="Gimbal lock")
+            return np.asarray(self.rotations.as_euler("xyz"))
 
 
 def parse_length(text: str) -> tuple[float, str]:

@@ -113,7 +113,7 @@ def read_map(path: Path) -> SensorMap:
 
 
 def _frames(skin: Taxels, parent: str) -> list[str]:
-    turns = skin.rotations.as_euler("xyz")
+    turns = skin.roll_pitch_yaw
     lines = []
     for name, place, turn in zip(skin.names, skin.positions, turns, strict=True):
         joint = tag("joint", {"name": f"{name}_fixed", "type": "fixed"}, closed=False)
@@ -127,7 +127,7 @@ def _tactile(skin: Taxels, parent: str) -> list[str]:
     name = f"{skin.frame}_tactile"
     lines = [tag("sensor", {"name": name, "update_rate": "100"}, closed=False)]
     lines += [tag("parent", {"link": parent}), tag("tactile", {"channel": _CHANNEL}, closed=False)]
-    turns = skin.rotations.as_euler("xyz")
+    turns = skin.roll_pitch_yaw
     ball = f"<geometry>{tag('sphere', {'radius': repr(_RADIUS)})}</geometry>"
     for index, place, turn in zip(skin.indices, skin.positions, turns, strict=True):
         where = {"idx": str(index), "xyz": numbers(place), "rpy": numbers(turn)}
