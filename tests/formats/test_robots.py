@@ -288,3 +288,11 @@ def test_damage_in_quantity_gives_a_result_or_one_sentence(suffix: str, tmp_path
         path.write_bytes(bytes(broken))
         with suppress(FileError):
             assert formats.read_map(path).n_sensors <= 60
+
+
+def test_points_of_a_mesh_viewer_have_the_normals_of_the_map(tmp_path: Path) -> None:
+    meshio = pytest.importorskip("meshio", reason="an independent reader of PLY")
+    formats.write(dome(), tmp_path / "skin.ply")
+    cloud = meshio.read(tmp_path / "skin.ply")
+    normals = np.column_stack([cloud.point_data[name] for name in ("nx", "ny", "nz")])
+    np.testing.assert_array_equal(normals, normals_of(dome()))

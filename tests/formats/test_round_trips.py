@@ -178,7 +178,7 @@ def test_json_is_strict(folder: Path, sensor_map: SensorMap) -> None:
 def test_point_clouds_are_of_space(tmp_path: Path) -> None:
     flat = SensorMap([[1.5, -2.5]], names=["a"])
     formats.write(flat, tmp_path / "flat.ply")
-    assert (tmp_path / "flat.ply").read_text().splitlines()[-1] == "1.5 -2.5 0.0 0 0"
+    assert (tmp_path / "flat.ply").read_text().splitlines()[-1] == "1.5 -2.5 0.0 0.0 0.0 1.0 0 0"
     with pytest.raises(InputError, match="4 axes"):
         formats.write(SensorMap(np.eye(4)), tmp_path / "x.ply")
 

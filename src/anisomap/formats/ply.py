@@ -1,6 +1,7 @@
 """Maps as PLY point clouds, in ASCII, for viewers of meshes and clouds.
 
-Only sensors that have a position are in them, each with its number in the map and its component.
+Only sensors that have a position are in them, each with its number in the map, its component, and
+its normal as the positions tell it.
 The format is that of Turk (1994), "The PLY polygon file format"; numbers are doubles, so that
 nothing is lost.
 """
@@ -20,11 +21,13 @@ from anisomap.errors import FileError, InputError
 from anisomap.formats import comments
 from anisomap.formats.source import opened, quoted
 from anisomap.formats.table import LineError, parse_number
+from anisomap.placement import in_space, normals_of
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
 
 _MAGIC = b"ply"
 _AXES = ("x", "y", "z")
+_NORMAL = ("nx", "ny", "nz")
 _MOST_LINES = 1 << 31
 
 Line = tuple[int, str]
@@ -102,21 +105,21 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "dimensions": sensor_map.dimensions,
         **{f"sensor {i}": sensor_map.names[i] for i in numbers},
     }
-    padded = np.zeros((sensor_map.n_sensors, len(_AXES)))
-    padded[:, : sensor_map.dimensions] = sensor_map.positions
+    points = np.hstack([in_space(sensor_map.positions), normals_of(sensor_map)])
     head = [
         "ply",
         "format ascii 1.0",
         "comment anisomap map, known up to rotation, translation, scale and mirror image",
+        "comment right-handed axes; normals are estimated from the positions",
         *(f"comment {key}: {comments.written(value)}" for key, value in known.items()),
         f"element vertex {len(numbers)}",
-        *(f"property double {axis}" for axis in _AXES),
+        *(f"property double {column}" for column in (*_AXES, *_NORMAL)),
         "property int sensor",
         "property int component",
         "end_header",
     ]
     body = [
-        f"{' '.join(map(repr, padded[i].tolist()))} {i} {sensor_map.component[i]}" for i in numbers
+        f"{' '.join(map(repr, points[i].tolist()))} {i} {sensor_map.component[i]}" for i in numbers
     ]
     path.write_text("\n".join((*head, *body)) + "\n", encoding="utf-8")
 

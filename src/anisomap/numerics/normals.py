@@ -47,6 +47,8 @@ def estimate_normals(positions: ArrayLike) -> tuple[NDArray[np.float64], NDArray
     n_points = len(points)
     if points.shape[1] == 2:
         return np.tile([0.0, 0.0, 1.0], (n_points, 1)), np.ones(n_points, dtype=bool)
+    # Directions do not depend on size, and products of large numbers would be infinite.
+    points = points / (np.abs(points).max(initial=0.0) or 1.0)
     outward = points - points.mean(axis=0)
     if n_points < 3:
         return _unit(outward), np.zeros(n_points, dtype=bool)

@@ -1,0 +1,61 @@
+"""From a map to what a robot's software reads."""
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap.placement import spacing_of
+
+
+@pytest.fixture
+def map_csv(run, skin_npz, tmp_path):
+    assert run("map", skin_npz, "-d", "2", "-o", "map.csv", "--permutations", "0").code == 0
+    return tmp_path / "map.csv"
+
+
+def test_a_map_becomes_a_robots_in_metres(run, map_csv, tmp_path):
+    outcome = run("convert", map_csv, "skin.urdf", "--spacing", "6.5mm", "--frame", "l_forearm")
+    assert outcome.code == 0, outcome.err
+    assert "6.5 mm apart" in outcome.out
+    assert 'name="l_forearm"' in (tmp_path / "skin.urdf").read_text()
+    found = anisomap.read_map(tmp_path / "skin.urdf")
+    assert spacing_of(found) == pytest.approx(0.0065)
+    before = anisomap.read_map(map_csv)
+    assert anisomap.mantel(found, before.positions, permutations=0).r == pytest.approx(1)
+
+
+def test_a_map_is_made_in_millimetres_and_mirrored_at_once(run, skin_npz, tmp_path):
+    arguments = ("map", skin_npz, "-d", "2", "--permutations", "0", "--spacing", "6.5mm")
+    assert run(*arguments, "-o", "one.json", "-o", "one.icub.txt").code == 0
+    assert run(*arguments, "-o", "two.json", "--mirror").code == 0
+    one, two = (anisomap.read_map(tmp_path / f"{name}.json") for name in ("one", "two"))
+    assert one.units == "mm"
+    assert spacing_of(one) == pytest.approx(6.5)
+    np.testing.assert_allclose(two.positions, one.positions * [-1, 1])
+    assert two.provenance["mirrored"] is True
+    assert anisomap.read_map(tmp_path / "one.icub.txt").units == "m"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["skin.urdf"], "skin.urdf is in metres, but the map will have no scale"),
+        (["skin.urdf", "--spacing", "6.5"], "'6.5' is no length"),
+        (["skin.xyz"], "the suffix '.xyz' is unknown"),
+        (["map.csv"], "write the result to another file"),
+        (["nowhere/skin.urdf", "--spacing", "6.5mm"], "nowhere"),
+    ],
+)
+def test_what_cannot_be_written_is_told_in_one_sentence(run, map_csv, tmp_path, arguments, message):
+    before = sorted(tmp_path.iterdir())
+    outcome = run("convert", map_csv, *arguments)
+    assert outcome.code == 2
+    assert message in " ".join(outcome.err.split())
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_scale_that_is_missing_is_missed_before_the_work(run, skin_npz, tmp_path):
+    outcome = run("map", skin_npz, "-o", "skin.mjcf")
+    assert outcome.code == 2
+    assert "--spacing 6.5mm" in outcome.err
+    assert "Stress-1" not in outcome.out
