@@ -9,7 +9,8 @@ import pytest
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.bodies.paper import cylinder, sphere
-from anisomap.simulation.locomotion import Journey, LocomotionOptions, locomotion, roll
+from anisomap.simulation.driving import LocomotionOptions
+from anisomap.simulation.locomotion import Journey, locomotion, roll
 from anisomap.simulation.options import fitted
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")

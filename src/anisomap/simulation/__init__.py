@@ -13,6 +13,7 @@ from anisomap.simulation.bodies import (
 )
 from anisomap.simulation.bombardment import BombardmentOptions
 from anisomap.simulation.coverage import CoverageCurve, coverage_curve
+from anisomap.simulation.driving import LocomotionOptions
 from anisomap.simulation.faults import (
     FAULTS,
     FRAME_FAULTS,
@@ -25,7 +26,6 @@ from anisomap.simulation.faults import (
     parse_fault,
     saturating,
 )
-from anisomap.simulation.locomotion import LocomotionOptions
 from anisomap.simulation.pressing import PressingOptions
 from anisomap.simulation.pulses import PulsesOptions
 from anisomap.simulation.rolling import RollerOptions

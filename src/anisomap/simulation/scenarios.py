@@ -22,9 +22,10 @@ from anisomap.scene import Scene
 from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.checks import check_count
+from anisomap.simulation.driving import LocomotionOptions
 from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.geodesics import surface_distances
-from anisomap.simulation.locomotion import LocomotionOptions, locomotion, rolls
+from anisomap.simulation.locomotion import locomotion, rolls
 from anisomap.simulation.options import fitted
 from anisomap.simulation.pressing import PressingOptions, pressing
 from anisomap.simulation.pulses import PulsesOptions, pulses
