@@ -35,6 +35,21 @@ def test_it_keeps_moving_and_stays_on_the_ground(journey: Any) -> None:
     assert length > 0.7 * options.speed * options.frame_interval * FRAMES
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_no_cylinder_strays_or_stands_up(seed: int) -> None:
+    # Its turns are wider than the ground; and one that begins inside a bump is thrown up.
+    body = BODIES["cylinder"]()
+    body = body.scaled(1 / body.reach)
+    options = LocomotionOptions(half_width=5.0)
+    travelled = roll(body, 400, options, np.random.default_rng(seed))
+    axes = travelled.rotations[:, :, 2]
+    radius, half_length = body.solids[0].size
+    reach = radius * np.sqrt(1 - axes[:, :2] ** 2) + half_length * np.abs(axes[:, :2])
+    assert (np.abs(travelled.centres[:, :2]) + reach).max() < options.half_width
+    assert np.abs(axes[:, 2]).max() < np.sin(np.radians(45))
+    assert np.mean(travelled.speeds > 0.1 * options.speed) > 0.9
+
+
 def test_it_rolls_and_does_not_slide(journey: Any) -> None:
     body, options, travelled = journey
     slips = travelled.slips[np.isfinite(travelled.slips)]

@@ -141,8 +141,7 @@ class Driver:
         self._kind, self._radius = solid.kind, solid.size[0]
         self._model = _build(mujoco, body, terrain, options)
         self._data = mujoco.MjData(self._model)
-        above = self._radius + options.roughness
-        self._data.qpos[2] = float(terrain.height(np.zeros((1, 2)))[0]) + above
+        self._data.qpos[2] = _highest(terrain, body.reach) + self._radius
         if self._kind == "cylinder":
             lying = Rotation.from_euler("y", 90, degrees=True)
             self._data.qpos[3:7] = lying.as_quat(scalar_first=True)
@@ -150,17 +149,19 @@ class Driver:
         mass, inertia = float(self._model.body_mass[1]), float(self._model.body_inertia[1].max())
         self._gain = (inertia + mass * self._radius**2) / (2 * options.frame_interval)
         mujoco.mj_forward(self._model, self._data)
-        self._set_out()
+        self._room = options.half_width - 2 * _ARRIVED
+        self._set_out(rng.uniform(-self._room, self._room, size=2))
 
     def step(self) -> None:
         """Push the body as a motor would, and let a step of the physics pass."""
         data, options = self._data, self._options
         self._waited += options.step
         way = self._goal - data.qpos[:2]
-        missed = self._kind == "cylinder" and self._forward * (self._ahead() @ way) < 0
-        if np.hypot(*way) < _ARRIVED or missed or self._waited > _PATIENCE:
-            self._set_out()
-            way = self._goal - data.qpos[:2]
+        if self._strays():
+            self._set_out(np.zeros(2))
+        elif np.hypot(*way) < _ARRIVED or self._missed(way) or self._waited > _PATIENCE:
+            self._set_out(self._rng.uniform(-self._room, self._room, size=2))
+        way = self._goal - data.qpos[:2]
         spin = np.array(data.cvel[1, :3])
         wanted = self._wanted_spin(way / np.hypot(*way))
         push = self._gain * (wanted - spin)
@@ -199,9 +200,17 @@ class Driver:
         turned = np.array(data.xmat[1]).reshape(3, 3)
         return centre, turned, slip, float(np.linalg.norm(velocity)), overlap
 
-    def _set_out(self) -> None:
-        room = self._options.half_width - 2 * _ARRIVED
-        self._goal = self._rng.uniform(-room, room, size=2)
+    def _missed(self, way: NDArray[np.float64]) -> bool:
+        return self._kind == "cylinder" and self._forward * (self._ahead() @ way) < 0
+
+    def _strays(self) -> bool:
+        """Tell whether a cylinder, whose turns are wide, heads for the edge of the ground."""
+        place = self._data.qpos[:2]
+        outward = self._forward * self._ahead() * np.sign(place) > 0
+        return self._kind == "cylinder" and bool((outward & (np.abs(place) > self._room)).any())
+
+    def _set_out(self, goal: NDArray[np.float64]) -> None:
+        self._goal = goal
         self._waited = 0.0
         # Which way a cylinder rolls is settled until it has arrived or passed by.
         way = self._goal - self._data.qpos[:2]
@@ -222,6 +231,13 @@ class Driver:
         off = math.atan2(heading[0] * way[1] - heading[1] * way[0], heading @ way)
         turning = min(max(off, -self._options.turning), self._options.turning)
         return np.asarray(self._forward * pace * axis + np.array([0, 0, turning]))
+
+
+def _highest(terrain: Terrain, reach: float) -> float:
+    """Give the height of the highest ground under a body in the middle, to begin above it."""
+    middle, cells = len(terrain.heights) // 2, math.ceil(reach / terrain.cell)
+    below = slice(middle - cells, middle + cells + 1)
+    return float(terrain.heights[below, below].max())
 
 
 def _build(mujoco: ModuleType, body: Body, terrain: Terrain, options: LocomotionOptions) -> Any:
