@@ -13,8 +13,6 @@ from scipy.spatial import KDTree
 from anisomap.evaluation import Score
 from anisomap.sensor_map import SensorMap
 
-UP_TO = "This map is known up to rotation, translation, scale and mirror image."
-
 View: TypeAlias = tuple[float, float]
 """Elevation and azimuth of the eye above the x-y plane, in degrees."""
 

@@ -23,8 +23,6 @@ from anisomap.sensor_map import SensorMap
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "in": 0.0254}
 """Length of each unit that is understood."""
 
-DEFAULT_FRAME = "skin"
-
 _LENGTH = re.compile(r"\s*([0-9.eE+-]+)\s*([a-z\u00b5]+)\s*")
 
 
@@ -201,8 +199,7 @@ def taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     Parameters
     ----------
     sensor_map : SensorMap
-        Its unit must be known. The name of its frame is ``frame`` in its provenance, else
-        `DEFAULT_FRAME`.
+        Its unit must be known.
     purpose : str
         What it is for, to begin an error with: ``"URDF"``.
 
@@ -229,7 +226,7 @@ def taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     indices = np.flatnonzero(sensor_map.placed)
     positions = in_space(sensor_map.positions[indices]) * METRES[sensor_map.units]
     return Taxels(
-        frame=str(sensor_map.provenance.get("frame", DEFAULT_FRAME)),
+        frame=sensor_map.reference["frame"],
         names=tuple(sensor_map.names[i] for i in indices),
         indices=indices,
         positions=positions,

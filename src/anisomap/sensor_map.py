@@ -16,6 +16,11 @@ from anisomap.recording import Scalar, check_names, default_names, find_sensors
 UNPLACED = -1
 """The component of a sensor that the map leaves out."""
 
+UNSCALED = ("", "arbitrary")
+"""Units of positions whose scale nobody knows."""
+
+DEFAULT_FRAME = "skin"
+
 
 def _not_given() -> NDArray[np.intp]:
     return np.empty(0, dtype=np.intp)
@@ -116,6 +121,21 @@ class SensorMap:
     def dimensions(self) -> int:
         """Number of coordinates, k."""
         return int(self.positions.shape[1])
+
+    @property
+    def known_up_to(self) -> str:
+        """What its readings cannot tell of it; a map in millimetres has been given its scale."""
+        scale = ", scale" if self.units in UNSCALED else ""
+        return f"rotation, translation{scale} and mirror image"
+
+    @property
+    def reference(self) -> dict[str, str]:
+        """What its coordinates are relative to, for files: scale, handedness and frame."""
+        return {
+            "scale": "unknown" if self.units in UNSCALED else f"in {self.units}",
+            "handedness": "right-handed axes; the map may be a mirror image of the skin",
+            "frame": str(self.provenance.get("frame", DEFAULT_FRAME)),
+        }
 
     @property
     def placed(self) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -207,7 +208,28 @@ def test_a_spreadsheet_may_pad_the_comments(tmp_path: Path, sensor_map: SensorMa
 
 def test_the_head_of_a_map_can_be_read_by_eye(tmp_path: Path, sensor_map: SensorMap) -> None:
     formats.write(sensor_map, tmp_path / "map.csv")
-    head = (tmp_path / "map.csv").read_text().split("\n")[:10]
+    head = (tmp_path / "map.csv").read_text().split("\n")[:13]
     assert "known up to rotation, translation, scale and mirror image" in head[0]
     facts = {"# method: r-anisomap", "# units: arbitrary", "# stress: 0.0625", "# seed: 3"}
     assert facts <= set(head)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".ply", ".pcd"])
+def test_what_coordinates_are_relative_to_is_always_written(
+    tmp_path: Path, sensor_map: SensorMap, suffix: str
+) -> None:
+    path = tmp_path / f"map{suffix}"
+    placed = replace(sensor_map, units="mm", provenance={"frame": "left_palm"})
+    for written, scale in ((sensor_map, "unknown"), (placed, "in mm")):
+        formats.write(written, path)
+        if suffix == ".npz":
+            with np.load(path, allow_pickle=False) as stored:
+                said = {key: str(stored[key]) for key in ("scale", "handedness", "frame")}
+        else:
+            lines = [line.strip('# ,"') for line in path.read_text().splitlines()]
+            pairs = (line.removeprefix("comment ").partition(":") for line in lines)
+            said = {key.strip('"'): value.strip(' "') for key, _, value in pairs}
+        assert said["scale"] == scale
+        assert said["frame"] == written.provenance.get("frame", "skin")
+        assert said["handedness"].startswith("right-handed")
+    assert "scale" not in placed.known_up_to

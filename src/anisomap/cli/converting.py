@@ -34,7 +34,5 @@ def convert(
     facts = {"sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}"}
     if placed.units in METRES:
         facts["neighbours"] = f"{spacing_of(placed):.4g} {placed.units} apart (median)"
-    facts["known up to"] = "rotation, translation and mirror image" + (
-        "" if placed.units in METRES else ", and scale"
-    )
+    facts["known up to"] = placed.known_up_to
     show_facts(f"Written to {output}", facts)

@@ -207,7 +207,7 @@ def _show_map(sensor_map: SensorMap) -> None:
             "sensors placed": f"{np.count_nonzero(sensor_map.placed)} of {sensor_map.n_sensors}, "
             f"in {sensor_map.dimensions} dimensions",
             "Stress-1": f"{number(sensor_map.stress)} (0 is a perfect fit of the metric)",
-            "known up to": "rotation, translation, scale and mirror image",
+            "known up to": sensor_map.known_up_to,
         },
     )
 

@@ -16,7 +16,6 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from anisomap._drawing import (
-    UP_TO,
     VIEWS,
     Body,
     View,
@@ -239,8 +238,8 @@ def _agreement(score: Score) -> str:
 def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float) -> list[str]:
     if score is None:
         notes = [
-            f"{UP_TO} Lines join nearest neighbours on the map; "
-            "a sensor has the same colour in every view."
+            f"This map is known up to {sensor_map.known_up_to}. "
+            "Lines join nearest neighbours on the map; a sensor has the same colour in every view."
         ]
     else:
         notes = [

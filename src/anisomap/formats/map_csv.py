@@ -115,10 +115,11 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     entries: list[tuple[str, Scalar]] = [
         ("method", sensor_map.method),
         ("units", sensor_map.units),
+        *sensor_map.reference.items(),
         ("stress", float(sensor_map.stress)),
         *(("note", note) for note in sensor_map.notes),
     ]
-    title = f"{MAP_TITLE}, known up to rotation, translation, scale and mirror image"
+    title = f"{MAP_TITLE}, known up to {sensor_map.known_up_to}"
     with path.open("w", encoding="utf-8", newline="") as stream:
         stream.write(comments.write_comments(title, entries, "provenance", sensor_map.provenance))
         table = csv.writer(

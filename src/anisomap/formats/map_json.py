@@ -81,9 +81,10 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     """
     document = {
         "format": _MARK,
-        "known_up_to": "rotation, translation, scale and mirror image",
+        "known_up_to": sensor_map.known_up_to,
         "method": sensor_map.method,
         "units": sensor_map.units,
+        **sensor_map.reference,
         "stress": _strict(float(sensor_map.stress)),
         "notes": list(sensor_map.notes),
         "provenance": {k: _strict(value) for k, value in sensor_map.provenance.items()},

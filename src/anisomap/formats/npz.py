@@ -179,6 +179,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "health": np.array(sensor_map.health, dtype=str),
         "excluded": sensor_map.excluded,
         "units": sensor_map.units,
+        **sensor_map.reference,
         "method": sensor_map.method,
         "stress": sensor_map.stress,
         "notes": np.array(sensor_map.notes, dtype=str),

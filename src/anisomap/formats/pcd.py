@@ -43,7 +43,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     known: dict[str, Scalar] = {
         "units": sensor_map.units,
         "dimensions": sensor_map.dimensions,
-        "handedness": "right-handed axes; the map may be a mirror image of the skin",
+        **sensor_map.reference,
         "normals": "estimated from the positions",
         **{f"sensor {row}": sensor_map.names[i] for row, i in enumerate(indices)},
     }

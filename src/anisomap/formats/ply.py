@@ -102,6 +102,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     known: dict[str, Scalar] = {
         "method": sensor_map.method,
         "units": sensor_map.units,
+        **sensor_map.reference,
         "dimensions": sensor_map.dimensions,
         **{f"sensor {i}": sensor_map.names[i] for i in numbers},
     }
@@ -109,8 +110,8 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     head = [
         "ply",
         "format ascii 1.0",
-        "comment anisomap map, known up to rotation, translation, scale and mirror image",
-        "comment right-handed axes; normals are estimated from the positions",
+        f"comment anisomap map, known up to {sensor_map.known_up_to}",
+        "comment normals are estimated from the positions",
         *(f"comment {key}: {comments.written(value)}" for key, value in known.items()),
         f"element vertex {len(numbers)}",
         *(f"property double {column}" for column in (*_AXES, *_NORMAL)),

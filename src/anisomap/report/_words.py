@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisomap._drawing import UP_TO, shown, warn_of_pieces
+from anisomap._drawing import shown, warn_of_pieces
 from anisomap._listing import listing
 from anisomap.evaluation import Score
 from anisomap.health import RecordingSummary, SensorHealth
@@ -92,7 +92,7 @@ def verdict(sensor_map: SensorMap, score: Score | None) -> list[str]:
         return [
             f"{placed} of {sensor_map.n_sensors} sensors are placed. How true the map is cannot be "
             "told from the readings alone.",
-            UP_TO,
+            f"This map is known up to {sensor_map.known_up_to}.",
         ]
     r = score.mantel.r
     chance = score.mantel.quantiles().get(0.95)
@@ -117,7 +117,8 @@ def verdict(sensor_map: SensorMap, score: Score | None) -> list[str]:
     sentences += [
         f"Sensors lie {error} from their true places (root mean square), which is "
         f"{number(score.rms_in_spacings, 2)} times the usual distance between neighbours.",
-        f"{UP_TO} Here all of these were fitted to the truth, and the best fit was {mirrored}.",
+        f"This map is known up to {sensor_map.known_up_to}. Here all of these were fitted to "
+        f"the truth, and the best fit was {mirrored}.",
     ]
     return sentences
 

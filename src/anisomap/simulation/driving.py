@@ -201,7 +201,7 @@ class Driver:
         return centre, turned, slip, float(np.linalg.norm(velocity)), overlap
 
     def _missed(self, way: NDArray[np.float64]) -> bool:
-        return self._kind == "cylinder" and self._forward * (self._ahead() @ way) < 0
+        return self._kind == "cylinder" and bool(self._forward * (self._ahead() @ way) < 0)
 
     def _strays(self) -> bool:
         """Tell whether a cylinder, whose turns are wide, heads for the edge of the ground."""
