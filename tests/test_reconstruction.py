@@ -81,31 +81,39 @@ def test_every_stage_can_be_entered_with_something_precomputed(method):
     skin = flat_skin()
     whole = reconstruct(skin, method, 2)
     stages = compute_stages(skin.readings, method)
+    refined = METHODS[method].refine is not None
     for stage in ("similarity", "dissimilarity", "metric"):
         given = {stage: getattr(stages, stage)}
+        if stage == "similarity":
+            given["noise"] = stages.evidence.noise
         for recording in (skin, None):
-            entered = reconstruct(recording, method, 2, **given)
-            np.testing.assert_allclose(entered.positions, whole.positions, atol=1e-9)
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always")
+                entered = reconstruct(recording, method, 2, **given)
             assert entered.provenance["precomputed"] == stage
+            only_started = refined and stage != "similarity"
+            assert any("this map is its start" in str(w.message) for w in told) == only_started
+            if not only_started:
+                np.testing.assert_allclose(entered.positions, whole.positions, atol=1e-9)
 
 
 def test_a_start_is_where_scaling_sets_out_from():
     skin = flat_skin()
     stay = MethodOptions(smacof=SmacofOptions(max_iterations=0))
     with pytest.warns(AnisomapWarning, match="converged"):
-        started = reconstruct(skin, dimensions=2, start=lattice(), options=stay)
+        started = reconstruct(skin, "r-anisomap", 2, start=lattice(), options=stay)
     np.testing.assert_allclose(started.positions, lattice() - lattice().mean(axis=0))
 
 
 def test_weights_of_zero_are_not_looked_at():
     skin = flat_skin()
-    metric = np.array(compute_stages(skin.readings).metric)
-    truth = reconstruct(metric=metric, dimensions=2)
+    metric = np.array(compute_stages(skin.readings, "r-anisomap").metric)
+    truth = reconstruct(None, "r-anisomap", metric=metric, dimensions=2)
     wrong, weights = metric.copy(), np.ones_like(metric)
     wrong[0, 30] = wrong[30, 0] = 1e3
     weights[0, 30] = weights[30, 0] = 0
-    spared = reconstruct(metric=wrong, weights=weights, dimensions=2)
-    misled = reconstruct(metric=wrong, dimensions=2)
+    spared = reconstruct(None, "r-anisomap", metric=wrong, weights=weights, dimensions=2)
+    misled = reconstruct(None, "r-anisomap", metric=wrong, dimensions=2)
     close = anisomap.mantel(spared, truth, permutations=0).r
     assert close > 0.999
     assert anisomap.mantel(misled, truth, permutations=0).r < close
@@ -144,7 +152,7 @@ def two_skins():
 def test_without_regularisation_separate_pieces_are_separate_maps():
     skin = two_skins()
     with pytest.warns(AnisomapWarning, match="2 separate pieces"):
-        sensor_map = reconstruct(skin, dimensions=2, options=MethodOptions(mu=0))
+        sensor_map = reconstruct(skin, "r-anisomap", 2, options=MethodOptions(mu=0))
     np.testing.assert_array_equal(sensor_map.component, [0] * 20 + [1] * 12)
     for piece, truth in zip(sensor_map.split(), (lattice(4, 5), lattice(3, 4)), strict=True):
         assert score(piece, truth, permutations=0).mantel.r > 0.95
@@ -152,6 +160,15 @@ def test_without_regularisation_separate_pieces_are_separate_maps():
     found = score(sensor_map, skin.positions, permutations=0)
     assert found.mantel.n_sensors == 20
     assert "12 of 32 sensors lie in separate pieces of the map" in found.notes
+
+
+def test_skins_that_were_touched_independently_are_separate_maps():
+    first, second = (flat_skin(seed=seed).readings for seed in (0, 1))
+    with pytest.warns(AnisomapWarning, match="2 separate pieces"):
+        sensor_map = reconstruct(Recording(np.hstack([first, second[:, :30]])), dimensions=2)
+    np.testing.assert_array_equal(sensor_map.component, [0] * 42 + [1] * 30)
+    for piece, places in zip(sensor_map.split(), (lattice(), lattice()[:30]), strict=True):
+        assert score(piece, places, permutations=0).mantel.r > 0.95
 
 
 def test_short_recordings_are_doubted():
@@ -191,7 +208,7 @@ UNTOUCHED = Recording(-np.eye(50)[:, :4])
         ({"recording": Recording(np.zeros((9, 5)))}, "only 0 of 5 sensors take part"),
         ({"recording": Recording(np.eye(9)[:, :2])}, "only 2 of 2 sensors take part"),
         ({"recording": UNTOUCHED}, "no 3 sensors are related"),
-        ({"method": "pca"}, "choose from r-anisomap"),
+        ({"method": "pca"}, "choose from covariogram"),
         ({"dimensions": 0}, "0 dimensions"),
         ({"exclude": ["nobody"]}, "no sensor 'nobody'"),
         ({"similarity": np.eye(3)}, r"shape \(3, 3\)"),
@@ -200,7 +217,6 @@ UNTOUCHED = Recording(-np.eye(50)[:, :4])
         ({"recording": None}, "nothing to map"),
         ({"recording": Recording(np.full((9, 5), np.nan))}, "only 0 of 5"),
         ({"options": MethodOptions(bins=1), "method": "isomap"}, "1 bins"),
-        ({"options": MethodOptions(mu=-1)}, "mu"),
         ({"options": MethodOptions(n_neighbours=0), "method": "isomap"}, "0 neighbours"),
     ],
 )

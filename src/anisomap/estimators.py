@@ -11,7 +11,7 @@ from sklearn.metrics import pairwise_distances
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
 
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
+from anisomap.methods import MethodOptions, find_method
 from anisomap.numerics.accumulators import Moments
 from anisomap.numerics.activity import Rest, estimate_rest
 from anisomap.numerics.binning import DEFAULT_BINS
@@ -37,7 +37,8 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
     n_components : int, default=3
         Dimensions of the map.
     method : str, default="r-anisomap"
-        A name in `anisomap.methods.METHODS`.
+        A name in `anisomap.methods.METHODS`. The default can be taken in chunks (`partial_fit`);
+        ``"covariogram"``, the default of `anisomap.reconstruct`, makes better maps.
     mu, bins : float, int
         See `anisomap.methods.MethodOptions`.
     tol, max_iter : float, int
@@ -77,7 +78,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         self,
         n_components: int = 3,
         *,
-        method: str = DEFAULT_METHOD,
+        method: str = "r-anisomap",
         mu: float = 1.0,
         bins: int = DEFAULT_BINS,
         tol: float = SmacofOptions.tolerance,

@@ -1,6 +1,7 @@
 """The named methods: each a chain of stages that turns readings into a metric.
 
-After these stages, all methods scale the metric into space (`anisomap.reconstruction`)::
+After these stages, all methods scale the metric into space (`anisomap.reconstruction`), and some
+refine what comes out by the similarity::
 
     readings --similarity--> S --dissimilarity--> M --metric--> D --scaling--> positions
 
@@ -20,10 +21,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.binning import DEFAULT_BINS
+from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram
 from anisomap.numerics.dissimilarity import (
+    direct_dissimilarity,
     information_distance,
     regularised_reciprocal,
     symmetric,
+)
+from anisomap.numerics.evidence import (
+    blended_correlation,
+    related_pieces,
+    sampling_variance,
+    typical_noise,
 )
 from anisomap.numerics.graph import (
     check_semi_metric,
@@ -38,7 +47,9 @@ logger = logging.getLogger(__name__)
 
 Matrix: TypeAlias = NDArray[np.float64]
 
-DEFAULT_METHOD = "r-anisomap"
+DEFAULT_METHOD = "covariogram"
+
+_FEWEST_TO_FIT = 8  # sensors; fewer have hardly more pairs than coordinates
 
 
 @dataclass(frozen=True)
@@ -57,6 +68,11 @@ class MethodOptions:
         unless given.
     smacof : SmacofOptions
         When to stop scaling.
+    covariogram : CovariogramOptions
+        Of the method of that name.
+    independent_frames : float
+        How many independent frames correlations are taken to come from, above 0, where there are
+        no readings to tell: the fewer, the less they are believed.
     fewest_sensors : int
         Refuse to make a map whose largest piece holds fewer sensors: two always fit.
     """
@@ -65,7 +81,15 @@ class MethodOptions:
     bins: int = DEFAULT_BINS
     n_neighbours: int | None = None
     smacof: SmacofOptions = field(default_factory=SmacofOptions)
+    covariogram: CovariogramOptions = field(default_factory=CovariogramOptions)
+    independent_frames: float = 500.0
     fewest_sensors: int = 3
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.mu) and self.mu >= 0):
+            raise InputError(f"mu is {self.mu}; it must be a number of at least 0")
+        if not self.independent_frames > 0:
+            raise InputError(f"independent_frames is {self.independent_frames}; it must be above 0")
 
 
 @dataclass(frozen=True)
@@ -76,14 +100,54 @@ class Similarity:
     compute: Callable[[ArrayLike, MethodOptions], Matrix]
 
 
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What is known of some sensors: how alike they are, and how far that can be believed.
+
+    Attributes
+    ----------
+    similarity : ndarray of shape (n, n)
+    noise : ndarray of shape (n, n)
+        Sampling variance of each similarity.
+    known : ndarray of bool, shape (n, n)
+        Which pairs were ever recorded together.
+    """
+
+    similarity: Matrix
+    noise: Matrix
+    known: NDArray[np.bool_]
+
+    def of(self, sensors: NDArray[np.bool_]) -> Evidence:
+        """Keep only some sensors, given as a mask of shape (n,)."""
+        inside = np.ix_(sensors, sensors)
+        return Evidence(self.similarity[inside], self.noise[inside], self.known[inside])
+
+
+Refine: TypeAlias = Callable[[Evidence, Matrix, Matrix, MethodOptions], Matrix]
+
+
 @dataclass(frozen=True)
 class Method:
-    """A recipe: the name of a similarity, and how it becomes a dissimilarity and then a metric."""
+    """A recipe: which similarity, and how it becomes a dissimilarity, a metric, and places.
+
+    Attributes
+    ----------
+    summary : str
+    similarity : str
+        A key of `SIMILARITIES`.
+    dissimilarity : callable
+        ``dissimilarity(evidence, options)`` gives M, shape (n, n).
+    metric : callable
+        ``metric(M)`` gives D.
+    refine : callable, optional
+        ``refine(evidence, D, positions, options)`` gives better positions than scaling D does.
+    """
 
     summary: str
     similarity: str
-    dissimilarity: Callable[[Matrix, MethodOptions], Matrix]
+    dissimilarity: Callable[[Evidence, MethodOptions], Matrix]
     metric: Callable[[Matrix], Matrix]
+    refine: Refine | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +156,19 @@ class Stages:
 
     Attributes
     ----------
-    similarity, dissimilarity, metric : ndarray of shape (n, n) or None
+    evidence : Evidence or None
+    dissimilarity, metric : ndarray of shape (n, n) or None
         Of the sensors that take part, in their order.
     """
 
-    similarity: Matrix | None
+    evidence: Evidence | None
     dissimilarity: Matrix | None
     metric: Matrix
+
+    @property
+    def similarity(self) -> Matrix | None:
+        """How alike the sensors are, shape (n, n); None where a later stage was given."""
+        return None if self.evidence is None else self.evidence.similarity
 
 
 SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
@@ -112,20 +182,54 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
             "mutual information of binned readings",
             lambda x, options: mutual_information(x, options.bins),
         ),
+        "blended-correlation": Similarity(
+            "linear correlation where it is reliable, else of ranks",
+            lambda x, _: blended_correlation(x),
+        ),
     }
 )
 
 
-def _reciprocal(similarity: Matrix, options: MethodOptions) -> Matrix:
-    return regularised_reciprocal(similarity, options.mu)
+def _reciprocal(evidence: Evidence, options: MethodOptions) -> Matrix:
+    return regularised_reciprocal(evidence.similarity, options.mu)
 
 
-def _information_distance(similarity: Matrix, _: MethodOptions) -> Matrix:
-    return information_distance(similarity)
+def _information_distance(evidence: Evidence, _: MethodOptions) -> Matrix:
+    return information_distance(evidence.similarity)
 
 
-def _neighbour_edges(similarity: Matrix, options: MethodOptions) -> Matrix:
+def _direct(evidence: Evidence, _: MethodOptions) -> Matrix:
+    apart = direct_dissimilarity(evidence.similarity, evidence.noise)
+    pieces = related_pieces(evidence.similarity, evidence.noise)
+    return np.where(np.equal.outer(pieces, pieces), apart, np.inf)
+
+
+def _covariogram(
+    evidence: Evidence, metric: Matrix, positions: Matrix, options: MethodOptions
+) -> Matrix:
+    if len(positions) < _FEWEST_TO_FIT:
+        return positions
+    fit = fit_covariogram(
+        evidence.similarity,
+        positions,
+        metric,
+        noise=typical_noise(evidence.noise),
+        known=evidence.known,
+        options=options.covariogram,
+    )
+    logger.info(
+        "covariogram %.2f exp(-d^%.2f) %+.2f after %d steps",
+        fit.amplitude,
+        fit.exponent,
+        fit.offset,
+        fit.iterations,
+    )
+    return fit.positions
+
+
+def _neighbour_edges(evidence: Evidence, options: MethodOptions) -> Matrix:
     """Information distance between neighbours, and no edge between any others."""
+    similarity = evidence.similarity
     if options.n_neighbours is None:
         joined, n_neighbours = smallest_connected_neighbour_graph(similarity)
         logger.info("%d neighbours connect every sensor", n_neighbours)
@@ -149,6 +253,13 @@ PAPER_METHODS = ("r-anisomap", "i-anisomap", "information-distance", "isomap")
 
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
+        "covariogram": Method(
+            "places at which one function of distance explains all correlations",
+            "blended-correlation",
+            _direct,
+            metricise,
+            _covariogram,
+        ),
         "r-anisomap": _anisomap("pearson", "ANISOMAP on linear correlation"),
         "i-anisomap": _anisomap("mutual-information", "ANISOMAP on mutual information"),
         "information-distance": Method(
@@ -190,6 +301,8 @@ def compute_stages(
     similarity: ArrayLike | None = None,
     dissimilarity: ArrayLike | None = None,
     metric: ArrayLike | None = None,
+    noise: ArrayLike | None = None,
+    known: ArrayLike | None = None,
 ) -> Stages:
     """Compute what a method scales: similarity, dissimilarity and metric.
 
@@ -202,6 +315,11 @@ def compute_stages(
     options : MethodOptions, optional
     similarity, dissimilarity, metric : array_like of shape (N, N), optional
         A stage that is known already; those before it are not computed.
+    noise : array_like of shape (N, N), optional
+        Sampling variance of a given similarity; that of `MethodOptions.independent_frames` unless
+        given.
+    known : array_like of bool, shape (N, N), optional
+        Which pairs of a given similarity are known; paths lead around the others.
 
     Returns
     -------
@@ -219,12 +337,30 @@ def compute_stages(
     if dissimilarity is not None:
         checked = check_semi_metric(dissimilarity)
         return Stages(None, checked, recipe.metric(checked))
+    evidence = _gathered(readings, recipe, chosen, similarity, noise)
+    if known is not None:
+        evidence = Evidence(evidence.similarity, evidence.noise, np.asarray(known, dtype=bool))
+    apart = np.where(evidence.known, recipe.dissimilarity(evidence, chosen), np.inf)
+    np.fill_diagonal(apart, 0)
+    logger.info("finding shortest paths")
+    return Stages(evidence, apart, recipe.metric(apart))
+
+
+def _gathered(
+    readings: ArrayLike | None,
+    recipe: Method,
+    options: MethodOptions,
+    similarity: ArrayLike | None,
+    noise: ArrayLike | None,
+) -> Evidence:
     if similarity is None:
         if readings is None:
             raise InputError("there is nothing to map: give a recording, or a precomputed stage")
         logger.info("comparing all pairs of sensors (%s)", recipe.similarity)
-        similarity = SIMILARITIES[recipe.similarity].compute(readings, chosen)
+        similarity = SIMILARITIES[recipe.similarity].compute(readings, options)
+        if recipe.refine is not None:
+            noise = sampling_variance(readings)
     alike = symmetric(similarity, "similarity")
-    apart = recipe.dissimilarity(alike, chosen)
-    logger.info("finding shortest paths")
-    return Stages(alike, apart, recipe.metric(apart))
+    if noise is None:
+        noise = np.full(alike.shape, 1 / options.independent_frames)
+    return Evidence(alike, symmetric(noise, "noise"), np.ones(alike.shape, dtype=bool))

@@ -5,16 +5,24 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist
 
 from anisomap._listing import listing
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, assess, weaknesses
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, compute_stages, find_method
+from anisomap.methods import (
+    DEFAULT_METHOD,
+    Evidence,
+    MethodOptions,
+    Refine,
+    compute_stages,
+    find_method,
+)
 from anisomap.numerics.graph import components
 from anisomap.numerics.scaling import Scaling, SmacofOptions, smacof
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
@@ -32,6 +40,7 @@ def reconstruct(
     similarity: ArrayLike | None = None,
     dissimilarity: ArrayLike | None = None,
     metric: ArrayLike | None = None,
+    noise: ArrayLike | None = None,
     start: ArrayLike | None = None,
     weights: ArrayLike | None = None,
     names: Iterable[str] = (),
@@ -52,6 +61,9 @@ def reconstruct(
     options : MethodOptions, optional
     similarity, dissimilarity, metric : array_like of shape (N, N), optional
         A stage that is known already: the method sets in behind the last one given.
+    noise : array_like of shape (N, N), optional
+        Sampling variance of a given similarity, for methods that ask how far it can be believed;
+        see `anisomap.methods.MethodOptions.independent_frames` for what it is else.
     start : array_like of shape (N, k), optional
         Positions to start scaling from, with k = `dimensions`.
     weights : array_like of shape (N, N), optional
@@ -88,7 +100,7 @@ def reconstruct(
     -----
     McGregor et al. (2011), section "Methods", doi:10.1371/journal.pone.0026561.
     """
-    find_method(method)
+    recipe = find_method(method)
     chosen = options or MethodOptions()
     if dimensions < 1:
         raise InputError(f"{dimensions} dimensions hold no map; use 2 or 3")
@@ -107,19 +119,24 @@ def reconstruct(
             f"ever vary and are not dropped); a map takes at least {chosen.fewest_sensors}"
         )
     part = np.ix_(taking_part, taking_part)
+    counts = None if weights is None else _checked_weights(weights, n_sensors)[part]
     stages = compute_stages(
         None if recording is None or matrices else recording.complete().readings[:, taking_part],
         method,
         chosen,
         **{what: matrix[part] for what, matrix in matrices.items()},
+        noise=None if noise is None else np.asarray(noise)[part],
+        known=None if counts is None else counts > 0,
     )
     pieces = _scale_pieces(
         stages.metric,
         dimensions,
         start=None if start is None else _checked_start(start, n_sensors, dimensions)[taking_part],
-        weights=None if weights is None else _checked_weights(weights, n_sensors)[part],
+        weights=counts,
         options=chosen.smacof,
     )
+    if recipe.refine is not None and stages.evidence is not None:
+        pieces = _refine_pieces(recipe.refine, stages.evidence, stages.metric, pieces, chosen)
     if np.count_nonzero(pieces.labels == 0) < chosen.fewest_sensors:
         raise InputError(
             f"no {chosen.fewest_sensors} sensors are related to one another, so there is nothing "
@@ -136,6 +153,11 @@ def reconstruct(
         kept = [sensor for sensor, out in zip(health, dropped, strict=True) if not out]
         notes += weaknesses(recording, kept)
     notes += _doubts(component, sensor_names, pieces)
+    if recipe.refine is not None and stages.evidence is None:
+        notes.append(
+            f"{method} looks at how alike sensors are, which was not given: this map is its start, "
+            "the scaled distances"
+        )
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
     return SensorMap(
@@ -197,6 +219,30 @@ def _scale_pieces(
         converged=all(scaling.converged for scaling in scalings),
         iterations=max(len(scaling.trace) - 1 for scaling in scalings),
     )
+
+
+def _refine_pieces(
+    refine: Refine,
+    evidence: Evidence,
+    metric: NDArray[np.float64],
+    pieces: _Pieces,
+    options: MethodOptions,
+) -> _Pieces:
+    positions = pieces.positions.copy()
+    raw = spread = 0.0
+    for label in range(pieces.labels.max() + 1):
+        piece = pieces.labels == label
+        apart = metric[np.ix_(piece, piece)]
+        if np.count_nonzero(piece) >= options.fewest_sensors and (apart > 0).any():
+            positions[piece] = refine(evidence.of(piece), apart, positions[piece], options)
+        # In the metric's unit, which the refined places need not have.
+        distances = cdist(positions[piece], positions[piece])
+        size = float((distances**2).sum())
+        scale = float((distances * apart).sum()) / size if size > 0 else 0.0
+        raw += float(((scale * distances - apart) ** 2).sum())
+        spread += scale**2 * size
+    stress = float(np.sqrt(raw / spread)) if spread > 0 else 0.0
+    return replace(pieces, positions=positions, stress=stress)
 
 
 def _count_sensors(recording: Recording | None, matrices: Mapping[str, NDArray[np.generic]]) -> int:

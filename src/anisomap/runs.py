@@ -17,6 +17,7 @@ from anisomap._listing import counted
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, assess
 from anisomap.methods import DEFAULT_METHOD, SIMILARITIES, MethodOptions, find_method
+from anisomap.numerics.evidence import sampling_variance
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording, default_names
 from anisomap.sensor_map import SensorMap
@@ -146,23 +147,22 @@ def reconstruct_runs(
     for run in runs:
         run.complete()
     met = _met(runs, joined.names)
-    similarity = np.zeros(met.shape)
+    similarity, noise = np.eye(len(met)), np.ones(met.shape)
     for together, readings, sensors in _groups(runs, joined.names, met):
-        alike = SIMILARITIES[recipe.similarity].compute(readings, chosen)
         inside = np.ix_(sensors, sensors)
-        similarity[inside] = np.where(met[inside] == together, alike, similarity[inside])
-    part = np.ix_(*2 * (_taking_part(joined, dropped),))
-    apart = np.full(met.shape, np.inf)
-    apart[part] = recipe.dissimilarity(similarity[part], chosen)
-    apart[met == 0] = np.inf
-    np.fill_diagonal(apart, 0)
+        asked = met[inside] == together
+        alike = SIMILARITIES[recipe.similarity].compute(readings, chosen)
+        similarity[inside] = np.where(asked, alike, similarity[inside])
+        if recipe.refine is not None:
+            noise[inside] = np.where(asked, sampling_variance(readings), noise[inside])
     _tell_of_strangers(met, joined.names)
     made = reconstruct(
         joined,
         method,
         dimensions,
         options=options,
-        dissimilarity=apart,
+        similarity=similarity,
+        noise=noise,
         weights=(met > 0).astype(np.float64),
         exclude=exclude,
         drop=dropped,
@@ -224,12 +224,6 @@ def _met(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.int64]
     for bit, run in enumerate(runs):
         taken[[column[name] for name in run.names]] |= 1 << bit
     return taken[:, None] & taken
-
-
-def _taking_part(joined: Recording, dropped: Iterable[str | int]) -> NDArray[np.bool_]:
-    taking_part = joined.varying()
-    taking_part[joined.indices(dropped)] = False
-    return taking_part
 
 
 def _groups(

@@ -5,12 +5,12 @@ import pytest
 def test_a_coverage_curve_is_told_written_and_drawn(run, tmp_path):
     outcome = run(
         *("coverage", "sphere", "--sensors", "20", "--runs", "2"),
-        *("--frames", "100", "--frames", "400", "-o", "curve.csv", "--picture", "curve.png"),
+        *("--frames", "100", "--frames", "1600", "-o", "curve.csv", "--picture", "curve.png"),
     )
     assert outcome.code == 0, outcome.err
     rows = (tmp_path / "curve.csv").read_text().splitlines()
     assert rows[0].startswith("frames,seconds,sensors touched")
-    assert [row.split(",")[0] for row in rows[1:]] == ["100", "400"]
+    assert [row.split(",")[0] for row in rows[1:]] == ["100", "1600"]
     touched = [float(row.split(",")[2].rstrip("%")) for row in rows[1:]]
     assert 0 < touched[0] <= touched[1] <= 100
     assert np.isfinite(float(rows[2].split(",")[4]))

@@ -97,8 +97,8 @@ def test_separate_pieces_are_warned_of(run, tmp_path):
         touch = rng.uniform(sensors.start, sensors.stop, 600)[:, None]
         readings[frames, sensors.start : sensors.stop] = np.maximum(0, 2 - abs(touch - sensors))
     anisomap.write(anisomap.Recording(readings), tmp_path / "pieces.npz")
-    made = run("map", "pieces.npz", "--mu", 0, "-o", "m.csv", "--picture", "m.png", "--report",
-               "m.html")  # fmt: skip
+    made = run("map", "pieces.npz", "-m", "r-anisomap", "--mu", 0, "-o", "m.csv", "--picture",
+               "m.png", "--report", "m.html")  # fmt: skip
     assert made.code == 0
     assert "2 separate pieces" in made.err
     assert anisomap.read_map("m.csv").n_components == 2

@@ -10,6 +10,10 @@ from anisomap.errors import InputError
 NUMERICAL_ZERO = 1e-12
 """A similarity below this is rounding error: its reciprocal would be no distance but noise."""
 
+_RIDGE = 1.0
+_SHARE_OF_INDIRECT = 0.1
+_CAUTION = 5.0
+
 
 def symmetric(matrix: ArrayLike, what: str) -> NDArray[np.float64]:
     """Check that a matrix is square, free of NaN and symmetric, and make it so to the last bit.
@@ -85,6 +89,62 @@ def regularised_reciprocal(similarity: ArrayLike, mu: float = 1.0) -> NDArray[np
         dissimilarity = 1 / (values + regularisation)
     np.fill_diagonal(dissimilarity, 0)
     return np.asarray(dissimilarity)
+
+
+def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> NDArray[np.float64]:
+    """Turn correlations into a dissimilarity that trusts direct neighbours most.
+
+    Parameters
+    ----------
+    similarity : array_like of shape (N, N)
+        Correlations S in [-1, 1]. Negative ones count as 0. The diagonal is not looked at.
+    noise : array_like of shape (N, N)
+        Sampling variance s_ij^2 of each correlation: see
+        `anisomap.numerics.evidence.sampling_variance`.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        A semi-metric: symmetric, zero diagonal, elsewhere positive; infinite everywhere if no
+        pair has a positive correlation.
+
+    Raises
+    ------
+    InputError
+        If a matrix is not symmetric, or their shapes disagree.
+
+    Notes
+    -----
+    ``M = A^(-1/2) (1 + 5 s^2 / A^2)`` with ``A = (S (Q + S / 10))^(1/2)``, regularised by its
+    smallest positive element. Q are partial correlations, those that no other sensors explain, of
+    ``S + I`` (a ridge): high between neighbours alone. The second factor lengthens what may be
+    there by chance, so that shortest paths do not collect lucky pairs. The variance of a pair
+    counts as at least the typical one: sensors that were hardly touched look steadier than they
+    are.
+    """
+    values = symmetric(similarity, "similarity")
+    variance = symmetric(noise, "noise")
+    if variance.shape != values.shape:
+        raise InputError(f"the noise has shape {variance.shape}, the similarity {values.shape}")
+    partial = _partial_correlation(values)
+    pairs = ~np.eye(len(values), dtype=bool)
+    values[~pairs | (values < NUMERICAL_ZERO)] = 0
+    kinship = np.sqrt(values * (np.maximum(partial, 0) + _SHARE_OF_INDIRECT * values))
+    if not (kinship > 0).any():
+        return np.where(pairs, np.inf, 0.0)
+    kinship += kinship.min(where=kinship > 0, initial=np.inf)
+    variance = np.maximum(variance, np.median(variance[pairs]))
+    dissimilarity = (1 + _CAUTION * variance / kinship**2) / np.sqrt(kinship)
+    np.fill_diagonal(dissimilarity, 0)
+    return np.asarray((dissimilarity + dissimilarity.T) / 2)
+
+
+def _partial_correlation(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
+    covariance = correlation.copy()
+    np.fill_diagonal(covariance, 1 + _RIDGE)
+    precision = np.linalg.inv(covariance)
+    scale = np.sqrt(np.abs(np.diag(precision)))
+    return np.asarray(-precision / np.outer(scale, scale))
 
 
 def information_distance(information: ArrayLike) -> NDArray[np.float64]:

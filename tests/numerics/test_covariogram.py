@@ -1,0 +1,202 @@
+"""One falling function of distance, and the places it is of: exact gradients, known answers."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import check_grad
+from scipy.spatial.distance import cdist, pdist
+
+from anisomap.errors import InputError
+from anisomap.numerics import covariogram
+from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram, overlapping_blocks
+from anisomap.numerics.dissimilarity import direct_dissimilarity
+from anisomap.numerics.graph import metricise
+from anisomap.numerics.scaling import smacof
+
+
+def mantel_r(x, y):
+    return float(np.corrcoef(pdist(x), pdist(y))[0, 1])
+
+
+def skin(n_sensors=40, dimensions=2, seed=0):
+    """Places, and the correlations that a covariogram gives them."""
+    places = np.random.default_rng(seed).uniform(-1.5, 1.5, (n_sensors, dimensions))
+    similarity = 0.9 * np.exp(-(cdist(places, places) ** 1.5)) - 0.05
+    np.fill_diagonal(similarity, 1)
+    return places, similarity
+
+
+def drawn(similarity, n_frames, seed):
+    """Correlations of so many independent frames."""
+    rng = np.random.default_rng(seed)
+    values, vectors = np.linalg.eigh(similarity)
+    root = vectors * np.sqrt(values.clip(0))
+    return np.corrcoef((rng.standard_normal((n_frames, len(similarity))) @ root.T).T)
+
+
+def set_out(similarity, dimensions, noise):
+    metric = metricise(direct_dissimilarity(similarity, np.full(similarity.shape, noise)))
+    return metric, smacof(metric, dimensions=dimensions).positions
+
+
+@pytest.mark.parametrize("most", [600, 5])
+@pytest.mark.parametrize("unknown", [0.0, 0.3])
+def test_the_gradient_is_that_of_finite_differences(most, unknown):
+    rng = np.random.default_rng(1)
+    places, similarity = skin(14, 3)
+    metric = cdist(places, places) * np.exp(0.2 * rng.standard_normal((14, 14)))
+    metric = metric + metric.T
+    known = rng.uniform(size=(14, 14)) >= unknown
+    known &= known.T & ~np.eye(14, dtype=bool)
+    problem = covariogram._Problem(similarity, metric, known, 0.3, CovariogramOptions())
+    blocks = [covariogram._Block(b, problem) for b in overlapping_blocks(places, most)]
+
+    def objective(p):
+        return covariogram._objective(blocks, p[:-1].reshape(14, 3), p[-1])
+
+    for _ in range(3):
+        at = np.append(places.ravel() + 0.3 * rng.standard_normal(42), rng.uniform(-0.5, 0.7))
+        slope = objective(at)[1]
+        error = check_grad(lambda p: objective(p)[0], lambda p: objective(p)[1], at)
+        assert error < 1e-5 * np.linalg.norm(slope)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_places_and_the_function_are_found_again_where_there_is_no_noise(dimensions):
+    places, similarity = skin(60, dimensions)
+    metric, start = set_out(similarity, dimensions, 1e-8)
+    found = fit_covariogram(similarity, start, metric, noise=1e-8)
+    assert found.converged
+    assert mantel_r(found.positions, places) > 0.9999 > mantel_r(start, places) + 0.001
+    assert found.amplitude == pytest.approx(0.9, rel=0.02)
+    assert found.exponent == pytest.approx(1.5, rel=0.02)
+    assert found.offset == pytest.approx(-0.05, abs=0.02)
+    at = found.at(cdist(found.positions, found.positions))
+    pairs = np.triu_indices(60, 1)
+    np.testing.assert_allclose(at[pairs], similarity[pairs], atol=0.02)
+
+
+@pytest.mark.parametrize("n_frames", [100, 400, 1600])
+def test_the_fit_is_nearer_than_its_start_where_correlations_are_noisy(n_frames):
+    before, after = [], []
+    for seed in range(4):
+        places, similarity = skin(60, 2, seed)
+        observed = drawn(similarity, n_frames, seed)
+        metric, start = set_out(observed, 2, 1 / n_frames)
+        found = fit_covariogram(observed, start, metric, noise=1 / n_frames)
+        before.append(1 - mantel_r(start, places))
+        after.append(1 - mantel_r(found.positions, places))
+    assert np.mean(after) < 0.8 * np.mean(before)
+
+
+@given(st.integers(0, 30))
+def test_relabelling_and_the_unit_of_the_start_do_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    similarity = skin(20, 2, seed)[1]
+    observed = drawn(similarity, 500, seed)
+    metric, start = set_out(observed, 2, 0.002)
+    few = CovariogramOptions(max_iterations=5)
+    found = fit_covariogram(observed, start, metric, noise=0.002, options=few)
+    other = rng.permutation(20)
+    again = fit_covariogram(
+        observed[np.ix_(other, other)],
+        7 * start[other],
+        7 * metric[np.ix_(other, other)],
+        noise=0.002,
+        options=few,
+    )
+    np.testing.assert_allclose(again.positions, found.positions[other], atol=1e-5)
+    assert again.objective == pytest.approx(found.objective, rel=1e-6)
+
+
+def test_the_objective_never_ends_above_its_start():
+    _, similarity = skin(30)
+    observed = drawn(similarity, 200, 0)
+    metric, start = set_out(observed, 2, 0.005)
+    ends = [
+        fit_covariogram(
+            observed, start, metric, noise=0.005, options=CovariogramOptions(max_iterations=n)
+        ).objective
+        for n in (0, 1, 3, 10, 30, 300)
+    ]
+    assert all(later <= earlier + 1e-9 for earlier, later in itertools.pairwise(ends))
+    assert ends[-1] < ends[0]
+
+
+def test_a_signal_that_all_sensors_share_is_not_mistaken_for_nearness():
+    places, similarity = skin(60, 2)
+    shared = (similarity + 1.0) / 2.0  # half of every reading is a hum
+    plain, hummed = (
+        fit_covariogram(s, *set_out(s, 2, 1e-4)[::-1], noise=1e-4) for s in (similarity, shared)
+    )
+    assert mantel_r(hummed.positions, places) > mantel_r(plain.positions, places) - 0.005
+
+
+def test_unknown_pairs_are_not_looked_at():
+    places, similarity = skin(40)
+    metric, start = set_out(similarity, 2, 1e-4)
+    rng = np.random.default_rng(3)
+    known = rng.uniform(size=(40, 40)) < 0.8
+    known &= known.T
+    nonsense = np.where(known, similarity, rng.uniform(-1, 1, (40, 40)))
+    nonsense = np.where(known, similarity, (nonsense + nonsense.T) / 2)
+    first, second = (
+        fit_covariogram(s, start, metric, noise=1e-4, known=known) for s in (similarity, nonsense)
+    )
+    np.testing.assert_array_equal(first.positions, second.positions)
+    assert mantel_r(first.positions, places) > 0.99
+
+
+@given(st.integers(1, 400), st.integers(3, 80), st.integers(1, 3), st.integers(0, 9))
+def test_blocks_hold_every_sensor_and_are_no_larger_than_allowed(n, most, dimensions, seed):
+    places = np.random.default_rng(seed).standard_normal((n, dimensions))
+    blocks = overlapping_blocks(places, most)
+    assert max(len(block) for block in blocks) <= most
+    assert all(np.array_equal(block, np.unique(block)) for block in blocks)
+    times = np.bincount(np.concatenate(blocks), minlength=n)
+    assert (times == (1 if n <= most else 3)).all()
+
+
+def test_blocks_give_nearly_the_map_that_one_gives():
+    places, similarity = skin(120, 2)
+    observed = drawn(similarity, 1000, 0)
+    metric, start = set_out(observed, 2, 0.001)
+    whole, parted = (
+        fit_covariogram(
+            observed, start, metric, noise=0.001, options=CovariogramOptions(block=size)
+        ).positions
+        for size in (600, 40)
+    )
+    assert mantel_r(whole, parted) > 0.995
+    assert 1 - mantel_r(parted, places) < 2 * (1 - mantel_r(whole, places)) + 0.001
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"noise": 0.0}, "noise is 0"),
+        ({"noise": np.nan}, "noise is nan"),
+        ({"start": np.zeros((3, 2))}, "start has shape"),
+        ({"metric": np.ones((3, 3))}, "metric has shape"),
+        ({"metric": np.zeros((40, 40))}, "positive between"),
+        ({"start": np.full((40, 2), np.inf)}, "must be finite"),
+        ({"known": np.ones((2, 2))}, "mask of known pairs"),
+    ],
+)
+def test_nonsense_is_refused(change, message):
+    places, similarity = skin()
+    given_ = {"start": places, "metric": cdist(places, places), "noise": 0.01} | change
+    with pytest.raises(InputError, match=message):
+        fit_covariogram(similarity, **given_)
+
+
+@pytest.mark.parametrize(
+    "change", [{"loyalty": -1}, {"repulsion": np.nan}, {"ridge": 0}, {"block": 2},
+               {"max_iterations": -1}]
+)  # fmt: skip
+def test_nonsense_options_are_refused(change):
+    with pytest.raises(InputError, match=next(iter(change))):
+        CovariogramOptions(**change)
