@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.stats import rankdata
 
 from anisomap.errors import InputError
-from anisomap.numerics.similarity import pearson, spearman
+from anisomap.numerics.activity import estimate_rest
+from anisomap.numerics.similarity import pearson
 
 N_BLOCKS = 20
 """Stretches of time that a recording is cut into, to compare one half of them with the other."""
@@ -21,6 +23,7 @@ _SHORTEST_WINDOW = 10  # frames
 _FADED = 0.1  # autocorrelation
 _WINDOWS = 2.0  # the window is so many times the lag at which the autocorrelation has faded
 _RELIANCE = 5.0
+_CAUTION = 10.0
 _SENSORS_AT_ONCE = 64
 _BEYOND_CHANCE = 1.2
 
@@ -76,18 +79,24 @@ def blended_correlation(readings: ArrayLike) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of shape (N, N)
-        ``w r + (1 - w) rho`` of Pearson's r and Spearman's rho with ``w = reliability^5``: in
-        [-1, 1], symmetric to the last bit, ones on the diagonal. Unchanged by a change of any
-        sensor's unit or zero.
+        ``w r + (1 - w) rho`` of Pearson's r and Spearman's rho: in [-1, 1], symmetric to the last
+        bit, ones on the diagonal. Unchanged by a change of any sensor's unit or zero.
 
     Notes
     -----
     Pearson's r of a skin is ruled by few deep contacts: noisy in short recordings, but free of
-    what ranks do to distances. The power was chosen on simulated skins; 3 to 10 are about as good.
+    what ranks do to distances. Ranks are of depths beyond rest
+    (`anisomap.numerics.activity.estimate_rest`), since those of a noisy rest are noise. With the
+    reliabilities p of r and q of rho, ``1 - w = (1 - p^5) min(1, q / p)^10``: ranks are asked
+    where r does not come again, unless they do so still less. The powers were chosen on simulated
+    skins; 3 to 10 in place of 5 are about as good.
     """
     values = np.asarray(readings)
-    weight = max(reliability(values), 0.0) ** _RELIANCE
-    blended = weight * pearson(values) + (1 - weight) * spearman(values)
+    ranks = rankdata(estimate_rest(values).depth(values), axis=0)
+    of_values, of_ranks = max(reliability(values), 0.0), max(reliability(ranks), 0.0)
+    steadier = 1.0 if of_ranks >= of_values else of_ranks / of_values
+    weight = 1 - (1 - of_values**_RELIANCE) * steadier**_CAUTION
+    blended = weight * pearson(values) + (1 - weight) * pearson(ranks)
     np.fill_diagonal(blended, 1.0)
     return np.asarray(blended)
 
