@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 OUT ?= demo
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench docs clean
+.PHONY: help demo test check format bench quality docs clean
 
 help:  ## this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -39,8 +39,11 @@ format: $(READY)  ## put the code into the project's format
 bench: $(READY)  ## time the stages against what a user would pick instead
 	$(BIN)/python -m benchmarks
 
+quality: $(READY)  ## how true the maps of every method are; RECORDINGS=folder adds real ones
+	$(BIN)/python -m benchmarks.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
+
 docs: $(READY)  ## the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
 clean:  ## remove what the other targets made
-	rm -rf .venv demo docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv demo quality docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -70,6 +70,8 @@ class MethodOptions:
         When to stop scaling.
     covariogram : CovariogramOptions
         Of the method of that name.
+    part : bool
+        Whether the covariogram method parts sensors that nothing beyond chance holds together.
     independent_frames : float
         How many independent frames correlations are taken to come from, above 0, where there are
         no readings to tell: the fewer, the less they are believed.
@@ -82,6 +84,7 @@ class MethodOptions:
     n_neighbours: int | None = None
     smacof: SmacofOptions = field(default_factory=SmacofOptions)
     covariogram: CovariogramOptions = field(default_factory=CovariogramOptions)
+    part: bool = True
     independent_frames: float = 500.0
     fewest_sensors: int = 3
 
@@ -198,8 +201,10 @@ def _information_distance(evidence: Evidence, _: MethodOptions) -> Matrix:
     return information_distance(evidence.similarity)
 
 
-def _direct(evidence: Evidence, _: MethodOptions) -> Matrix:
+def _direct(evidence: Evidence, options: MethodOptions) -> Matrix:
     apart = direct_dissimilarity(evidence.similarity, evidence.noise)
+    if not options.part:
+        return apart
     pieces = related_pieces(evidence.similarity, evidence.noise)
     return np.where(np.equal.outer(pieces, pieces), apart, np.inf)
 

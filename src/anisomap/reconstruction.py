@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -14,6 +15,7 @@ from scipy.spatial.distance import cdist
 from anisomap._listing import listing
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.evaluation.confidence import DOUBTFUL, agreement_of_halves, expected_mantel_r
 from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.methods import (
     DEFAULT_METHOD,
@@ -47,6 +49,7 @@ def reconstruct(
     exclude: Iterable[str | int] = (),
     drop: Iterable[str | int] = (),
     health: Sequence[SensorHealth] | None = None,
+    judge: bool = True,
 ) -> SensorMap:
     """Make a map of the sensors from what they read.
 
@@ -77,6 +80,9 @@ def reconstruct(
         Sensors to leave out altogether.
     health : sequence of SensorHealth, optional
         An assessment of the recording, if it is at hand already.
+    judge : bool
+        Whether to find out how far the map can be trusted (`SensorMap.confidence`), with methods
+        for which that is calibrated: takes as long as two to four more maps.
 
     Returns
     -------
@@ -158,6 +164,11 @@ def reconstruct(
             f"{method} looks at how alike sensors are, which was not given: this map is its start, "
             "the scaled distances"
         )
+    confidence = math.nan
+    if judge and recipe.refine is not None and recording is not None and not matrices:
+        largest = component == 0
+        confidence = _confidence(recording.readings[:, largest], method, dimensions, chosen)
+        notes += _lacks_evidence(confidence)
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
     return SensorMap(
@@ -168,10 +179,36 @@ def reconstruct(
         excluded=_mask(sensor_names, exclude),
         method=method,
         stress=pieces.stress,
+        confidence=confidence,
         notes=tuple(notes),
         provenance=_provenance(recording, method, chosen, matrices)
         | {"iterations": pieces.iterations},
     )
+
+
+def _confidence(
+    readings: NDArray[np.floating], method: str, dimensions: int, options: MethodOptions
+) -> float:
+    """Tell how far a map of one piece can be trusted, from maps of halves of its recording."""
+    whole = replace(options, part=False)
+
+    def place(half: NDArray[np.floating]) -> NDArray[np.float64]:
+        made = reconstruct(Recording(half), method, dimensions, options=whole, judge=False)
+        return made.positions
+
+    logger.info("making maps of halves of the recording, to judge the map")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)  # halves are short; that is the point
+        return expected_mantel_r(agreement_of_halves(readings, place))
+
+
+def _lacks_evidence(confidence: float) -> Iterator[str]:
+    if confidence < DOUBTFUL:
+        yield (
+            f"the evidence does not suffice: halves of the recording make different maps, so this "
+            f"one is expected to reach a Mantel r of {confidence:.2f} only; record longer, and "
+            "touch all of the skin"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,6 +110,7 @@ def reconstruct_runs(
     exclude: Iterable[str | int] = (),
     drop: Iterable[str | int] = (),
     health: Sequence[SensorHealth] | None = None,
+    judge: bool = True,
 ) -> SensorMap:
     """Make one map of several recordings of a skin.
 
@@ -117,7 +118,7 @@ def reconstruct_runs(
     ----------
     runs : sequence of Recording
         Without missing readings (see `Recording.complete`); for the rest see `join_runs`.
-    method, dimensions, options, exclude, drop, health
+    method, dimensions, options, exclude, drop, health, judge
         As for `anisomap.reconstruct`; indices count in the order of `join_runs`.
 
     Returns
@@ -142,6 +143,7 @@ def reconstruct_runs(
             exclude=exclude,
             drop=dropped,
             health=judged,
+            judge=judge,
         )
     recipe, chosen = find_method(method), options or MethodOptions()
     for run in runs:

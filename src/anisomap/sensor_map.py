@@ -49,6 +49,9 @@ class SensorMap:
         Name of the method that made the map.
     stress : float
         Stress-1 of the scaling (Borg & Groenen 2005, eq. 3.9): 0 is a perfect fit of the metric.
+    confidence : float
+        Mantel r that the map is expected to reach with the truth, judged by how alike maps of
+        halves of the recording are (`anisomap.evaluation.confidence`); NaN if nobody can tell.
     notes : sequence of str
         Why the map may be weaker than it looks; empty if nothing speaks against it.
     provenance : mapping of str to str, int, float or bool
@@ -68,6 +71,7 @@ class SensorMap:
     units: str = "arbitrary"
     method: str = ""
     stress: float = float("nan")
+    confidence: float = float("nan")
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Scalar] = field(default_factory=dict)
 
@@ -182,6 +186,7 @@ class SensorMap:
             units=self.units,
             method=self.method,
             stress=self.stress,
+            confidence=self.confidence,
             notes=self.notes,
             provenance=self.provenance,
         )

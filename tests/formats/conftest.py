@@ -50,6 +50,7 @@ def sensor_map() -> SensorMap:
         excluded=[False, True, False, False, False],
         method="r-anisomap",
         stress=0.0625,
+        confidence=0.96875,
         notes=("one sensor never varies",),
         provenance={"seed": 3, "mu": 1.0, "weighted": False, "source": "skin.csv"},
     )

@@ -96,6 +96,7 @@ def assert_same_map(found: SensorMap, expected: SensorMap) -> None:
         expected.notes,
     )
     np.testing.assert_equal(found.stress, expected.stress)
+    np.testing.assert_equal(found.confidence, expected.confidence)
     assert_same_mapping(found.provenance, expected.provenance)
 
 
@@ -210,7 +211,12 @@ def test_the_head_of_a_map_can_be_read_by_eye(tmp_path: Path, sensor_map: Sensor
     formats.write(sensor_map, tmp_path / "map.csv")
     head = (tmp_path / "map.csv").read_text().split("\n")[:13]
     assert "known up to rotation, translation, scale and mirror image" in head[0]
-    facts = {"# method: r-anisomap", "# units: arbitrary", "# stress: 0.0625", "# seed: 3"}
+    facts = {
+        "# method: r-anisomap",
+        "# units: arbitrary",
+        "# stress: 0.0625",
+        "# confidence: 0.96875",
+    }
     assert facts <= set(head)
 
 

@@ -41,6 +41,7 @@ def map_recording(
         int, Parameter(group=options.method_group)
     ] = SmacofOptions.max_iterations,
     reading: options.Reading = options.AS_IT_COMES,
+    confidence: Annotated[bool, Parameter(group=options.method_group)] = True,
     placing: options.Placing = options.AS_IT_IS,
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
@@ -73,6 +74,8 @@ def map_recording(
         Stop scaling when an iteration lowers the stress by a smaller share.
     max_iterations
         Stop scaling after so many iterations.
+    confidence
+        Judge the map by maps of halves of the recording, which takes longer.
     """
     outputs = pipeline.Outputs(
         maps=tuple(output or [Path(f"{recordings[0].name.split('.')[0]}.map.csv")]),
@@ -97,6 +100,7 @@ def map_recording(
         ),
         exclude=options.sensors(exclude, names),
         drop=options.sensors(drop, names),
+        judge=confidence,
     )
     sensor_map = placing.applied(sensor_map)
     pipeline.finish(outputs, sensor_map, evidence, permutations, seed)

@@ -12,7 +12,7 @@ import numpy as np
 from anisomap import figures, formats, report
 from anisomap._files import check_distinct
 from anisomap.cli.console import console, number, percent, progress, show_facts, show_table
-from anisomap.evaluation import Score, score
+from anisomap.evaluation import Score, confidence_in_words, score
 from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
 from anisomap.methods import MethodOptions
 from anisomap.recording import MissingPolicy, Recording
@@ -110,6 +110,7 @@ def make_map(
     options: MethodOptions | None = None,
     exclude: Sequence[str] = (),
     drop: Sequence[str] = (),
+    judge: bool = True,
 ) -> SensorMap:
     """Reconstruct, with progress; doubts are warned of on the way."""
     with progress("making the map"):
@@ -121,6 +122,7 @@ def make_map(
             exclude=exclude,
             drop=drop,
             health=evidence.health,
+            judge=judge,
         )
 
 
@@ -207,6 +209,7 @@ def _show_map(sensor_map: SensorMap) -> None:
             "sensors placed": f"{np.count_nonzero(sensor_map.placed)} of {sensor_map.n_sensors}, "
             f"in {sensor_map.dimensions} dimensions",
             "Stress-1": f"{number(sensor_map.stress)} (0 is a perfect fit of the metric)",
+            "confidence": confidence_in_words(sensor_map.confidence),
             "known up to": sensor_map.known_up_to,
         },
     )

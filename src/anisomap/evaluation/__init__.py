@@ -1,6 +1,7 @@
 """How good a map is where the truth is known: Mantel r, alignment, neighbourhoods."""
 
 from anisomap.evaluation.alignment import Alignment, align
+from anisomap.evaluation.confidence import confidence_in_words
 from anisomap.evaluation.mantel_r import PERMUTATIONS, Mantel, mantel
 from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreement
 from anisomap.evaluation.scoring import Score, score
@@ -11,6 +12,7 @@ __all__ = [
     "Mantel",
     "Score",
     "align",
+    "confidence_in_words",
     "mantel",
     "median_spacing",
     "neighbour_agreement",

@@ -117,6 +117,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         ("units", sensor_map.units),
         *sensor_map.reference.items(),
         ("stress", float(sensor_map.stress)),
+        ("confidence", float(sensor_map.confidence)),
         *(("note", note) for note in sensor_map.notes),
     ]
     title = f"{MAP_TITLE}, known up to {sensor_map.known_up_to}"
@@ -205,6 +206,10 @@ def _truth(field: str) -> bool:
     return _TRUTH[word]
 
 
+def _number(value: Scalar | None) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
 def _is_number(field: str) -> bool:
     try:
         parse_number(field.replace(",", "."))
@@ -220,11 +225,11 @@ def _described(lines: Sequence[str], units: str) -> dict[str, Any]:
     leading = itertools.takewhile(lambda line: line.startswith("#"), lines)
     entries, provenance = comments.read_comments(leading, "provenance")
     known = dict(entries)
-    stress = known.get("stress")
     return {
         "units": str(known.get("units", units)),
         "method": str(known.get("method", "")),
-        "stress": float(stress) if isinstance(stress, int | float) else math.nan,
+        "stress": _number(known.get("stress")),
+        "confidence": _number(known.get("confidence")),
         "notes": tuple(str(value) for key, value in entries if key == "note"),
         "provenance": provenance,
     }

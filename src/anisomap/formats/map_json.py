@@ -86,6 +86,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "units": sensor_map.units,
         **sensor_map.reference,
         "stress": _strict(float(sensor_map.stress)),
+        "confidence": _strict(float(sensor_map.confidence)),
         "notes": list(sensor_map.notes),
         "provenance": {k: _strict(value) for k, value in sensor_map.provenance.items()},
         "dimensions": sensor_map.dimensions,
@@ -166,6 +167,7 @@ def _described(path: Path, document: dict[str, Any]) -> dict[str, Any]:
             "units": str(document.get("units", "")),
             "method": str(document.get("method", "")),
             "stress": _loose(document.get("stress")),
+            "confidence": _loose(document.get("confidence")),
             "notes": tuple(map(str, notes)),
             "provenance": {
                 key: value if isinstance(value, Scalar) else _loose(value)
@@ -174,6 +176,6 @@ def _described(path: Path, document: dict[str, Any]) -> dict[str, Any]:
         }
     except (ValueError, TypeError, AttributeError) as error:
         raise FileError(
-            f"{path}: stress must be a number, notes a list, and provenance an object "
-            f"of text and numbers ({error})"
+            f"{path}: stress must be a number (as confidence), notes a list, and provenance an "
+            f"object of text and numbers ({error})"
         ) from error

@@ -122,7 +122,7 @@ def read_map(path: Path) -> SensorMap:
         names, units = archive.texts("names"), archive.text("units")
         if "readings" in archive.names:
             return SensorMap(positions, names=names, units=units)
-        stress = archive.number("stress")
+        stress, confidence = archive.number("stress"), archive.number("confidence")
         return SensorMap(
             positions,
             names=names,
@@ -132,6 +132,7 @@ def read_map(path: Path) -> SensorMap:
             units=units,
             method=archive.text("method"),
             stress=math.nan if stress is None else stress,
+            confidence=math.nan if confidence is None else confidence,
             notes=archive.texts("notes"),
             provenance=archive.mapping("provenance"),
         )
@@ -182,6 +183,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         **sensor_map.reference,
         "method": sensor_map.method,
         "stress": sensor_map.stress,
+        "confidence": sensor_map.confidence,
         "notes": np.array(sensor_map.notes, dtype=str),
         "provenance": _packed(sensor_map.provenance),
     }

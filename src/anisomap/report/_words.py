@@ -10,7 +10,7 @@ import numpy as np
 
 from anisomap._drawing import shown, warn_of_pieces
 from anisomap._listing import listing
-from anisomap.evaluation import Score
+from anisomap.evaluation import Score, confidence_in_words
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
 from anisomap.sensor_map import SensorMap
@@ -89,9 +89,13 @@ def verdict(sensor_map: SensorMap, score: Score | None) -> list[str]:
     """Say how good the map is: the first sentence is the headline."""
     placed = int(sensor_map.placed.sum())
     if score is None:
+        trust = (
+            "How true the map is cannot be told from the readings alone."
+            if math.isnan(sensor_map.confidence)
+            else f"Confidence {confidence_in_words(sensor_map.confidence)}."
+        )
         return [
-            f"{placed} of {sensor_map.n_sensors} sensors are placed. How true the map is cannot be "
-            "told from the readings alone.",
+            f"{placed} of {sensor_map.n_sensors} sensors are placed. {trust}",
             f"This map is known up to {sensor_map.known_up_to}.",
         ]
     r = score.mantel.r
@@ -161,6 +165,11 @@ def facts(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
             ),
         ]
     found += [
+        Fact(
+            "Confidence",
+            number(sensor_map.confidence, 2),
+            "Mantel r that is expected of a map as repeatable as this one, whatever the truth",
+        ),
         Fact("Placed", f"{placed} of {sensor_map.n_sensors}", "sensors that are on the map"),
         Fact(
             "Stress-1",
