@@ -7,7 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components, csgraph_from_dense, floyd_warshall
 
 from anisomap.errors import InputError
+from anisomap.numerics.compiled import COMPILED_FROM
 from anisomap.numerics.dissimilarity import symmetric
+from anisomap.numerics.shortest_paths import shortest_paths
 
 
 def check_semi_metric(dissimilarity: ArrayLike) -> NDArray[np.float64]:
@@ -63,8 +65,11 @@ def metricise(dissimilarity: ArrayLike) -> NDArray[np.float64]:
     Notes
     -----
     McGregor et al. (2011), section "ANISOMAP", step 2, and Text S3. Floyd (1962), Warshall (1962).
+    From 500 objects on the same by compiled loops: see `anisomap.numerics.shortest_paths`.
     """
     lengths = check_semi_metric(dissimilarity)
+    if len(lengths) >= COMPILED_FROM:
+        return shortest_paths(lengths)
     # Only inf means "no edge": a dense 0 would be read as none, and twins would come out far apart.
     graph = csgraph_from_dense(lengths, null_value=np.inf)
     metric = floyd_warshall(graph, directed=False)
@@ -86,7 +91,10 @@ def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
         A label an object. 0 is the largest component; of equal ones, the one that holds the first
         object comes first.
     """
-    labels = connected_components(np.isfinite(dissimilarity), directed=False)[1]
+    joined = np.isfinite(dissimilarity)
+    if joined.all():  # common, and looking for pieces of a full matrix takes long
+        return np.zeros(len(joined), dtype=np.intp)
+    labels = connected_components(joined, directed=False)[1]
     sizes = np.bincount(labels)
     first_seen = np.unique(labels, return_index=True)[1]
     order = np.lexsort((first_seen, -sizes))

@@ -1,0 +1,169 @@
+"""The compiled inner loops of metricising and SMACOF, and only those.
+
+Numba takes its time to start and to compile, so this module is loaded by `compiled.kernels` alone,
+when a matrix is large enough to be worth it. Nothing is checked here. All loops run without the
+interpreter's lock: threads that work on separate rows or columns run at the same time.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Range = tuple[int, int]  # from the first to before the last
+
+WIDTH = 512  # so many columns at a time stay in the first-level cache
+# Sums may be taken in any order, which vector units need; infinities keep their meaning.
+REORDERED = {"reassoc", "contract", "nsz", "arcp"}
+
+
+@numba.njit(nogil=True, cache=True)
+def shorten(paths: Floats, left: Floats, right: Floats, rows: Range, columns: Range) -> None:
+    """Lower ``paths[i, j]`` to the least ``left[i, k] + right[k, j]``: a product of (min, +).
+
+    Only those `rows` and `columns` of `paths` are looked at and changed.
+    """
+    (first, last), (begin, end) = rows, columns
+    n_middles = len(right)
+    for start in range(begin, end, WIDTH):
+        stop = min(start + WIDTH, end)
+        for i in range(first, last, 2):
+            # Two rows and four middles a pass: eight results for six loads. Where the numbers are
+            # not even the last is taken twice, which changes nothing.
+            upper, lower = paths[i, start:stop], paths[min(i + 1, last - 1), start:stop]
+            from_upper, from_lower = left[i], left[min(i + 1, last - 1)]
+            for k in range(0, n_middles, 4):
+                k1, k2 = min(k + 1, n_middles - 1), min(k + 2, n_middles - 1)
+                k3 = min(k + 3, n_middles - 1)
+                u0, u1, u2, u3 = from_upper[k], from_upper[k1], from_upper[k2], from_upper[k3]
+                l0, l1, l2, l3 = from_lower[k], from_lower[k1], from_lower[k2], from_lower[k3]
+                right0, right1 = right[k, start:stop], right[k1, start:stop]
+                right2, right3 = right[k2, start:stop], right[k3, start:stop]
+                for j in range(stop - start):
+                    r0, r1, r2, r3 = right0[j], right1[j], right2[j], right3[j]
+                    upper[j] = min(upper[j], u0 + r0, u1 + r1, u2 + r2, u3 + r3)
+                    lower[j] = min(lower[j], l0 + r0, l1 + r1, l2 + r2, l3 + r3)
+
+
+@numba.njit(nogil=True, cache=True)
+def close(paths: Floats) -> None:
+    """Replace a small matrix of lengths by that of its shortest paths: Floyd and Warshall."""
+    for k in range(len(paths)):
+        for i in range(len(paths)):
+            for j in range(len(paths)):
+                paths[i, j] = min(paths[i, j], paths[i, k] + paths[k, j])
+
+
+@numba.njit(nogil=True, cache=True)
+def nearest(lengths: Floats, count: int) -> Ints:
+    """Give, for each node, the ends of its `count` shortest edges; itself where it has fewer."""
+    n_nodes = len(lengths)
+    ends = np.empty((n_nodes, count), np.int64)
+    shortest = np.empty(count)
+    for i in range(n_nodes):
+        shortest[:] = np.inf
+        ends[i] = i
+        for j in range(n_nodes):
+            length = lengths[i, j]
+            if length < shortest[-1] and j != i:
+                place = count - 1
+                while place > 0 and shortest[place - 1] > length:
+                    shortest[place] = shortest[place - 1]
+                    ends[i, place] = ends[i, place - 1]
+                    place -= 1
+                shortest[place] = length
+                ends[i, place] = j
+    return ends
+
+
+@numba.njit(nogil=True, cache=True)
+def relax(
+    paths: Floats,
+    sources: Range,
+    order: Ints,
+    edges: tuple[Ints, Ints, Floats],
+    most_sweeps: int,
+) -> None:
+    """Lower paths along edges until no edge helps any more: Bellman and Ford, many sources at once.
+
+    Column s of `paths` holds the paths from source s to every node. Of `edges` (offsets, ends,
+    lengths) those of node u stand from ``offsets[u]`` to ``offsets[u + 1]``. Nodes are swept in
+    `order` and back again; what neighbours have not changed is passed over.
+    """
+    begin, end = sources
+    offsets, ends, lengths = edges
+    n_nodes = len(paths)
+    tile = paths[:, begin:end].copy()
+    lowered_at = np.zeros(n_nodes, np.int64)
+    seen_at = np.full(n_nodes, -1)
+    clock = 0
+    for sweep in range(most_sweeps):
+        settled = True
+        for place in range(n_nodes):
+            node = order[place] if sweep % 2 == 0 else order[n_nodes - 1 - place]
+            clock += 1
+            mine = tile[node]
+            lowered = 0
+            for edge in range(offsets[node], offsets[node + 1]):
+                neighbour = ends[edge]
+                if lowered_at[neighbour] > seen_at[node]:
+                    length = lengths[edge]
+                    theirs = tile[neighbour]
+                    for source in range(end - begin):
+                        through = length + theirs[source]
+                        lowered |= through < mine[source]
+                        mine[source] = min(mine[source], through)
+            seen_at[node] = clock
+            if lowered:
+                lowered_at[node] = clock
+                settled = False
+        if settled:
+            break
+    paths[:, begin:end] = tile
+
+
+@numba.njit(nogil=True, cache=True, fastmath=REORDERED, error_model="numpy")
+def add_stress(
+    points: Floats, targets: Floats, weights: Floats, rows: Range, slope: Floats
+) -> float:
+    """Sum the raw stress over the pairs i < j with i in those `rows`.
+
+    `points` is (k, N), a row a coordinate. `weights` is (N, N), or (1, N) if one row serves all.
+    Half the gradient is added to `slope`, shaped like `points`. Points that coincide pull each
+    other nowhere: their difference is 0, and the tiny number keeps its factor finite.
+    """
+    dimensions, n_points = points.shape
+    room = np.empty(WIDTH)
+    total = 0.0
+    for i in range(rows[0], rows[1]):
+        weighted = i if len(weights) > 1 else 0
+        for start in range(i + 1, n_points, WIDTH):
+            stop = min(start + WIDTH, n_points)
+            size = stop - start
+            factors = room[:size]
+            factors[:] = 1e-300
+            for axis in range(dimensions):
+                mine, theirs = points[axis, i], points[axis, start:stop]
+                for j in range(size):
+                    factors[j] += (mine - theirs[j]) ** 2
+            target, weight = targets[i, start:stop], weights[weighted, start:stop]
+            partial = 0.0
+            for j in range(size):
+                inverse = 1 / np.sqrt(factors[j])
+                excess = factors[j] * inverse - target[j]
+                partial += weight[j] * excess * excess
+                factors[j] = weight[j] * excess * inverse
+            total += partial
+            for axis in range(dimensions):
+                mine, theirs = points[axis, i], points[axis, start:stop]
+                pulled = slope[axis, start:stop]
+                pull = 0.0
+                for j in range(size):
+                    share = factors[j] * (mine - theirs[j])
+                    pull += share
+                    pulled[j] -= share
+                slope[axis, i] += pull
+    return total
