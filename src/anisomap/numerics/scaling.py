@@ -3,42 +3,51 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve, eigh
-from scipy.sparse.linalg import LinearOperator, eigsh
-from scipy.spatial.distance import cdist
+from scipy.linalg import eigh
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
 from anisomap.errors import InputError
 from anisomap.numerics.dissimilarity import symmetric
 from anisomap.numerics.graph import check_semi_metric, components, metricise
+from anisomap.numerics.solvers import SOLVERS
+from anisomap.numerics.stress import Problem
 
 logger = logging.getLogger(__name__)
 
-DENSE_LIMIT = 400
+DENSE_LIMIT = 200
 """Up to so many points a full eigendecomposition costs less than iterating for a few vectors."""
 
 
 @dataclass(frozen=True)
 class SmacofOptions:
-    """When to stop SMACOF.
+    """When to stop SMACOF, and how to get there.
 
     Parameters
     ----------
     tolerance : float
-        Stop when an iteration lowers the raw stress by less than this share of it. Relative, so
-        that the unit of the distances does not matter.
+        Stop when an iteration (of L-BFGS, three together) lowers the raw stress by less than this
+        share of it. Relative, so that the unit of the distances does not matter.
     max_iterations : int
         Stop after so many iterations at the latest.
+    solver : {"auto", "lbfgs", "majorization"}
+        ``"majorization"`` is SMACOF as published, which creeps where a map is flat; ``"lbfgs"``
+        takes some ten times fewer iterations. ``"auto"`` is L-BFGS, and up to 50 points, where
+        minima are many, the better of both.
     """
 
     tolerance: float = 1e-8
     max_iterations: int = 3000
+    solver: str = "auto"
 
     def __post_init__(self) -> None:
+        if self.solver not in SOLVERS:
+            raise InputError(
+                f"there is no solver {self.solver!r}; choose from {', '.join(SOLVERS)}"
+            )
         if not self.tolerance >= 0:
             raise InputError(f"the tolerance is {self.tolerance}; it must be at least 0")
         if self.max_iterations < 0:
@@ -139,7 +148,10 @@ def _leading_iterated(
     operator = LinearOperator(squares.shape, matvec=double_centred, dtype=np.float64)
     # ARPACK would draw its own start: a fixed one makes equal input give equal output.
     start = np.random.default_rng(0).standard_normal(len(squares))
-    values, vectors = eigsh(operator, k=count, which="LA", v0=start)
+    try:
+        values, vectors = eigsh(operator, k=count, which="LA", v0=start)
+    except ArpackError:  # it does not settle, or there is nothing to find: all points coincide
+        return _leading_dense(squares, count)
     return values, vectors
 
 
@@ -151,7 +163,7 @@ def smacof(
     weights: ArrayLike | None = None,
     options: SmacofOptions | None = None,
 ) -> Scaling:
-    """Find the configuration whose distances fit best: stress majorisation.
+    """Find the configuration whose distances fit best: the least raw stress.
 
     Parameters
     ----------
@@ -179,54 +191,21 @@ def smacof(
 
     Notes
     -----
-    De Leeuw (1977); Borg & Groenen (2005), chapter 8: the Guttman transform
-    ``X <- V^+ B(X) X`` (8.28) never raises the weighted stress. ``V^+`` is never formed: with all
-    weights equal it divides by N, otherwise ``V + 11'/N`` is factorised once.
+    De Leeuw (1977); Borg & Groenen (2005), chapter 8. No iteration raises the weighted stress,
+    whatever the solver. From 500 points on the stress and its gradient are worked out by compiled
+    loops.
     """
     chosen = options or SmacofOptions()
     targets = check_semi_metric(distances)
-    w = _check_weights(weights, targets)
-    known = (w > 0) | np.eye(len(w), dtype=bool)
-    edges = np.where(known, targets, np.inf)
-    labels = components(edges)
-    if labels.max() > 0:
-        raise InputError(
-            f"the known distances leave {labels.max() + 1} separate pieces: scale each by itself"
-        )
+    problem = Problem(targets, _check_weights(weights, targets))
+    known = targets if problem.all_alike else _known(problem)
     if start is None:
-        start = torgerson(targets if known.all() else metricise(edges), dimensions)
+        start = torgerson(known if np.isfinite(known).all() else metricise(known), dimensions)
     positions = _check_start(start, len(targets))
-    targets[~known] = 0
-    return _majorise(targets, w, positions, chosen)
-
-
-def _majorise(
-    targets: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    positions: NDArray[np.float64],
-    options: SmacofOptions,
-) -> Scaling:
-    solve = _laplacian_solver(weights)
-    weighted_targets = weights * targets
-    total = _sum_of_pairs(weighted_targets * targets)
-    distances = cdist(positions, positions)
-    trace = [_raw_stress(weights, distances, targets)]
-    converged = trace[0] == 0
-    while not converged and len(trace) <= options.max_iterations:
-        ratios = np.divide(
-            weighted_targets, distances, out=np.zeros_like(targets), where=distances > 0
-        )
-        # B(X) X with b_ij = -w_ij D_ij / d_ij, and 0 where points coincide (8.25).
-        moved = solve(ratios.sum(axis=1)[:, None] * positions - ratios @ positions)
-        moved_distances = cdist(moved, moved)
-        raw = _raw_stress(weights, moved_distances, targets)
-        if raw > trace[-1]:  # by rounding alone, at the minimum: keep the better configuration
-            converged = True
-            break
-        converged = trace[-1] - raw <= options.tolerance * trace[-1] or raw <= 1e-30 * total
-        positions, distances = moved, moved_distances
-        trace.append(raw)
-    if not converged and options.max_iterations:
+    targets[np.isinf(targets)] = 0
+    find = SOLVERS[chosen.solver]
+    positions, trace, converged = find(problem, positions, chosen.tolerance, chosen.max_iterations)
+    if not converged and chosen.max_iterations:
         logger.info("SMACOF stopped after %d iterations, still improving", len(trace) - 1)
     history = np.array(trace)
     positions = positions - positions.mean(axis=0)
@@ -235,28 +214,27 @@ def _majorise(
     return Scaling(
         positions=positions,
         raw_stress=trace[-1],
-        spread=_sum_of_pairs(weights * distances**2),
+        spread=problem.weighted_squares(positions),
         trace=history,
         converged=bool(converged),
     )
 
 
-def _laplacian_solver(
-    weights: NDArray[np.float64],
-) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Give the map ``Y -> V^+ Y`` for columns Y that sum to zero."""
-    n_points = len(weights)
-    pairs = weights[~np.eye(n_points, dtype=bool)]
-    if n_points == 1 or (pairs == pairs[0]).all():
-        scale = n_points * (pairs[0] if pairs.size else 1.0)
-        return lambda product: np.asarray(product / scale)
-    laplacian = np.diag(weights.sum(axis=1)) - weights
-    # 11'/N fills the null space (all points moved alike), which the product B(X) X never enters.
-    factor = cho_factor(laplacian + weights.mean())
-    return lambda product: np.asarray(cho_solve(factor, product))
+def _known(problem: Problem) -> NDArray[np.float64]:
+    """Give the known distances, the others infinite, if they hold everything together."""
+    known = np.where(problem.weights > 0, problem.targets, np.inf)
+    np.fill_diagonal(known, 0)
+    n_pieces = components(known).max() + 1
+    if n_pieces > 1:
+        raise InputError(
+            f"the known distances leave {n_pieces} separate pieces: scale each by itself"
+        )
+    return known
 
 
 def _check_weights(weights: ArrayLike | None, targets: NDArray[np.float64]) -> NDArray[np.float64]:
+    if weights is None and np.isfinite(targets).all():
+        return np.ones((1, len(targets)))
     if weights is None:
         checked = np.ones_like(targets)
     else:
@@ -277,13 +255,3 @@ def _check_start(start: ArrayLike, n_points: int) -> NDArray[np.float64]:
     if not np.isfinite(positions).all():
         raise InputError("the start holds NaN or infinite coordinates")
     return positions
-
-
-def _raw_stress(
-    weights: NDArray[np.float64], distances: NDArray[np.float64], targets: NDArray[np.float64]
-) -> float:
-    return _sum_of_pairs(weights * (distances - targets) ** 2)
-
-
-def _sum_of_pairs(matrix: NDArray[np.float64]) -> float:
-    return float(matrix.sum()) / 2

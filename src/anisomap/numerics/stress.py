@@ -1,0 +1,113 @@
+"""The raw stress of a configuration and its gradient: plainly for few points, compiled for many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+from anisomap.numerics.compiled import COMPILED_FROM, kernels, spread
+
+Floats = NDArray[np.float64]
+
+COINCIDENT = 1e-150
+"""Points so close pull each other nowhere: which way would be rounding error."""
+
+PIECES = 16
+"""Pieces that the pairs are shared out to. A fixed number: sums are the same on every machine."""
+
+ROWS = 512
+"""Rows worked on at a time where a whole matrix of distances is not needed at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Distances to be fitted.
+
+    Attributes
+    ----------
+    targets : ndarray of shape (N, N)
+        Symmetric, finite; 0 where unknown.
+    weights : ndarray of shape (N, N) or (1, N)
+        Symmetric; 0 where unknown and on the diagonal. Or one row of ones, if all count alike.
+    """
+
+    targets: Floats
+    weights: Floats
+
+    @property
+    def all_alike(self) -> bool:
+        """Whether every distance counts alike."""
+        return len(self.weights) < len(self.targets)
+
+    def weight_of_points(self) -> Floats:
+        """Sum the weights of each point's distances, shape (N, 1)."""
+        if self.all_alike:
+            return np.full((len(self.targets), 1), len(self.targets) - 1.0)
+        return np.asarray(self.weights.sum(axis=1, keepdims=True))
+
+    def weighted_squares(self, positions: Floats | None = None) -> float:
+        """Sum w_ij d_ij^2 over i < j: of the distances between positions, or of the targets."""
+        total = 0.0
+        for begin in range(0, len(self.targets), ROWS):
+            rows = slice(begin, begin + ROWS)
+            lengths = self.targets[rows] if positions is None else cdist(positions[rows], positions)
+            weights = self.weights if self.all_alike else self.weights[rows]
+            total += float(np.vdot(weights * lengths, lengths))
+        return total / 2
+
+
+Objective = Callable[[Floats], tuple[float, Floats]]
+"""From positions (N, k) to their raw stress and its gradient (N, k)."""
+
+
+@contextmanager
+def objective(problem: Problem) -> Iterator[Objective]:
+    """Give the raw stress with its gradient as a function of positions.
+
+    Notes
+    -----
+    Borg & Groenen (2005), section 8.6: the gradient is ``2 (V X - B(X) X)``, that is, point i gets
+    ``2 sum_j w_ij (1 - D_ij / d_ij) (x_i - x_j)``.
+    """
+    n_points = len(problem.targets)
+    if n_points < COMPILED_FROM:
+        yield lambda positions: plain_stress(problem, positions)
+        return
+    with spread(n_points) as spread_over:
+        # Row i has N - 1 - i pairs: cut so that pieces have about equally many.
+        cuts = n_points * (1 - np.sqrt(1 - np.arange(PIECES + 1) / PIECES))
+        edges = np.round(cuts).astype(int).tolist()
+
+        def compiled_stress(positions: Floats) -> tuple[float, Floats]:
+            points = np.ascontiguousarray(positions.T)
+            slopes = np.zeros((PIECES, *points.shape))
+
+            def add(piece: int) -> float:
+                rows = (edges[piece], edges[piece + 1])
+                return float(
+                    kernels().add_stress(
+                        points, problem.targets, problem.weights, rows, slopes[piece]
+                    )
+                )
+
+            raw = sum(spread_over(add, range(PIECES)))
+            return raw, np.ascontiguousarray(2 * slopes.sum(axis=0).T)
+
+        yield compiled_stress
+
+
+def plain_stress(problem: Problem, positions: Floats) -> tuple[float, Floats]:
+    """Give the raw stress and its gradient by whole matrices."""
+    distances = cdist(positions, positions)
+    excess = distances - problem.targets
+    weighted = problem.weights * excess
+    raw = float(np.vdot(weighted, excess)) / 2
+    pulls = np.divide(
+        weighted, distances, out=np.zeros_like(distances), where=distances > COINCIDENT
+    )
+    return raw, 2 * (pulls.sum(axis=1)[:, None] * positions - pulls @ positions)
