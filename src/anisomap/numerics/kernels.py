@@ -80,49 +80,63 @@ def nearest(lengths: Floats, count: int) -> Ints:
 
 
 @numba.njit(nogil=True, cache=True)
+def _sweep(
+    tile: Floats, order: Ints, edges: tuple[Ints, Ints, Floats], stamps: Ints, clock: int
+) -> bool:
+    """Lower the paths to each node by those to its neighbours; tell whether any became shorter.
+
+    Row u of `tile` holds the paths to node u. ``stamps[u]`` tells when they last became shorter and
+    when they were last looked at: of a neighbour that is as it was then there is nothing to gain.
+    """
+    offsets, ends, lengths = edges
+    any_shorter = False
+    for node in order:
+        clock += 1
+        mine = tile[node]
+        shorter = 0
+        for edge in range(offsets[node], offsets[node + 1]):
+            if stamps[ends[edge], 0] > stamps[node, 1]:
+                theirs, length = tile[ends[edge]], lengths[edge]
+                for source in range(len(mine)):
+                    through = theirs[source] + length
+                    shorter |= through < mine[source]
+                    mine[source] = min(mine[source], through)
+        stamps[node, 1] = clock
+        if shorter:
+            stamps[node, 0] = clock
+            any_shorter = True
+    return any_shorter
+
+
+@numba.njit(nogil=True, cache=True)
 def relax(
     paths: Floats,
-    sources: Range,
+    sources: Ints,
     order: Ints,
     edges: tuple[Ints, Ints, Floats],
     most_sweeps: int,
 ) -> None:
     """Lower paths along edges until no edge helps any more: Bellman and Ford, many sources at once.
 
-    Column s of `paths` holds the paths from source s to every node. Of `edges` (offsets, ends,
-    lengths) those of node u stand from ``offsets[u]`` to ``offsets[u + 1]``. Nodes are swept in
-    `order` and back again; what neighbours have not changed is passed over.
+    Row s of `paths` holds the paths from source s to every node; those of `sources` are changed. Of
+    `edges` (offsets, ends, lengths) those of node u stand from ``offsets[u]`` to
+    ``offsets[u + 1]``. Nodes are swept in `order` and back again.
     """
-    begin, end = sources
-    offsets, ends, lengths = edges
     n_nodes = len(paths)
-    tile = paths[:, begin:end].copy()
-    lowered_at = np.zeros(n_nodes, np.int64)
-    seen_at = np.full(n_nodes, -1)
-    clock = 0
+    tile = np.empty((n_nodes, len(sources)))
+    for node in range(n_nodes):
+        for place in range(len(sources)):
+            tile[node, place] = paths[sources[place], node]
+    stamps = np.zeros((n_nodes, 2), np.int64)
+    stamps[:, 0] = 1
+    backwards = order[::-1].copy()
     for sweep in range(most_sweeps):
-        settled = True
-        for place in range(n_nodes):
-            node = order[place] if sweep % 2 == 0 else order[n_nodes - 1 - place]
-            clock += 1
-            mine = tile[node]
-            lowered = 0
-            for edge in range(offsets[node], offsets[node + 1]):
-                neighbour = ends[edge]
-                if lowered_at[neighbour] > seen_at[node]:
-                    length = lengths[edge]
-                    theirs = tile[neighbour]
-                    for source in range(end - begin):
-                        through = length + theirs[source]
-                        lowered |= through < mine[source]
-                        mine[source] = min(mine[source], through)
-            seen_at[node] = clock
-            if lowered:
-                lowered_at[node] = clock
-                settled = False
-        if settled:
+        towards = order if sweep % 2 == 0 else backwards
+        if not _sweep(tile, towards, edges, stamps, 1 + sweep * n_nodes):
             break
-    paths[:, begin:end] = tile
+    for node in range(n_nodes):
+        for place in range(len(sources)):
+            paths[sources[place], node] = tile[node, place]
 
 
 @numba.njit(nogil=True, cache=True, fastmath=REORDERED, error_model="numpy")

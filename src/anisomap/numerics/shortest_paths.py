@@ -78,14 +78,13 @@ def along_few_edges(lengths: NDArray[np.float64]) -> NDArray[np.float64] | None:
     n_nodes = len(lengths)
     near = _edges(lengths, np.repeat(np.arange(n_nodes), NEAREST), _nearest(lengths).ravel())
     order = _from_neighbour_to_neighbour(near)
-    back = np.argsort(order)
-    paths = lengths[:, order]  # sources that are near one another are relaxed together
+    paths = lengths.copy()
     _relax(paths, order, near, FIRST_SWEEPS)
-    tight = (paths[:, back] == lengths) & np.isfinite(lengths)
+    tight = paths == lengths
+    tight &= np.isfinite(lengths)
     if np.count_nonzero(tight) > FEW * n_nodes**2:
         return None
     _relax(paths, order, _edges(lengths, *np.nonzero(tight)), np.iinfo(np.int64).max)
-    paths = paths[:, back]
     for rows in _blocks(n_nodes, SOURCES):
         paths[rows] = np.minimum(paths[rows], paths[:, rows].T)
         paths[:, rows] = paths[rows].T
@@ -166,8 +165,9 @@ def _from_neighbour_to_neighbour(edges: Edges) -> NDArray[np.int64]:
 def _relax(
     paths: NDArray[np.float64], order: NDArray[np.int64], edges: Edges, most_sweeps: int
 ) -> None:
-    def relax(sources: slice) -> None:
-        kernels().relax(paths, (sources.start, sources.stop), order, tuple(edges), most_sweeps)
+    def relax(together: slice) -> None:
+        # Sources that follow one another in `order` are near: much of the graph can be passed over.
+        kernels().relax(paths, order[together], order, tuple(edges), most_sweeps)
 
     with spread(len(paths)) as spread_over:
         spread_over(relax, _blocks(len(paths), SOURCES))

@@ -1,0 +1,200 @@
+"""Ways down the stress: one function plainly and compiled, and no end above majorisation."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.optimize import approx_fprime
+from scipy.sparse.linalg import ArpackNoConvergence
+from scipy.spatial.distance import pdist, squareform
+from scipy.spatial.transform import Rotation
+
+from anisomap.errors import InputError
+from anisomap.evaluation import align
+from anisomap.numerics import compiled, scaling, stress
+from anisomap.numerics.scaling import SmacofOptions, smacof, torgerson
+from anisomap.numerics.solvers import BOTH_UP_TO, SOLVERS
+from anisomap.numerics.stress import Problem, objective, plain_stress
+from skins import lattice
+
+in_fixtures = settings(deadline=None, suppress_health_check=["function_scoped_fixture"])
+
+
+@pytest.fixture
+def always_compiled(monkeypatch):
+    monkeypatch.setattr(stress, "COMPILED_FROM", 1)
+
+
+@pytest.fixture(params=["plain", "compiled"])
+def either_way(request, monkeypatch):
+    monkeypatch.setattr(stress, "COMPILED_FROM", {"plain": 10_000, "compiled": 1}[request.param])
+
+
+@st.composite
+def problems(draw):
+    n, k = draw(st.integers(2, 20)), draw(st.integers(1, 4))
+    pairs = n * (n - 1) // 2
+    targets = squareform(draw(arrays(np.float64, pairs, elements=st.floats(0, 50))))
+    weights = np.ones((1, n))
+    if draw(st.booleans()):
+        some = draw(arrays(np.float64, pairs, elements=st.sampled_from([0.0, 0.1, 1.0, 7.0])))
+        # A path of pairs keeps it connected.
+        weights = squareform(some) + np.eye(n, k=1) + np.eye(n, k=-1)
+    # Steps of a quarter, so that some points coincide.
+    places = arrays(np.float64, (n, k), elements=st.integers(-8, 8).map(lambda step: step / 4))
+    return Problem(targets, weights), draw(places)
+
+
+def bent_skin(n_rows, seed):
+    """Distances along a flat skin, by paths a little too long: hard to lay flat in space."""
+    noise = np.random.default_rng(seed)
+    distances = pdist(lattice(n_rows, n_rows)) ** 0.9
+    return squareform(distances * noise.uniform(0.9, 1.1, len(distances)))
+
+
+@given(problems())
+@in_fixtures
+def test_compiled_loops_give_what_whole_matrices_give(always_compiled, case):
+    problem, positions = case
+    expected, slope = plain_stress(problem, positions)
+    with objective(problem) as function:
+        raw, gradient = function(positions)
+    assert raw == pytest.approx(expected, rel=1e-12)
+    np.testing.assert_allclose(gradient, slope, rtol=1e-9, atol=1e-9 * np.abs(slope).max(initial=1))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_gradient_is_the_derivative_of_the_stress(seed):
+    rng = np.random.default_rng(seed)
+    weights = squareform(rng.uniform(size=45))
+    problem = Problem(squareform(rng.uniform(1, 2, size=45)), weights)
+    positions = rng.normal(size=(10, 2))
+    differences = approx_fprime(
+        positions.ravel(), lambda flat: plain_stress(problem, flat.reshape(10, 2))[0]
+    )
+    gradient = plain_stress(problem, positions)[1]
+    np.testing.assert_allclose(gradient.ravel(), differences, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@given(problems())
+@in_fixtures
+def test_no_step_of_any_solver_raises_the_stress(either_way, solver, case):
+    problem, start = case
+    found = SOLVERS[solver](problem, start, 0.0, 40)
+    assert (np.diff(found.trace) <= 0).all()
+    assert found.trace[-1] == pytest.approx(plain_stress(problem, found.positions)[0], abs=1e-9)
+
+
+@given(problems())
+@settings(deadline=None)
+def test_of_few_points_the_default_is_never_above_majorisation(case):
+    problem, start = case
+    published = SOLVERS["majorization"](problem, start, 1e-8, 300)
+    assert SOLVERS["auto"](problem, start, 1e-8, 300).trace[-1] <= published.trace[-1]
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_of_more_points_it_finds_the_same_valley_in_fewer_steps(either_way, seed, dimensions):
+    distances = bent_skin(9, seed)
+    assert len(distances) > BOTH_UP_TO
+    ours = smacof(distances, dimensions=dimensions)
+    published = smacof(
+        distances, dimensions=dimensions, options=SmacofOptions(solver="majorization")
+    )
+    # Majorisation stops where it creeps; valleys side by side may differ in the sixth digit.
+    assert ours.raw_stress <= published.raw_stress * (1 + 1e-5)
+    assert len(ours.trace) < len(published.trace)
+
+
+def test_the_first_step_of_lbfgs_is_majorisation_s():
+    distances = bent_skin(6, 0)
+    first = [
+        smacof(distances, options=SmacofOptions(0, 1, solver)).positions
+        for solver in ("lbfgs", "majorization")
+    ]
+    np.testing.assert_allclose(*first, atol=1e-12)
+
+
+def test_pairs_without_weight_are_pairs_unknown(either_way):
+    points = np.random.default_rng(0).uniform(size=(80, 2))
+    distances = squareform(pdist(points))
+    unknown = distances > 0.6
+    tight = SmacofOptions(1e-12, 20_000)
+    missing = smacof(np.where(unknown, np.inf, distances), dimensions=2, options=tight)
+    assert align(missing.positions, points).rms < 1e-3
+    wrong = np.where(unknown, 3 * distances, distances)
+    weightless = smacof(
+        wrong, start=np.roll(points, 1, axis=1) ** 2, weights=~unknown, options=tight
+    )
+    assert align(weightless.positions, points).rms < 1e-3
+
+
+@pytest.mark.parametrize("n_threads", [2, 3])
+def test_threads_change_nothing(always_compiled, n_threads, monkeypatch):
+    distances = bent_skin(12, 0)
+    alone = smacof(distances)
+    monkeypatch.setattr(compiled, "SPREAD_FROM", 1)
+    monkeypatch.setattr(compiled, "thread_count", lambda: n_threads)
+    assert smacof(distances).positions.tobytes() == alone.positions.tobytes()
+
+
+@pytest.mark.parametrize("n_points", [1, 2, 3])
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_fewest_points(either_way, solver, n_points):
+    distances = 1.0 - np.eye(n_points)
+    found = smacof(distances, dimensions=2, options=SmacofOptions(solver=solver))
+    assert found.raw_stress == pytest.approx(0, abs=1e-12)
+    assert found.converged
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_points_that_all_coincide_stay_finite(either_way, solver):
+    found = smacof(bent_skin(3, 0), start=np.ones((9, 2)), options=SmacofOptions(solver=solver))
+    assert np.isfinite(found.positions).all()
+    assert smacof(np.zeros((9, 9)), options=SmacofOptions(solver=solver)).raw_stress < 1e-290
+
+
+def test_an_unknown_solver_is_refused():
+    with pytest.raises(InputError, match="majorization"):
+        SmacofOptions(solver="newton")
+
+
+def test_torgerson_tells_equal_eigenvalues_apart(monkeypatch):
+    # Every rotation of a cube maps these points to one another: three eigenvalues are one.
+    monkeypatch.setattr(scaling, "DENSE_LIMIT", 10)
+    points = np.random.default_rng(0).normal(size=(12, 3))
+    points = np.concatenate([turn.apply(points) for turn in Rotation.create_group("O")])
+    distances = squareform(pdist(points))
+    np.testing.assert_allclose(squareform(pdist(torgerson(distances, 3))), distances, atol=1e-9)
+
+
+@pytest.mark.parametrize("error", [ArpackNoConvergence("not settled", [], []), None])
+def test_torgerson_falls_back_to_the_full_decomposition(error, monkeypatch):
+    distances = bent_skin(7, 0) if error else np.zeros((49, 49))
+    expected = torgerson(distances, 2)
+
+    def unsettled(*_, **__):
+        raise error
+
+    monkeypatch.setattr(scaling, "DENSE_LIMIT", 10)
+    if error:
+        monkeypatch.setattr(scaling, "eigsh", unsettled)
+    np.testing.assert_array_equal(torgerson(distances, 2), expected)
+
+
+def test_small_maps_load_no_compiler():
+    program = (
+        "import sys, numpy as np\n"
+        "from anisomap.numerics.graph import metricise\n"
+        "from anisomap.numerics.scaling import smacof\n"
+        "place = np.random.default_rng(0).uniform(size=(60, 1))\n"
+        "smacof(metricise(abs(place - place.T)))\n"
+        "sys.exit('numba' in sys.modules)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
