@@ -7,25 +7,17 @@ from __future__ import annotations
 
 import argparse
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
-from scipy.sparse.csgraph import floyd_warshall
-from scipy.spatial.distance import pdist, squareform
 from scipy.stats import spearmanr
-from sklearn.manifold import smacof as sklearn_smacof
 from sklearn.metrics import mutual_info_score
 
 from anisomap.numerics.binning import maximum_entropy_codes
-from anisomap.numerics.dissimilarity import regularised_reciprocal
-from anisomap.numerics.graph import metricise
-from anisomap.numerics.scaling import SmacofOptions, smacof, torgerson
 from anisomap.numerics.similarity import information_of_codes, pearson, spearman
-from benchmarks import simulation
+from benchmarks import core, simulation
 
 Matrix = NDArray[np.float64]
 
@@ -77,38 +69,12 @@ def races(n_sensors: int, n_frames: int) -> Iterator[Race]:
         lambda: np.array([[mutual_info_score(a, b) for a in few.T] for b in few.T]),
         lambda a, b: np.allclose(a, b, atol=1e-10),
     )
-    dissimilarity = regularised_reciprocal(pearson(readings))
-    yield Race(
-        "metricising",
-        "scipy floyd_warshall",
-        lambda: metricise(dissimilarity),
-        lambda: np.asarray(floyd_warshall(dissimilarity, directed=False)),
-        lambda a, b: np.allclose(a, b, rtol=1e-12),
-    )
-    metric = metricise(dissimilarity)
-    yield Race(
-        "Torgerson",
-        "scipy.linalg.eigh",
-        lambda: torgerson(metric, 3),
-        lambda: _torgerson_by_definition(metric, 3),
-        lambda a, b: np.allclose(pdist(a), pdist(b), atol=1e-6 * metric.max()),
-    )
-    start = torgerson(metric, 3)
-    options = SmacofOptions(tolerance=0, max_iterations=50)
-    yield Race(
-        "SMACOF, 50 iterations",
-        "sklearn.manifold.smacof",
-        lambda: smacof(metric, start=start, options=options).positions,
-        lambda: _sklearn_positions(metric, start),
-        # scikit-learn's distances of close points are rounded off, so steps differ by a little.
-        lambda a, b: _stress(a, metric) <= _stress(b, metric) * (1 + 1e-6),
-    )
 
 
 def main() -> None:
     """Run the races and print a table in Markdown."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sensors", type=int, nargs="+", default=[60, 256, 1000])
+    parser.add_argument("--sensors", type=int, nargs="+", default=[256, 1000, 4000])
     parser.add_argument("--frames", type=int, default=4000)
     arguments = parser.parse_args()
     print("| sensors | stage | ours (s) | against | theirs (s) | ratio | same result |")
@@ -124,6 +90,8 @@ def main() -> None:
                 flush=True,
             )
     print()
+    core.main(arguments.sensors)
+    print()
     simulation.main()
 
 
@@ -135,25 +103,6 @@ def _timed(run: Callable[[], Matrix], least_seconds: float = 0.2) -> tuple[float
         result = run()
         seconds.append(time.perf_counter() - begin)
     return min(seconds), result
-
-
-def _torgerson_by_definition(metric: Matrix, dimensions: int) -> Matrix:
-    centring = np.eye(len(metric)) - 1 / len(metric)
-    values, vectors = eigh(-centring @ metric**2 @ centring / 2)
-    return np.asarray(vectors[:, -dimensions:] * np.sqrt(np.maximum(values[-dimensions:], 0)))
-
-
-def _sklearn_positions(metric: Matrix, start: Matrix) -> Matrix:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        found = sklearn_smacof(
-            metric, n_components=3, init=start, n_init=1, max_iter=50, eps=0, metric=True
-        )
-    return np.asarray(found[0])
-
-
-def _stress(positions: Matrix, metric: Matrix) -> float:
-    return float(((pdist(positions) - squareform(metric, checks=False)) ** 2).sum())
 
 
 if __name__ == "__main__":
