@@ -29,7 +29,7 @@ Matrix = NDArray[np.float64]
 Result = TypeVar("Result")
 
 NEAR_THE_BEST = 1 + 1e-3
-FEW_ITERATIONS = 5
+FEW_ITERATIONS = 30
 
 
 @dataclass(frozen=True)

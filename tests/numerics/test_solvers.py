@@ -98,18 +98,30 @@ def test_of_few_points_the_default_is_never_above_majorisation(case):
     assert SOLVERS["auto"](problem, start, 1e-8, 300).trace[-1] <= published.trace[-1]
 
 
-@pytest.mark.parametrize("dimensions", [2, 3])
-@pytest.mark.parametrize("seed", range(4))
-def test_of_more_points_it_finds_the_same_valley_in_fewer_steps(either_way, seed, dimensions):
-    distances = bent_skin(9, seed)
+def by_both(n_rows, seed, dimensions):
+    distances = bent_skin(n_rows, seed)
     assert len(distances) > BOTH_UP_TO
-    ours = smacof(distances, dimensions=dimensions)
-    published = smacof(
-        distances, dimensions=dimensions, options=SmacofOptions(solver="majorization")
+    published = SmacofOptions(solver="majorization")
+    return (
+        smacof(distances, dimensions=dimensions),
+        smacof(distances, dimensions=dimensions, options=published),
     )
-    # Majorisation stops where it creeps; valleys side by side may differ in the sixth digit.
-    assert ours.raw_stress <= published.raw_stress * (1 + 1e-5)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_where_there_is_one_valley_it_is_found_in_fewer_steps(either_way, seed):
+    ours, published = by_both(11, seed, dimensions=2)
+    assert ours.raw_stress <= published.raw_stress * (1 + 1e-7)
     assert len(ours.trace) < len(published.trace)
+
+
+def test_where_there_are_many_it_goes_as_deep_on_the_whole():
+    # A flat skin in space folds in many ways; which one is found hangs on the smallest step.
+    pairs = [by_both(11, seed, dimensions=3) for seed in range(6)]
+    depths = [np.log(ours.raw_stress / published.raw_stress) for ours, published in pairs]
+    assert np.median(depths) <= 0
+    assert max(depths) < 0.02
+    assert all(5 * len(ours.trace) < len(published.trace) for ours, published in pairs)
 
 
 def test_the_first_step_of_lbfgs_is_majorisation_s():

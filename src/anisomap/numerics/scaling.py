@@ -35,7 +35,7 @@ class SmacofOptions:
         Stop after so many iterations at the latest.
     solver : {"auto", "lbfgs", "majorization"}
         ``"majorization"`` is SMACOF as published, which creeps where a map is flat; ``"lbfgs"``
-        takes some ten times fewer iterations. ``"auto"`` is L-BFGS, and up to 50 points, where
+        takes some ten times fewer iterations. ``"auto"`` is L-BFGS, and up to 100 points, where
         minima are many, the better of both.
     """
 
@@ -112,7 +112,8 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     centring is applied as an operator, so the leading vectors of a large matrix cost only products
     with it.
     """
-    squares = check_semi_metric(distances) ** 2
+    squares = check_semi_metric(distances)
+    squares *= squares
     if dimensions < 1:
         raise InputError(f"{dimensions} dimensions hold no map; use 1 or more")
     if not np.isfinite(squares).all():

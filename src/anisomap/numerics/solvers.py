@@ -27,7 +27,7 @@ QUIET = 3
 TRIALS = 10
 """Lengths tried of one step."""
 
-BOTH_UP_TO = 50
+BOTH_UP_TO = 100
 """So few points have many minima and cost next to nothing: both ways are gone."""
 
 NEGLIGIBLE = 1e-30
@@ -72,7 +72,8 @@ def descend(problem: Problem, start: Floats, tolerance: float, max_iterations: i
     -----
     Its first guess of the curvature is twice the weight of each point's distances. With that alone
     and all weights equal, its step is majorisation's, so that is what remains where what L-BFGS
-    remembers misleads. No step raises the stress.
+    remembers misleads. No step raises the stress. Where there are many minima it may end in another
+    than majorisation does, more often a lower one.
     """
     n_points = len(start)
     scale = 2 * problem.weight_of_points() * n_points / max(n_points - 1, 1)

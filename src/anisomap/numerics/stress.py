@@ -52,6 +52,9 @@ class Problem:
 
     def weighted_squares(self, positions: Floats | None = None) -> float:
         """Sum w_ij d_ij^2 over i < j: of the distances between positions, or of the targets."""
+        if positions is not None and self.all_alike:  # Huygens: by the distances from the middle
+            apart = positions - positions.mean(axis=0)
+            return len(positions) * float(np.vdot(apart, apart))
         total = 0.0
         for begin in range(0, len(self.targets), ROWS):
             rows = slice(begin, begin + ROWS)
