@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
+from scipy.linalg.blas import dsymv
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
 from anisomap.errors import InputError
@@ -143,7 +144,8 @@ def _leading_iterated(
     squares: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     def double_centred(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-        product = squares @ (vector - vector.mean())
+        # Half of the matrix is read, which is what a product with a large one takes its time for.
+        product = dsymv(1.0, squares.T, vector - vector.mean())
         return np.asarray((product - product.mean()) / -2)
 
     operator = LinearOperator(squares.shape, matvec=double_centred, dtype=np.float64)
