@@ -7,11 +7,24 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import xlogy
 from scipy.stats import rankdata
 
-from anisomap.numerics.accumulators import CHUNK_FRAMES, Moments
+from anisomap.numerics.accumulators import (
+    CHUNK_FRAMES,
+    SINGLE_SENSORS,
+    Moments,
+    correlation_of_comoments,
+)
 from anisomap.numerics.activity import estimate_rest
 from anisomap.numerics.binning import DEFAULT_BINS, maximum_entropy_codes
+from anisomap.numerics.counting import (
+    MANY_SENSORS,
+    Counts,
+    Layout,
+    co_occurrences,
+    joint_logarithms,
+)
 
 _LARGEST = 1e100
+_MANY_CODES = 64  # more would make panels of counts too large
 
 
 def pearson(readings: ArrayLike) -> NDArray[np.float64]:
@@ -26,9 +39,10 @@ def pearson(readings: ArrayLike) -> NDArray[np.float64]:
     -------
     ndarray of shape (N, N)
         In [-1, 1], symmetric to the last bit, ones on the diagonal; 0 between a sensor that never
-        varies and any other.
+        varies and any other. From 512 sensors on, right to 1e-6: products are of float32 then.
     """
-    return Moments.of(_squarable(readings)).correlation()
+    values = _squarable(readings)
+    return Moments.of(values, single=values.shape[1] >= SINGLE_SENSORS).correlation()
 
 
 def spearman(readings: ArrayLike) -> NDArray[np.float64]:
@@ -60,7 +74,28 @@ def co_activation(readings: ArrayLike) -> NDArray[np.float64]:
     ndarray of shape (N, N)
         As `pearson`. What rest is: `anisomap.numerics.activity.estimate_rest`.
     """
-    return pearson(estimate_rest(readings).active(readings))
+    active = estimate_rest(readings).active(readings)
+    return phi_of_counts(co_occurrences(active, Layout.of_switches(active.shape[1])), len(active))
+
+
+def phi_of_counts(counts: Counts, n_frames: int) -> NDArray[np.float64]:
+    """Correlate sensors that are on or off, by how often they are on together.
+
+    Parameters
+    ----------
+    counts : ndarray of int, shape (N, N)
+        Frames in which both are on; on the diagonal, frames in which a sensor is.
+    n_frames : int
+        T.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        As `pearson`.
+    """
+    together = counts.astype(np.int64)
+    on = np.diag(together)
+    return correlation_of_comoments((n_frames * together - np.outer(on, on)).astype(np.float64))
 
 
 def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray[np.float64]:
@@ -113,14 +148,28 @@ def information_of_codes(codes: ArrayLike) -> NDArray[np.float64]:
     values = np.asarray(codes)
     n_frames, n_sensors = values.shape
     n_codes = int(values.max()) + 1
-    joint = np.zeros((n_sensors, n_sensors))
-    for a in range(n_codes):
-        counts = _co_occurrences(values, a, a)
-        joint += xlogy(counts, counts)
-        for b in range(a + 1, n_codes):
-            counts = _co_occurrences(values, a, b)
-            terms = xlogy(counts, counts)
-            joint += terms + terms.T
+    if n_sensors >= MANY_SENSORS and n_codes <= _MANY_CODES:
+        joint = joint_logarithms(values, n_codes)
+    else:
+        joint = _joint_logarithms(values, n_codes)
+    return information_of_logarithms(joint, n_frames)
+
+
+def information_of_logarithms(joint: NDArray[np.float64], n_frames: int) -> NDArray[np.float64]:
+    """Give the mutual information, in nats, of sums of n log n over joint counts.
+
+    Parameters
+    ----------
+    joint : ndarray of shape (N, N)
+        See `anisomap.numerics.counting.joint_logarithms`.
+    n_frames : int
+        T.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        See `mutual_information`.
+    """
     # A sensor meets itself only in equal codes, so the diagonal holds its own sum n_a log n_a.
     marginal = np.diag(joint)
     information = np.log(n_frames) + (joint - np.add.outer(marginal, marginal)) / n_frames
@@ -140,6 +189,19 @@ def _squarable(readings: ArrayLike) -> NDArray[np.generic]:
     if not ((reach > _LARGEST) | ((reach < 1 / _LARGEST) & (reach > 0))).any():
         return values
     return np.asarray(np.ldexp(values.astype(np.float64), -np.frexp(reach)[1]))
+
+
+def _joint_logarithms(codes: NDArray[np.generic], n_codes: int) -> NDArray[np.float64]:
+    """Sum n log n over joint counts, plainly: a matrix product for each pair of codes."""
+    joint = np.zeros((codes.shape[1],) * 2)
+    for a in range(n_codes):
+        counts = _co_occurrences(codes, a, a)
+        joint += xlogy(counts, counts)
+        for b in range(a + 1, n_codes):
+            counts = _co_occurrences(codes, a, b)
+            terms = xlogy(counts, counts)
+            joint += terms + terms.T
+    return joint
 
 
 def _co_occurrences(codes: NDArray[np.generic], first: int, second: int) -> NDArray[np.float64]:
