@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.numerics.counting import Codes, Counts, Layout, co_occurrences
+
 CHUNK_FRAMES = 8192
 """Frames that are converted to float64 at a time: enough for fast products, little memory."""
 
@@ -109,6 +111,47 @@ class Moments:
             varied is correlated with nothing: 0.
         """
         return correlation_of_comoments(self.comoment)
+
+
+@dataclass(frozen=True, eq=False)
+class CoOccurrences:
+    """How often pairs of series are on together: exact counts.
+
+    Attributes
+    ----------
+    n_frames : int
+        How many frames they are of, T.
+    first : ndarray of int, shape (N + 1,)
+        Where the series of each sensor begin: see `anisomap.numerics.counting.Layout`.
+    counts : ndarray of uint32 or uint64, shape (M, M)
+        Symmetric; how often a series itself is on stands on the diagonal.
+    """
+
+    n_frames: int
+    first: NDArray[np.int64]
+    counts: Counts
+
+    @classmethod
+    def of(cls, codes: Codes, layout: Layout) -> CoOccurrences:
+        """Count in an array of codes of shape (T, N), T >= 1."""
+        return cls(len(codes), layout.first, co_occurrences(codes, layout))
+
+    def merged(self, other: CoOccurrences) -> CoOccurrences:
+        """Join the counts of two disjoint sets of frames, of the same series.
+
+        Parameters
+        ----------
+        other : CoOccurrences
+            Of the same M series.
+
+        Returns
+        -------
+        CoOccurrences
+            Of all frames; the order of merging does not matter at all.
+        """
+        n_frames = self.n_frames + other.n_frames
+        dtype = np.uint32 if n_frames <= np.iinfo(np.uint32).max else np.uint64
+        return CoOccurrences(n_frames, self.first, np.add(self.counts, other.counts, dtype=dtype))
 
 
 def correlation_of_comoments(comoment: NDArray[np.float64]) -> NDArray[np.float64]:

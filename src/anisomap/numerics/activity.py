@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +17,8 @@ NOISE_QUANTILE = 0.99
 
 SKEW = 2.0
 """Contact reaches at least so many times as far as noise, or it cannot be told from noise."""
+
+_CHUNK_FRAMES = 256  # what is worked out on the way stays in the processor's cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +58,12 @@ class Rest:
 
     def active(self, readings: ArrayLike) -> NDArray[np.bool_]:
         """Tell which readings are beyond rest, as booleans of shape (T, N)."""
-        return np.asarray(self.depth(readings) > 0)
+        values = np.asarray(readings)
+        beyond = np.empty(values.shape, dtype=bool)
+        for start in range(0, len(values), _CHUNK_FRAMES):
+            frames = slice(start, start + _CHUNK_FRAMES)
+            beyond[frames] = self.depth(values[frames]) > 0
+        return beyond
 
 
 def estimate_rest(readings: ArrayLike) -> Rest:
@@ -77,19 +86,51 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     that reach about equally far on both sides (the pixels of a camera) have no rest to leave:
     what is beyond their median counts as active.
     """
-    values = np.asarray(readings, dtype=np.float64)
-    rest, side, threshold = np.array([_rest_of(column) for column in values.T]).T
+    counted = (np.unique(column, return_counts=True) for column in np.asarray(readings).T)
+    return rest_of_counts((values.astype(np.float64), counts) for values, counts in counted)
+
+
+def rest_of_counts(
+    counted: Iterable[tuple[NDArray[np.float64], NDArray[np.integer[Any]]]],
+) -> Rest:
+    """Estimate where each sensor rests from which values it read how often.
+
+    Parameters
+    ----------
+    counted : iterable of (ndarray, ndarray of int)
+        For each sensor its distinct values, in increasing order, and how often each occurred.
+
+    Returns
+    -------
+    Rest
+        As from `estimate_rest`.
+    """
+    rest, side, threshold = np.array([_rest_of(*pair) for pair in counted]).T
     return Rest(value=rest, side=side, threshold=threshold)
 
 
-def _rest_of(column: NDArray[np.float64]) -> tuple[float, float, float]:
-    distinct, counts = np.unique(column, return_counts=True)
-    resting = counts.max() >= max(2, ATOM * column.size)
-    value = distinct[counts.argmax()] if resting else np.median(column)
-    side = -1.0 if column.mean() < value else 1.0
-    beyond = side * (column - value)
-    noise = np.quantile(-beyond[beyond <= 0], NOISE_QUANTILE)
-    contact = np.quantile(beyond[beyond >= 0], NOISE_QUANTILE)
+def _rest_of(
+    values: NDArray[np.float64], counts: NDArray[np.integer[Any]]
+) -> tuple[float, float, float]:
+    n_frames = int(counts.sum())
+    resting = counts.max() >= max(2, ATOM * n_frames)
+    value = values[counts.argmax()] if resting else _quantile(values, counts, 0.5)
+    side = -1.0 if (counts * (values - value)).sum() < 0 else 1.0
+    beyond = side * (values - value)
+    quiet, touched = beyond <= 0, beyond >= 0
+    noise = _quantile(-beyond[quiet], counts[quiet], NOISE_QUANTILE)
+    contact = _quantile(beyond[touched], counts[touched], NOISE_QUANTILE)
     if not resting and contact < SKEW * noise:
         return float(value), 1.0, 0.0
-    return float(value), side, float(noise)
+    return float(value), side, noise
+
+
+def _quantile(values: NDArray[np.float64], counts: NDArray[np.integer[Any]], level: float) -> float:
+    """Give a quantile of values that occur several times, as `numpy.quantile` interpolates it."""
+    order = np.argsort(values)
+    ends = np.cumsum(counts[order])
+    place = level * (int(ends[-1]) - 1)
+    below = int(place)
+    at = np.searchsorted(ends, [below, min(below + 1, int(ends[-1]) - 1)], side="right")
+    low, high = values[order[at]]
+    return float(low + (place - below) * (high - low))
