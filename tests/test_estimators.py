@@ -12,7 +12,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from anisomap import Anisomap, SensorMapper, mantel, reconstruct
 from anisomap import estimators as estimators_module
-from anisomap.errors import InputError
+from anisomap.errors import AnisomapWarning, InputError
 from skins import flat_skin, lattice
 
 SKIN = flat_skin()
@@ -56,9 +56,13 @@ def test_frames_may_come_in_parts(monkeypatch):
     np.testing.assert_allclose(parts.transform(SKIN.readings), whole.transform(SKIN.readings))
 
 
-def test_only_methods_that_can_take_parts_offer_to():
-    assert hasattr(SensorMapper(), "partial_fit")
-    assert not hasattr(SensorMapper(method="i-anisomap"), "partial_fit")
+def test_too_many_values_for_parts_are_rounded_and_that_is_told(monkeypatch):
+    monkeypatch.setattr("anisomap.numerics.joint_values.MOST_SERIES", 42 * 50)
+    mapper = SensorMapper(n_components=2, method="i-anisomap")
+    with pytest.warns(AnisomapWarning, match="more than 50 different values"):
+        mapper.partial_fit(SKIN.readings)
+    whole = SensorMapper(n_components=2, method="i-anisomap").fit(SKIN.readings)
+    assert mantel(mapper.positions_, whole.positions_, permutations=0).r > 0.98
 
 
 def test_the_centre_of_contact_is_where_the_skin_is_touched():

@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
 from sklearn.metrics import pairwise_distances
-from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
 
+from anisomap.errors import AnisomapWarning
 from anisomap.methods import MethodOptions, find_method
 from anisomap.numerics.accumulators import Moments
 from anisomap.numerics.activity import Rest, estimate_rest
 from anisomap.numerics.binning import DEFAULT_BINS
+from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.graph import metricise
+from anisomap.numerics.joint_values import JointValues
 from anisomap.numerics.scaling import SmacofOptions, smacof
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
 
 SAMPLE_FRAMES = 4096
 """Frames that `SensorMapper.partial_fit` keeps, to tell where each sensor rests."""
-
-
-def _incremental(mapper: SensorMapper) -> bool:
-    """Tell whether the method's similarity can be taken in chunks of frames."""
-    return find_method(mapper.method).similarity == "pearson"
 
 
 class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
@@ -119,11 +117,8 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         self._set_map(recording)
         return self
 
-    @available_if(_incremental)
     def partial_fit(self, X: ArrayLike, y: object = None) -> Self:
         """Take in more frames of the same sensors, and make the map anew from all so far.
-
-        Only with methods built on Pearson's r; the others need all frames at once.
 
         Parameters
         ----------
@@ -145,13 +140,23 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         Notes
         -----
         Frames are not kept: memory does not grow with their number. The map is that of `fit` on
-        all of them, up to rounding, but sensor health is not assessed.
+        all of them, up to rounding, but sensor health is not assessed. What other methods than
+        those on Pearson's r make of a reading is known only once all frames are; so the joint
+        counts of values are kept, and a warning says so if a sensor reads too many values to keep
+        them apart (`anisomap.numerics.joint_values.MOST_SERIES` of all sensors together).
+        `anisomap.streaming.reconstruct_chunks`, which goes through the frames twice, keeps more.
+
+        Warns
+        -----
+        AnisomapWarning
+            If values had to be rounded, and as `anisomap.reconstruct`.
         """
         first = not hasattr(self, "n_samples_seen_")
         recording = self._validated(X, reset=first)
         if first:
             self._begin()
         self._take_in(recording)
+        self._count_pairs(recording)
         self._set_map(None)
         return self
 
@@ -204,14 +209,11 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
     def _begin(self) -> None:
         self.n_samples_seen_ = 0
-        self._moments: Moments | None = None
+        self._pairs: Moments | JointValues | None = None
         self._sample: NDArray[np.floating] | None = None
         self._stride = 1
 
     def _take_in(self, recording: Recording) -> None:
-        if _incremental(self):
-            moments = Moments.of(recording.readings)
-            self._moments = moments if self._moments is None else self._moments.merged(moments)
         # Every stride-th frame since the first: the sample is spread evenly, however many come.
         fresh = recording.readings[-self.n_samples_seen_ % self._stride :: self._stride]
         sample = fresh if self._sample is None else np.concatenate([self._sample, fresh])
@@ -222,9 +224,34 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         self.n_samples_seen_ += recording.n_frames
         self._rest: Rest = estimate_rest(sample)
 
+    def _count_pairs(self, recording: Recording) -> None:
+        """Add what a part of the frames tells of pairs of sensors."""
+        part: Any
+        if CHUNKED[find_method(self.method).similarity].of_values is None:
+            part = Moments.of(recording.readings)
+        else:
+            part = JointValues.of(recording.readings)
+        self._pairs = part if self._pairs is None else self._pairs.merged(part)
+
+    def _similarity(self) -> NDArray[np.float64] | None:
+        """Give the similarity from the parts, if frames came in parts."""
+        pairs = self._pairs
+        if pairs is None:
+            return None
+        if isinstance(pairs, Moments):
+            return pairs.correlation()
+        if not pairs.single.exact:
+            warnings.warn(
+                f"some sensors read more than {pairs.single.most} different values, which were "
+                "rounded to so many; hand all frames over at once to keep them apart",
+                AnisomapWarning,
+                stacklevel=4,
+            )
+        of_values = CHUNKED[find_method(self.method).similarity].of_values
+        return None if of_values is None else of_values(pairs, self.bins)
+
     def _set_map(self, recording: Recording | None) -> None:
-        moments = self._moments
-        constant = [] if moments is None else np.flatnonzero(~moments.varying()).tolist()
+        constant = [] if self._pairs is None else np.flatnonzero(~self._pairs.varying()).tolist()
         self.map_ = reconstruct(
             recording,
             method=self.method,
@@ -235,7 +262,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
                 smacof=SmacofOptions(self.tol, self.max_iter),
                 fewest_sensors=1,
             ),
-            similarity=None if moments is None else moments.correlation(),
+            similarity=self._similarity(),
             names=getattr(self, "feature_names_in_", ()),
             drop=constant,
         )

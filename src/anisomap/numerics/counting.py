@@ -12,12 +12,12 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import xlogy
+from threadpoolctl import threadpool_info
 
 from anisomap.numerics.kernels_counting import (
     Entries,
@@ -256,11 +256,15 @@ def _in_panels(
         count(int(first[start]), int(first[stop]), panel)
         take(start, stop, panel)
 
-    numba: Any = import_module("numba")
-    with ThreadPoolExecutor(numba.config.NUMBA_NUM_THREADS) as pool:
+    with ThreadPoolExecutor(_n_threads()) as pool:
         # Going through the results lets an error of a thread out.
         for _ in pool.map(work, cuts[:-1], cuts[1:]):
             pass
+
+
+def _n_threads() -> int:
+    """Use as many threads as linear algebra may: one knob for both, which workers turn to 1."""
+    return max((int(found["num_threads"]) for found in threadpool_info()), default=1)
 
 
 def _panel_counter(codes: Codes, layout: Layout) -> _Panel:

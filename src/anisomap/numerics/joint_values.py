@@ -75,6 +75,10 @@ class JointValues:
             counts[np.ix_(kept, kept)] += np.add.reduceat(rows, begins, axis=1).astype(dtype)
         return JointValues(single, counts)
 
+    def varying(self) -> NDArray[np.bool_]:
+        """Tell which sensors ever varied, shape (N,)."""
+        return self.single.varying()
+
     def of_series(self, codes: list[NDArray[np.intp]], layout: Layout) -> CoOccurrences:
         """Put values together to series.
 

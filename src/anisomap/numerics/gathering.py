@@ -1,0 +1,146 @@
+"""Map-reduce over chunks of frames, by one process, several, or several machines."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import BrokenExecutor
+from dataclasses import dataclass
+from importlib import import_module
+from itertools import islice
+from typing import Any
+
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from anisomap.errors import InputError, MissingExtraError
+from anisomap.numerics.checkpoints import Checkpoint
+
+logger = logging.getLogger(__name__)
+
+_ATTEMPTS = 3
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Who does the work.
+
+    Parameters
+    ----------
+    workers : int
+        Processes on this machine; 1 is none but this.
+    scheduler : str
+        Address of a Dask scheduler, as in ``tcp://host:8786``, whose workers do it instead.
+
+    Notes
+    -----
+    Another backend of joblib (Ray's, say) does the work if it is chosen around the call, with
+    ``joblib.parallel_config``, and `workers` is more than 1.
+    """
+
+    workers: int = 1
+    scheduler: str = ""
+
+
+ALONE = Crew()
+
+
+def gather(
+    chunks: Callable[[], Iterable[NDArray[Any]]],
+    take: Callable[[NDArray[Any]], Any],
+    *,
+    crew: Crew = ALONE,
+    checkpoint: Checkpoint | None = None,
+    stage: str = "total",
+) -> Any:
+    """Make something of every chunk and merge it.
+
+    Parameters
+    ----------
+    chunks : callable
+        Opens the chunks, from the first on, each time that it is called.
+    take : callable
+        Makes an accumulator of a chunk: something with a method `merged`. It must go to other
+        processes, if there are any.
+    crew : Crew
+    checkpoint : Checkpoint, optional
+        Where to go on, and what to keep up to date.
+    stage : str
+        Its name in the checkpoint.
+
+    Returns
+    -------
+    object
+        The accumulator of all chunks: merged in their order, whoever did the work, and so the
+        same to the last bit.
+
+    Raises
+    ------
+    InputError
+        If there is no chunk, or workers keep dying.
+    MissingExtraError
+        If a scheduler is given, and Dask is not installed.
+    """
+    done, total = checkpoint(stage) if checkpoint else (0, None)
+    failures = 0
+    while True:
+        try:
+            for part in _shared(islice(chunks(), done, None), take, crew):
+                total, done = part if total is None else total.merged(part), done + 1
+                failures = 0
+                if checkpoint:
+                    checkpoint.keep(stage, done, total)
+            break
+        except BrokenExecutor as error:
+            failures += 1
+            if failures == _ATTEMPTS:
+                raise InputError(
+                    f"workers died {failures} times over the chunk after the first {done}: "
+                    "they may lack memory; use fewer"
+                ) from error
+            logger.info("a worker died; going on after chunk %d", done)
+    if total is None:
+        raise InputError("there is no frame to make a map of")
+    if checkpoint:
+        checkpoint.keep(stage, done, total, now=True)
+    return total
+
+
+def _shared(
+    chunks: Iterable[NDArray[Any]], take: Callable[[NDArray[Any]], Any], crew: Crew
+) -> Iterator[Any]:
+    if crew.workers == 1 and not crew.scheduler:
+        return map(take, chunks)
+    joblib: Any = import_module("joblib")
+    if crew.scheduler:
+        return _on_dask(joblib, chunks, take, crew.scheduler)
+    pool = joblib.Parallel(crew.workers, return_as="generator", batch_size=1)
+    jobs: Iterator[Any] = pool(joblib.delayed(_alone)(take, chunk) for chunk in chunks)
+    return jobs
+
+
+def _on_dask(
+    joblib: Any, chunks: Iterable[NDArray[Any]], take: Callable[[NDArray[Any]], Any], address: str
+) -> Iterator[Any]:
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError as error:
+        raise MissingExtraError("work on a Dask cluster", "cluster") from error
+    try:
+        client = distributed.Client(address, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError(f"there is no Dask scheduler at {address}: {error}") from error
+    died = (distributed.client.FutureCancelledError, distributed.KilledWorker)
+    with client, joblib.parallel_config("dask", client=client):
+        pool = joblib.Parallel(return_as="generator", batch_size=1)
+        try:
+            yield from pool(joblib.delayed(_alone)(take, chunk) for chunk in chunks)
+        except died as error:
+            # Dask takes up the work of a worker that died, but not the chunks that it held.
+            raise BrokenExecutor(str(error)) from error
+
+
+def _alone(take: Callable[[NDArray[Any]], Any], chunk: NDArray[Any]) -> Any:
+    """Do a worker's part on one thread: the others have work of their own."""
+    with threadpool_limits(1):
+        return take(chunk)

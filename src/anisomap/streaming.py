@@ -1,0 +1,321 @@
+"""Maps of more frames than memory holds: from a file that is mapped, from many files, in chunks."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.health import SensorHealth, assess, weaknesses
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
+from anisomap.numerics.checkpoints import Checkpoint
+from anisomap.numerics.chunked import CHUNKED
+from anisomap.numerics.gathering import ALONE, Crew, gather
+from anisomap.numerics.values import ValueCounts
+from anisomap.reconstruction import reconstruct
+from anisomap.recording import MissingPolicy, Recording
+from anisomap.sensor_map import SensorMap
+
+logger = logging.getLogger(__name__)
+
+CHUNK_READINGS = 1 << 23
+"""Readings that are taken at a time."""
+
+EXCERPT_READINGS = 1 << 22
+"""Readings that sensor health is judged from, in pieces from all over the recording."""
+
+PIECE_FRAMES = 512
+"""Consecutive frames of a piece."""
+
+Chunks: TypeAlias = Callable[[], Iterable[ArrayLike]]
+"""Opens the readings from the first frame on, each time that it is called: arrays (t, N)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """What a map is made from, once all frames were gone through.
+
+    Attributes
+    ----------
+    similarity : ndarray of shape (N, N)
+    varying : ndarray of bool, shape (N,)
+        Which sensors ever varied.
+    n_frames : int
+        How many frames there were.
+    excerpt : Recording
+        Pieces from all over them; all frames, if they are few.
+    health : tuple of SensorHealth
+        Judged from the excerpt.
+    notes : tuple of str
+        What was not done as with one array.
+    """
+
+    similarity: NDArray[np.float64]
+    varying: NDArray[np.bool_]
+    n_frames: int
+    excerpt: Recording
+    health: tuple[SensorHealth, ...]
+    notes: tuple[str, ...] = ()
+
+
+def reconstruct_chunks(
+    readings: NDArray[Any] | Chunks,
+    method: str = DEFAULT_METHOD,
+    dimensions: int = 3,
+    *,
+    options: MethodOptions | None = None,
+    names: Sequence[str] = (),
+    missing: MissingPolicy = "error",
+    exclude: Iterable[str | int] = (),
+    drop: Iterable[str | int] = (),
+    crew: Crew = ALONE,
+    checkpoint: Path | None = None,
+) -> SensorMap:
+    """Make a map of a recording that is never in memory as a whole.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N), or callable
+        A memory-mapped array (``np.load(path, mmap_mode="r")``), or a function that opens the
+        recording anew each time and gives its chunks, arrays of shape (t, N).
+    method, dimensions, options, exclude, drop
+        As for `anisomap.reconstruct`.
+    names : sequence of str, optional
+        Names of the sensors.
+    missing : {"error", "drop-frames"}
+        What to do about NaN: see `Recording.complete`. There is no interpolating here.
+    crew : Crew
+        Who does the work.
+    checkpoint : pathlib.Path, optional
+        File to note down what was counted, and to go on from if it is there.
+
+    Returns
+    -------
+    SensorMap
+        The map that `anisomap.reconstruct` makes of all frames as one array (from 512 sensors on,
+        with a Pearson r that is more exact). Where a sensor read very many different values, these
+        are rounded for bins, ranks and rests, and a note says so.
+
+    Raises
+    ------
+    InputError
+        As `anisomap.reconstruct`, and if chunks are not all of the same sensors.
+
+    Warns
+    -----
+    AnisomapWarning
+        Once for each of the notes.
+    """
+    chunks = readings if callable(readings) else _cut(np.asanyarray(readings))
+    chosen = options or MethodOptions()
+    found = gather_similarity(
+        chunks,
+        method,
+        chosen,
+        like=names,
+        missing=missing,
+        crew=crew,
+        checkpoint=checkpoint,
+    )
+    return map_of(found, method, dimensions, options=chosen, exclude=exclude, drop=drop)
+
+
+def gather_similarity(
+    chunks: Chunks,
+    method: str,
+    options: MethodOptions,
+    *,
+    like: Recording | Sequence[str] = (),
+    missing: MissingPolicy = "error",
+    crew: Crew = ALONE,
+    checkpoint: Path | None = None,
+    source: str = "",
+) -> Gathered:
+    """Go through all frames, twice if need be, for a method's similarity.
+
+    Parameters
+    ----------
+    chunks, method, options, missing, crew, checkpoint
+        As for `reconstruct_chunks`.
+    like : Recording or sequence of str
+        One with the sensors' names, positions and whatever else is known, or just the names.
+    source : str
+        What the frames are of, so that no checkpoint is taken for that of others.
+
+    Returns
+    -------
+    Gathered
+    """
+    name = find_method(method).similarity
+    recipe, pieces = CHUNKED[name], _Pieces()
+    of = f"{name} of {source or 'frames'}, {options.bins} bins"
+    held = Checkpoint(checkpoint, of) if checkpoint else None
+
+    def watched() -> Iterator[NDArray[Any]]:
+        """Take the excerpt in passing; the second time, there is one."""
+        watching = not pieces.whole
+        for chunk in _checked(chunks(), missing):
+            if watching:
+                pieces.add(chunk)
+            yield chunk
+        pieces.whole = True
+
+    values: ValueCounts | None = None
+    if recipe.needs_values:
+        logger.info("finding the values that occur")
+        values = gather(watched, ValueCounts.of, crew=crew, checkpoint=held, stage="values")
+    logger.info("comparing all pairs of sensors (%s)", name)
+    take = recipe.prepare(values, options.bins)
+    total = gather(watched, take, crew=crew, checkpoint=held, stage="pairs")
+    varying = total.varying() if values is None else values.varying()
+    excerpt = pieces.recording(like)
+    notes = [] if values is None else list(_rounding(values, excerpt.names))
+    if excerpt.n_frames < total.n_frames:
+        notes.append(f"sensor health was judged from {excerpt.n_frames} of {total.n_frames} frames")
+    return Gathered(
+        similarity=recipe.finish(total),
+        varying=varying,
+        n_frames=total.n_frames,
+        excerpt=excerpt,
+        health=tuple(
+            _revised(sensor, bool(varies))
+            for sensor, varies in zip(assess(excerpt), varying, strict=True)
+        ),
+        notes=tuple(notes),
+    )
+
+
+def map_of(
+    found: Gathered,
+    method: str = DEFAULT_METHOD,
+    dimensions: int = 3,
+    *,
+    options: MethodOptions | None = None,
+    exclude: Iterable[str | int] = (),
+    drop: Iterable[str | int] = (),
+) -> SensorMap:
+    """Make a map of what was gathered.
+
+    Parameters
+    ----------
+    found : Gathered
+    method, dimensions, options, exclude, drop
+        As for `anisomap.reconstruct`; the method must have the similarity that was gathered.
+
+    Returns
+    -------
+    SensorMap
+    """
+    dropped = set(found.excerpt.indices(drop).tolist())
+    made = reconstruct(
+        method=method,
+        dimensions=dimensions,
+        options=options,
+        similarity=found.similarity,
+        names=found.excerpt.names,
+        exclude=exclude,
+        drop=sorted(dropped | set(np.flatnonzero(~found.varying).tolist())),
+        health=found.health,
+    )
+    kept = [sensor for i, sensor in enumerate(found.health) if i not in dropped]
+    notes = (*weaknesses(found.excerpt, kept), *found.notes)
+    for note in notes:
+        warnings.warn(note, AnisomapWarning, stacklevel=2)
+    provenance = {"source": found.excerpt.source, "frames": found.n_frames, **made.provenance}
+    del provenance["precomputed"]
+    return replace(made, notes=(*notes, *made.notes), provenance=provenance)
+
+
+def _cut(readings: NDArray[Any]) -> Chunks:
+    if readings.ndim != 2 or 0 in readings.shape:
+        raise InputError(
+            f"readings have shape {readings.shape}; they must be frames x sensors, shape (T, N)"
+        )
+    n_frames = max(1, CHUNK_READINGS // readings.shape[1])
+    return lambda: (
+        readings[start : start + n_frames] for start in range(0, len(readings), n_frames)
+    )
+
+
+def _checked(chunks: Iterable[ArrayLike], missing: MissingPolicy) -> Iterator[NDArray[Any]]:
+    """Give chunks of the same sensors, without missing readings; empty ones are left out."""
+    n_sensors, done = None, 0
+    for chunk in chunks:
+        array = np.asarray(chunk)
+        if array.dtype.kind not in "biuf" or array.ndim != 2:
+            raise InputError(
+                f"a chunk of readings is of type {array.dtype} and shape {array.shape}; it must "
+                "be of real numbers, frames x sensors"
+            )
+        if array.shape[1] != (n_sensors or array.shape[1]) or not array.shape[1]:
+            raise InputError(
+                f"from frame {done} on there are {array.shape[1]} sensors, but {n_sensors} before"
+            )
+        n_sensors, done = array.shape[1], done + len(array)
+        whole = _complete(array, missing, done - len(array))
+        if len(whole):
+            yield whole
+
+
+def _complete(array: NDArray[Any], missing: MissingPolicy, before: int) -> NDArray[Any]:
+    if array.dtype.kind != "f":
+        return array
+    gaps = ~np.isfinite(array)
+    if not gaps.any():
+        return array
+    if missing == "drop-frames":
+        return np.asarray(array[~gaps.any(axis=1)])
+    frame, sensor = np.argwhere(gaps)[0]
+    raise InputError(
+        f"readings are NaN or infinite, the first of sensor {sensor} in frame {before + frame}; "
+        "leave such frames out (drop-frames, --nan drop-frames): interpolating takes a recording "
+        "that is in memory as a whole"
+    )
+
+
+def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:
+    rounded = np.flatnonzero(values.grains)
+    if rounded.size:
+        yield (
+            f"{rounded.size} of {len(names)} sensors read more than {values.most} different "
+            "values, which were rounded to so many to find their bins, ranks or rests"
+        )
+
+
+def _revised(sensor: SensorHealth, varies: bool) -> SensorHealth:
+    """Take back that a sensor never varies if it does beyond the excerpt."""
+    if varies and sensor.status in ("dead", "stuck"):
+        return replace(sensor, status="ok", reason="")
+    return sensor
+
+
+class _Pieces:
+    """Every so many-th piece of consecutive frames, however many come."""
+
+    def __init__(self) -> None:
+        self._kept: list[NDArray[Any]] = []
+        self._stride, self._seen = 1, 0
+        self.whole = False
+
+    def add(self, chunk: NDArray[Any]) -> None:
+        most = max(2, EXCERPT_READINGS // (PIECE_FRAMES * chunk.shape[1]))
+        for start in range(0, len(chunk), PIECE_FRAMES):
+            if self._seen % self._stride == 0:
+                self._kept.append(np.array(chunk[start : start + PIECE_FRAMES]))
+            self._seen += 1
+            if len(self._kept) > most:
+                self._kept = self._kept[::2]
+                self._stride *= 2
+
+    def recording(self, like: Recording | Sequence[str]) -> Recording:
+        readings = np.concatenate(self._kept)
+        if isinstance(like, Recording):
+            return replace(like, readings=readings, times=None)
+        return Recording(readings, names=tuple(like))

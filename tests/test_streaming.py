@@ -1,0 +1,162 @@
+"""Recordings in chunks: the same map as of one array, whoever does the work, cut off or not."""
+
+import numpy as np
+import pytest
+
+from anisomap import Recording, SensorMapper, reconstruct, streaming
+from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.methods import METHODS
+from anisomap.numerics.accumulators import Moments
+from anisomap.numerics.gathering import Crew, gather
+from anisomap.streaming import reconstruct_chunks
+from dying import Dying
+from skins import flat_skin
+
+# Readings of so many levels as a sensor of 6 bits has.
+READINGS = np.round(flat_skin(n_frames=2500).readings * 20).astype(np.uint8)
+SKIN = Recording(READINGS)
+
+
+def cut_at(*cuts):
+    return lambda: iter(np.split(READINGS, cuts))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("cuts", [(), (7, 400, 401, 1100), range(50, 2500, 50)])
+def test_chunks_make_the_map_of_one_array(method, cuts):
+    expected = reconstruct(SKIN, method, 2)
+    found = reconstruct_chunks(cut_at(*cuts), method, 2)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
+    assert found.health == expected.health
+    assert found.notes == expected.notes
+    assert found.provenance["frames"] == 2500
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def test_a_live_stream_makes_the_map_of_one_array(method):
+    parts = SensorMapper(n_components=2, method=method)
+    for part in np.split(READINGS, [3, 900, 901]):
+        parts.partial_fit(part)
+    expected = reconstruct(SKIN, method, 2)
+    np.testing.assert_allclose(parts.positions_, expected.positions, atol=1e-10)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.uint8])
+def test_an_array_on_disk_is_gone_through_in_chunks(tmp_path, monkeypatch, dtype):
+    np.save(tmp_path / "skin.npy", READINGS.astype(dtype))
+    monkeypatch.setattr(streaming, "CHUNK_READINGS", 300 * 42)
+    mapped = np.load(tmp_path / "skin.npy", mmap_mode="r")
+    found = reconstruct_chunks(mapped, "i-anisomap", 2)
+    expected = reconstruct(SKIN, "i-anisomap", 2)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
+
+
+class PowerCutError(Exception):
+    """The power is gone."""
+
+
+def failing_at(n_chunks, passes):
+    """Open chunks of which some are never read, in the pass that is the last."""
+    opened = []
+
+    def chunks():
+        opened.append(True)
+        for i, chunk in enumerate(np.split(READINGS, 10)):
+            if len(opened) == passes and i == n_chunks:
+                raise PowerCutError
+            yield chunk
+
+    return chunks
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+def test_what_was_cut_off_goes_on(tmp_path, monkeypatch, passes):
+    monkeypatch.setattr("anisomap.numerics.checkpoints.SECONDS", 0)
+    expected = reconstruct(SKIN, "i-anisomap", 2)
+    file = tmp_path / "counts.npz"
+    options = {"method": "i-anisomap", "dimensions": 2, "checkpoint": file}
+    with pytest.raises(PowerCutError):
+        reconstruct_chunks(failing_at(6, passes), **options)
+    read = []
+
+    def counted():
+        for chunk in np.split(READINGS, 10):
+            read.append(1)
+            yield chunk
+
+    for _ in range(2):
+        found = reconstruct_chunks(counted, **options)
+        np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
+    assert [f.name for f in tmp_path.iterdir()] == ["counts.npz"]
+    with pytest.raises(FileError, match="something else"):
+        reconstruct_chunks(counted, "r-anisomap", 2, checkpoint=file)
+    file.write_bytes(file.read_bytes()[:-200])
+    with pytest.raises(FileError, match="damaged"):
+        reconstruct_chunks(counted, **options)
+
+
+@pytest.mark.parametrize("method", ["r-anisomap", "i-anisomap"])
+def test_workers_make_the_same_map_to_the_last_bit(method):
+    alone = reconstruct_chunks(cut_at(700, 1500), method, 2)
+    many = reconstruct_chunks(cut_at(700, 1500), method, 2, crew=Crew(2))
+    np.testing.assert_array_equal(many.positions, alone.positions)
+
+
+def test_a_worker_that_dies_is_done_without(tmp_path):
+    chunks = cut_at(700, 1500, 2000)
+    found = gather(chunks, Dying(tmp_path), crew=Crew(2))
+    expected = gather(chunks, Moments.of)
+    np.testing.assert_array_equal(found.comoment, expected.comoment)
+    assert (tmp_path / "dead").exists()
+
+
+def test_a_dask_cluster_makes_the_same(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    chunks = cut_at(*range(250, 2500, 250))
+    expected = gather(chunks, Moments.of)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        crew = Crew(scheduler=cluster.scheduler_address)
+        np.testing.assert_array_equal(gather(chunks, Moments.of, crew=crew).mean, expected.mean)
+        found = gather(chunks, Dying(tmp_path), crew=crew)
+    np.testing.assert_array_equal(found.comoment, expected.comoment)
+    assert (tmp_path / "dead").exists()
+
+
+def test_missing_readings():
+    readings = READINGS.astype(np.float32)
+    readings[1200, 3] = np.nan
+    chunks = np.split(readings, [1000])
+    with pytest.raises(InputError, match="sensor 3 in frame 1200"):
+        reconstruct_chunks(lambda: chunks)
+    found = reconstruct_chunks(lambda: chunks, "i-anisomap", 2, missing="drop-frames")
+    kept = Recording(np.delete(READINGS, 1200, axis=0))
+    expected = reconstruct(kept, "i-anisomap", 2)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("chunks", "message"),
+    [
+        ([], "no frame"),
+        ([READINGS, READINGS[:, :30]], "from frame 2500 on there are 30 sensors, but 42 before"),
+        ([np.array([["a", "b"]])], "real numbers"),
+        ([READINGS[0]], "frames x sensors"),
+    ],
+)
+def test_chunks_of_something_else_are_refused(chunks, message):
+    with pytest.raises(InputError, match=message):
+        reconstruct_chunks(lambda: chunks)
+
+
+def test_health_is_judged_from_an_excerpt_of_bounded_size(monkeypatch):
+    monkeypatch.setattr(streaming, "EXCERPT_READINGS", 42 * 800)
+    monkeypatch.setattr(streaming, "PIECE_FRAMES", 50)
+    late = READINGS.copy()
+    late[:-40, 7] = 0
+    with pytest.warns(AnisomapWarning, match=r"judged from \d+ of 2500 frames"):
+        found = reconstruct_chunks(lambda: np.split(late, 10), "r-anisomap", 2)
+    assert found.placed[7]
+    assert found.health[7] != "dead"
