@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
+from anisomap.cli import pipeline, streams
 from anisomap.evaluation import PERMUTATIONS
 from anisomap.methods import DEFAULT_METHOD, MethodOptions
 from anisomap.numerics.binning import DEFAULT_BINS
@@ -46,10 +46,14 @@ def map_recording(
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
+    large: Annotated[
+        streams.LargeOptions, Parameter(name="*", group=streams.large_group)
+    ] = streams.AS_EVER,
 ) -> None:
     """Make a map from a recording, or one from several of the same skin.
 
-    Sensors of several recordings are matched by name; some may be missing in some.
+    Sensors of several recordings are matched by name; some may be missing in some. Recordings too
+    large for memory are gone through in blocks: then all must have all sensors.
 
     Parameters
     ----------
@@ -84,23 +88,31 @@ def map_recording(
     )
     outputs.check(*recordings)
     placing.check(outputs.maps)
-    runs = pipeline.read_runs(recordings, reading.checked(), nan)
-    evidence = pipeline.examine_runs(runs)
+    how = reading.checked()
+    chosen = MethodOptions(
+        mu=mu,
+        bins=bins,
+        n_neighbours=neighbours,
+        smacof=SmacofOptions(tolerance, max_iterations),
+    )
+    found = None
+    if large.asked_for or streams.too_large(recordings, how):
+        evidence, found = streams.examine(
+            recordings, how, nan=nan, method=method, options=chosen, large=large
+        )
+    else:
+        evidence = pipeline.examine_runs(pipeline.read_runs(recordings, how, nan))
     names = evidence.recording.names
     pipeline.show_recording(evidence)
     sensor_map = pipeline.make_map(
         evidence,
         method,
         dimensions,
-        options=MethodOptions(
-            mu=mu,
-            bins=bins,
-            n_neighbours=neighbours,
-            smacof=SmacofOptions(tolerance, max_iterations),
-        ),
+        options=chosen,
         exclude=options.sensors(exclude, names),
         drop=options.sensors(drop, names),
         judge=confidence,
+        gathered=found,
     )
     sensor_map = placing.applied(sensor_map)
     pipeline.finish(outputs, sensor_map, evidence, permutations, seed)

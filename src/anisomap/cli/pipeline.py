@@ -18,6 +18,7 @@ from anisomap.methods import MethodOptions
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import assess_runs, join_runs, reconstruct_runs
 from anisomap.sensor_map import SensorMap
+from anisomap.streaming import Gathered, map_of
 
 
 @dataclass(frozen=True)
@@ -111,9 +112,12 @@ def make_map(
     exclude: Sequence[str] = (),
     drop: Sequence[str] = (),
     judge: bool = True,
+    gathered: Gathered | None = None,
 ) -> SensorMap:
     """Reconstruct, with progress; doubts are warned of on the way."""
     with progress("making the map"):
+        if gathered is not None:
+            return map_of(gathered, method, dimensions, options=options, exclude=exclude, drop=drop)
         return reconstruct_runs(
             evidence.runs or [evidence.recording],
             method,

@@ -1,0 +1,177 @@
+"""Recordings that are too large to be read as a whole: gone through in blocks."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from cyclopts import Group, Parameter
+from cyclopts.validators import Number
+from numpy.typing import NDArray
+
+from anisomap import formats
+from anisomap.cli.console import progress
+from anisomap.cli.pipeline import Evidence
+from anisomap.errors import InputError
+from anisomap.formats.grids import with_grid
+from anisomap.health import summarise
+from anisomap.methods import MethodOptions
+from anisomap.numerics.gathering import Crew
+from anisomap.recording import MissingPolicy, Recording, default_names
+from anisomap.streaming import CHUNK_READINGS, Gathered, gather_similarity
+
+LARGE_BYTES = 1 << 29
+"""Readings, as float32, that are not read as a whole any more."""
+
+PROBED_BYTES = 1 << 24
+"""Files smaller than this are not even looked into: they unpack to no large recording."""
+
+large_group = Group("Large recordings", sort_key=4)
+
+
+@dataclass(frozen=True)
+class LargeOptions:
+    """What to do with much.
+
+    Parameters
+    ----------
+    workers
+        Processes that go through the recording side by side.
+    dask
+        Let the workers of a Dask cluster do it: address of its scheduler, as in tcp://host:8786.
+    checkpoint
+        File to note down what was counted so far, and to go on from if it is there.
+    """
+
+    workers: Annotated[int, Parameter(validator=Number(gte=1))] = 1
+    dask: str = ""
+    checkpoint: Path | None = None
+
+    @property
+    def asked_for(self) -> bool:
+        """Whether any of them was given."""
+        return self.workers > 1 or bool(self.dask) or self.checkpoint is not None
+
+
+AS_EVER = LargeOptions()
+
+
+def too_large(paths: Sequence[Path], how: formats.ReadOptions) -> bool:
+    """Tell from their first blocks whether recordings are too large to be read as a whole."""
+    if how.preset or sum(map(_on_disk, paths)) < PROBED_BYTES:
+        return False
+    total = 0.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # whatever there is to say will be said in reading
+        for path in paths:
+            with formats.open_stream(path, options=how) as stream:
+                for block in stream.blocks:
+                    total += 4 * block.readings.size / max(block.share, 1e-9)
+                    break
+    return total > LARGE_BYTES
+
+
+def examine(
+    paths: Sequence[Path],
+    how: formats.ReadOptions,
+    *,
+    nan: MissingPolicy,
+    method: str,
+    options: MethodOptions,
+    large: LargeOptions,
+) -> tuple[Evidence, Gathered]:
+    """Go through recordings of the same sensors as one, with progress, for a method's map.
+
+    Raises
+    ------
+    InputError
+        If sensors are missing in some, or an option needs the recording as a whole.
+    """
+    if how.preset or nan == "interpolate":
+        option = "--nan interpolate" if nan == "interpolate" else "--preset"
+        raise InputError(
+            f"{option} needs a recording that is read as a whole, but this is gone through in "
+            "blocks; leave it out, or convert the recording first"
+        )
+    with progress("looking into the files"):
+        like = _like(paths, how)
+    with progress("going through all frames") as tell:
+        found = gather_similarity(
+            partial(_blocks, paths, how, like.names, tell),
+            method,
+            options,
+            like=like,
+            missing=nan,
+            crew=Crew(large.workers, large.dask),
+            checkpoint=large.checkpoint,
+            source=" + ".join(f"{path.name} ({_on_disk(path)} bytes)" for path in paths),
+        )
+    summary = replace(
+        summarise(found.excerpt, found.health),
+        n_frames=found.n_frames,
+        duration=None if like.rate_hz is None else found.n_frames / like.rate_hz,
+        n_constant=int(np.count_nonzero(~found.varying)),
+    )
+    return Evidence(found.excerpt, found.health, summary), found
+
+
+def _like(paths: Sequence[Path], how: formats.ReadOptions) -> Recording:
+    """Give a frame of the recordings, with all that is known of their sensors."""
+    known = [_first_frame(path, how) for path in paths]
+    first = known[0]
+    for path, other in zip(paths, known, strict=True):
+        if set(other.names) != set(first.names):
+            raise InputError(
+                f"{path} is not of the same sensors as {paths[0]}; recordings as large as these "
+                "can only be joined if all have all sensors"
+            )
+    return replace(first, source=" + ".join(recording.source for recording in known))
+
+
+def _first_frame(path: Path, how: formats.ReadOptions) -> Recording:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with formats.open_stream(path, frames=1, options=how) as stream:
+            readings = next((block.readings for block in stream.blocks), None)
+            if readings is None:
+                raise InputError(f"{path} holds no frame")
+            frame = Recording(
+                readings,
+                names=stream.names or default_names(stream.n_sensors),
+                rate_hz=stream.rate_hz,
+                positions=stream.positions,
+                normals=stream.normals,
+                surface_distances=stream.surface_distances,
+                units=stream.units,
+                source=stream.source or path.name,
+                metadata=stream.metadata,
+            )
+    return with_grid(frame, how.grid)
+
+
+def _blocks(
+    paths: Sequence[Path],
+    how: formats.ReadOptions,
+    names: Sequence[str],
+    tell: Callable[[float], None],
+) -> Iterator[NDArray[Any]]:
+    """Give the readings of one file after the other, sensors in the same order."""
+    n_frames = max(1, CHUNK_READINGS // len(names))
+    for done, path in enumerate(paths):
+        with formats.open_stream(path, frames=n_frames, options=how) as stream:
+            own = {name: i for i, name in enumerate(stream.names or names)}
+            order = [own[name] for name in names]
+            in_order = order == list(range(len(order)))
+            for block in stream.blocks:
+                yield block.readings if in_order else block.readings[:, order]
+                tell((done + block.share) / len(paths))
+
+
+def _on_disk(path: Path) -> int:
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
