@@ -17,7 +17,7 @@ from sklearn.metrics import mutual_info_score
 
 from anisomap.numerics.binning import maximum_entropy_codes
 from anisomap.numerics.similarity import information_of_codes, pearson, spearman
-from benchmarks import core, simulation
+from benchmarks import core, simulation, statistics
 
 Matrix = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def races(n_sensors: int, n_frames: int) -> Iterator[Race]:
         "numpy.corrcoef",
         lambda: pearson(readings),
         lambda: np.asarray(np.corrcoef(readings.T)),
-        lambda a, b: np.allclose(a, b, atol=1e-10),
+        lambda a, b: np.allclose(a, b, atol=1e-5),
     )
     yield Race(
         "Spearman rho",
@@ -90,6 +90,7 @@ def main() -> None:
                 flush=True,
             )
     print()
+    statistics.main(arguments.sensors)
     core.main(arguments.sensors)
     print()
     simulation.main()

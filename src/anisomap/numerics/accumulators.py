@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,13 +63,13 @@ class Moments:
 
     @classmethod
     def _of_chunk(cls, chunk: NDArray[np.generic], single: bool) -> Moments:
+        if single and (found := _in_float32(chunk)) is not None:
+            mean, small = found
+            return cls(len(chunk), mean, (small.T @ small).astype(np.float64))
         # Deviations from the first frame first: a constant sensor then has no rounding error.
         deviations = np.asarray(chunk, dtype=np.float64) - chunk[0]
         mean = deviations.mean(axis=0)
         deviations -= mean
-        if single and _squarable_in_float32(deviations):
-            halved = deviations.astype(np.float32)
-            return cls(len(chunk), chunk[0] + mean, (halved.T @ halved).astype(np.float64))
         return cls(len(chunk), chunk[0] + mean, deviations.T @ deviations)
 
     def merged(self, other: Moments) -> Moments:
@@ -166,10 +167,19 @@ def correlation_of_comoments(comoment: NDArray[np.float64]) -> NDArray[np.float6
     return correlation
 
 
-def _squarable_in_float32(deviations: NDArray[np.float64]) -> bool:
-    reach = np.abs(deviations).max(axis=0)
-    reach = reach[reach > 0]
-    return bool((reach < _SINGLE_RANGE).all() and (reach > 1 / _SINGLE_RANGE).all())
+def _in_float32(
+    chunk: NDArray[Any],
+) -> tuple[NDArray[np.float64], NDArray[np.float32]] | None:
+    """Give float64 means, and deviations from them as float32 unless their squares leave it."""
+    lowest, highest = (np.asarray(f(chunk, axis=0), np.float64) for f in (np.min, np.max))
+    reach = highest - lowest
+    if (reach > _SINGLE_RANGE).any() or ((reach < 1 / _SINGLE_RANGE) & (reach > 0)).any():
+        return None
+    mean = np.where(reach > 0, chunk.mean(axis=0, dtype=np.float64), lowest)
+    deviations = np.empty(chunk.shape, dtype=np.float32)
+    # The difference is taken in float64: only what is left is small enough for float32.
+    np.subtract(chunk, mean, out=deviations, dtype=np.float64, casting="same_kind")
+    return mean, deviations
 
 
 def _chunks(readings: NDArray[np.generic]) -> Iterator[NDArray[np.generic]]:
