@@ -6,6 +6,7 @@ import logging
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from mmap import mmap
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -52,7 +53,7 @@ class Gathered:
     excerpt : Recording
         Pieces from all over them; all frames, if they are few.
     health : tuple of SensorHealth
-        Judged from the excerpt.
+        Judged from the excerpt; contacts are projected from it to all frames.
     notes : tuple of str
         What was not done as with one array.
     """
@@ -185,7 +186,7 @@ def gather_similarity(
         n_frames=total.n_frames,
         excerpt=excerpt,
         health=tuple(
-            _revised(sensor, bool(varies))
+            _revised(sensor, bool(varies), total.n_frames / excerpt.n_frames)
             for sensor, varies in zip(assess(excerpt), varying, strict=True)
         ),
         notes=tuple(notes),
@@ -239,9 +240,19 @@ def _cut(readings: NDArray[Any]) -> Chunks:
             f"readings have shape {readings.shape}; they must be frames x sensors, shape (T, N)"
         )
     n_frames = max(1, CHUNK_READINGS // readings.shape[1])
-    return lambda: (
-        readings[start : start + n_frames] for start in range(0, len(readings), n_frames)
-    )
+    starts = range(0, len(readings), n_frames)
+    if isinstance(readings, np.memmap) and isinstance(readings.base, mmap):
+        return lambda: (_remapped(readings, start, n_frames) for start in starts)
+    return lambda: (readings[start : start + n_frames] for start in starts)
+
+
+def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[Any]:
+    """Map some frames by themselves: what one large map has touched stays in memory."""
+    if whole.filename is None or not whole.flags.c_contiguous:
+        return whole[start : start + n_frames]
+    shape = (min(n_frames, len(whole) - start), whole.shape[1])
+    offset = whole.offset + start * whole.strides[0]
+    return np.memmap(whole.filename, whole.dtype, "r", offset, shape)
 
 
 def _checked(chunks: Iterable[ArrayLike], missing: MissingPolicy) -> Iterator[NDArray[Any]]:
@@ -289,11 +300,12 @@ def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:
         )
 
 
-def _revised(sensor: SensorHealth, varies: bool) -> SensorHealth:
-    """Take back that a sensor never varies if it does beyond the excerpt."""
+def _revised(sensor: SensorHealth, varies: bool, whole: float) -> SensorHealth:
+    """Make of a judgement of the excerpt one of all frames, which are so many times as many."""
+    judged = replace(sensor, contacts=round(sensor.contacts * whole))
     if varies and sensor.status in ("dead", "stuck"):
-        return replace(sensor, status="ok", reason="")
-    return sensor
+        return replace(judged, status="ok", reason="")
+    return judged
 
 
 class _Pieces:
