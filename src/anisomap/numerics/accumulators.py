@@ -49,7 +49,7 @@ class Moments:
             Finite readings, T >= 1.
         single : bool
             Multiply in float32, twice as fast. Means, deviations and sums over chunks stay
-            float64, so that correlations are right to 1e-6.
+            float64, so that correlations are right to 1e-5.
 
         Returns
         -------

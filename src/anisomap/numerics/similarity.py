@@ -39,7 +39,7 @@ def pearson(readings: ArrayLike) -> NDArray[np.float64]:
     -------
     ndarray of shape (N, N)
         In [-1, 1], symmetric to the last bit, ones on the diagonal; 0 between a sensor that never
-        varies and any other. From 512 sensors on, right to 1e-6: products are of float32 then.
+        varies and any other. From 512 sensors on, right to 1e-5: products are of float32 then.
     """
     values = _squarable(readings)
     return Moments.of(values, single=values.shape[1] >= SINGLE_SENSORS).correlation()
