@@ -18,6 +18,7 @@ from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
 from anisomap.numerics.checkpoints import Checkpoint
 from anisomap.numerics.chunked import CHUNKED
+from anisomap.numerics.evidence import sampling_variance
 from anisomap.numerics.gathering import ALONE, Crew, gather
 from anisomap.numerics.values import ValueCounts
 from anisomap.reconstruction import reconstruct
@@ -101,8 +102,9 @@ def reconstruct_chunks(
     -------
     SensorMap
         The map that `anisomap.reconstruct` makes of all frames as one array (from 512 sensors on,
-        with a Pearson r that is more exact). Where a sensor read very many different values, these
-        are rounded for bins, ranks and rests, and a note says so.
+        with a Pearson r that is more exact; the covariogram method takes r alone). Where a sensor
+        read very many different values, these are rounded for bins, ranks and rests, and a note
+        says so.
 
     Raises
     ------
@@ -215,11 +217,17 @@ def map_of(
     SensorMap
     """
     dropped = set(found.excerpt.indices(drop).tolist())
+    noise = None
+    if find_method(method).refine is not None:
+        # The more frames, the less noise; how soon readings change, pieces tell as well.
+        share = found.excerpt.n_frames / found.n_frames
+        noise = share * sampling_variance(found.excerpt.readings)
     made = reconstruct(
         method=method,
         dimensions=dimensions,
         options=options,
         similarity=found.similarity,
+        noise=noise,
         names=found.excerpt.names,
         exclude=exclude,
         drop=sorted(dropped | set(np.flatnonzero(~found.varying).tolist())),
@@ -231,6 +239,8 @@ def map_of(
         warnings.warn(note, AnisomapWarning, stacklevel=2)
     provenance = {"source": found.excerpt.source, "frames": found.n_frames, **made.provenance}
     del provenance["precomputed"]
+    if provenance["similarity"] == "blended-correlation":
+        provenance["similarity"] = "pearson"  # see `anisomap.numerics.chunked`
     return replace(made, notes=(*notes, *made.notes), provenance=provenance)
 
 

@@ -54,8 +54,8 @@ def test_large_recordings_make_the_same_map(run, parts, method, request, monkeyp
 
 
 def test_workers_and_checkpoints(run, parts):
-    assert run("map", *parts, "-d", 2, "-o", "whole.csv").code == 0
-    options = ["-d", 2, "--checkpoint", "counts.npz"]
+    assert run("map", *parts, "-m", "r-anisomap", "-d", 2, "-o", "whole.csv").code == 0
+    options = ["-m", "r-anisomap", "-d", 2, "--checkpoint", "counts.npz"]
     assert run("map", *parts, *options, "--workers", 2, "-o", "first.csv").code == 0
     assert Path("counts.npz").exists()
     assert run("map", *parts, *options, "-o", "again.csv").code == 0
