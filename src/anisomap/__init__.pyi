@@ -30,3 +30,4 @@ from .runs import join_runs as join_runs
 from .runs import reconstruct_runs as reconstruct_runs
 from .sensor_map import SensorMap as SensorMap
 from .simulation import simulate as simulate
+from .streaming import reconstruct_chunks as reconstruct_chunks

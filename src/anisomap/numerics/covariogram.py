@@ -26,7 +26,7 @@ _HALF_WAY = (0.15, 0.45)
 
 _EXPONENTS = (0.3, 4.0)
 _NEAREST = 1e-6  # of a range
-_FLATTEST = 1e-3
+_AMPLITUDES = (1e-3, 10.0)
 _SMALLEST_EIGENVALUE = 0.5
 
 
@@ -58,7 +58,7 @@ class CovariogramOptions:
     ridge: float = 1.0
     tolerance: float = 1e-9
     max_iterations: int = 300
-    block: int = 600
+    block: int = 500
 
     def __post_init__(self) -> None:
         for name in ("loyalty", "repulsion", "tolerance"):
@@ -377,12 +377,11 @@ def _linear(products: Matrix) -> tuple[float, float]:
     """Solve for the amplitude and offset that leave the least whitened residual."""
     ee, eo, es, oo, os, _ = products
     determinant = ee * oo - eo * eo
-    if determinant > 1e-12 * ee * oo:
-        amplitude = (es * oo - eo * os) / determinant
-        if amplitude > 0:
-            return float(amplitude), float((ee * os - eo * es) / determinant)
-    # A function that does not fall explains nothing: leave the sensors to the priors.
-    return max(float(es / ee) if ee > 0 else 0.0, _FLATTEST), 0.0
+    alone = es / ee if ee > 0 else 0.0
+    amplitude = (es * oo - eo * os) / determinant if determinant > 1e-12 * ee * oo else alone
+    # Below, the function does not fall, and above, sensors are out of one another's sight.
+    amplitude = float(np.clip(amplitude, *_AMPLITUDES))
+    return amplitude, float((os - amplitude * eo) / oo) if oo > 0 else 0.0
 
 
 def _whitening(similarity: Matrix, ridge: float) -> Matrix:
