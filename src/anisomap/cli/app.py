@@ -37,6 +37,7 @@ for name, target, summary in (
     ("formats", "listing:formats", "List the file formats."),
     ("demo", "demo:demo", "Simulate a skin, map it, and score the map."),
     ("simulate", "simulating:simulate_body", "Make a recording whose truth is known."),
+    ("paper", "reproducing:paper", "Make every figure and table of the paper again."),
     ("coverage", "covering:coverage", "Tell how long a skin must be stimulated."),
     ("spoil", "spoiling:spoil", "Break sensors of a recording, on the record."),
     ("bodies", "listing:bodies", "List the bodies that can be simulated."),

@@ -77,7 +77,7 @@ def map_figure(sensor_map: SensorMap, score: Score | None) -> Figure:
     notes = _notes(sensor_map, score, len(others) - len(pieces), width)
     main_row = _ROW if first else 0.0
     height = _HEAD + main_row - (-len(pieces) // _PIECES_A_ROW) * _PIECES_ROW
-    with _style():
+    with drawing_style():
         figure = Figure(figsize=(width, height + _FOOT + _LINE * len(notes)), facecolor="white")
         for body in first:
             ratios = (1.0,) if flat else _SIDES if score is None else _COMPARISON
@@ -99,7 +99,7 @@ def map_figure(sensor_map: SensorMap, score: Score | None) -> Figure:
 def figure_bytes(figure: Figure, kind: str) -> bytes:
     """See `anisomap.figures.figure_bytes`."""
     buffer = io.BytesIO()
-    with _style(), warnings.catch_warnings():
+    with drawing_style(), warnings.catch_warnings():
         # A sensor's name may be in any script; a box in place of a letter is no reason to worry.
         warnings.filterwarnings("ignore", message=r"(?s).*missing from font")
         figure.savefig(buffer, format=kind, metadata=_NO_TRACES[kind])
@@ -107,7 +107,7 @@ def figure_bytes(figure: Figure, kind: str) -> bytes:
 
 
 @contextmanager
-def _style() -> Iterator[None]:
+def drawing_style() -> Iterator[None]:
     """Draw alike whatever a user's matplotlibrc says."""
     with style.context(["default", _STYLE]):
         yield
