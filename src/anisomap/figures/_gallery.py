@@ -16,28 +16,30 @@ from anisomap.figures._panels import FAINT, INK, Axes, Look, draw_body
 from anisomap.figures.gallery import Panel
 
 # Inches.
-_PANEL, _HEAD, _LINE, _BELOW = 3.5, 0.45, 0.17, 0.35
+_HEAD, _LINE, _BELOW = 0.45, 0.17, 0.35
 _CHARACTERS_AN_INCH = 13.5
 _SHORT = 0.6  # of the longest axis
 
 
-def gallery_figure(title: str, panels: Sequence[Panel], columns: int, note: str) -> Figure:
+def gallery_figure(
+    title: str, panels: Sequence[Panel], columns: int, note: str, size: float
+) -> Figure:
     """See `anisomap.figures.gallery.gallery_figure`."""
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
-    width = _PANEL * columns + 0.3
+    width = size * columns + 0.5
     lines = textwrap.wrap(note, int(width * _CHARACTERS_AN_INCH)) if note else []
     foot = _LINE * len(lines) + 0.15
-    height = _HEAD + rows * _PANEL + foot
+    height = _HEAD + rows * size + foot + 0.2
     with drawing_style():
         figure = Figure(figsize=(width, height), facecolor="white")
         cells = figure.add_gridspec(
             rows,
             columns,
-            left=0.45 / width,
+            left=0.7 / width,
             right=1 - 0.3 / width,
             top=1 - (_HEAD + _BELOW) / height,
-            bottom=(foot + _BELOW) / height,
+            bottom=(foot + _BELOW + 0.2) / height,
             wspace=0.22,
             hspace=0.34,
         )

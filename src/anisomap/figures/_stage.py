@@ -61,6 +61,26 @@ def scene_figure(scene: Scene, frame: int) -> Figure:
         return figure
 
 
+def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) -> Figure:
+    """Draw the bodies of several scenes, each sensor as if it were touched."""
+    with _style():
+        figure = Figure(figsize=(4.0 * len(scenes), 4.6), facecolor="white")
+        figure.suptitle(title, x=0.015, ha="left", fontsize=13, fontweight="bold")
+        figure.subplots_adjust(left=0.01, right=0.94, bottom=0.08, top=0.86, wspace=0.16)
+        for i, (scene, label) in enumerate(zip(scenes, labels, strict=True)):
+            alone = replace(
+                scene,
+                props=tuple(prop for prop in scene.props if prop.role == "body"),
+                readings=np.ones_like(scene.readings),
+            )
+            axes = figure.add_subplot(1, len(scenes), i + 1, projection="3d", computed_zorder=False)
+            axes.set_title(label, color=INK)
+            _draw_stage(axes, alone, 0, Normalize(0, 1))
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_locator(MaxNLocator(2))
+        return figure
+
+
 def animate(
     scene: Scene, path: Path, frames: NDArray[np.intp], tell: Callable[[float], None]
 ) -> None:

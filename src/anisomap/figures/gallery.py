@@ -142,7 +142,9 @@ def map_panel(
     )
 
 
-def gallery_figure(title: str, panels: Sequence[Panel], columns: int, note: str = "") -> Figure:
+def gallery_figure(
+    title: str, panels: Sequence[Panel], columns: int, note: str = "", *, size: float = 3.5
+) -> Figure:
     """Draw panels, row by row.
 
     Parameters
@@ -153,6 +155,8 @@ def gallery_figure(title: str, panels: Sequence[Panel], columns: int, note: str 
         Panels a row.
     note : str
         What to say below.
+    size : float
+        Inches, of a panel.
 
     Returns
     -------
@@ -168,7 +172,7 @@ def gallery_figure(title: str, panels: Sequence[Panel], columns: int, note: str 
     """
     if not panels:
         raise InputError("there is no panel to draw")
-    figure: Figure = load_drawing("_gallery").gallery_figure(title, panels, columns, note)
+    figure: Figure = load_drawing("_gallery").gallery_figure(title, panels, columns, note, size)
     return figure
 
 

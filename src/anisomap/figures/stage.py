@@ -54,6 +54,34 @@ def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
     return figure
 
 
+def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) -> Figure:
+    """Draw the bodies of several scenes side by side, with their sensors.
+
+    Parameters
+    ----------
+    title : str
+    scenes : sequence of Scene
+        Of each the first frame; what touches the body is left out.
+    labels : sequence of str
+        One a scene.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    InputError
+        If there is not one label a scene.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    if not scenes or len(scenes) != len(labels):
+        raise InputError(f"{len(labels)} labels for {len(scenes)} scenes; give one a scene")
+    figure: Figure = load_drawing("_stage").bodies_figure(title, scenes, labels)
+    return figure
+
+
 def busiest_frame(scene: Scene) -> int:
     """Find the frame in which most sensors read something."""
     return int(np.argmax((scene.readings > 0).sum(axis=1)))

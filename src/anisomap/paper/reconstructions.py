@@ -75,28 +75,26 @@ def supplementary(body: str, number: str, settings: Settings, _: Tables) -> Outc
     return Outcome((Picture(name, caption, figure),), (table,))
 
 
-EXPERIMENTS = (
+FIGURE_1 = Experiment(
+    "figure-1",
+    "Figure 1: typical reconstructions by r-ANISOMAP",
+    "The paper shows one randomly chosen reconstruction each of cylinder, plane, Y-shape and "
+    "sphere after 2,000 frames of bombardment by small balls.",
+    figure_1,
+    cost=20,
+)
+SUPPLEMENTARY = tuple(
     Experiment(
-        "figure-1",
-        "Figure 1: typical reconstructions by r-ANISOMAP",
-        "The paper shows one randomly chosen reconstruction each of cylinder, plane, Y-shape and "
-        "sphere after 2,000 frames of bombardment by small balls.",
-        figure_1,
-        cost=20,
-    ),
-    *(
-        Experiment(
-            f"figure-{number.lower()}",
-            f"Figure {number}: {body}, bombardment, all methods",
-            f"The randomly chosen run of the {body}, reconstructed by each of the four methods.",
-            partial(supplementary, body, number),
-            cost=12,
-        )
-        for number, body in (
-            ("S1", "cylinder"),
-            ("S2", "plane"),
-            ("S3", "y-shape"),
-            ("S4", "sphere"),
-        )
-    ),
+        f"figure-{number.lower()}",
+        f"Figure {number}: {body}, bombardment, all methods",
+        f"The randomly chosen run of the {body}, reconstructed by each of the four methods.",
+        partial(supplementary, body, number),
+        cost=12,
+    )
+    for number, body in (
+        ("S1", "cylinder"),
+        ("S2", "plane"),
+        ("S3", "y-shape"),
+        ("S4", "sphere"),
+    )
 )

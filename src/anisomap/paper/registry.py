@@ -5,10 +5,35 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from anisomap.paper import reconstructions
+from anisomap.paper import (
+    claims,
+    hardware,
+    quality,
+    reconstructions,
+    scenes,
+    senses,
+    sensitivity,
+    shapes,
+    supplement,
+)
 from anisomap.paper.experiment import Experiment
 
-EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
-    {one.name: one for one in (*reconstructions.EXPERIMENTS,)}
+_IN_ORDER = (
+    claims.EXPERIMENT,
+    reconstructions.FIGURE_1,
+    hardware.FIGURE_2,
+    hardware.REAL_SKIN,
+    *quality.EXPERIMENTS,
+    shapes.FIGURE_4,
+    *scenes.EXPERIMENTS,
+    shapes.FIGURE_7,
+    *reconstructions.SUPPLEMENTARY,
+    *hardware.SUPPLEMENTARY,
+    *supplement.EXPERIMENTS,
+    quality.BINS,
+    *sensitivity.EXPERIMENTS,
+    *senses.EXPERIMENTS,
 )
+
+EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({one.name: one for one in _IN_ORDER})
 """By name, which is also that of the folder that an experiment leaves."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from anisomap.figures.charts import METHOD_LOOKS, NullBox
 from anisomap.methods import MethodOptions
 from anisomap.numerics.binning import DEFAULT_BINS
 from anisomap.paper.experiment import Row, Settings
-from anisomap.paper.measures import spread_of_radii
+from anisomap.paper.measures import axial_scale, spread_of_radii
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
@@ -46,8 +48,15 @@ class Case:
 
     def record(self, settings: Settings, seed: int, **parameters: Any) -> Recording:
         """Simulate it; `parameters` may hold ``n_frames``."""
+        if not parameters:
+            return _simulated(self.body, self.scenario, seed, settings.n_frames)
         chosen = {"n_frames": settings.n_frames, **parameters}
         return simulate(self.body, self.scenario, seed=seed, **chosen)
+
+
+@lru_cache(maxsize=64)  # many experiments look at the same runs
+def _simulated(body: str, scenario: str, seed: int, n_frames: int) -> Recording:
+    return simulate(body, scenario, seed=seed, n_frames=n_frames)
 
 
 BOMBARDED = (
@@ -87,7 +96,7 @@ def patch_run(settings: Settings, number: int) -> Recording:
     Returns
     -------
     Recording
-        Of the 60 sensors of six triangles.
+        Of the 60 sensors of six triangles; positions in mm.
     """
     frames = PATCH_FRAMES[number - 1]
     seed = settings.seed + number - 1
@@ -95,7 +104,12 @@ def patch_run(settings: Settings, number: int) -> Recording:
     recording = dead(simulate("hexagon", "rubbing", n_frames=n_frames, seed=seed), SILENT)
     if number >= FIRST_FAILED_RUN:
         recording = saturating(recording, [FAILING], rng=seed)
-    return replace(recording, source=f"simulated patch, run {number}, seed {seed}")
+    return replace(
+        recording,
+        positions=1e3 * truth_of(recording),
+        units="mm",
+        source=f"simulated patch, run {number}, seed {seed}",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +164,10 @@ SCORE_COLUMNS = {
     "neighbours_kept": "share of the six true nearest neighbours that are nearest on the map",
     "spread_of_radii": "standard deviation over mean of the distances from the map's centroid",
     "true_spread_of_radii": "the same of the true positions",
+    "axial_scale": "of a cylinder in 3D: scale along the axis over scale away from it, of the map "
+    "laid onto the truth; below 1 it is compressed along the axis",
+    "local_axial_scale": "of a cylinder in 3D: distance between neighbours along the axis over "
+    "that of neighbours around it, against the truth; below 1, those along it are too close",
     "stress": "Stress-1 of the scaling",
 }
 
@@ -181,7 +199,14 @@ def score_rows(
                     exclude=left_out,
                     options=MethodOptions(bins=bins),
                 )
-                yield (run, seed, method, k, bins, *_score_cells(scored))
+                yield (
+                    run,
+                    seed,
+                    method,
+                    k,
+                    bins,
+                    *_score_cells(scored, recording.metadata.get("body")),
+                )
 
 
 def null_box(row: dict[str, Any]) -> NullBox:
@@ -198,7 +223,7 @@ def null_box(row: dict[str, Any]) -> NullBox:
     )
 
 
-def _score_cells(scored: Scored) -> Row:
+def _score_cells(scored: Scored, body: object) -> Row:
     result = scored.score
     return (
         result.mantel.r,
@@ -207,14 +232,23 @@ def _score_cells(scored: Scored) -> Row:
         result.neighbours_kept,
         spread_of_radii(scored.sensor_map.positions[result.sensors]),
         spread_of_radii(result.truth),
+        *_axial_cells(scored, body),
         scored.sensor_map.stress,
     )
+
+
+def _axial_cells(scored: Scored, body: object) -> Row:
+    if body != "cylinder" or scored.sensor_map.dimensions != 3:
+        return (math.nan, math.nan)
+    sensors = scored.score.sensors
+    scale = axial_scale(scored.sensor_map.positions[sensors], scored.score.truth)
+    return (scale.whole, scale.local)
 
 
 def _null_cells(mantel: Mantel) -> Row:
     null = mantel.null
     if not null.size:
-        return (*[float("nan")] * 7, 0)
+        return (*[math.nan] * 7, 0)
     first, middle, third = np.quantile(null, (0.25, 0.5, 0.75)).tolist()
     reach = _WHISKER * (third - first)
     inside = null[(null >= first - reach) & (null <= third + reach)]
