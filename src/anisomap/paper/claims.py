@@ -155,5 +155,14 @@ EXPERIMENT = Experiment(
     "supplement with the paper's parameters is lost, so where a claim does not hold here, our "
     "physics may differ from theirs: the curves further down show what each parameter decides.",
     claims_table,
-    needs=(*SCORES, "figure-2", "figure-4", "figure-7", "bins", "retina", "cochlea"),
+    needs=(
+        *SCORES,
+        "figure-2",
+        "figure-4",
+        "figure-7",
+        "bins",
+        "failing-sensor",
+        "retina",
+        "cochlea",
+    ),
 )

@@ -61,7 +61,7 @@ def _truth(recording: Recording, dimensions: int, title: str = "true places") ->
     )
 
 
-def _map(
+def patch_map(
     recording: Recording, method: str, dimensions: int, title: str = ""
 ) -> tuple[Panel, float, float]:
     """Draw a map; give its Mantel r, and how isolated the failing sensor is."""
@@ -83,7 +83,7 @@ def figure_2(settings: Settings, _: Tables) -> Outcome:
     """Draw r-ANISOMAP's maps of all runs on the patch."""
     runs = {number: patch_run(settings, number) for number in PATCH_RUNS}
     panels = [_truth(runs[1], 2, "actual configuration")]
-    panels += [_map(run, "r-anisomap", 2, f"run {number}")[0] for number, run in runs.items()]
+    panels += [patch_map(run, "r-anisomap", 2, f"run {number}")[0] for number, run in runs.items()]
     figure = gallery_figure(
         "Figure 2. r-ANISOMAP's maps of the simulated patch", panels, 3, _HOW_MADE
     )
@@ -92,7 +92,7 @@ def figure_2(settings: Settings, _: Tables) -> Outcome:
         seed = settings.seed + number - 1
         for method in METHODS:
             for k in (2, 3):
-                _panel, r, alone = _map(run, method, k)
+                _panel, r, alone = patch_map(run, method, k)
                 rows.append((number, run.n_frames, seed, method, k, r, alone))
     seeds = f"{settings.seed} to {settings.seed + len(PATCH_RUNS) - 1}"
     caption = f"r-ANISOMAP on the simulated patch, runs 1 to 5 (seeds {seeds}), in 2D."
@@ -107,7 +107,7 @@ def supplementary(number: int, settings: Settings, _: Tables) -> Outcome:
     for k in (2, 3):
         panels.append(_truth(recording, k))
         for method in METHODS:
-            panel, r, alone = _map(recording, method, k)
+            panel, r, alone = patch_map(recording, method, k)
             panels.append(panel)
             seed = settings.seed + number - 1
             rows.append((number, recording.n_frames, seed, method, k, r, alone))

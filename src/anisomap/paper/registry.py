@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from anisomap.paper import (
     claims,
+    failing,
     hardware,
     quality,
     reconstructions,
@@ -31,6 +32,7 @@ _IN_ORDER = (
     *hardware.SUPPLEMENTARY,
     *supplement.EXPERIMENTS,
     quality.BINS,
+    failing.EXPERIMENT,
     *sensitivity.EXPERIMENTS,
     *senses.EXPERIMENTS,
 )

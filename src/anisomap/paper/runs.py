@@ -83,7 +83,7 @@ FAILING = "t3p0"
 FIRST_FAILED_RUN = 4
 
 
-def patch_run(settings: Settings, number: int) -> Recording:
+def patch_run(settings: Settings, number: int, **failure: float) -> Recording:
     """Rub the twin of the hardware patch.
 
     Parameters
@@ -92,6 +92,8 @@ def patch_run(settings: Settings, number: int) -> Recording:
     number : int
         1 to 5. Run and seed decide how it is rubbed; a triangle is silent in all runs, and from
         run 4 on one sensor saturates now and then.
+    **failure
+        Parameters of `anisomap.simulation.saturating`.
 
     Returns
     -------
@@ -101,9 +103,9 @@ def patch_run(settings: Settings, number: int) -> Recording:
     frames = PATCH_FRAMES[number - 1]
     seed = settings.seed + number - 1
     n_frames = frames // 8 if settings.quick else frames
-    recording = dead(simulate("hexagon", "rubbing", n_frames=n_frames, seed=seed), SILENT)
+    recording = dead(_simulated("hexagon", "rubbing", seed, n_frames), SILENT)
     if number >= FIRST_FAILED_RUN:
-        recording = saturating(recording, [FAILING], rng=seed)
+        recording = saturating(recording, [FAILING], rng=seed, **failure)
     return replace(
         recording,
         positions=1e3 * truth_of(recording),

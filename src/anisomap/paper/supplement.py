@@ -18,7 +18,7 @@ from anisomap.recording import Recording
 from anisomap.simulation import find_body, find_scenario
 from anisomap.simulation.options import fitted
 
-_WIDTH = 96
+_WIDTH = 100
 _FILES = {
     "file": "name of the file",
     "what": "what was recorded",
