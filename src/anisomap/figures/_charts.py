@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import NullLocator
 
 from anisomap.figures._layout import drawing_style
 from anisomap.figures._panels import FAINT, INK, Axes
@@ -107,7 +107,7 @@ def _draw_null(axes: Axes, x: float, box: NullBox, look: MethodLook) -> None:
 
 
 def _draw_curves(axes: Axes, panel: CurvePanel, logarithmic: bool) -> None:
-    if panel.default is not None:
+    if panel.default is not None and panel.x.min() <= panel.default <= panel.x.max():
         axes.axvline(panel.default, color=FAINT, linewidth=0.9, linestyle=":")
     for method, values in panel.curves.items():
         look = METHOD_LOOKS[method]
@@ -119,7 +119,7 @@ def _draw_curves(axes: Axes, panel: CurvePanel, logarithmic: bool) -> None:
     if logarithmic:
         axes.set_xscale("log")
     axes.set_xticks(panel.x, [f"{value:g}" for value in panel.x])
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.xaxis.set_minor_locator(NullLocator())
     axes.set_title(panel.title, fontsize=10, color=INK, parse_math=False)
     axes.grid()
     axes.set_axisbelow(True)

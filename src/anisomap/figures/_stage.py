@@ -45,7 +45,7 @@ def scene_figure(scene: Scene, frame: int) -> Figure:
             right=0.94,
             bottom=0.11,
             top=0.84,
-            wspace=0.2,
+            wspace=0.3,
         )
         figure.suptitle(scene.title, x=0.015, ha="left", fontsize=13, fontweight="bold")
         norm = _norm(scene)
