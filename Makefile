@@ -3,8 +3,10 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 OUT ?= demo
+OUT_PAPER ?= paper-out
+RECORDINGS ?=
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench quality docs clean
+.PHONY: help demo paper numbers test check format bench quality docs clean
 
 help:  ## this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -22,6 +24,12 @@ $(READY): pyproject.toml constraints.txt
 
 demo: $(READY)  ## simulate a skin, map it, score the map: picture, report and CSV in demo/
 	@$(BIN)/anisomap demo --output-dir $(OUT)
+
+paper: $(READY)  ## every figure and table of the paper, in paper-out/ (RECORDINGS=folder adds real skin)
+	@$(BIN)/anisomap paper --output-dir $(OUT_PAPER) $(if $(RECORDINGS),--recordings $(RECORDINGS))
+
+numbers: paper  ## the numbers in README and docs, from what make paper left
+	$(BIN)/python -m anisomap.paper.numbers $(OUT_PAPER) docs/results docs/paper.md README.md
 
 test: $(READY)  ## every test
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
@@ -46,4 +54,4 @@ docs: $(READY)  ## the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
 clean:  ## remove what the other targets made
-	rm -rf .venv demo quality docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv demo quality paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

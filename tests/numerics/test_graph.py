@@ -52,6 +52,14 @@ def test_euclidean_distances_are_left_as_they_are(points):
     np.testing.assert_allclose(metricise(distances), distances, rtol=1e-12, atol=1e-300)
 
 
+@given(arrays(np.float64, (6, 3), elements=st.floats(-10, 10)), semi_metrics())
+def test_no_metric_lies_between_the_result_and_what_it_was_made_from(points, added):
+    n = len(added)
+    metric = squareform(pdist(points))[:n, :n]
+    added = added[: len(metric), : len(metric)]
+    assert (metric <= metricise(metric + added) * (1 + 1e-12)).all()
+
+
 @given(semi_metrics(), st.randoms(use_true_random=False))
 def test_relabelling_changes_nothing_but_order(dissimilarity, random):
     order = list(range(len(dissimilarity)))

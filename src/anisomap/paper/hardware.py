@@ -197,13 +197,14 @@ REAL_SKIN = Experiment(
     real_patch,
     files=(REAL,),
     absent=(
-        f"The recording {REAL} was not given. It is made from data of the public repository "
-        "matejhof/robotic-homunculus-supporting-materials (GPL-3.0), of which anisomap holds no "
-        f"copy. To make it: get that repository; from its recording of the torso skin take the "
-        "six triangles around one corner, and write a NumPy archive with readings (frames x "
-        "sensors, 0 or 1), positions (sensors x 2, mm) and names, with "
-        "anisomap.write(anisomap.Recording(readings, names=names, positions=positions, "
-        f'units="mm"), "{REAL}"). Then run anisomap paper --recordings FOLDER.'
+        f"The recording {REAL} was not given. It is made from the public repository "
+        "matejhof/robotic-homunculus-supporting-materials (GPL-3.0; MATLAB files), of which "
+        "anisomap holds no copy. To make it, get that repository. From its recordings of touch on "
+        "the torso keep taxels 3169 to 3240, six triangles of twelve, without the 7th and 11th "
+        "of each, which measure temperature; keep the frames in which one of them is touched. Then "
+        "write readings (frames x 60, 0 or 1) and positions (60 x 2, in mm) with "
+        f'anisomap.write(anisomap.Recording(readings, positions=positions, units="mm"), "{REAL}"), '
+        "and run anisomap paper --recordings FOLDER."
     ),
     cost=8,
 )
