@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from anisomap import formats
 from anisomap.cli.app import main
-from anisomap.errors import FileError, InputError
+from anisomap.errors import FileError, InputError, MissingExtraError
 from anisomap.paper import (
     EXPERIMENTS,
     Document,
@@ -211,6 +212,14 @@ def test_what_fails_leaves_nothing_and_what_was_done_stays(tmp_path):
     assert made(tmp_path) == {"second", "text"}
 
 
+def test_what_a_killed_run_left_is_swept_away(tmp_path):
+    aside = tmp_path / ".first-4711"
+    aside.mkdir()
+    (aside / "half.csv").write_text("val")
+    made(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {*ALL, "index.html"}
+
+
 def test_what_makes_no_sense_is_refused_at_once(tmp_path):
     with pytest.raises(InputError, match="choose from second, first, text"):
         made(tmp_path, only=["third"])
@@ -225,6 +234,14 @@ def test_what_makes_no_sense_is_refused_at_once(tmp_path):
         made(tmp_path / "file")
     with pytest.raises(InputError, match="2 values for 1 columns"):
         Table("wrong", "", {"value": "a number"}, ((1, 2),))
+
+
+@pytest.mark.parametrize(("module", "extra"), [("mujoco", "simulation"), ("jinja2", "report")])
+def test_what_it_needs_is_told_before_anything_runs(tmp_path, monkeypatch, module, extra):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=rf"anisomap\[{extra}\]"):
+        made(tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_seed_is_picked_at_random_but_always_the_same():

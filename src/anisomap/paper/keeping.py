@@ -15,7 +15,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -122,6 +122,13 @@ def save(folder: Path, experiment: Experiment, outcome: Outcome, key: str, start
             shutil.rmtree(aside, ignore_errors=True)
     except OSError as error:
         raise FileError(f"cannot write {target}: {error.strerror or error}") from error
+
+
+def sweep(folder: Path, names: Iterable[str]) -> None:
+    """Remove what runs that were killed had not finished writing."""
+    for name in names:
+        for aside in folder.glob(f".{name}-[0-9]*"):
+            shutil.rmtree(aside, ignore_errors=True)
 
 
 def load(folder: Path, name: str, key: str | None = None) -> Kept | None:

@@ -8,13 +8,14 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.errors import AnisomapWarning, FileError, InputError, MissingExtraError
 from anisomap.paper import keeping
 from anisomap.paper.experiment import Experiment, Settings, Table
 from anisomap.paper.page import write_page
@@ -80,6 +81,7 @@ def reproduce(
     MissingExtraError
         If MuJoCo, matplotlib or jinja2 is not installed.
     """
+    _check_extras()
     chosen = settings or Settings()
     target = Path(folder)
     wanted = _with_needs(only or list(experiments), experiments)
@@ -91,6 +93,7 @@ def reproduce(
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileError(f"cannot make the folder {target}: {error.strerror}") from error
+    keeping.sweep(target, experiments)
     can_run = [one for one in wanted if one.can_run(chosen)]
     keys: dict[str, str] = {}
     for one in can_run:
@@ -184,6 +187,12 @@ def _make(
 def _finished(folder: Path, one: Experiment, how: str) -> Done:
     kept = keeping.load(folder, one.name)
     return Done(one.name, kept.seconds if kept else 0.0, how)
+
+
+def _check_extras() -> None:
+    for module, extra in (("mujoco", "simulation"), ("matplotlib", "report"), ("jinja2", "report")):
+        if find_spec(module) is None:
+            raise MissingExtraError("making the paper again", extra)
 
 
 def _with_needs(names: Sequence[str], experiments: Mapping[str, Experiment]) -> list[Experiment]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from anisomap.evaluation import Mantel, Score, score
 from anisomap.figures.charts import METHOD_LOOKS, NullBox
+from anisomap.health import SensorHealth, assess
 from anisomap.methods import MethodOptions
 from anisomap.numerics.binning import DEFAULT_BINS
 from anisomap.paper.experiment import Row, Settings
@@ -135,9 +136,21 @@ def make_map(
 
     In two dimensions the truth is flat, too: the first two coordinates of a flat skin.
     """
-    found = reconstruct(recording, method, dimensions, exclude=exclude, options=options)
+    found = reconstruct(
+        recording,
+        method,
+        dimensions,
+        exclude=exclude,
+        options=options,
+        health=_health(recording),
+    )
     places = truth_of(recording, dimensions)
     return Scored(found, score(found, places, units=recording.units, permutations=permutations))
+
+
+@lru_cache(maxsize=4)  # every method asks the same of a recording
+def _health(recording: Recording) -> tuple[SensorHealth, ...]:
+    return assess(recording)
 
 
 def truth_of(recording: Recording, dimensions: int = 3) -> NDArray[np.float64]:
