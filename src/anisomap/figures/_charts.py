@@ -68,15 +68,16 @@ def _draw_groups(axes: Axes, groups: Sequence[ScoreGroup]) -> None:
                 _draw_null(axes, x, group.nulls[method], look)
             shift = np.linspace(-_SPREAD, _SPREAD, len(scores)) if len(scores) > 1 else [0.0]
             axes.plot(
-                x + np.asarray(shift), scores, look.marker, color=look.colour, markersize=4.5,
+                x + np.asarray(shift), scores, look.marker, color=look.colour, markersize=5,
                 alpha=0.75, markeredgewidth=0,
             )  # fmt: skip
-            axes.plot([x - 0.36, x + 0.36], [np.mean(scores)] * 2, color=INK, linewidth=1.2)
+            if len(scores) > 1:
+                axes.plot([x - 0.36, x + 0.36], [np.mean(scores)] * 2, color=INK, linewidth=1.2)
         middles.append(start + (len(group.scores) - 1) / 2)
         start += len(group.scores) + _GAP
     axes.set_xticks(middles, [group.label for group in groups], fontsize=9.5, color=INK)
     axes.tick_params(axis="x", length=0)
-    axes.set(xlim=(-0.9, start - _GAP - 0.1), ylim=(-0.42, 1.04), ylabel="Mantel r")
+    axes.set(xlim=(-0.9, start - _GAP - 0.1), ylim=(-0.24, 1.04), ylabel="Mantel r")
     axes.grid(axis="y")
     axes.set_axisbelow(True)
     axes.axhline(0, color=FAINT, linewidth=0.8)

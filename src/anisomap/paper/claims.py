@@ -86,7 +86,7 @@ CLAIMS = (
         "3D reconstructions by information distance are notably worse than 2D ones; not so for "
         "the other methods",
         "Methods, Fig. 3",
-        f"patch: mean r in 2D less that in 3D above {AMONG_BEST} for information distance only",
+        f"flat skins: r in 2D less that in 3D above {AMONG_BEST} for information distance only",
         evidence.flat_is_better,
     ),
     Claim(

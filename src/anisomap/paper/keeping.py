@@ -15,7 +15,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -30,9 +30,10 @@ from anisomap.paper.experiment import Cell, Experiment, Outcome, Settings, Table
 RECORD = "done.json"
 KINDS = ("png", "svg")
 
-# Rooms whose code no result depends on; of this one, experiments count one by one.
+# Rooms whose code no result depends on; of this one, only what an experiment calls counts.
 _NO_MATTER = ("cli", "formats", "report", "paper")
-_SHARED = ("paper/runs.py", "paper/measures.py")
+_PICTURES = ("figures", "_drawing.py")
+_HERE = __name__.rpartition(".")[0]
 _LIBRARIES = ("numpy", "scipy", "mujoco", "matplotlib")
 
 
@@ -84,7 +85,10 @@ def key_of(experiment: Experiment, settings: Settings, needed: Mapping[str, str]
         "settings": {"seed": settings.seed, "quick": settings.quick},
         "recordings": [_digest(path.read_bytes()) for path in experiment.paths(settings)],
         "needs": {name: needed[name] for name in experiment.needs},
-        "code": [_digest_of_package(), _digest_of_module(experiment.make)],
+        "code": [
+            _digest_of_package(pictures=bool(experiment.title)),
+            _digest_of_experiment(experiment.make),
+        ],
         "libraries": {name: importlib.metadata.version(name) for name in _LIBRARIES},
     }
     return _digest(json.dumps(inputs, sort_keys=True).encode())
@@ -227,16 +231,29 @@ def _digest(content: bytes) -> str:
 
 
 @cache
-def _digest_of_package() -> str:
+def _digest_of_package(*, pictures: bool) -> str:
+    """Digest the code; that of pictures only for experiments that are shown."""
+    aside = _NO_MATTER if pictures else (*_NO_MATTER, *_PICTURES)
     root = Path(str(files(anisomap)))
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
-        place = path.relative_to(root)
-        if place.parts[0] not in _NO_MATTER or place.as_posix() in _SHARED:
+        if path.relative_to(root).parts[0] not in aside:
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
-def _digest_of_module(function: Any) -> str:
-    module = inspect.getmodule(inspect.unwrap(getattr(function, "func", function)))
-    return _digest(inspect.getsource(module).encode()) if module else ""
+def _digest_of_experiment(make: Callable[..., Outcome]) -> str:
+    """Digest the module that an experiment is in, and those of this package that it calls."""
+    found: dict[str, str] = {}
+    waiting = [inspect.getmodule(getattr(make, "func", make))]
+    while waiting:
+        module = waiting.pop()
+        if module is None or module.__name__ in found:
+            continue
+        found[module.__name__] = inspect.getsource(module)
+        used = (
+            inspect.getmodule(value) for value in list(vars(module).values()) if callable(value)
+        )
+        named = (value for value in vars(module).values() if inspect.ismodule(value))
+        waiting += [one for one in (*used, *named) if one and one.__name__.startswith(_HERE + ".")]
+    return _digest(json.dumps(found, sort_keys=True).encode())
