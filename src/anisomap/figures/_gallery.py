@@ -27,7 +27,7 @@ def gallery_figure(
     """See `anisomap.figures.gallery.gallery_figure`."""
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
-    width = size * columns + 0.5
+    width = size * columns + 0.7
     lines = textwrap.wrap(note, int(width * _CHARACTERS_AN_INCH)) if note else []
     foot = _LINE * len(lines) + 0.15
     height = _HEAD + rows * size + foot + 0.2
@@ -37,7 +37,7 @@ def gallery_figure(
             rows,
             columns,
             left=0.7 / width,
-            right=1 - 0.3 / width,
+            right=1 - 0.5 / width,
             top=1 - (_HEAD + _BELOW) / height,
             bottom=(foot + _BELOW + 0.2) / height,
             wspace=0.22,
