@@ -56,7 +56,7 @@ class Settings:
     @property
     def few_seeds(self) -> tuple[int, ...]:
         """Seeds of the runs at each point of a curve."""
-        return self.seeds[: 1 if self.quick else 5]
+        return self.seeds[: 1 if self.quick else 3]
 
     @property
     def permutations(self) -> int:
