@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.binning import DEFAULT_BINS
-from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram
+from anisomap.numerics.covariogram import CovariogramOptions
 from anisomap.numerics.dissimilarity import (
     direct_dissimilarity,
     information_distance,
@@ -32,7 +32,6 @@ from anisomap.numerics.evidence import (
     blended_correlation,
     related_pieces,
     sampling_variance,
-    typical_noise,
 )
 from anisomap.numerics.graph import (
     check_semi_metric,
@@ -42,14 +41,13 @@ from anisomap.numerics.graph import (
 )
 from anisomap.numerics.scaling import SmacofOptions
 from anisomap.numerics.similarity import co_activation, mutual_information, pearson, spearman
+from anisomap.refinement import Evidence, Refined, refine_by_covariogram
 
 logger = logging.getLogger(__name__)
 
 Matrix: TypeAlias = NDArray[np.float64]
 
 DEFAULT_METHOD = "covariogram"
-
-_FEWEST_TO_FIT = 8  # sensors; fewer have hardly more pairs than coordinates
 
 
 @dataclass(frozen=True)
@@ -75,6 +73,9 @@ class MethodOptions:
     independent_frames : float
         How many independent frames correlations are taken to come from, above 0, where there are
         no readings to tell: the fewer, the less they are believed.
+    even_spacing : bool
+        Declare that neighbours are evenly spaced, for methods that can make use of it: see
+        `Method.takes_even_spacing`. A map says so where it rests on it.
     fewest_sensors : int
         Refuse to make a map whose largest piece holds fewer sensors: two always fit.
     """
@@ -86,6 +87,7 @@ class MethodOptions:
     covariogram: CovariogramOptions = field(default_factory=CovariogramOptions)
     part: bool = True
     independent_frames: float = 500.0
+    even_spacing: bool = False
     fewest_sensors: int = 3
 
     def __post_init__(self) -> None:
@@ -103,30 +105,7 @@ class Similarity:
     compute: Callable[[ArrayLike, MethodOptions], Matrix]
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What is known of some sensors: how alike they are, and how far that can be believed.
-
-    Attributes
-    ----------
-    similarity : ndarray of shape (n, n)
-    noise : ndarray of shape (n, n)
-        Sampling variance of each similarity.
-    known : ndarray of bool, shape (n, n)
-        Which pairs were ever recorded together.
-    """
-
-    similarity: Matrix
-    noise: Matrix
-    known: NDArray[np.bool_]
-
-    def of(self, sensors: NDArray[np.bool_]) -> Evidence:
-        """Keep only some sensors, given as a mask of shape (n,)."""
-        inside = np.ix_(sensors, sensors)
-        return Evidence(self.similarity[inside], self.noise[inside], self.known[inside])
-
-
-Refine: TypeAlias = Callable[[Evidence, Matrix, Matrix, MethodOptions], Matrix]
+Refine: TypeAlias = Callable[[Evidence, Matrix, Matrix, MethodOptions], Refined]
 
 
 @dataclass(frozen=True)
@@ -144,6 +123,8 @@ class Method:
         ``metric(M)`` gives D.
     refine : callable, optional
         ``refine(evidence, D, positions, options)`` gives better positions than scaling D does.
+    takes_even_spacing : bool
+        Whether `refine` can make use of evenly spaced neighbours.
     """
 
     summary: str
@@ -151,6 +132,7 @@ class Method:
     dissimilarity: Callable[[Evidence, MethodOptions], Matrix]
     metric: Callable[[Matrix], Matrix]
     refine: Refine | None = None
+    takes_even_spacing: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,25 +193,10 @@ def _direct(evidence: Evidence, options: MethodOptions) -> Matrix:
 
 def _covariogram(
     evidence: Evidence, metric: Matrix, positions: Matrix, options: MethodOptions
-) -> Matrix:
-    if len(positions) < _FEWEST_TO_FIT:
-        return positions
-    fit = fit_covariogram(
-        evidence.similarity,
-        positions,
-        metric,
-        noise=typical_noise(evidence.noise),
-        known=evidence.known,
-        options=options.covariogram,
+) -> Refined:
+    return refine_by_covariogram(
+        evidence, metric, positions, options.covariogram, evenly_spaced=options.even_spacing
     )
-    logger.info(
-        "covariogram %.2f exp(-d^%.2f) %+.2f after %d steps",
-        fit.amplitude,
-        fit.exponent,
-        fit.offset,
-        fit.iterations,
-    )
-    return fit.positions
 
 
 def _neighbour_edges(evidence: Evidence, options: MethodOptions) -> Matrix:
@@ -264,6 +231,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             _direct,
             metricise,
             _covariogram,
+            takes_even_spacing=True,
         ),
         "r-anisomap": _anisomap("pearson", "ANISOMAP on linear correlation"),
         "i-anisomap": _anisomap("mutual-information", "ANISOMAP on mutual information"),
@@ -296,6 +264,34 @@ def find_method(name: str) -> Method:
     if name not in METHODS:
         raise InputError(f"there is no method {name!r}; choose from {', '.join(METHODS)}")
     return METHODS[name]
+
+
+def check_priors(method: str, options: MethodOptions, *, readings: bool) -> None:
+    """Check that what was declared of a skin can be made use of.
+
+    Parameters
+    ----------
+    method : str
+        A name in `METHODS`.
+    options : MethodOptions
+    readings : bool
+        Whether there are readings of all sensors in every frame.
+
+    Raises
+    ------
+    InputError
+        If even spacing was declared to a method that has no use for it, or without readings.
+    """
+    if not options.even_spacing:
+        return
+    if not find_method(method).takes_even_spacing:
+        able = ", ".join(name for name, known in METHODS.items() if known.takes_even_spacing)
+        raise InputError(f"{method} makes no use of even spacing; use {able}, or leave it out")
+    if not readings:
+        raise InputError(
+            "even spacing is worked out from readings of all sensors in the same frames, which a "
+            "precomputed stage, unknown pairs, or runs that lack sensors do not give; leave it out"
+        )
 
 
 def compute_stages(
@@ -344,7 +340,7 @@ def compute_stages(
         return Stages(None, checked, recipe.metric(checked))
     evidence = _gathered(readings, recipe, chosen, similarity, noise)
     if known is not None:
-        evidence = Evidence(evidence.similarity, evidence.noise, np.asarray(known, dtype=bool))
+        evidence = evidence.knowing(np.asarray(known, dtype=bool))
     apart = np.where(evidence.known, recipe.dissimilarity(evidence, chosen), np.inf)
     np.fill_diagonal(apart, 0)
     logger.info("finding shortest paths")
@@ -358,14 +354,17 @@ def _gathered(
     similarity: ArrayLike | None,
     noise: ArrayLike | None,
 ) -> Evidence:
+    values = None
     if similarity is None:
         if readings is None:
             raise InputError("there is nothing to map: give a recording, or a precomputed stage")
         logger.info("comparing all pairs of sensors (%s)", recipe.similarity)
         similarity = SIMILARITIES[recipe.similarity].compute(readings, options)
         if recipe.refine is not None:
-            noise = sampling_variance(readings)
+            values = np.asarray(readings)
+            noise = sampling_variance(values)
     alike = symmetric(similarity, "similarity")
     if noise is None:
         noise = np.full(alike.shape, 1 / options.independent_frames)
-    return Evidence(alike, symmetric(noise, "noise"), np.ones(alike.shape, dtype=bool))
+    known = np.ones(alike.shape, dtype=bool)
+    return Evidence(alike, symmetric(noise, "noise"), known, values)

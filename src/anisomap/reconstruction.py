@@ -6,7 +6,7 @@ import logging
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,15 +19,16 @@ from anisomap.evaluation.confidence import DOUBTFUL, agreement_of_halves, expect
 from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.methods import (
     DEFAULT_METHOD,
-    Evidence,
     MethodOptions,
     Refine,
+    check_priors,
     compute_stages,
     find_method,
 )
 from anisomap.numerics.graph import components
 from anisomap.numerics.scaling import Scaling, SmacofOptions, smacof
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
+from anisomap.refinement import Evidence
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 logger = logging.getLogger(__name__)
@@ -126,6 +127,10 @@ def reconstruct(
         )
     part = np.ix_(taking_part, taking_part)
     counts = None if weights is None else _checked_weights(weights, n_sensors)[part]
+    everything_known = counts is None or bool((counts[~np.eye(len(counts), dtype=bool)] > 0).all())
+    check_priors(
+        method, chosen, readings=recording is not None and not matrices and everything_known
+    )
     stages = compute_stages(
         None if recording is None or matrices else recording.complete().readings[:, taking_part],
         method,
@@ -159,6 +164,7 @@ def reconstruct(
         kept = [sensor for sensor, out in zip(health, dropped, strict=True) if not out]
         notes += weaknesses(recording, kept)
     notes += _doubts(component, sensor_names, pieces)
+    notes += pieces.notes
     if recipe.refine is not None and stages.evidence is None:
         notes.append(
             f"{method} looks at how alike sensors are, which was not given: this map is its start, "
@@ -182,7 +188,8 @@ def reconstruct(
         confidence=confidence,
         notes=tuple(notes),
         provenance=_provenance(recording, method, chosen, matrices)
-        | {"iterations": pieces.iterations},
+        | {"iterations": pieces.iterations}
+        | dict(pieces.facts),
     )
 
 
@@ -220,6 +227,8 @@ class _Pieces:
     stress: float
     converged: bool
     iterations: int
+    facts: Mapping[str, Scalar] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def _scale_pieces(
@@ -267,11 +276,16 @@ def _refine_pieces(
 ) -> _Pieces:
     positions = pieces.positions.copy()
     raw = spread = 0.0
+    facts: dict[str, Scalar] = {}
+    notes: list[str] = []
     for label in range(pieces.labels.max() + 1):
         piece = pieces.labels == label
         apart = metric[np.ix_(piece, piece)]
         if np.count_nonzero(piece) >= options.fewest_sensors and (apart > 0).any():
-            positions[piece] = refine(evidence.of(piece), apart, positions[piece], options)
+            refined = refine(evidence.of(piece), apart, positions[piece], options)
+            positions[piece] = refined.positions
+            facts = {**refined.facts, **facts}  # the largest piece, which comes first, has its say
+            notes += refined.notes
         # In the metric's unit, which the refined places need not have.
         distances = cdist(positions[piece], positions[piece])
         size = float((distances**2).sum())
@@ -279,7 +293,13 @@ def _refine_pieces(
         raw += float(((scale * distances - apart) ** 2).sum())
         spread += scale**2 * size
     stress = float(np.sqrt(raw / spread)) if spread > 0 else 0.0
-    return replace(pieces, positions=positions, stress=stress)
+    return replace(
+        pieces,
+        positions=positions,
+        stress=stress,
+        facts=facts,
+        notes=tuple(dict.fromkeys(notes)),
+    )
 
 
 def _count_sensors(recording: Recording | None, matrices: Mapping[str, NDArray[np.generic]]) -> int:

@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from anisomap._listing import counted
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, assess
-from anisomap.methods import DEFAULT_METHOD, SIMILARITIES, MethodOptions, find_method
+from anisomap.methods import (
+    DEFAULT_METHOD,
+    SIMILARITIES,
+    MethodOptions,
+    check_priors,
+    find_method,
+)
 from anisomap.numerics.evidence import sampling_variance
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording, default_names
@@ -146,6 +152,7 @@ def reconstruct_runs(
             judge=judge,
         )
     recipe, chosen = find_method(method), options or MethodOptions()
+    check_priors(method, chosen, readings=False)
     for run in runs:
         run.complete()
     met = _met(runs, joined.names)

@@ -12,6 +12,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.graph import (
     components,
     metricise,
+    minimax_paths,
     neighbour_graph,
     smallest_connected_neighbour_graph,
 )
@@ -20,7 +21,8 @@ from anisomap.numerics.graph import (
 @st.composite
 def semi_metrics(draw, lengths=None):
     n = draw(st.integers(1, 9))
-    lengths = lengths or st.one_of(st.floats(0.01, 100), st.just(np.inf), st.just(0.0))
+    if lengths is None:
+        lengths = st.one_of(st.floats(0.01, 100), st.just(np.inf), st.just(0.0))
     pairs = draw(arrays(np.float64, n * (n - 1) // 2, elements=lengths))
     return squareform(pairs) if n > 1 else np.zeros((1, 1))
 
@@ -139,3 +141,19 @@ def test_everyone_has_its_neighbours_and_they_have_it():
 def test_what_is_no_semi_metric_is_refused(matrix, message):
     with pytest.raises(InputError, match=message):
         metricise(matrix)
+
+
+@given(semi_metrics(st.floats(0.0, 100)))
+def test_minimax_paths_are_those_of_brute_force(dissimilarity):
+    # Floyd's algorithm with the longest step in place of the sum.
+    expected = dissimilarity.copy()
+    for k in range(len(expected)):
+        expected = np.minimum(expected, np.maximum.outer(expected[:, k], expected[k]))
+    found = minimax_paths(dissimilarity)
+    np.testing.assert_array_equal(found, expected)
+    assert (found <= dissimilarity).all()
+
+
+def test_minimax_paths_through_nothing_are_refused():
+    with pytest.raises(InputError, match="infinite"):
+        minimax_paths([[0, np.inf], [np.inf, 0]])

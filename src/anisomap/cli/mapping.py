@@ -36,6 +36,7 @@ def map_recording(
     mu: Annotated[float, Parameter(group=options.method_group)] = MethodOptions.mu,
     bins: Annotated[int, Parameter(group=options.method_group)] = DEFAULT_BINS,
     neighbours: Annotated[int | None, Parameter(group=options.method_group)] = None,
+    even_spacing: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
     tolerance: Annotated[float, Parameter(group=options.method_group)] = SmacofOptions.tolerance,
     max_iterations: Annotated[
         int, Parameter(group=options.method_group)
@@ -74,6 +75,8 @@ def map_recording(
         Bins a sensor for entropies.
     neighbours
         Neighbours in ISOMAP's graph; as few as connect everything unless given.
+    even_spacing
+        Declare that neighbouring sensors are evenly spaced; the map will say so.
     tolerance
         Stop scaling when an iteration lowers the stress by a smaller share.
     max_iterations
@@ -93,6 +96,7 @@ def map_recording(
         mu=mu,
         bins=bins,
         n_neighbours=neighbours,
+        even_spacing=even_spacing,
         smacof=SmacofOptions(tolerance, max_iterations),
     )
     found = None

@@ -10,7 +10,6 @@ from anisomap.errors import InputError
 NUMERICAL_ZERO = 1e-12
 """A similarity below this is rounding error: its reciprocal would be no distance but noise."""
 
-_RIDGE = 1.0
 _SHARE_OF_INDIRECT = 0.1
 _CAUTION = 5.0
 
@@ -126,7 +125,7 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> NDArray[np.
     variance = symmetric(noise, "noise")
     if variance.shape != values.shape:
         raise InputError(f"the noise has shape {variance.shape}, the similarity {values.shape}")
-    partial = _partial_correlation(values)
+    partial = partial_correlation(values)
     pairs = ~np.eye(len(values), dtype=bool)
     values[~pairs | (values < NUMERICAL_ZERO)] = 0
     kinship = np.sqrt(values * (np.maximum(partial, 0) + _SHARE_OF_INDIRECT * values))
@@ -139,9 +138,28 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> NDArray[np.
     return np.asarray((dissimilarity + dissimilarity.T) / 2)
 
 
-def _partial_correlation(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
-    covariance = correlation.copy()
-    np.fill_diagonal(covariance, 1 + _RIDGE)
+def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> NDArray[np.float64]:
+    """Tell what every pair of sensors shares that no other sensor explains.
+
+    Parameters
+    ----------
+    correlation : array_like of shape (N, N)
+        Symmetric; the diagonal is not looked at.
+    ridge : float
+        Variance, above 0, that is added to every sensor as a share of its own.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        ``-P_ij / (P_ii P_jj)^(1/2)`` with the precision ``P = (S + ridge I)^-1``; -1 on the
+        diagonal. A greater ridge lets sensors explain less of each other.
+
+    Notes
+    -----
+    Whittaker (1990), Graphical Models in Applied Multivariate Statistics, chapter 5.
+    """
+    covariance = symmetric(correlation, "correlation")
+    np.fill_diagonal(covariance, 1 + ridge)
     precision = np.linalg.inv(covariance)
     scale = np.sqrt(np.abs(np.diag(precision)))
     return np.asarray(-precision / np.outer(scale, scale))

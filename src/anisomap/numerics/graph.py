@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.cluster.hierarchy import cophenet, single
 from scipy.sparse.csgraph import connected_components, csgraph_from_dense, floyd_warshall
+from scipy.spatial.distance import squareform
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled import COMPILED_FROM
@@ -75,6 +77,37 @@ def metricise(dissimilarity: ArrayLike) -> NDArray[np.float64]:
     metric = floyd_warshall(graph, directed=False)
     np.minimum(metric, metric.T, out=metric)
     return np.asarray(metric)
+
+
+def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
+    """Give the longest step of the path between every two objects whose longest step is shortest.
+
+    Parameters
+    ----------
+    dissimilarity : array_like of shape (N, N)
+        A semi-metric, finite: symmetric, zero diagonal, elsewhere non-negative.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        The greatest ultrametric that nowhere exceeds the input; symmetric, zero diagonal.
+
+    Raises
+    ------
+    InputError
+        See `check_semi_metric`; or if a dissimilarity is infinite.
+
+    Notes
+    -----
+    These are the heights at which single linkage merges two objects (Gower & Ross 1969, Applied
+    Statistics 18: 54-64).
+    """
+    lengths = check_semi_metric(dissimilarity)
+    if not np.isfinite(lengths).all():
+        raise InputError("some dissimilarities are infinite: look at each component by itself")
+    if len(lengths) < 2:
+        return np.zeros_like(lengths)
+    return np.asarray(squareform(cophenet(single(squareform(lengths)))))
 
 
 def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:

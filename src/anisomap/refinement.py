@@ -1,0 +1,158 @@
+"""Better places than scaling alone gives, from all that is known of the sensors."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram
+from anisomap.numerics.evidence import typical_noise
+from anisomap.numerics.unrolling import UnrollingOptions, contact_passes, even_spacing
+from anisomap.recording import Scalar
+
+logger = logging.getLogger(__name__)
+
+Matrix: TypeAlias = NDArray[np.float64]
+
+_FEWEST_TO_FIT = 8  # sensors; fewer have hardly more pairs than coordinates
+_FEWEST_FRAMES = 40  # fewer hold no contacts that could be told apart
+
+_UNEVEN = "the covariogram map drew neighbours at very unequal distances"
+_PASSES = (
+    f"{_UNEVEN}, so the map's lengths were taken from the heights of the contacts that pass over "
+    "neighbours; this assumes a ground or touch that is equally rough in both directions"
+)
+_SQUEEZED = (
+    f"{_UNEVEN}, and contacts do not tell better ones: where things lie may be right, but do not "
+    "trust the map's scale along one direction against another"
+)
+_EVEN = "that neighbours are evenly spaced was declared, not measured, and the map rests on it"
+_NOT_EVEN = (
+    f"{_UNEVEN}, and the halves of the recording do not agree on who is whose neighbour, so the "
+    "even spacing that was declared could not be used: do not trust the map's scale along one "
+    "direction against another"
+)
+_TOO_LITTLE = (
+    "that neighbours are evenly spaced was declared, but there are too few sensors or frames to "
+    "make use of it"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What is known of some sensors: how alike they are, and how far that can be believed.
+
+    Attributes
+    ----------
+    similarity : ndarray of shape (n, n)
+    noise : ndarray of shape (n, n)
+        Sampling variance of each similarity.
+    known : ndarray of bool, shape (n, n)
+        Which pairs were ever recorded together.
+    readings : ndarray of shape (T, n), optional
+        What the sensors read, in the order of time; None where only the similarity is known, or
+        not all pairs are.
+    """
+
+    similarity: Matrix
+    noise: Matrix
+    known: NDArray[np.bool_]
+    readings: NDArray[np.generic] | None = None
+
+    def of(self, sensors: NDArray[np.bool_]) -> Evidence:
+        """Keep only some sensors, given as a mask of shape (n,)."""
+        if sensors.all():
+            return self
+        inside = np.ix_(sensors, sensors)
+        readings = None if self.readings is None else self.readings[:, sensors]
+        return Evidence(self.similarity[inside], self.noise[inside], self.known[inside], readings)
+
+    def knowing(self, known: NDArray[np.bool_]) -> Evidence:
+        """Take some pairs for unknown, and the readings with them, which would tell of them."""
+        everything = bool((known | np.eye(len(known), dtype=bool)).all())
+        return replace(self, known=known, readings=self.readings if everything else None)
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """Better places, and what must be said of them.
+
+    Attributes
+    ----------
+    positions : ndarray of shape (n, k)
+    facts : mapping
+        For `anisomap.SensorMap.provenance`.
+    notes : tuple of str
+        What speaks against the map.
+    """
+
+    positions: Matrix
+    facts: Mapping[str, Scalar] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def refine_by_covariogram(
+    evidence: Evidence,
+    metric: Matrix,
+    positions: Matrix,
+    options: CovariogramOptions | None = None,
+    *,
+    evenly_spaced: bool = False,
+) -> Refined:
+    """Fit a covariogram, and take lengths from neighbours where it says little of one direction.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    metric : ndarray of shape (n, n)
+    positions : ndarray of shape (n, k)
+        Where scaling the metric put the sensors.
+    options : CovariogramOptions, optional
+    evenly_spaced : bool
+        Whether neighbours were declared to be.
+
+    Returns
+    -------
+    Refined
+        With ``"passes"`` or ``"even_spacing"`` among its facts where lengths come from
+        `anisomap.numerics.unrolling.contact_passes` or `even_spacing`. Fewer than 8 sensors are
+        left where they are.
+    """
+    unused = Refined(positions)
+    if evenly_spaced:
+        unused = Refined(positions, {"even_spacing": False}, (_TOO_LITTLE,))
+    if len(positions) < _FEWEST_TO_FIT:
+        return unused
+    fit = fit_covariogram(
+        evidence.similarity,
+        positions,
+        metric,
+        noise=typical_noise(evidence.noise),
+        known=evidence.known,
+        options=options,
+    )
+    logger.info(
+        "covariogram %.2f exp(-d^%.2f) %+.2f after %d steps",
+        fit.amplitude,
+        fit.exponent,
+        fit.offset,
+        fit.iterations,
+    )
+    if evidence.readings is None or len(evidence.readings) < _FEWEST_FRAMES:
+        return replace(unused, positions=fit.positions)
+    unroll = even_spacing if evenly_spaced else contact_passes
+    found = unroll(evidence.readings, fit.positions, similarity=evidence.similarity)
+    logger.info("neighbours are %.2f uneven; lengths from them: %s", found.unevenness, found.acted)
+    if evenly_spaced:
+        return Refined(
+            found.positions, {"even_spacing": found.acted}, (_EVEN if found.acted else _NOT_EVEN,)
+        )
+    if found.acted:
+        return Refined(found.positions, {"passes": True}, (_PASSES,))
+    squeezed = found.unevenness > UnrollingOptions.uneven
+    return Refined(found.positions, notes=(_SQUEEZED,) if squeezed else ())
