@@ -245,12 +245,18 @@ REAL = [("icub_hexagon", 2, 0.985), ("icub_torso", 2, 0.985), ("icub_palm", 3, 0
         ("plantar", 2, 0.950)]  # fmt: skip
 
 
+# Feet roll off: neighbours on the plantar map are uneven, and it says so.
+uneven = pytest.mark.filterwarnings("ignore:the covariogram map drew neighbours")
+
+
+@uneven
 @pytest.mark.parametrize(("name", "dimensions", "least"), REAL)
 def test_real_skins(recordings_folder, name, dimensions, least):
     recording = anisomap.read(recordings_folder / f"{name}.npz")
     assert mantel_r(reconstruct(recording, dimensions=dimensions), recording) >= least
 
 
+@uneven
 @pytest.mark.parametrize("name", ["icub_hexagon", "icub_palm", "plantar"])
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_the_rivals_fall_behind_on_real_skins(recordings_folder, name, dimensions):

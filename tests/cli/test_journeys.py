@@ -211,3 +211,14 @@ def test_a_triangle_that_is_silent_in_one_run_is_still_there(run, tmp_path):
     made = anisomap.read_map("m.csv")
     assert made.n_sensors == 30
     assert "b0.t2.k11" in made.names
+
+
+def test_a_declared_prior_is_named_in_the_map(run, skin_csv):
+    made = run("map", skin_csv, "-d", 2, "--even-spacing", "-o", "even.csv")
+    assert made.code == 0
+    assert "declared, not measured" in " ".join(made.err.split())
+    assert anisomap.read_map("even.csv").provenance["even_spacing"] is True
+
+    refused = run("map", skin_csv, "-m", "r-anisomap", "--even-spacing", "-o", "none.csv")
+    assert refused.code == 2
+    assert "r-anisomap makes no use of even spacing" in " ".join(refused.err.split())

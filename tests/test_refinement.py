@@ -1,0 +1,160 @@
+"""Where correlations say little of one direction: contact passes, declared spacing, and doubts."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap import MethodOptions, Recording, reconstruct, reconstruct_runs, score
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.methods import METHODS, compute_stages
+from anisomap.numerics.scaling import smacof
+from anisomap.refinement import refine_by_covariogram
+from skins import flat_skin, seeing_patch
+
+EVEN = MethodOptions(even_spacing=True)
+UNTRUSTED = "do not trust the map's scale along one direction"
+
+
+def mantel_r(sensor_map, recording):
+    return score(sensor_map, recording.positions, permutations=0).mantel.r
+
+
+def mapped(recording, **arguments):
+    """Make a map whose doubts are looked at here, rather than raised."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)
+        return reconstruct(recording, **arguments)
+
+
+def rolled(seed):
+    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    return anisomap.simulate("cylinder", "locomotion", n_frames=2000, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def rolling():
+    return rolled(1)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_rolling_cylinder_keeps_its_length(seed, rolling):
+    recording = rolling if seed == 1 else rolled(seed)
+    plain = mapped(recording)
+    assert mantel_r(plain, recording) > 0.9 > mantel_r(reconstruct(recording, "r-anisomap"),
+                                                      recording) + 0.3  # fmt: skip
+    assert plain.provenance["passes"] is True
+    assert any("heights of the contacts" in note for note in plain.notes)
+
+    declared = mapped(recording, options=EVEN)
+    assert mantel_r(declared, recording) > 0.97
+    assert declared.provenance["even_spacing"] is True
+    assert "passes" not in declared.provenance
+    assert any("declared, not measured" in note for note in declared.notes)
+
+
+def test_units_of_readings_do_not_matter_to_passes(rolling):
+    gains = 2.0 ** np.random.default_rng(0).integers(-3, 4, rolling.n_sensors)
+    first, second = mapped(rolling), mapped(Recording(rolling.readings * gains - 3))
+    assert anisomap.mantel(first, second, permutations=0).r == pytest.approx(1, abs=1e-6)
+
+
+def test_without_heights_the_map_is_told_to_be_squeezed(rolling):
+    touched = replace(rolling, readings=(rolling.readings > 0).astype(np.uint8))
+    found = mapped(touched)
+    assert "passes" not in found.provenance
+    assert any(UNTRUSTED in note for note in found.notes)
+
+
+def left_alone(readings, dimensions):
+    """Tell whether the covariogram's places are the same with readings as without."""
+    stages = compute_stages(readings)
+    start = smacof(stages.metric, dimensions=dimensions).positions
+    with_readings, without = (
+        refine_by_covariogram(evidence, stages.metric, start)
+        for evidence in (stages.evidence, replace(stages.evidence, readings=None))
+    )
+    assert stages.evidence.readings is not None
+    return (
+        with_readings.positions.tobytes() == without.positions.tobytes()
+        and not with_readings.notes
+        and not with_readings.facts
+    )
+
+
+def test_the_gate_leaves_a_bombarded_sphere_as_it_is_to_the_bit():
+    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    assert left_alone(anisomap.simulate("sphere", n_frames=2000, seed=1).readings, 3)
+
+
+@pytest.mark.parametrize("skin", [flat_skin, seeing_patch])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_gate_leaves_flat_skins_as_they_are_to_the_bit(skin, seed):
+    assert left_alone(skin(seed=seed).readings, 2)
+
+
+def test_the_gate_opens_for_a_rolling_cylinder_alone(rolling):
+    assert not left_alone(rolling.readings, 3)
+
+
+@pytest.mark.parametrize("seed", [304, 305])
+def test_skins_that_touch_themselves_are_uneven_but_passes_confirm_them(seed):
+    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    touched = anisomap.simulate("plane", "self-touch", n_frames=2000, seed=seed)
+    found = mapped(touched)
+    assert "passes" not in found.provenance
+    assert any(UNTRUSTED in note for note in found.notes)
+    assert mantel_r(found, touched) > 0.85
+
+
+def test_declared_spacing_helps_where_it_is_true():
+    gained = []
+    for seed in range(4):
+        skin = flat_skin(seed=seed, n_frames=400)
+        gained.append(mantel_r(mapped(skin, dimensions=2, options=EVEN), skin)
+                      - mantel_r(mapped(skin, dimensions=2), skin))  # fmt: skip
+    assert min(gained) > 0
+
+
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "covariogram"])
+def test_methods_that_make_no_use_of_even_spacing_refuse_it(method):
+    with pytest.raises(InputError, match=f"{method} makes no use of even spacing; use covariogram"):
+        reconstruct(flat_skin(), method, 2, options=EVEN)
+
+
+def test_even_spacing_needs_readings_of_all_sensors():
+    skin = flat_skin()
+    similarity = compute_stages(skin.readings).similarity
+    unknown = np.ones((42, 42))
+    unknown[3, 7] = unknown[7, 3] = 0
+    runs = [skin.select(range(30)), skin.select(range(12, 42))]
+    for call in (
+        lambda: reconstruct(skin, dimensions=2, similarity=similarity, options=EVEN),
+        lambda: reconstruct(dimensions=2, similarity=similarity, options=EVEN),
+        lambda: reconstruct(skin, dimensions=2, weights=unknown, options=EVEN),
+        lambda: reconstruct_runs(runs, dimensions=2, options=EVEN),
+    ):
+        with pytest.raises(InputError, match="readings of all sensors"):
+            call()
+
+
+def test_runs_that_have_all_sensors_can_be_declared_even():
+    skin = flat_skin()
+    runs = [replace(skin, readings=part) for part in np.split(skin.readings, [600])]
+    with pytest.warns(AnisomapWarning, match="declared, not measured"):
+        found = reconstruct_runs(runs, dimensions=2, options=EVEN)
+    np.testing.assert_allclose(
+        found.positions, mapped(skin, dimensions=2, options=EVEN).positions, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "n_sensors"), [(30, 42), (1500, 6)], ids=["few frames", "few sensors"]
+)
+def test_spacing_that_was_declared_in_vain_is_told(n_frames, n_sensors):
+    skin = flat_skin(n_frames=1500).select(range(n_sensors))
+    found = mapped(replace(skin, readings=skin.readings[:n_frames]), dimensions=2, options=EVEN)
+    assert found.provenance["even_spacing"] is False
+    assert any("too few sensors or frames" in note for note in found.notes)
