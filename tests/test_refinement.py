@@ -158,3 +158,9 @@ def test_spacing_that_was_declared_in_vain_is_told(n_frames, n_sensors):
     found = mapped(replace(skin, readings=skin.readings[:n_frames]), dimensions=2, options=EVEN)
     assert found.provenance["even_spacing"] is False
     assert any("too few sensors or frames" in note for note in found.notes)
+
+
+def test_what_is_squeezed_has_no_confidence(rolling):
+    touched = replace(rolling, readings=(rolling.readings > 0).astype(np.uint8))
+    assert np.isnan(mapped(touched).confidence)
+    assert mapped(rolling).confidence > 0.9

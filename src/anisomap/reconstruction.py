@@ -171,9 +171,10 @@ def reconstruct(
             "the scaled distances"
         )
     confidence = math.nan
-    if judge and recipe.refine is not None and recording is not None and not matrices:
-        largest = component == 0
-        confidence = _confidence(recording.readings[:, largest], method, dimensions, chosen)
+    unclear = bool(matrices) or pieces.facts.get("uneven")  # halves would be squeezed alike
+    if judge and recipe.refine is not None and recording is not None and not unclear:
+        largest = recording.readings[:, component == 0]
+        confidence = _confidence(largest, method, dimensions, chosen)
         notes += _lacks_evidence(confidence)
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)

@@ -120,7 +120,8 @@ def refine_by_covariogram(
     -------
     Refined
         With ``"passes"`` or ``"even_spacing"`` among its facts where lengths come from
-        `anisomap.numerics.unrolling.contact_passes` or `even_spacing`. Fewer than 8 sensors are
+        `anisomap.numerics.unrolling.contact_passes` or `even_spacing`, and ``"uneven"`` where they
+        should but cannot. Fewer than 8 sensors are
         left where they are.
     """
     unused = Refined(positions)
@@ -154,5 +155,6 @@ def refine_by_covariogram(
         )
     if found.acted:
         return Refined(found.positions, {"passes": True}, (_PASSES,))
-    squeezed = found.unevenness > UnrollingOptions.uneven
-    return Refined(found.positions, notes=(_SQUEEZED,) if squeezed else ())
+    if found.unevenness > UnrollingOptions.uneven:
+        return Refined(found.positions, {"uneven": True}, (_SQUEEZED,))
+    return Refined(found.positions)
