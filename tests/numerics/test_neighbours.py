@@ -15,6 +15,7 @@ from anisomap.numerics.neighbours import (
     agreement,
     direct_neighbours,
     edge_distances,
+    find_links,
     unevenness,
 )
 from skins import flat_skin, lattice, rubbed
@@ -63,6 +64,18 @@ def test_a_rubbed_lattice_is_joined_as_it_lies():
     assert (joined & near).sum() > 0.98 * joined.sum(), "hardly a shortcut"
     assert unevenness(positions, joined) < 0.1
     assert agreement(readings, positions) > 0.95
+
+
+@pytest.mark.parametrize(("sign", "forced"), [(1, 0.0), (-1, 1.0)])
+def test_a_link_between_opposites_is_forced(sign, forced):
+    first = np.random.default_rng(0).standard_normal((300, 1))
+    links = find_links(np.hstack([first, sign * first + 0.1 * first[::-1]]))
+    assert links.joined.tolist() == [[False, True], [True, False]]
+    assert links.forced == forced
+
+
+def test_hardly_a_link_of_a_rubbed_lattice_is_forced():
+    assert find_links(rubbed(lattice(), 2000)).forced < 0.02
 
 
 def test_given_similarity_is_that_of_the_readings():

@@ -52,6 +52,22 @@ class NeighbourOptions:
                 raise InputError(f"{name} is {value}; it must be at least 1")
 
 
+@dataclass(frozen=True, eq=False)
+class Links:
+    """Who is whose neighbour, and how far that can be believed.
+
+    Attributes
+    ----------
+    joined : ndarray of bool, shape (N, N)
+        As `direct_neighbours` gives it.
+    forced : float
+        Share of the links that are there only so that all sensors are connected.
+    """
+
+    joined: NDArray[np.bool_]
+    forced: float
+
+
 def direct_neighbours(
     readings: ArrayLike,
     positions: ArrayLike | None = None,
@@ -96,6 +112,27 @@ def direct_neighbours(
     others leave open: whole lines of a body that rolls are touched at once, so that partial
     correlations alone cannot tell two steps along a line from one.
     """
+    return find_links(readings, positions, similarity=similarity, options=options).joined
+
+
+def find_links(
+    readings: ArrayLike,
+    positions: ArrayLike | None = None,
+    *,
+    similarity: ArrayLike | None = None,
+    options: NeighbourOptions | None = None,
+) -> Links:
+    """Join neighbours as `direct_neighbours` does, and tell how many links had to be forced.
+
+    Parameters
+    ----------
+    readings, positions, similarity, options
+        As for `direct_neighbours`.
+
+    Returns
+    -------
+    Links
+    """
     chosen = options or NeighbourOptions()
     values = np.asarray(readings)
     if values.ndim != 2 or len(values) < _FEWEST_FRAMES or values.shape[1] < 2:
@@ -113,7 +150,10 @@ def direct_neighbours(
     partial = partial_correlation(alike, chosen.ridge)
     joined &= partial > 0
     np.fill_diagonal(joined, val=False)
-    return _without_detours(joined, partial, chosen.slack) | _strongest_tree(partial, alike)
+    direct = _without_detours(joined, partial, chosen.slack)
+    connected = direct | _strongest_tree(partial, alike)
+    forced = 1 - float(np.count_nonzero(direct) / np.count_nonzero(connected))
+    return Links(connected, forced)
 
 
 def unevenness(positions: ArrayLike, joined: ArrayLike) -> float:

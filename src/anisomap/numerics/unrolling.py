@@ -20,6 +20,7 @@ from anisomap.numerics.neighbours import (
     agreement,
     direct_neighbours,
     edge_distances,
+    find_links,
     unevenness,
 )
 from anisomap.numerics.passes import pass_lengths
@@ -48,6 +49,10 @@ class UnrollingOptions:
         skins that were tried.
     agree : float
         Least `agreement` at which the graph is believed where the map is not.
+    forced : float
+        Most share of forced links at which passes are looked at: where the ends of a body are
+        hardly touched, they are joined to anything. It was at most 0.04 on cylinders with bare
+        ends, and 0.18 and more on those with sensors there.
     measured : float
         Least share of the links whose length passes must tell.
     confirmed : float
@@ -63,6 +68,7 @@ class UnrollingOptions:
     trust: float = 0.003
     uneven: float = 0.5
     agree: float = 0.5
+    forced: float = 0.1
     measured: float = 0.5
     confirmed: float = 0.35
     smacof: SmacofOptions = field(default_factory=lambda: SmacofOptions(1e-6, 500))
@@ -216,15 +222,19 @@ def contact_passes(
     Unrolled
         By `fit_paths` with lengths from `pass_lengths` (the median where a link has none), in the
         map's unit. Acted only where all hold: the map is more uneven than
-        `UnrollingOptions.uneven`, both halves of the recording agree on the neighbours, most links
-        have lengths, and these contradict the map (`confirmation`); any other map comes back as it
-        is, to the bit.
+        `UnrollingOptions.uneven`, hardly a link is forced, both halves of the recording agree on
+        the neighbours, most links have lengths, and these contradict the map (`confirmation`); any
+        other map comes back as it is, to the bit.
     """
     chosen = options or UnrollingOptions()
     places = np.asarray(positions, dtype=np.float64)
-    joined = direct_neighbours(readings, places, similarity=similarity, options=chosen.neighbours)
-    uneven = unevenness(places, joined)
-    if uneven <= chosen.uneven or not _agreed(readings, places, chosen):
+    links = find_links(readings, places, similarity=similarity, options=chosen.neighbours)
+    joined, uneven = links.joined, unevenness(places, links.joined)
+    if (
+        uneven <= chosen.uneven
+        or links.forced > chosen.forced
+        or not _agreed(readings, places, chosen)
+    ):
         return Unrolled(places, False, uneven)
     lengths = pass_lengths(readings, joined)
     known = np.isfinite(lengths)
