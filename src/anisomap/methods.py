@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.binning import DEFAULT_BINS
+from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram import CovariogramOptions
 from anisomap.numerics.dissimilarity import (
     direct_dissimilarity,
@@ -41,7 +42,7 @@ from anisomap.numerics.graph import (
 )
 from anisomap.numerics.scaling import SmacofOptions
 from anisomap.numerics.similarity import co_activation, mutual_information, pearson, spearman
-from anisomap.refinement import Evidence, Refined, refine_by_covariogram
+from anisomap.refinement import Evidence, Refined, refine_by_contacts, refine_by_covariogram
 
 logger = logging.getLogger(__name__)
 
@@ -68,6 +69,8 @@ class MethodOptions:
         When to stop scaling.
     covariogram : CovariogramOptions
         Of the method of that name.
+    contacts : ContactOptions
+        Of the method "contact-fit".
     part : bool
         Whether the covariogram method parts sensors that nothing beyond chance holds together.
     independent_frames : float
@@ -85,6 +88,7 @@ class MethodOptions:
     n_neighbours: int | None = None
     smacof: SmacofOptions = field(default_factory=SmacofOptions)
     covariogram: CovariogramOptions = field(default_factory=CovariogramOptions)
+    contacts: ContactOptions = field(default_factory=ContactOptions)
     part: bool = True
     independent_frames: float = 500.0
     even_spacing: bool = False
@@ -199,6 +203,13 @@ def _covariogram(
     )
 
 
+def _contact_fit(
+    evidence: Evidence, metric: Matrix, positions: Matrix, options: MethodOptions
+) -> Refined:
+    mapped = _covariogram(evidence, metric, positions, options)
+    return refine_by_contacts(evidence, mapped, options.contacts)
+
+
 def _neighbour_edges(evidence: Evidence, options: MethodOptions) -> Matrix:
     """Information distance between neighbours, and no edge between any others."""
     similarity = evidence.similarity
@@ -232,6 +243,13 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             metricise,
             _covariogram,
             takes_even_spacing=True,
+        ),
+        "contact-fit": Method(
+            "the covariogram map, refined by the contacts that made the readings",
+            "blended-correlation",
+            _direct,
+            metricise,
+            _contact_fit,
         ),
         "r-anisomap": _anisomap("pearson", "ANISOMAP on linear correlation"),
         "i-anisomap": _anisomap("mutual-information", "ANISOMAP on mutual information"),

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.numerics.contacts import ContactOptions, fit_contacts
 from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram
 from anisomap.numerics.evidence import typical_noise
 from anisomap.numerics.unrolling import UnrollingOptions, contact_passes, even_spacing
@@ -158,3 +159,40 @@ def refine_by_covariogram(
     if found.unevenness > UnrollingOptions.uneven:
         return Refined(found.positions, {"uneven": True}, (_SQUEEZED,))
     return Refined(found.positions)
+
+
+def refine_by_contacts(
+    evidence: Evidence, mapped: Refined, options: ContactOptions | None = None
+) -> Refined:
+    """Refine a map by contacts, where these can be believed.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        With readings; without, the map stays.
+    mapped : Refined
+        A map that is nearly right.
+    options : ContactOptions, optional
+
+    Returns
+    -------
+    Refined
+        With ``"contacts"``, how many there were, among its facts, or 0 and a note why the map
+        stayed as it was.
+    """
+    if evidence.readings is None:
+        return _unrefined(mapped, "readings of all sensors in the same frames were not given")
+    if len(mapped.positions) < _FEWEST_TO_FIT:
+        return _unrefined(mapped, f"{len(mapped.positions)} sensors are too few")
+    fit = fit_contacts(evidence.readings, mapped.positions, options)
+    logger.info("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
+    if not fit.used:
+        return _unrefined(mapped, fit.doubt)
+    return replace(
+        mapped, positions=fit.positions, facts={**mapped.facts, "contacts": fit.n_contacts}
+    )
+
+
+def _unrefined(mapped: Refined, doubt: str) -> Refined:
+    note = f"contacts did not refine the map, which is the covariogram method's: {doubt}"
+    return replace(mapped, facts={**mapped.facts, "contacts": 0}, notes=(*mapped.notes, note))

@@ -1,0 +1,287 @@
+"""Contacts that nobody saw: exact derivatives, known answers, and when they are not believed."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import approx_fprime
+from scipy.spatial.distance import pdist
+
+from anisomap.errors import InputError
+from anisomap.numerics.contacts import ContactOptions, fit_contacts
+from anisomap.numerics.contacts.adjusting import Reduced
+from anisomap.numerics.contacts.finding import Contacts, find_contacts
+from anisomap.numerics.contacts.levels import sort_into_levels
+from anisomap.numerics.contacts.locating import evaluate, left_out, locate
+from anisomap.numerics.contacts.profile import Profile, _loss, learn_profile, level_terms
+from anisomap.reconstruction import reconstruct
+from anisomap.recording import Recording
+from skins import lattice
+
+PROFILE = Profile(np.array([0.0, 0.4, 1.1]), 0.2, 1.8, 0.3)
+
+
+def mantel_r(x, y):
+    return float(np.corrcoef(pdist(x), pdist(y))[0, 1])
+
+
+def pressed(places, n_frames=800, *, seed=0, binary=False):
+    """Readings of sensors that compact things press, each somewhere else, of one kind."""
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform(places.min(axis=0) - 0.5, places.max(axis=0) + 0.5, (n_frames, 2))
+    reach = rng.normal(1.9, 0.2, (n_frames, 1))
+    inside = reach - np.linalg.norm(places - middle[:, None], axis=2)
+    readings = np.maximum(inside, 0) ** 1.5
+    return (readings > 0).astype(float) if binary else readings
+
+
+def some_contacts(dimensions, seed=0):
+    """A few contacts of some sensors, near where they are, and readings as these make them."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-2, 2, (12, dimensions))
+    states = np.column_stack([rng.uniform(-1, 1, (5, dimensions)), rng.uniform(1, 2, 5)])
+    sensors = np.concatenate([rng.permutation(12)[:10] for _ in range(5)])
+    of = np.repeat(np.arange(5), 10)
+    inside = states[of, -1] - np.linalg.norm(places[sensors] - states[of, :-1], axis=1)
+    levels = (inside[:, None] + rng.logistic(0, 0.3, (50, 1)) >= PROFILE.thresholds).sum(axis=1)
+    return places, Contacts(sensors, levels, np.arange(0, 50, 10), np.arange(5), 3), states
+
+
+@given(st.integers(0, 3), st.floats(-2, 3))
+def test_slopes_of_readings_are_those_of_finite_differences(level, inside):
+    def score(u):
+        return float(level_terms([level], [u], PROFILE)[0][0])
+
+    _, slope, curvature = level_terms([level], [inside], PROFILE)
+    difference = (score(inside + 1e-5) - score(inside - 1e-5)) / 2e-5
+    assert slope[0] == pytest.approx(difference, rel=1e-5, abs=1e-6)
+    assert curvature[0] >= 0
+
+
+def test_levels_share_out_all_probability():
+    inside = np.linspace(-3, 4, 50)
+    total = sum(np.exp(level_terms(np.full(50, level), inside, PROFILE)[0]) for level in range(4))
+    np.testing.assert_allclose(total, 1, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_profiles_gradient_is_that_of_finite_differences(seed):
+    rng = np.random.default_rng(seed)
+    levels, inside, weights = rng.integers(0, 4, 50), rng.normal(0.5, 1, 50), rng.uniform(size=50)
+    at = np.array([0.1, np.log(0.5), np.log(0.3), np.log(0.25)])
+    value, gradient = _loss(at, levels, inside, weights)
+    expected = approx_fprime(at, lambda p: _loss(p, levels, inside, weights)[0], 1e-7)
+    np.testing.assert_allclose(gradient, expected, atol=1e-4 * abs(value))
+
+
+def test_a_profile_is_learned_again_from_its_own_readings():
+    rng = np.random.default_rng(0)
+    inside = rng.uniform(-1.5, 2.5, 40_000)
+    reached = inside + rng.logistic(0, PROFILE.softness, len(inside))
+    levels = (reached[:, None] >= PROFILE.thresholds).sum(axis=1)
+    start = Profile(np.array([-0.3, 0.8, 1.0]), 0.5, 1.8, 0.3)
+    learned = learn_profile(levels, inside, np.ones(len(inside)), start)
+    # The share of outliers that the model expects is not there, which sharpens it a little.
+    np.testing.assert_allclose(learned.thresholds, PROFILE.thresholds, atol=0.03)
+    assert learned.softness == pytest.approx(PROFILE.softness, rel=0.15)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_pulls_on_contacts_are_those_of_finite_differences(dimensions):
+    places, contacts, states = some_contacts(dimensions)
+    found = evaluate(contacts, places, states, PROFILE)
+    shape = states.shape
+    expected = approx_fprime(
+        states.ravel(),
+        lambda p: evaluate(contacts, places, p.reshape(shape), PROFILE).scores.sum(),
+        1e-6,
+    )
+    np.testing.assert_allclose(found.pulls.ravel(), expected, atol=1e-4)
+    assert (np.linalg.eigvalsh(found.precisions) > 0).all()
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_sensors_are_pulled_as_finite_differences_say_contacts_following(dimensions):
+    places, contacts, states = some_contacts(dimensions)
+    located = locate(contacts, places, states, PROFILE, steps=500)
+    assert np.abs(located.pulls).max() < 0.05
+    kept = np.array([True, True, False, True, True])
+    gradient = Reduced(contacts, located, kept, len(places)).gradient
+    expected = approx_fprime(
+        places.ravel(),
+        lambda p: (
+            locate(contacts, p.reshape(places.shape), located.states, PROFILE, steps=50)
+            .scores[kept]
+            .sum()
+        ),
+        1e-5,
+    )
+    np.testing.assert_allclose(gradient, expected, atol=0.02 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_reduced_curvature_is_what_a_whole_system_leaves_and_steps_solve_it(dimensions):
+    places, contacts, states = some_contacts(dimensions)
+    fitted = evaluate(contacts, places, states, PROFILE)
+    reduced = Reduced(contacts, fitted, np.ones(5, dtype=bool), 12)
+    size, width = places.size, dimensions + 1
+    whole = np.zeros((size + states.size,) * 2)
+    pulls = np.zeros(len(whole))
+    for m, (sensor, contact) in enumerate(zip(contacts.sensors, contacts.of_reading, strict=True)):
+        row = np.zeros(len(whole))
+        row[sensor * dimensions : (sensor + 1) * dimensions] = -fitted.directions[m, :-1]
+        at = size + contact * width
+        row[at : at + width] = fitted.directions[m]
+        whole += fitted.curvatures[m] * np.outer(row, row)
+        pulls += fitted.slopes[m] * row
+    for contact in range(5):
+        at = slice(size + contact * width, size + (contact + 1) * width)
+        whole[at, at] = fitted.precisions[contact]  # with what is known of reaches
+        pulls[at] = fitted.pulls[contact]
+    back = np.linalg.solve(whole[size:, size:], whole[size:, :size])
+    expected = whole[:size, :size] - whole[:size, size:] @ back
+    dense = np.column_stack([reduced.curvature(column) for column in np.eye(size)])
+    np.testing.assert_allclose(dense, expected, atol=1e-9)
+    np.testing.assert_allclose(reduced.gradient, pulls[:size] - back.T @ pulls[size:], atol=1e-9)
+    strays = np.random.default_rng(0).normal(size=places.shape)
+    step = reduced.step(strays, share=0.3, looseness=0.5)
+    damped = 0.3 * dense + 4 * np.eye(size)
+    own = 0.01 * (0.3 * np.diag(whole)[:size] + 4)
+    np.testing.assert_allclose(
+        (damped + np.diag(own)) @ step.ravel(),
+        0.3 * reduced.gradient - 4 * strays.ravel(),
+        atol=1e-5,
+    )
+
+
+def test_leaving_a_reading_out_is_nearly_fitting_without_it():
+    # Readings of a true contact: one Newton step is enough where the score is nearly a parabola.
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-2, 2, (60, 2))
+    soft = Profile(np.array([0.0, 0.5, 1.0]), 0.5, 1.8, 0.3)
+    reached = 1.8 - np.linalg.norm(places, axis=1) + rng.logistic(0, 0.5, 60)
+    levels = (reached[:, None] >= soft.thresholds).sum(axis=1)
+    contacts = Contacts(np.arange(60), levels, np.zeros(1, int), np.zeros(1, int), 3)
+    start = np.array([[0.0, 0.0, 1.8]])
+    fitted = locate(contacts, places, start, soft, steps=100)
+    quick = left_out(contacts, fitted)
+    for m in range(60):
+        rest = np.delete(np.arange(60), m)
+        without = Contacts(rest, levels[rest], np.zeros(1, int), np.zeros(1, int), 3)
+        y = locate(without, places, fitted.states, soft, steps=100).states[0]
+        exact = y[2] - np.linalg.norm(places[m] - y[:2])
+        assert quick[m] == pytest.approx(exact, abs=0.05)
+        assert abs(quick[m] - exact) <= 0.5 * abs(fitted.inside[m] - exact) + 0.01
+
+
+def test_two_things_at_once_are_two_contacts():
+    places = lattice(8, 12)
+    centres = np.array([[2.0, 3.0], [9.0, 3.0]])
+    depth = np.maximum(1.7 - np.linalg.norm(places - centres[:, None], axis=2), 0).sum(axis=0)
+    levels = sort_into_levels(np.vstack([depth, np.zeros((9, 96))]), 8, 0.3)
+    found = find_contacts(levels, places, fewest_sensors=3, most=100, most_readings=10_000)
+    assert len(found.starts) == 2
+    assert (found.frames == 0).all()
+    for contact in range(2):
+        mine = found.of_reading == contact
+        touched = found.sensors[mine & (found.levels > 0)]
+        near = np.linalg.norm(places[touched] - centres[:, None], axis=2)
+        assert (near.argmin(axis=0) == near[:, 0].argmin()).all()
+        assert (depth[found.sensors[mine & (found.levels == 0)]] == 0).all()
+
+
+@pytest.mark.parametrize(("binary", "left"), [(False, 0.5), (True, 0.7)])
+def test_a_pressed_skin_is_found_more_exactly_than_by_the_covariogram(binary, left):
+    places = lattice(7, 8)
+    for seed in range(3):
+        readings = pressed(places, seed=seed, binary=binary)
+        rough = reconstruct(Recording(readings), "covariogram", 2).positions
+        found = fit_contacts(readings, rough)
+        assert found.used
+        assert not found.doubt
+        assert 1 - mantel_r(found.positions, places) < left * (1 - mantel_r(rough, places))
+
+
+def test_a_spread_of_gains_costs_little():
+    places = lattice(7, 8)
+    readings = pressed(places)
+    gains = 5.0 ** np.random.default_rng(0).uniform(-0.5, 0.5, 56)
+    rough = places + np.random.default_rng(1).normal(0, 0.2, places.shape)
+    plain, spread = fit_contacts(readings, rough), fit_contacts(readings * gains, rough)
+    blind = fit_contacts(readings * gains, rough, ContactOptions(gains_alike=np.inf))
+    assert spread.used
+    lost, ignored = (
+        mantel_r(plain.positions, places) - mantel_r(other.positions, places)
+        for other in (spread, blind)
+    )
+    assert lost < 0.001 < ignored
+    assert np.corrcoef(np.log(spread.gains), np.log(gains))[0, 1] > 0.95
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.integers(0, 10))
+def test_labels_and_units_do_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    places = lattice(7, 7)
+    readings = pressed(places, 300, seed=seed)
+    rough = places + rng.normal(0, 0.2, places.shape)
+    options = ContactOptions(rounds=1, steps=2)
+    found = fit_contacts(readings, rough, options)
+    order = rng.permutation(49)
+    other = fit_contacts(5 - 7 * readings[:, order], 3 * rough[order] + 8, options)
+    assert found.used
+    assert other.used
+    assert other.n_contacts == found.n_contacts
+    np.testing.assert_allclose(other.positions, 3 * found.positions[order] + 8, atol=1e-4)
+
+
+def test_noise_makes_no_contacts():
+    rng = np.random.default_rng(0)
+    places = lattice(8, 8)
+    noise = (rng.uniform(size=(400, 64)) < 0.2).astype(float)
+    found = fit_contacts(noise, places)
+    assert not found.used
+    assert found.explained < 0.35
+    np.testing.assert_array_equal(found.positions, places)
+    assert "explains" in found.doubt
+
+
+def test_readings_that_never_rest_make_no_contacts():
+    found = fit_contacts(np.random.default_rng(0).normal(size=(500, 64)), lattice(8, 8))
+    assert not found.used
+    assert found.at_rest < 0.2
+    assert "at rest" in found.doubt
+
+
+def test_an_untouched_skin_has_no_contacts():
+    found = fit_contacts(np.zeros((50, 64)), lattice(8, 8))
+    assert not found.used
+    assert found.n_contacts == 0
+    assert "0 contacts" in found.doubt
+
+
+@pytest.mark.parametrize(
+    ("readings", "positions", "message"),
+    [
+        (np.zeros(5), np.zeros((5, 2)), r"shape \(5,\)"),
+        (np.zeros((9, 5)), np.zeros((4, 2)), r"must be \(5, k\)"),
+        (np.full((9, 5), np.nan), np.eye(5), "finite"),
+        (np.zeros((9, 5)), np.full((5, 2), np.inf), "finite"),
+        (np.zeros((9, 2)), np.eye(2), "too few"),
+        (np.eye(9)[:, :5], np.zeros((5, 2)), "share their place"),
+    ],
+)
+def test_nonsense_is_refused(readings, positions, message):
+    with pytest.raises(InputError, match=message):
+        fit_contacts(readings, positions)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"levels": 0}, {"levels": 200}, {"share": 0}, {"share": np.nan}, {"looseness": 0},
+     {"looseness": np.inf}, {"rounds": 0}, {"steps": -1}, {"fewest_sensors": 1},
+     {"most_contacts": 0}, {"gains_alike": np.nan}],
+)  # fmt: skip
+def test_nonsense_options_are_refused(options):
+    with pytest.raises(InputError, match=next(iter(options))):
+        ContactOptions(**options)
