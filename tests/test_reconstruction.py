@@ -15,7 +15,7 @@ from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.scaling import SmacofOptions
 from skins import flat_skin, lattice, rubbed, seeing_patch
 
-QUICK = MethodOptions(contacts=ContactOptions(most_contacts=300))
+QUICK = MethodOptions(contacts=ContactOptions(most_readings=6000))
 
 
 def mantel_r(sensor_map, recording):

@@ -182,7 +182,7 @@ def test_two_things_at_once_are_two_contacts():
     centres = np.array([[2.0, 3.0], [9.0, 3.0]])
     depth = np.maximum(1.7 - np.linalg.norm(places - centres[:, None], axis=2), 0).sum(axis=0)
     levels = sort_into_levels(np.vstack([depth, np.zeros((9, 96))]), 8, 0.3)
-    found = find_contacts(levels, places, fewest_sensors=3, most=100, most_readings=10_000)
+    found = find_contacts(levels, places, fewest_sensors=3, most_readings=10_000)
     assert len(found.starts) == 2
     assert (found.frames == 0).all()
     for contact in range(2):
@@ -193,13 +193,13 @@ def test_two_things_at_once_are_two_contacts():
         assert (depth[found.sensors[mine & (found.levels == 0)]] == 0).all()
 
 
-@pytest.mark.parametrize(("binary", "left"), [(False, 0.5), (True, 0.7)])
-def test_a_pressed_skin_is_found_more_exactly_than_by_the_covariogram(binary, left):
+@pytest.mark.parametrize(("binary", "left", "options"), [(False, 0.5, QUICK), (True, 0.7, None)])
+def test_a_pressed_skin_is_found_more_exactly_than_by_the_covariogram(binary, left, options):
     places = lattice(7, 8)
     for seed in range(3):
         readings = pressed(places, seed=seed, binary=binary)
         rough = reconstruct(Recording(readings), "covariogram", 2).positions
-        found = fit_contacts(readings, rough)
+        found = fit_contacts(readings, rough, options)
         assert found.used
         assert not found.doubt
         assert 1 - mantel_r(found.positions, places) < left * (1 - mantel_r(rough, places))
@@ -284,7 +284,7 @@ def test_nonsense_is_refused(readings, positions, message):
     "options",
     [{"levels": 0}, {"levels": 200}, {"share": 0}, {"share": np.nan}, {"looseness": 0},
      {"looseness": np.inf}, {"rounds": 0}, {"steps": -1}, {"fewest_sensors": 1},
-     {"most_contacts": 0}, {"gains_alike": np.nan}],
+     {"most_readings": 0}, {"gains_alike": np.nan}],
 )  # fmt: skip
 def test_nonsense_options_are_refused(options):
     with pytest.raises(InputError, match=next(iter(options))):

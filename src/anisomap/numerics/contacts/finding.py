@@ -81,7 +81,7 @@ class _Surroundings:
 
 
 def find_contacts(
-    levels: Levels, places: ArrayLike, *, fewest_sensors: int, most: int, most_readings: int
+    levels: Levels, places: ArrayLike, *, fewest_sensors: int, most_readings: int
 ) -> Contacts | None:
     """Find contacts: touched neighbours, cut apart where there are several peaks among them.
 
@@ -92,9 +92,9 @@ def find_contacts(
         A map; only what is near what matters.
     fewest_sensors : int
         Fewer touched sensors do not tell where a contact is.
-    most, most_readings : int
-        About how many contacts, and readings of contacts, to look for. Frames are left out
-        evenly if there are more: those that follow each other tell nearly the same.
+    most_readings : int
+        About how many readings of contacts to look for. Frames are left out evenly if there are
+        more: those that follow each other tell nearly the same.
 
     Returns
     -------
@@ -107,9 +107,8 @@ def find_contacts(
     few = _gather(levels, around, sample, fewest_sensors)
     if few is None:
         return None
-    expected = len(few.starts) * n_frames / len(sample)
-    wanted = min(most, most_readings / few.sizes.mean())
-    stride = max(1, round(expected / wanted))
+    expected = len(few.sensors) * n_frames / len(sample)
+    stride = max(1, round(expected / most_readings))
     return _gather(levels, around, np.arange(0, n_frames, stride), fewest_sensors)
 
 

@@ -40,8 +40,9 @@ class ContactOptions:
     gains_alike : float
         Spread of the gains of sensors, as a standard deviation of logarithms, up to which readings
         of different sensors are compared as they are.
-    most_contacts, most_readings : int
-        About how many contacts, and readings of contacts, to fit.
+    most_readings, readings_a_sensor : int
+        About how many readings of contacts to fit, at least 1: in all, or for each sensor,
+        whichever is more.
     fewest_sensors : int
         Fewer touched sensors make no contact; at least 2.
     share : float
@@ -59,8 +60,8 @@ class ContactOptions:
 
     levels: int = 8
     gains_alike: float = 0.3
-    most_contacts: int = 3000
     most_readings: int = 30_000
+    readings_a_sensor: int = 150
     fewest_sensors: int = 3
     share: float = 0.2
     looseness: float = 0.5
@@ -71,8 +72,8 @@ class ContactOptions:
 
     def __post_init__(self) -> None:
         for name, least in (
-            ("most_contacts", 1),
             ("most_readings", 1),
+            ("readings_a_sensor", 1),
             ("fewest_sensors", 2),
             ("rounds", 1),
             ("steps", 1),
@@ -222,8 +223,7 @@ def _found(levels: Levels, places: Matrix, options: ContactOptions) -> Contacts 
         levels,
         places,
         fewest_sensors=options.fewest_sensors,
-        most=options.most_contacts,
-        most_readings=options.most_readings,
+        most_readings=max(options.most_readings, options.readings_a_sensor * len(places)),
     )
 
 
