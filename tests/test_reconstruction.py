@@ -12,6 +12,7 @@ from anisomap import Recording, reconstruct, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.methods import METHODS, PAPER_METHODS, SIMILARITIES, MethodOptions, compute_stages
 from anisomap.numerics.contacts import ContactOptions
+from anisomap.numerics.covariogram import CovariogramOptions
 from anisomap.numerics.scaling import SmacofOptions
 from skins import flat_skin, lattice, rubbed, seeing_patch
 
@@ -198,6 +199,14 @@ def test_skins_that_were_touched_independently_are_separate_maps():
     np.testing.assert_array_equal(sensor_map.component, [0] * 42 + [1] * 30)
     for piece, places in zip(sensor_map.split(), (lattice(), lattice()[:30]), strict=True):
         assert score(piece, places, permutations=0).mantel.r > 0.95
+
+
+def test_what_was_changed_of_the_fit_is_in_the_provenance():
+    options = MethodOptions(covariogram=CovariogramOptions(repulsion=0.2))
+    made = reconstruct(flat_skin(), dimensions=2, options=options, judge=False)
+    assert made.provenance["covariogram_repulsion"] == 0.2
+    usual = reconstruct(flat_skin(), dimensions=2, judge=False)
+    assert not any(key.startswith("covariogram_") for key in usual.provenance)
 
 
 def test_short_recordings_are_doubted():

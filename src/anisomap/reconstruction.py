@@ -25,6 +25,7 @@ from anisomap.methods import (
     compute_stages,
     find_method,
 )
+from anisomap.numerics.covariogram import CovariogramOptions
 from anisomap.numerics.graph import components
 from anisomap.numerics.scaling import Scaling, SmacofOptions, smacof
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
@@ -371,4 +372,8 @@ def _provenance(
         facts["n_neighbours"] = options.n_neighbours
     if given := " ".join(precomputed):
         facts["precomputed"] = given
+    if find_method(method).refine is not None:
+        usual = asdict(CovariogramOptions())
+        changed = {k: v for k, v in asdict(options.covariogram).items() if v != usual[k]}
+        facts |= {f"covariogram_{name}": value for name, value in changed.items()}
     return facts | asdict(options.smacof)

@@ -11,7 +11,8 @@ from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
 from anisomap.numerics import covariogram
-from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram, overlapping_blocks
+from anisomap.numerics.blocks import overlapping_blocks
+from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram
 from anisomap.numerics.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph import metricise
 from anisomap.numerics.scaling import smacof
