@@ -14,6 +14,7 @@ from anisomap.methods import METHODS, PAPER_METHODS, SIMILARITIES, MethodOptions
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram import CovariogramOptions
 from anisomap.numerics.scaling import SmacofOptions
+from anisomap.refinement import Evidence, Refined, refine_by_contacts
 from skins import flat_skin, lattice, rubbed, seeing_patch
 
 QUICK = MethodOptions(contacts=ContactOptions(most_readings=6000))
@@ -147,6 +148,19 @@ def test_where_contacts_cannot_be_told_the_covariogram_map_stays_and_a_note_says
     assert found.notes == tuple(str(warning.message) for warning in told)
     assert found.provenance["contacts"] == 0
     np.testing.assert_array_equal(found.positions, reconstruct(skin, "covariogram", 2).positions)
+
+
+@pytest.mark.parametrize("fact", ["passes", "uneven", "even_spacing"])
+def test_compact_contacts_do_not_bend_a_map_whose_contacts_are_long(fact):
+    skin = flat_skin()
+    alike = np.eye(42)
+    evidence = Evidence(alike, alike, alike == 0, skin.readings)
+    mapped = Refined(np.asarray(skin.positions), {fact: True}, ("a note",))
+    kept = refine_by_contacts(evidence, mapped)
+    np.testing.assert_array_equal(kept.positions, skin.positions)
+    assert kept.facts == {fact: True, "contacts": 0}
+    assert kept.notes[0] == "a note"
+    assert "contacts here are long" in kept.notes[1]
 
 
 def test_dead_sensors_are_left_out_and_listed():

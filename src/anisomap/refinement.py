@@ -21,6 +21,9 @@ logger = logging.getLogger(__name__)
 Matrix: TypeAlias = NDArray[np.float64]
 
 _FEWEST_TO_FIT = 8  # sensors; fewer have hardly more pairs than coordinates
+_LENGTHWISE = ("passes", "uneven", "even_spacing")
+"""Facts of maps whose contacts are longer than compact ones: these would bend such maps."""
+
 _FEWEST_FRAMES = 40  # fewer hold no contacts that could be told apart
 
 _UNEVEN = "the covariogram map drew neighbours at very unequal distances"
@@ -184,6 +187,8 @@ def refine_by_contacts(
         return _unrefined(mapped, "readings of all sensors in the same frames were not given")
     if len(mapped.positions) < _FEWEST_TO_FIT:
         return _unrefined(mapped, f"{len(mapped.positions)} sensors are too few")
+    if any(mapped.facts.get(fact) for fact in _LENGTHWISE):
+        return _unrefined(mapped, "contacts here are long, and those that are fitted are compact")
     fit = fit_contacts(evidence.readings, mapped.positions, options)
     logger.info("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
     if not fit.used:
