@@ -90,6 +90,32 @@ def test_too_little_evidence_is_said():
     assert "does not suffice" in confidence_in_words(made.confidence)
 
 
+def test_halves_that_share_nothing_leave_no_confidence():
+    assert expected_mantel_r(0.0) < 0.1
+    assert expected_mantel_r(-0.5) == 0
+    assert expected_mantel_r(1.0) == pytest.approx(0.99)
+
+
+@quiet
+def test_a_map_of_noise_is_not_trusted():
+    found = []
+    for seed in range(4):
+        noise = np.random.default_rng(seed).normal(size=(600, 30))
+        made = reconstruct(Recording(noise), dimensions=2, options=MethodOptions(part=False))
+        found.append(made.confidence)
+    assert max(c for c in found if not math.isnan(c)) < 0.7
+
+
+@quiet
+def test_what_cannot_be_judged_has_no_confidence():
+    skin = flat_skin()
+    few = Recording(skin.readings[:, :8])
+    assert math.isnan(reconstruct(few, dimensions=2).confidence)
+    weights = np.ones((42, 42))
+    weights[0, 1] = weights[1, 0] = 0
+    assert math.isnan(reconstruct(skin, dimensions=2, weights=weights).confidence)
+
+
 @quiet
 def test_nobody_is_asked_where_nothing_can_be_told():
     skin = flat_skin(n_frames=300)

@@ -14,6 +14,7 @@ from anisomap.methods import METHODS, PAPER_METHODS, SIMILARITIES, MethodOptions
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram import CovariogramOptions
 from anisomap.numerics.scaling import SmacofOptions
+from anisomap.placement import spacing_of
 from anisomap.refinement import Evidence, Refined, refine_by_contacts
 from skins import flat_skin, lattice, rubbed, seeing_patch
 
@@ -213,6 +214,66 @@ def test_skins_that_were_touched_independently_are_separate_maps():
     np.testing.assert_array_equal(sensor_map.component, [0] * 42 + [1] * 30)
     for piece, places in zip(sensor_map.split(), (lattice(), lattice()[:30]), strict=True):
         assert score(piece, places, permutations=0).mantel.r > 0.95
+
+
+@pytest.mark.parametrize("known", [0.45, 0.7])
+def test_many_unknown_pairs_are_bridged(known):
+    found = {"covariogram": [], "r-anisomap": []}
+    for seed in range(3):
+        skin = flat_skin(seed=seed)
+        weights = np.random.default_rng(seed).uniform(size=(42, 42)) < 1 - np.sqrt(1 - known)
+        weights = (weights | weights.T).astype(float)
+        for method, scores in found.items():
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", AnisomapWarning)
+                made = reconstruct(skin, method, 2, weights=weights)
+            scores.append(mantel_r(made, skin))
+    assert np.mean(found["covariogram"]) > np.mean(found["r-anisomap"]) - 0.01
+
+
+def test_pieces_come_in_one_unit():
+    skin, patch = flat_skin(n_frames=4000), flat_skin(seed=9, n_frames=4000)
+    for size in (6, 9, 12, 30):
+        both = Recording(np.hstack([skin.readings, patch.readings[:, :size]]))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AnisomapWarning)
+            made = reconstruct(both, dimensions=2, judge=False)
+        spacings = [spacing_of(piece) for piece in made.split() if piece.n_sensors > 3]
+        assert max(spacings) < 2 * min(spacings)
+
+
+@pytest.mark.parametrize("similarity", [np.full((10, 10), 2.0), 5 * np.eye(10) + 1])
+def test_the_covariogram_is_of_correlations(similarity):
+    with pytest.raises(InputError, match="from -1 to 1"):
+        reconstruct(similarity=similarity)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"noise": np.ones((3, 3))}, r"noise has shape \(3, 3\)"),
+        ({"noise": 0.01}, "noise has shape"),
+        ({"noise": np.zeros((42, 42))}, "above 0"),
+        ({"noise": np.full((42, 42), np.inf)}, "finite"),
+        ({"weights": np.triu(np.ones((42, 42)))}, "weight matrix is not symmetric"),
+        ({"weights": np.full((42, 42), -1.0)}, "weights must be"),
+        ({"weights": np.full((42, 42), np.nan)}, "weights must be"),
+    ],
+)
+def test_nonsense_beside_a_similarity_is_named(given, message):
+    similarity = np.corrcoef(flat_skin().readings.T)
+    with pytest.raises(InputError, match=message):
+        reconstruct(similarity=similarity, **given)
+
+
+@pytest.mark.parametrize("unit", [1e-200, 1e-165, 1e152, 1e200])
+def test_no_unit_of_readings_is_too_large_or_small(unit):
+    skin = flat_skin(n_frames=600)
+    usual, extreme = (
+        reconstruct(Recording(readings), dimensions=2, judge=False)
+        for readings in (skin.readings, skin.readings * unit)
+    )
+    assert anisomap.mantel(usual, extreme, permutations=0).r > 0.999
 
 
 def test_what_was_changed_of_the_fit_is_in_the_provenance():

@@ -6,7 +6,7 @@ import pytest
 import anisomap
 from anisomap import Recording, SensorMapper, reconstruct, streaming
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.methods import METHODS
+from anisomap.methods import METHODS, MethodOptions
 from anisomap.numerics.accumulators import Moments
 from anisomap.numerics.gathering import Crew, gather
 from anisomap.streaming import reconstruct_chunks
@@ -182,3 +182,17 @@ def test_health_is_judged_from_an_excerpt_of_bounded_size(monkeypatch):
         found = reconstruct_chunks(lambda: np.split(late, 10), "r-anisomap", 2)
     assert found.placed[7]
     assert found.health[7] != "dead"
+
+
+def test_a_squeezed_map_of_chunks_says_so():
+    doubled = np.hstack([READINGS, READINGS + np.arange(42, dtype=np.uint8) % 2])
+    with pytest.warns(AnisomapWarning, match="heights of contacts.* were not looked at"):
+        reconstruct_chunks(lambda: iter(np.split(doubled, 5)), dimensions=2)
+
+
+def test_even_spacing_is_refused_before_all_frames_are_read():
+    def unread():
+        raise AssertionError
+
+    with pytest.raises(InputError, match="even spacing"):
+        reconstruct_chunks(unread, options=MethodOptions(even_spacing=True))

@@ -50,6 +50,9 @@ Matrix: TypeAlias = NDArray[np.float64]
 
 DEFAULT_METHOD = "covariogram"
 
+_ROUNDING = 1e-6
+_MOSTLY_KNOWN = 0.6
+
 
 @dataclass(frozen=True)
 class MethodOptions:
@@ -97,8 +100,10 @@ class MethodOptions:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mu) and self.mu >= 0):
             raise InputError(f"mu is {self.mu}; it must be a number of at least 0")
-        if not self.independent_frames > 0:
-            raise InputError(f"independent_frames is {self.independent_frames}; it must be above 0")
+        if not (np.isfinite(self.independent_frames) and self.independent_frames > 0):
+            raise InputError(
+                f"independent_frames is {self.independent_frames}; it must be a number above 0"
+            )
 
 
 @dataclass(frozen=True)
@@ -188,6 +193,9 @@ def _information_distance(evidence: Evidence, _: MethodOptions) -> Matrix:
 
 
 def _direct(evidence: Evidence, options: MethodOptions) -> Matrix:
+    if np.mean(evidence.known) < _MOSTLY_KNOWN:
+        # Partial correlations take all others into account, of which too many are unknown.
+        return regularised_reciprocal(np.where(evidence.known, evidence.similarity, 0), options.mu)
     apart = direct_dissimilarity(evidence.similarity, evidence.noise)
     if not options.part:
         return apart
@@ -382,6 +390,11 @@ def _gathered(
             values = np.asarray(readings)
             noise = sampling_variance(values)
     alike = symmetric(similarity, "similarity")
+    if recipe.refine is not None and np.abs(alike).max(initial=0) > 1 + _ROUNDING:
+        raise InputError(
+            f"the similarity reaches {np.abs(alike).max():g}, but this method is of correlations, "
+            "from -1 to 1; r-anisomap takes any similarity"
+        )
     if noise is None:
         noise = np.full(alike.shape, 1 / options.independent_frames)
     known = np.ones(alike.shape, dtype=bool)

@@ -6,30 +6,32 @@ import logging
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
 
 from anisomap._listing import listing
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation.confidence import DOUBTFUL, agreement_of_halves, expected_mantel_r
+from anisomap.evaluation.confidence import (
+    DOUBTFUL,
+    FEWEST_TO_JUDGE,
+    agreement_of_halves,
+    expected_mantel_r,
+)
 from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.methods import (
     DEFAULT_METHOD,
     MethodOptions,
-    Refine,
     check_priors,
     compute_stages,
     find_method,
 )
 from anisomap.numerics.covariogram import CovariogramOptions
-from anisomap.numerics.graph import components
-from anisomap.numerics.scaling import Scaling, SmacofOptions, smacof
+from anisomap.numerics.dissimilarity import symmetric
+from anisomap.pieces import Pieces, refine_pieces, scale_pieces
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
-from anisomap.refinement import Evidence
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 logger = logging.getLogger(__name__)
@@ -72,7 +74,8 @@ def reconstruct(
     start : array_like of shape (N, k), optional
         Positions to start scaling from, with k = `dimensions`.
     weights : array_like of shape (N, N), optional
-        How much each distance counts in scaling; 0 is unknown.
+        How much each distance counts in scaling; 0 is unknown. The covariogram method looks only
+        at which are 0.
     names : iterable of str, optional
         Names of the sensors, where there is no recording to name them.
     exclude : iterable of str or int
@@ -83,8 +86,8 @@ def reconstruct(
     health : sequence of SensorHealth, optional
         An assessment of the recording, if it is at hand already.
     judge : bool
-        Whether to find out how far the map can be trusted (`SensorMap.confidence`), with methods
-        for which that is calibrated: takes as long as two to four more maps.
+        Whether to find out how far the map can be trusted (`SensorMap.confidence`), with the
+        methods that refine their maps: takes as long as two to four more maps.
 
     Returns
     -------
@@ -137,10 +140,10 @@ def reconstruct(
         method,
         chosen,
         **{what: matrix[part] for what, matrix in matrices.items()},
-        noise=None if noise is None else np.asarray(noise)[part],
+        noise=None if noise is None else _checked_noise(noise, n_sensors)[part],
         known=None if counts is None else counts > 0,
     )
-    pieces = _scale_pieces(
+    pieces = scale_pieces(
         stages.metric,
         dimensions,
         start=None if start is None else _checked_start(start, n_sensors, dimensions)[taking_part],
@@ -148,7 +151,7 @@ def reconstruct(
         options=chosen.smacof,
     )
     if recipe.refine is not None and stages.evidence is not None:
-        pieces = _refine_pieces(recipe.refine, stages.evidence, stages.metric, pieces, chosen)
+        pieces = refine_pieces(recipe.refine, stages.evidence, stages.metric, pieces, chosen)
     if np.count_nonzero(pieces.labels == 0) < chosen.fewest_sensors:
         raise InputError(
             f"no {chosen.fewest_sensors} sensors are related to one another, so there is nothing "
@@ -172,10 +175,14 @@ def reconstruct(
             "the scaled distances"
         )
     confidence = math.nan
-    unclear = bool(matrices) or pieces.facts.get("uneven")  # halves would be squeezed alike
-    if judge and recipe.refine is not None and recording is not None and not unclear:
-        largest = recording.readings[:, component == 0]
-        confidence = _confidence(largest, method, dimensions, chosen)
+    if judge and recipe.refine is not None and recording is not None and counts is None:
+        confidence = _confidence(
+            recording.readings[:, [] if matrices else component == 0],
+            method,
+            dimensions,
+            chosen,
+            squeezed=bool(pieces.facts.get("uneven")),
+        )
         notes += _lacks_evidence(confidence)
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
@@ -196,9 +203,16 @@ def reconstruct(
 
 
 def _confidence(
-    readings: NDArray[np.floating], method: str, dimensions: int, options: MethodOptions
+    readings: NDArray[np.floating],
+    method: str,
+    dimensions: int,
+    options: MethodOptions,
+    *,
+    squeezed: bool,
 ) -> float:
     """Tell how far a map of one piece can be trusted, from maps of halves of its recording."""
+    if readings.shape[1] < FEWEST_TO_JUDGE:
+        return math.nan
     whole = replace(options, part=False)
 
     def place(half: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -208,7 +222,9 @@ def _confidence(
     logger.info("making maps of halves of the recording, to judge the map")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # halves are short; that is the point
-        return expected_mantel_r(agreement_of_halves(readings, place))
+        confidence = expected_mantel_r(agreement_of_halves(readings, place))
+    # What is squeezed comes out squeezed again.
+    return math.nan if squeezed and confidence >= DOUBTFUL else confidence
 
 
 def _lacks_evidence(confidence: float) -> Iterator[str]:
@@ -218,90 +234,6 @@ def _lacks_evidence(confidence: float) -> Iterator[str]:
             f"one is expected to reach a Mantel r of {confidence:.2f} only; record longer, and "
             "touch all of the skin"
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Pieces:
-    """Every connected component, scaled by itself."""
-
-    positions: NDArray[np.float64]
-    labels: NDArray[np.intp]
-    stress: float
-    converged: bool
-    iterations: int
-    facts: Mapping[str, Scalar] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-
-def _scale_pieces(
-    metric: NDArray[np.float64],
-    dimensions: int,
-    *,
-    start: NDArray[np.float64] | None,
-    weights: NDArray[np.float64] | None,
-    options: SmacofOptions,
-) -> _Pieces:
-    labels = components(metric if weights is None else np.where(weights > 0, metric, np.inf))
-    positions = np.empty((len(metric), dimensions))
-    scalings: list[Scaling] = []
-    for label in range(labels.max() + 1):
-        piece = labels == label
-        inside = np.ix_(piece, piece)
-        logger.info("scaling %d sensors into %d dimensions", piece.sum(), dimensions)
-        scaling = smacof(
-            metric[inside],
-            dimensions=dimensions,
-            start=None if start is None else start[piece],
-            weights=None if weights is None else weights[inside],
-            options=options,
-        )
-        positions[piece] = scaling.positions
-        scalings.append(scaling)
-    # Stress-1 of all pairs that lie within a piece.
-    raw = sum(scaling.raw_stress for scaling in scalings)
-    spread = sum(scaling.spread for scaling in scalings)
-    return _Pieces(
-        positions=positions,
-        labels=labels,
-        stress=float(np.sqrt(raw / spread)) if spread > 0 else 0.0,
-        converged=all(scaling.converged for scaling in scalings),
-        iterations=max(len(scaling.trace) - 1 for scaling in scalings),
-    )
-
-
-def _refine_pieces(
-    refine: Refine,
-    evidence: Evidence,
-    metric: NDArray[np.float64],
-    pieces: _Pieces,
-    options: MethodOptions,
-) -> _Pieces:
-    positions = pieces.positions.copy()
-    raw = spread = 0.0
-    facts: dict[str, Scalar] = {}
-    notes: list[str] = []
-    for label in range(pieces.labels.max() + 1):
-        piece = pieces.labels == label
-        apart = metric[np.ix_(piece, piece)]
-        if np.count_nonzero(piece) >= options.fewest_sensors and (apart > 0).any():
-            refined = refine(evidence.of(piece), apart, positions[piece], options)
-            positions[piece] = refined.positions
-            facts = {**refined.facts, **facts}  # the largest piece, which comes first, has its say
-            notes += refined.notes
-        # In the metric's unit, which the refined places need not have.
-        distances = cdist(positions[piece], positions[piece])
-        size = float((distances**2).sum())
-        scale = float((distances * apart).sum()) / size if size > 0 else 0.0
-        raw += float(((scale * distances - apart) ** 2).sum())
-        spread += scale**2 * size
-    stress = float(np.sqrt(raw / spread)) if spread > 0 else 0.0
-    return replace(
-        pieces,
-        positions=positions,
-        stress=stress,
-        facts=facts,
-        notes=tuple(dict.fromkeys(notes)),
-    )
 
 
 def _count_sensors(recording: Recording | None, matrices: Mapping[str, NDArray[np.generic]]) -> int:
@@ -337,15 +269,32 @@ def _checked_start(start: ArrayLike, n_sensors: int, dimensions: int) -> NDArray
 
 
 def _checked_weights(weights: ArrayLike, n_sensors: int) -> NDArray[np.float64]:
-    values = np.asarray(weights, dtype=np.float64)
+    values = _square(weights, "weights", n_sensors)
+    if not np.isfinite(values).all() or (values < 0).any():
+        raise InputError("weights must be finite and at least 0")
+    return symmetric(values, "weight")
+
+
+def _checked_noise(noise: ArrayLike, n_sensors: int) -> NDArray[np.float64]:
+    values = _square(noise, "noise", n_sensors)
+    pairs = ~np.eye(n_sensors, dtype=bool)
+    if not np.isfinite(values).all() or not (values[pairs] > 0).all():
+        raise InputError("the noise is a variance: it must be finite, and above 0")
+    return symmetric(values, "noise")
+
+
+def _square(matrix: ArrayLike, what: str, n_sensors: int) -> NDArray[np.float64]:
+    values = np.asarray(matrix, dtype=np.float64)
     if values.shape != (n_sensors, n_sensors):
         raise InputError(
-            f"the weights have shape {values.shape}; they must be ({n_sensors}, {n_sensors})"
+            f"the {what} have shape {values.shape}; they must be ({n_sensors}, {n_sensors})"
+            if what == "weights"
+            else f"the {what} has shape {values.shape}; it must be ({n_sensors}, {n_sensors})"
         )
     return values
 
 
-def _doubts(component: NDArray[np.intp], names: tuple[str, ...], pieces: _Pieces) -> Iterator[str]:
+def _doubts(component: NDArray[np.intp], names: tuple[str, ...], pieces: Pieces) -> Iterator[str]:
     sizes = np.bincount(component[component != UNPLACED])
     if sizes.size > 1:
         lost = [names[i] for i in np.flatnonzero(component > 0)]
@@ -376,4 +325,8 @@ def _provenance(
         usual = asdict(CovariogramOptions())
         changed = {k: v for k, v in asdict(options.covariogram).items() if v != usual[k]}
         facts |= {f"covariogram_{name}": value for name, value in changed.items()}
+        usual_options = MethodOptions()
+        for name in ("part", "independent_frames"):
+            if getattr(options, name) != getattr(usual_options, name):
+                facts[name] = getattr(options, name)
     return facts | asdict(options.smacof)

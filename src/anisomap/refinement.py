@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
 from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram
 from anisomap.numerics.evidence import typical_noise
+from anisomap.numerics.neighbours import direct_neighbours, unevenness
 from anisomap.numerics.unrolling import UnrollingOptions, contact_passes, even_spacing
 from anisomap.recording import Scalar
 
@@ -34,6 +35,10 @@ _PASSES = (
 _SQUEEZED = (
     f"{_UNEVEN}, and contacts do not tell better ones: where things lie may be right, but do not "
     "trust the map's scale along one direction against another"
+)
+_SQUEEZED_UNSEEN = (
+    f"{_UNEVEN}, and the heights of contacts, which may tell better ones, were not looked at: map "
+    "a part of the recording that memory holds"
 )
 _EVEN = "that neighbours are evenly spaced was declared, not measured, and the map rests on it"
 _NOT_EVEN = (
@@ -125,8 +130,7 @@ def refine_by_covariogram(
     Refined
         With ``"passes"`` or ``"even_spacing"`` among its facts where lengths come from
         `anisomap.numerics.unrolling.contact_passes` or `even_spacing`, and ``"uneven"`` where they
-        should but cannot. Fewer than 8 sensors are
-        left where they are.
+        should but cannot. Fewer than 8 sensors are left where they are.
     """
     unused = Refined(positions)
     if evenly_spaced:
@@ -148,10 +152,11 @@ def refine_by_covariogram(
         fit.offset,
         fit.iterations,
     )
-    if evidence.readings is None or len(evidence.readings) < _FEWEST_FRAMES:
+    readings = evidence.readings if positions.shape[1] > 1 else None  # in a line, nothing turns
+    if readings is None or len(readings) < _FEWEST_FRAMES:
         return replace(unused, positions=fit.positions)
     unroll = even_spacing if evenly_spaced else contact_passes
-    found = unroll(evidence.readings, fit.positions, similarity=evidence.similarity)
+    found = unroll(readings, fit.positions, similarity=evidence.similarity)
     logger.info("neighbours are %.2f uneven; lengths from them: %s", found.unevenness, found.acted)
     if evenly_spaced:
         return Refined(
@@ -162,6 +167,30 @@ def refine_by_covariogram(
     if found.unevenness > UnrollingOptions.uneven:
         return Refined(found.positions, {"uneven": True}, (_SQUEEZED,))
     return Refined(found.positions)
+
+
+def notes_on_squeezing(
+    readings: NDArray[np.generic], positions: Matrix, similarity: Matrix
+) -> tuple[str, ...]:
+    """Say so if a map that was not refined by passes would have been.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, n)
+        Stretches of the recording, in the order of time.
+    positions : ndarray of shape (n, k)
+    similarity : ndarray of shape (n, n)
+
+    Returns
+    -------
+    tuple of str
+        Empty where neighbours lie at similar distances.
+    """
+    if len(positions) < _FEWEST_TO_FIT or positions.shape[1] < 2:
+        return ()
+    joined = direct_neighbours(readings, positions, similarity=similarity)
+    uneven = unevenness(positions, joined) > UnrollingOptions.uneven
+    return (_SQUEEZED_UNSEEN,) if uneven else ()
 
 
 def refine_by_contacts(

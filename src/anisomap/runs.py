@@ -164,7 +164,9 @@ def reconstruct_runs(
         similarity[inside] = np.where(asked, alike, similarity[inside])
         if recipe.refine is not None:
             noise[inside] = np.where(asked, sampling_variance(readings), noise[inside])
-    _tell_of_strangers(met, joined.names)
+    strangers = tuple(_strangers(met, joined.names))
+    for note in strangers:
+        warnings.warn(note, AnisomapWarning, stacklevel=2)
     made = reconstruct(
         joined,
         method,
@@ -177,7 +179,8 @@ def reconstruct_runs(
         drop=dropped,
         health=judged,
     )
-    return replace(made, provenance={**made.provenance, "runs": len(runs)})
+    provenance = {**made.provenance, "runs": len(runs)}
+    return replace(made, notes=(*strangers, *made.notes), provenance=provenance)
 
 
 def _telling(sensor: SensorHealth) -> tuple[bool, int]:
@@ -247,12 +250,10 @@ def _groups(
         yield together, np.concatenate(frames), sensors
 
 
-def _tell_of_strangers(met: NDArray[np.int64], names: tuple[str, ...]) -> None:
+def _strangers(met: NDArray[np.int64], names: tuple[str, ...]) -> Iterator[str]:
     strangers = [names[i] for i in np.flatnonzero((met == 0).any(axis=1))]
     if strangers:
-        warnings.warn(
+        yield (
             f"{np.count_nonzero(np.triu(met == 0))} pairs of sensors were never recorded together, "
-            f"so how far apart they are follows from others only: {counted('sensor', strangers)}",
-            AnisomapWarning,
-            stacklevel=3,
+            f"so how far apart they are follows from others only: {counted('sensor', strangers)}"
         )

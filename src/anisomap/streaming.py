@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, assess, weaknesses
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors, find_method
 from anisomap.numerics.checkpoints import Checkpoint
 from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.evidence import sampling_variance
@@ -23,6 +23,7 @@ from anisomap.numerics.gathering import ALONE, Crew, gather
 from anisomap.numerics.values import ValueCounts
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
+from anisomap.refinement import notes_on_squeezing
 from anisomap.sensor_map import SensorMap
 
 logger = logging.getLogger(__name__)
@@ -35,6 +36,8 @@ EXCERPT_READINGS = 1 << 22
 
 PIECE_FRAMES = 512
 """Consecutive frames of a piece."""
+
+_MOST_TO_LOOK_AT = 2000  # sensors, for neighbours among them
 
 Chunks: TypeAlias = Callable[[], Iterable[ArrayLike]]
 """Opens the readings from the first frame on, each time that it is called: arrays (t, N)."""
@@ -156,6 +159,7 @@ def gather_similarity(
     -------
     Gathered
     """
+    check_priors(method, options, readings=False)
     name = find_method(method).similarity
     recipe, pieces = CHUNKED[name], _Pieces()
     of = f"{name} of {source or 'frames'}, {options.bins} bins"
@@ -234,7 +238,7 @@ def map_of(
         health=found.health,
     )
     kept = [sensor for i, sensor in enumerate(found.health) if i not in dropped]
-    notes = (*weaknesses(found.excerpt, kept), *found.notes)
+    notes = (*weaknesses(found.excerpt, kept), *found.notes, *_on_squeezing(found, made))
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
     provenance = {"source": found.excerpt.source, "frames": found.n_frames, **made.provenance}
@@ -242,6 +246,18 @@ def map_of(
     if provenance["similarity"] == "blended-correlation":
         provenance["similarity"] = "pearson"  # see `anisomap.numerics.chunked`
     return replace(made, notes=(*notes, *made.notes), provenance=provenance)
+
+
+def _on_squeezing(found: Gathered, made: SensorMap) -> tuple[str, ...]:
+    largest = np.flatnonzero(made.component == 0)
+    refined = find_method(made.method).refine is not None
+    if not refined or largest.size > _MOST_TO_LOOK_AT or found.excerpt.n_frames < PIECE_FRAMES:
+        return ()
+    return notes_on_squeezing(
+        found.excerpt.readings[:, largest],
+        made.positions[largest],
+        found.similarity[np.ix_(largest, largest)],
+    )
 
 
 def _cut(readings: NDArray[Any]) -> Chunks:

@@ -66,6 +66,15 @@ def test_one_frame_has_no_variance():
         sampling_variance(np.ones((1, 4)))
 
 
+def test_too_little_to_tell_is_not_reliable():
+    readings = flat_skin(n_frames=300).readings
+    assert reliability(readings[:3]) == 0
+    assert reliability(readings[:, :2]) == 0
+    assert blended_correlation(readings[:1]).shape == (42, 42)
+    with pytest.raises(InputError, match="no halves"):
+        even_and_odd(1)
+
+
 def test_noise_is_not_reliable_and_a_long_recording_is():
     noise = np.random.default_rng(0).standard_normal((2000, 30))
     assert abs(reliability(noise)) < 0.2

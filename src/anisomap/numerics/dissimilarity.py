@@ -160,8 +160,12 @@ def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> NDArray[n
     """
     covariance = symmetric(correlation, "correlation")
     np.fill_diagonal(covariance, 1 + ridge)
-    precision = np.linalg.inv(covariance)
+    try:
+        precision = np.linalg.inv(covariance)
+    except np.linalg.LinAlgError:  # not a matrix of correlations
+        precision = np.linalg.pinv(covariance, hermitian=True)
     scale = np.sqrt(np.abs(np.diag(precision)))
+    scale[scale == 0] = 1.0
     return np.asarray(-precision / np.outer(scale, scale))
 
 

@@ -25,6 +25,8 @@ _WINDOWS = 2.0  # the window is so many times the lag at which the autocorrelati
 _RELIANCE = 5.0
 _CAUTION = 10.0
 _SENSORS_AT_ONCE = 64
+_FEWEST_FRAMES = 4
+_FEWEST_SENSORS = 3
 _BEYOND_CHANCE = 1.2
 
 
@@ -42,6 +44,8 @@ def even_and_odd(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         Frames of the blocks 0, 2, ... and 1, 3, ... of `N_BLOCKS` (fewer if T is smaller). The
         halves are nearly independent, where alternating frames would be nearly the same.
     """
+    if n_frames < 2:
+        raise InputError(f"{n_frames} frames have no halves; give 2 or more")
     blocks = np.array_split(np.arange(n_frames), min(N_BLOCKS, n_frames))
     return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
 
@@ -58,9 +62,12 @@ def reliability(readings: ArrayLike) -> float:
     -------
     float
         Correlation over pairs of sensors of Pearson's r in the two halves of `even_and_odd`; in
-        [-1, 1]. 0 where all pairs are alike in a half.
+        [-1, 1]. 0 where all pairs are alike in a half, and where there are fewer than 4 frames or
+        3 sensors.
     """
     values = np.asarray(readings)
+    if len(values) < _FEWEST_FRAMES or values.shape[1] < _FEWEST_SENSORS:
+        return 0.0
     pairs = np.triu_indices(values.shape[1], 1)
     first, second = (pearson(values[half])[pairs] for half in even_and_odd(len(values)))
     if np.ptp(first) == 0 or np.ptp(second) == 0:
@@ -143,7 +150,8 @@ def sampling_variance(readings: ArrayLike) -> NDArray[np.float64]:
 def typical_noise(variance: ArrayLike) -> float:
     """Give the median of a variance over pairs of sensors, the diagonal aside."""
     values = np.asarray(variance, dtype=np.float64)
-    return float(np.median(values[np.triu_indices(len(values), 1)]))
+    pairs = values[np.triu_indices(len(values), 1)]
+    return float(np.median(pairs if pairs.size else values))
 
 
 def related_pieces(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.intp]:
@@ -201,6 +209,7 @@ def _autocorrelation(readings: NDArray[np.generic], longest: int) -> NDArray[np.
     result = np.zeros((longest + 1, n_sensors))
     for start in range(0, n_sensors, _SENSORS_AT_ONCE):
         part = np.asarray(readings[:, start : start + _SENSORS_AT_ONCE], dtype=np.float64)
+        part = part / np.maximum(np.abs(part).max(axis=0), np.finfo(np.float64).tiny)
         spectrum = np.fft.rfft(part - part.mean(axis=0), n=size, axis=0)
         products = np.fft.irfft(np.abs(spectrum) ** 2, n=size, axis=0)[: longest + 1]
         varies = np.ptp(part, axis=0) > 0
