@@ -51,7 +51,8 @@ class SensorMap:
         Stress-1 of the scaling (Borg & Groenen 2005, eq. 3.9): 0 is a perfect fit of the metric.
     confidence : float
         Mantel r that the map is expected to reach with the truth, judged by how alike maps of
-        halves of the recording are (`anisomap.evaluation.confidence`); of the largest piece; NaN if nobody can tell.
+        halves of the recording are (`anisomap.evaluation.confidence`). It is that of the largest
+        piece; NaN if nobody can tell.
     notes : sequence of str
         Why the map may be weaker than it looks; empty if nothing speaks against it.
     provenance : mapping of str to str, int, float or bool
