@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from anisomap.numerics import compiled, graph, shortest_paths
 from anisomap.numerics.graph import metricise
-from anisomap.numerics.shortest_paths import along_few_edges, holds, through_all_nodes
+from anisomap.numerics.shortest_paths import CHECKED, along_few_edges, holds, through_all_nodes
 from skins import lattice
 
 
@@ -72,12 +72,13 @@ def test_searching_again_finds_the_same(search, lengths):
 
 @given(graphs())
 @settings(deadline=None)
-def test_the_check_passes_what_is_shortest_and_nothing_else(lengths):
+def test_the_check_passes_what_is_shortest_and_nothing_else_from_its_sources(lengths):
     shortest = oracle(lengths)
     assert holds(shortest, lengths)
-    finite = np.isfinite(shortest) & (shortest > 0)
+    sources = np.linspace(0, len(shortest) - 1, CHECKED).astype(int)
+    finite = np.isfinite(shortest) & (shortest > 0) & np.isin(np.arange(len(shortest)), sources)
     if finite.any():
-        i, j = np.argwhere(finite)[0]
+        j, i = np.argwhere(finite)[0]
         wrong = shortest.copy()
         wrong[i, j] = wrong[j, i] = 1.01 * shortest[i, j]
         assert not holds(wrong, lengths)
