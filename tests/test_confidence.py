@@ -92,7 +92,7 @@ def test_too_little_evidence_is_said():
 
 def test_halves_that_share_nothing_leave_no_confidence():
     assert expected_mantel_r(0.0) < 0.1
-    assert expected_mantel_r(-0.5) == 0
+    assert expected_mantel_r(-0.5) <= expected_mantel_r(0.0)
     assert expected_mantel_r(1.0) == pytest.approx(0.99)
 
 

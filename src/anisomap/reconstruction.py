@@ -177,8 +177,8 @@ def reconstruct(
     confidence = math.nan
     if judge and recipe.refine is not None and recording is not None and counts is None:
         confidence = _confidence(
+            # Of none, where a stage was given: what the readings would say of it, nobody knows.
             recording.readings[:, [] if matrices else component == 0],
-            method,
             dimensions,
             chosen,
             squeezed=bool(pieces.facts.get("uneven")),
@@ -204,19 +204,21 @@ def reconstruct(
 
 def _confidence(
     readings: NDArray[np.floating],
-    method: str,
     dimensions: int,
     options: MethodOptions,
     *,
     squeezed: bool,
 ) -> float:
-    """Tell how far a map of one piece can be trusted, from maps of halves of its recording."""
+    """Tell how far a map of one piece can be trusted, from maps of halves of its recording.
+
+    These are by the default method, for which it was found out what their agreement means.
+    """
     if readings.shape[1] < FEWEST_TO_JUDGE:
         return math.nan
     whole = replace(options, part=False)
 
     def place(half: NDArray[np.floating]) -> NDArray[np.float64]:
-        made = reconstruct(Recording(half), method, dimensions, options=whole, judge=False)
+        made = reconstruct(Recording(half), DEFAULT_METHOD, dimensions, options=whole, judge=False)
         return made.positions
 
     logger.info("making maps of halves of the recording, to judge the map")

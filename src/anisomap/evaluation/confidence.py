@@ -25,7 +25,7 @@ FEWEST_TO_JUDGE = 12
 """Maps of fewer sensors agree by chance too often."""
 
 _FEWEST_FRAMES = 4 * N_BLOCKS
-_LOSS = 0.18  # of the disagreement of halves is left in a map of the whole
+_LOSS = (0.2, 0.1)  # of the disagreement of halves that is left in the whole, and what it spares
 _BEND = 0.01  # what bends maps of halves alike, in the median of simulated skins
 _COLLAPSE = 0.8  # halves that agree on nothing hold no evidence at all
 _SUDDEN = 8.0
@@ -87,13 +87,14 @@ def expected_mantel_r(agreement: float) -> float:
 
     Notes
     -----
-    ``1 - r = 0.01 + 0.18 d + 0.8 d^8`` with the disagreement ``d = 1 - agreement``: the line was
-    fitted to simulated skins whose halves agree to 0.4 or more (halves have half the frames, so
-    they err more than the whole), the power lets confidence vanish where halves share nothing.
-    How it held on other seeds stands in ``docs/results.md``.
+    ``1 - r = 0.01 + 0.2 d - 0.1 d^2 + 0.8 d^8`` with the disagreement ``d = 1 - agreement``, up to
+    1: the curve was fitted to simulated skins whose halves agree to 0.4 or more (halves have half
+    the frames, so they err more than the whole), the last term lets confidence vanish where halves
+    share nothing. How it held on other seeds stands in ``docs/results.md``.
     """
-    apart = 1 - agreement
-    return float(np.clip(1 - _BEND - _LOSS * apart - _COLLAPSE * max(apart, 0.0) ** _SUDDEN, 0, 1))
+    apart = min(1 - agreement, 1.0)
+    error = _BEND + _LOSS[0] * apart - _LOSS[1] * apart**2 + _COLLAPSE * apart**_SUDDEN
+    return float(np.clip(1 - error, 0, 1))
 
 
 def confidence_in_words(confidence: float) -> str:
