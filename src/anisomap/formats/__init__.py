@@ -40,6 +40,7 @@ A new format is one file with its readers and writers, and one line in `registry
 from anisomap.formats.choice import ChoiceError as ChoiceError
 from anisomap.formats.choice import Content as Content
 from anisomap.formats.presets import apply_preset as apply_preset
+from anisomap.formats.presets import numbering as numbering
 from anisomap.formats.registry import FORMATS as FORMATS
 from anisomap.formats.registry import Format as Format
 from anisomap.formats.registry import check_writable as check_writable
