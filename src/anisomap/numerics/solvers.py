@@ -77,24 +77,53 @@ def descend(problem: Problem, start: Floats, tolerance: float, max_iterations: i
     """
     n_points = len(start)
     scale = 2 * problem.weight_of_points() * n_points / max(n_points - 1, 1)
-    negligible = NEGLIGIBLE * problem.weighted_squares()
-    turns: deque[_Turn] = deque(maxlen=MEMORY)
     with objective(problem) as stress:
-        here = _Place(start, *stress(start))
-        trace = [here.raw]
-        converged = here.raw == 0
-        while not converged and len(trace) <= max_iterations:
-            there = _lower(stress, here, _direction(here.gradient, scale, turns))
-            if there is None:
-                converged = not turns
-                turns.clear()
-                continue
-            if len(trace) > GUIDED:
-                _remember(turns, here, there, scale)
-            here = there
-            trace.append(here.raw)
-            quiet = len(trace) > QUIET and trace[-1 - QUIET] - here.raw <= tolerance * here.raw
-            converged = quiet or here.raw <= negligible
+        squares = problem.weighted_squares()
+        return follow(stress, start, scale, squares, tolerance, max_iterations)
+
+
+def follow(
+    stress: Objective,
+    start: Floats,
+    scale: Floats,
+    squares: float,
+    tolerance: float,
+    max_iterations: int,
+) -> Descent:
+    """Lower any stress by L-BFGS, as `descend` does that of all pairs.
+
+    Parameters
+    ----------
+    stress : callable
+    start : ndarray of shape (N, k)
+    scale : ndarray of shape (N, 1)
+        First guess of the curvature.
+    squares : float
+        Of the distances, weighted: what a raw stress is negligible beside.
+    tolerance, max_iterations
+        See `anisomap.numerics.scaling.SmacofOptions`.
+
+    Returns
+    -------
+    Descent
+    """
+    negligible = NEGLIGIBLE * squares
+    turns: deque[_Turn] = deque(maxlen=MEMORY)
+    here = _Place(start, *stress(start))
+    trace = [here.raw]
+    converged = here.raw == 0
+    while not converged and len(trace) <= max_iterations:
+        there = _lower(stress, here, _direction(here.gradient, scale, turns))
+        if there is None:
+            converged = not turns
+            turns.clear()
+            continue
+        if len(trace) > GUIDED:
+            _remember(turns, here, there, scale)
+        here = there
+        trace.append(here.raw)
+        quiet = len(trace) > QUIET and trace[-1 - QUIET] - here.raw <= tolerance * here.raw
+        converged = quiet or here.raw <= negligible
     return Descent(here.positions, trace, converged)
 
 
