@@ -8,6 +8,7 @@ from . import numerics as numerics
 from . import report as report
 from . import simulation as simulation
 from ._version import __version__ as __version__
+from .approximation import reconstruct_approximately as reconstruct_approximately
 from .errors import AnisomapError as AnisomapError
 from .errors import AnisomapWarning as AnisomapWarning
 from .errors import InputError as InputError

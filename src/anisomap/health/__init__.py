@@ -1,10 +1,12 @@
 """What is in a recording, and which of its sensors can be trusted."""
 
 from anisomap.health.assessment import STATUSES, SensorHealth, assess
+from anisomap.health.behaviour import Matches
 from anisomap.health.summary import RecordingSummary, summarise, weaknesses
 
 __all__ = [
     "STATUSES",
+    "Matches",
     "RecordingSummary",
     "SensorHealth",
     "assess",

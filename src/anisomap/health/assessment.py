@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.health.behaviour import Behaviour, observe
+from anisomap.health.behaviour import Behaviour, Matches, observe
 from anisomap.recording import Recording
 
 STATUSES = ("ok", "dead", "stuck", "saturating", "noisy", "intermittent", "isolated")
@@ -67,13 +67,16 @@ class SensorHealth:
     best_match: float
 
 
-def assess(recording: Recording) -> tuple[SensorHealth, ...]:
+def assess(recording: Recording, *, matches: Matches | None = None) -> tuple[SensorHealth, ...]:
     """Judge every sensor of a recording.
 
     Parameters
     ----------
     recording : Recording
         Missing readings are interpolated for the judgement.
+    matches : Matches, optional
+        Which sensors are most like which, if that is known from more than this recording; then
+        none is judged to be isolated.
 
     Returns
     -------
@@ -86,10 +89,13 @@ def assess(recording: Recording) -> tuple[SensorHealth, ...]:
     (section "Prototyping Issues"). A status is a reason to look, not a proof.
     """
     recording = recording.complete("interpolate")
-    readings = np.asarray(recording.readings, dtype=np.float64)
+    readings = recording.readings
     varying = recording.varying()
     distinct = [np.unique(column).size for column in readings.T]
-    behaviour = observe(readings[:, varying]) if varying.any() else None
+    behaviour = None
+    if varying.any():
+        known = None if matches is None else matches.among(varying)
+        behaviour = observe(readings if varying.all() else readings[:, varying], known)
     verdicts = _constant_verdicts(readings, varying, behaviour)
     if behaviour is not None:
         living = np.flatnonzero(varying)
@@ -120,11 +126,11 @@ def assess(recording: Recording) -> tuple[SensorHealth, ...]:
 
 
 def _constant_verdicts(
-    readings: NDArray[np.float64], varying: NDArray[np.bool_], behaviour: Behaviour | None
+    readings: NDArray[np.floating], varying: NDArray[np.bool_], behaviour: Behaviour | None
 ) -> dict[int, tuple[str, str]]:
     rests = behaviour.rest.value if behaviour is not None else np.zeros(1)
     low, high = rests.min(), rests.max()
-    slack = 0.05 * np.ptp(readings)
+    slack = 0.05 * (float(readings.max()) - float(readings.min()))
     verdicts = {}
     for i in np.flatnonzero(~varying):
         value = readings[0, i]

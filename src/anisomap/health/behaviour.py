@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.activity import Rest, estimate_rest
+from anisomap.numerics.approximate.candidates import NOBODY, most_alike
 from anisomap.numerics.similarity import pearson
 
 _MATCHES = 4  # neighbours that are asked whether they felt a contact, too
 _CLEAR_RELATION = 0.6  # no sensor with such a match is suspected of having none
 _SHIFTS = 19  # an unrelated sensor beats all of them in one case of twenty
 _MEMORY = 0.05  # autocorrelation
+_BLOCK_READINGS = 1 << 24  # that are worked on at a time, as float64
+_ALL_PAIRS = 4096  # of more sensors no matrix of pairs is made
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,52 +57,123 @@ class Behaviour:
     n_frames: int
 
 
-def observe(readings: NDArray[np.float64]) -> Behaviour:
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Which sensors are most like which.
+
+    Attributes
+    ----------
+    kin : ndarray of int, shape (n, m)
+        The sensors most like each; -1 where there are fewer.
+    best : ndarray of shape (n,)
+        The highest Pearson r of each with any other; NaN if there is none.
+    """
+
+    kin: NDArray[np.int64]
+    best: NDArray[np.float64]
+
+    def among(self, chosen: NDArray[np.bool_]) -> Matches:
+        """Keep some sensors only, numbered anew."""
+        number = np.append(np.where(chosen, np.cumsum(chosen) - 1, NOBODY), NOBODY)
+        return Matches(number[self.kin[chosen]], self.best[chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class _Alone:
+    """What of `Behaviour` the readings of a sensor tell by themselves."""
+
+    rest: Rest
+    active: NDArray[np.bool_]
+    at_ceiling: NDArray[np.float64]
+    at_one: NDArray[np.float64]
+    at_two: NDArray[np.float64]
+
+
+def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> Behaviour:
     """Work out what sensors did.
 
     Parameters
     ----------
     readings : ndarray of shape (T, n)
         Finite readings of sensors that vary.
+    matches : Matches, optional
+        Which of them are most like which, where that is known; then nothing is shifted in time to
+        learn what chance would give, and `chance_match` is -1.
 
     Returns
     -------
     Behaviour
+
+    Notes
+    -----
+    Of more than 4096 sensors no matrix of pairs is made, and chance is learnt from as many others.
     """
-    rest = estimate_rest(readings)
-    active = rest.active(readings)
-    correlation = pearson(readings)
-    np.fill_diagonal(correlation, -np.inf)
-    has_match = correlation.shape[0] > 1
-    best_match = correlation.max(axis=1) if has_match else np.full(1, np.nan)
-    at_one = _lag_correlation(readings, 1)
-    # The far end of the range on the side of contact: where a sensor that saturates is held.
-    ceiling = (rest.side * readings).max(axis=0)
+    n_frames, n_sensors = readings.shape
+    width = max(1, _BLOCK_READINGS // n_frames)
+    parts = [
+        _observe_alone(readings[:, start : start + width].astype(np.float64))
+        for start in range(0, n_sensors, width)
+    ]
+    rest = Rest(
+        *(np.concatenate([getattr(part.rest, name) for part in parts]) for name in _REST_FIELDS)
+    )
+    active = np.hstack([part.active for part in parts])
+    found = matches or _find_matches(readings)
+    at_one = np.concatenate([part.at_one for part in parts])
+    at_two = np.concatenate([part.at_two for part in parts])
     return Behaviour(
         rest=rest,
         active=active.mean(axis=0),
         contacts=active[0] + np.count_nonzero(active[1:] & ~active[:-1], axis=0),
-        at_ceiling=_share(active & (rest.side * readings == ceiling), active),
-        unexplained=_unexplained(active, correlation),
+        at_ceiling=np.concatenate([part.at_ceiling for part in parts]),
+        unexplained=_unexplained(active, found.kin),
         lag_correlation=at_one,
-        noise_share=_noise_share(at_one, _lag_correlation(readings, 2)),
-        best_match=best_match,
-        chance_match=_chance_match(readings, best_match),
-        n_frames=len(readings),
+        noise_share=_noise_share(at_one, at_two),
+        best_match=found.best,
+        chance_match=np.full(n_sensors, -1.0) if matches else _chance_match(readings, found.best),
+        n_frames=n_frames,
     )
 
 
-def _unexplained(
-    active: NDArray[np.bool_], correlation: NDArray[np.float64]
-) -> NDArray[np.float64]:
+_REST_FIELDS = ("value", "side", "threshold")
+
+
+def _observe_alone(readings: NDArray[np.float64]) -> _Alone:
+    rest = estimate_rest(readings)
+    active = rest.active(readings)
+    # The far end of the range on the side of contact: where a sensor that saturates is held.
+    ceiling = (rest.side * readings).max(axis=0)
+    return _Alone(
+        rest=rest,
+        active=active,
+        at_ceiling=_share(active & (rest.side * readings == ceiling), active),
+        at_one=_lag_correlation(readings, 1),
+        at_two=_lag_correlation(readings, 2),
+    )
+
+
+def _find_matches(readings: NDArray[np.floating]) -> Matches:
+    n_sensors = readings.shape[1]
+    count = min(_MATCHES, n_sensors - 1)
+    if count < 1:
+        return Matches(np.full((n_sensors, 1), NOBODY), np.full(n_sensors, np.nan))
+    if n_sensors > _ALL_PAIRS:
+        found, r = most_alike(np.ascontiguousarray(_standardised(readings).T), count)
+        return Matches(found, r[:, 0].astype(np.float64))
+    correlation = pearson(readings.astype(np.float64))
+    np.fill_diagonal(correlation, -np.inf)
+    kin = np.argpartition(-correlation, count - 1, axis=1)[:, :count]
+    return Matches(kin.astype(np.int64), correlation.max(axis=1))
+
+
+def _unexplained(active: NDArray[np.bool_], kin: NDArray[np.int64]) -> NDArray[np.float64]:
     """Share of a sensor's active frames in which none of its nearest kin is active."""
-    n_sensors = active.shape[1]
-    matches = min(_MATCHES, n_sensors - 1)
-    if matches < 1:
-        return np.zeros(n_sensors)
-    kin = np.argpartition(-correlation, matches - 1, axis=1)[:, :matches]
-    alone = [active[:, i] & ~active[:, kin[i]].any(axis=1) for i in range(n_sensors)]
-    return _share(np.column_stack(alone), active)
+    series = np.ascontiguousarray(active.T)
+    alone = [
+        np.count_nonzero(mine & ~series[others[others != NOBODY]].any(axis=0))
+        for mine, others in zip(series, kin, strict=True)
+    ]
+    return np.asarray(alone / np.maximum(np.count_nonzero(series, axis=1), 1))
 
 
 def _lag_correlation(readings: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
@@ -120,7 +194,7 @@ def _noise_share(at_one: NDArray[np.float64], at_two: NDArray[np.float64]) -> ND
 
 
 def _chance_match(
-    readings: NDArray[np.float64], best_match: NDArray[np.float64]
+    readings: NDArray[np.floating], best_match: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Give the highest r that a sensor has with any other if its frames are shifted in time.
 
@@ -132,15 +206,31 @@ def _chance_match(
     suspects = np.flatnonzero(best_match < _CLEAR_RELATION)
     if not suspects.size or n_frames < 2 * _SHIFTS:
         return chance
-    standard = readings - readings.mean(axis=0)
-    standard /= np.abs(standard).max(axis=0)
-    standard /= np.linalg.norm(standard, axis=0)
-    for step in range(1, _SHIFTS + 1):
-        shifted = np.roll(standard[:, suspects], step * n_frames // (_SHIFTS + 1), axis=0)
-        correlation = shifted.T @ standard
-        correlation[np.arange(suspects.size), suspects] = -1
-        chance[suspects] = np.maximum(chance[suspects], correlation.max(axis=1))
+    others = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, _ALL_PAIRS)).astype(int))
+    standard = _standardised(readings[:, others], np.float64)
+    for start in range(0, suspects.size, _ALL_PAIRS):
+        part = suspects[start : start + _ALL_PAIRS]
+        mine = _standardised(readings[:, part], np.float64)
+        for step in range(1, _SHIFTS + 1):
+            shifted = np.roll(mine, step * n_frames // (_SHIFTS + 1), axis=0)
+            correlation = shifted.T @ standard
+            correlation[part[:, None] == others] = -1
+            chance[part] = np.maximum(chance[part], correlation.max(axis=1))
     return chance
+
+
+def _standardised(
+    readings: NDArray[np.floating], dtype: type[np.floating] = np.float32
+) -> NDArray[np.floating]:
+    """Bring every sensor to mean 0 and length 1."""
+    width = max(1, _BLOCK_READINGS // len(readings))
+    standard = np.empty(readings.shape, dtype=dtype)
+    for start in range(0, readings.shape[1], width):
+        block = readings[:, start : start + width].astype(np.float64)
+        block -= block.mean(axis=0)
+        block /= np.abs(block).max(axis=0)
+        standard[:, start : start + width] = block / np.linalg.norm(block, axis=0)
+    return standard
 
 
 def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -78,14 +78,21 @@ def descend(problem: Problem, start: Floats, tolerance: float, max_iterations: i
     n_points = len(start)
     scale = 2 * problem.weight_of_points() * n_points / max(n_points - 1, 1)
     with objective(problem) as stress:
-        squares = problem.weighted_squares()
-        return follow(stress, start, scale, squares, tolerance, max_iterations)
+        return follow(
+            stress,
+            start,
+            scale,
+            squares=problem.weighted_squares(),
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+        )
 
 
 def follow(
     stress: Objective,
     start: Floats,
     scale: Floats,
+    *,
     squares: float,
     tolerance: float,
     max_iterations: int,

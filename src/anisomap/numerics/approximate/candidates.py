@@ -65,7 +65,7 @@ def most_alike(
         for left in range(0, n_sensors, COLUMNS):
             block = mine @ rows[left : left + COLUMNS].T
             own = kinds[whom[part]]
-            loops().keep_greatest(block, left, own, kinds, found[part], products[part])
+            loops().keep_greatest(block, left, own, kinds, (found[part], products[part]))
 
     # Threads of ours, not of the library of products, so that sums do not depend on their number.
     with threadpool_limits(1), spread(len(whom)) as spread_over:

@@ -25,11 +25,15 @@ class Links(NamedTuple):
 
     def joined(self, others: Links) -> Links:
         """Put pairs and other pairs together."""
-        return Links(*(np.concatenate(both) for both in zip(self, others, strict=True)))
+        return Links(
+            np.concatenate([self.firsts, others.firsts]),
+            np.concatenate([self.seconds, others.seconds]),
+            np.concatenate([self.r, others.r]),
+        )
 
     def chosen(self, which: NDArray[np.bool_]) -> Links:
         """Keep some pairs only."""
-        return Links(*(column[which] for column in self))
+        return Links(self.firsts[which], self.seconds[which], self.r[which])
 
 
 def pairs_of(

@@ -14,8 +14,14 @@ from anisomap.numerics.approximate.correlations import Links
 from anisomap.numerics.approximate.sketch import Sketch
 from anisomap.numerics.dissimilarity import NUMERICAL_ZERO
 
-SHARED = 0.15
+SHARED = 0.25
 """Share of their neighbours that two sensors have in common at least if they lie side by side."""
+
+WEAK = 0.5
+"""Links below this share of the best that either of their sensors has are not followed."""
+
+STRONG = 0.7
+"""From this share on they are followed even where chance may make them."""
 
 _FEWEST_MEETINGS = 3.0
 
@@ -36,14 +42,14 @@ class Joined(NamedTuple):
     pieces: NDArray[np.intp]
 
 
-def join(links: Links, n_sensors: int, neighbours: int) -> Joined:
-    """Join each sensor to those with the highest r, where others bear the link out.
+def join(links: Links, known: Sketch, neighbours: int) -> Joined:
+    """Join each sensor to those with the highest r, where there is no sign of chance.
 
     Parameters
     ----------
     links : Links
-        Pairs that were looked at; those without a positive r are no edges.
-    n_sensors : int
+        Pairs that were looked at.
+    known : Sketch
     neighbours : int
         Sensors that each is joined to; it may be joined to more, being their neighbour.
 
@@ -53,23 +59,37 @@ def join(links: Links, n_sensors: int, neighbours: int) -> Joined:
 
     Notes
     -----
-    Sensors that lie side by side have neighbours in common: half of them on a line, a third or
-    more in a plane. One that is like others by chance only (its wire broken, say) is like sensors
-    from all over the skin, and as an edge such a link would be a short cut from one end to the
-    other: so edges whose ends share fewer than 15 % of their neighbours are left out.
+    A chance link is a short cut from one end of the skin to another, and a thousand sensors span so
+    many pairs that some are alike by chance. Three signs tell: r is much lower than the best that
+    either sensor has (from such neighbours, a detour over nearer ones is no longer); r is no higher
+    than chance may make it (`chance_level`), and not near the best; or the sensors have hardly any
+    neighbour in common (on a line they share half of them, in a plane a third or more).
     """
-    near = links.chosen(_among_best(links, n_sensors, neighbours))
-    graph = as_graph(near, near.r, n_sensors)
+    n_sensors = len(known.mean)
+    best = np.zeros(n_sensors)
+    np.maximum.at(best, links.firsts, links.r)
+    np.maximum.at(best, links.seconds, links.r)
+    share = links.r / np.maximum(np.minimum(best[links.firsts], best[links.seconds]), 1e-300)
+    usable = (links.r >= NUMERICAL_ZERO) & (share >= WEAK)
+    usable &= (share >= STRONG) | (links.r >= chance_level(links, known))
+    near = links.chosen(usable)
+    near = near.chosen(_among_best(near, n_sensors, neighbours))
+    edges = near.chosen(_borne_out(near, n_sensors))
+    return Joined(edges, pieces_of(edges, n_sensors))
+
+
+def _borne_out(links: Links, n_sensors: int) -> NDArray[np.bool_]:
+    """Tell which links join sensors that have neighbours in common."""
+    graph = as_graph(links, np.arange(1.0, len(links.r) + 1), n_sensors)
     starts = np.repeat(np.arange(n_sensors), np.diff(graph.indptr))
     ends, offsets = graph.indices.astype(np.int64), graph.indptr.astype(np.int64)
     shared = np.zeros(len(ends), dtype=np.int64)
     loops().count_shared(offsets, ends, starts, shared)
     degrees = np.diff(offsets)
-    borne_out = shared >= SHARED * (np.minimum(degrees[starts], degrees[ends]) - 1)
-    once = starts < ends
-    order = np.lexsort((near.seconds, near.firsts))  # as the graph has its edges
-    edges = Links(*(column[order] for column in near)).chosen(borne_out[once])
-    return Joined(edges, pieces_of(edges, n_sensors))
+    enough = shared >= SHARED * (np.minimum(degrees[starts], degrees[ends]) - 1)
+    found = np.zeros(len(links.r), dtype=bool)
+    found[graph.data[enough].astype(np.int64) - 1] = True
+    return found
 
 
 def chance_level(links: Links, known: Sketch) -> NDArray[np.float64]:
@@ -144,10 +164,8 @@ def pieces_of(edges: Links, n_sensors: int) -> NDArray[np.intp]:
 def _among_best(links: Links, n_sensors: int, neighbours: int) -> NDArray[np.bool_]:
     """Tell which pairs are among the best of either of their sensors."""
     whose = np.concatenate([links.firsts, links.seconds])
-    r = np.tile(links.r, 2)
-    order = np.lexsort((-r, whose))
+    order = np.lexsort((-np.tile(links.r, 2), whose))
     begins = np.searchsorted(whose[order], np.arange(n_sensors))
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order)) - begins[whose[order]]
-    best = (rank < neighbours) & (r >= NUMERICAL_ZERO)
-    return np.asarray(best.reshape(2, -1).any(axis=0))
+    return np.asarray((rank < neighbours).reshape(2, -1).any(axis=0))

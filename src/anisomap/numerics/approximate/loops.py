@@ -21,13 +21,14 @@ REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 @numba.njit(nogil=True, cache=True)
 def keep_greatest(
-    block: Singles, left: int, own: Ints, groups: Ints, ends: Ints, values: Singles
+    block: Singles, left: int, own: Ints, groups: Ints, greatest: tuple[Ints, Singles]
 ) -> None:
     """Keep, for each row of a block of a matrix, its greatest entries in falling order.
 
-    The block begins with column `left` of the matrix. Row i of `ends` and `values` are what was
-    kept of row i so far: columns and entries. Columns of its `own` group are passed over.
+    The block begins with column `left` of the matrix. Of row i, row i of `greatest` is what was
+    kept so far: columns and entries. Columns of its `own` group are passed over.
     """
+    ends, values = greatest
     count = ends.shape[1]
     for i in range(len(block)):
         row, kept, places = block[i], values[i], ends[i]
@@ -145,14 +146,15 @@ def relax_from(
 
 @numba.njit(nogil=True, cache=True, fastmath=REORDERED, error_model="numpy")
 def add_rows_stress(
-    points: Singles, anchors: Singles, targets: Singles, rows: Range, slope: Floats, pulled: Floats
+    points: Singles, anchors: Singles, targets: Singles, rows: Range, slopes: tuple[Floats, Floats]
 ) -> float:
     """Sum the raw stress of points i in `rows` with all anchors.
 
     `points` is (k, N), `anchors` (k, L), a row a coordinate; `targets` is (N, L). Half the gradient
-    is written to `slope` (k, N) and added to `pulled` (k, L). Points that coincide pull each other
-    nowhere: their difference is 0, and the tiny number keeps its factor finite.
+    is added to `slopes`, of the points (k, N) and of the anchors (k, L). Points that coincide pull
+    each other nowhere: their difference is 0, and the tiny number keeps its factor finite.
     """
+    slope, pulled = slopes
     dimensions, n_anchors = anchors.shape
     factors = np.empty(n_anchors, np.float32)
     pulls = np.zeros((dimensions, n_anchors), np.float32)
@@ -171,7 +173,7 @@ def add_rows_stress(
             excess = factors[j] * inverse - target[j]
             partial += excess * excess
             factors[j] = excess * inverse
-        total += partial
+        total += float(partial)
         for axis in range(dimensions):
             mine, theirs, back = points[axis, i], anchors[axis], pulls[axis]
             pull = np.float32(0)

@@ -16,9 +16,7 @@ TOGETHER = 64
 """Landmarks that are gone out from together."""
 
 
-def paths_from(
-    landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]
-) -> NDArray[np.float32]:
+def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> NDArray[np.float32]:
     """Find the lengths of the shortest paths from landmarks to all sensors.
 
     Parameters

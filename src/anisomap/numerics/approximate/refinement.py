@@ -70,7 +70,14 @@ def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: in
             return _stress(targets, positions, spread_over)
 
         squares = sum(float(np.square(part, dtype=np.float64).sum()) for part in _parts(targets))
-        return follow(stress, start, 2 * weight[:, None], squares, tolerance, max_iterations)
+        return follow(
+            stress,
+            start,
+            2 * weight[:, None],
+            squares=squares,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+        )
 
 
 def stress_of(targets: Targets, positions: Floats) -> tuple[float, float]:
@@ -103,7 +110,8 @@ def _stress(targets: Targets, positions: Floats, spread_over: Any) -> tuple[floa
     def add(piece: int) -> float:
         rows = cuts[piece], cuts[piece + 1]
         near = loops().add_edges_stress(exact, edges, targets.share, slopes, rows)
-        far = loops().add_rows_stress(points, anchors, targets.rows, rows, slopes, pulled[piece])
+        both = slopes, pulled[piece]
+        far = loops().add_rows_stress(points, anchors, targets.rows, rows, both)
         return float(near + far)
 
     raw = sum(spread_over(add, range(PIECES)))

@@ -9,9 +9,7 @@ ROWS = 4096
 """Sensors that are placed at a time."""
 
 
-def triangulate(
-    rows: NDArray[np.float32], landmarks: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def triangulate(rows: NDArray[np.float32], landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
     """Place sensors by their distances from landmarks.
 
     Parameters
@@ -42,4 +40,4 @@ def triangulate(
     for begin in range(0, len(rows), ROWS):
         part = rows[begin : begin + ROWS].astype(np.float64)
         placed[begin : begin + ROWS] = (squares - part**2) @ inverse.T / 2
-    return placed + middle
+    return np.asarray(placed + middle)
