@@ -19,6 +19,9 @@ View: TypeAlias = tuple[float, float]
 VIEWS: tuple[View, ...] = ((18.0, -60.0), (18.0, 30.0), (65.0, -90.0))
 """Sides to look from: the usual one, one to its right, and from above with x to the right."""
 
+MOST_JOINED = 10_000
+"""Of so many sensors, lines between neighbours would be one grey mass."""
+
 _USUAL_VIEW_BONUS = 1.25
 _CANDIDATES = 8
 _LONGEST = 2.5
@@ -58,7 +61,7 @@ class Body:
     colours : ndarray of shape (n, 3)
         sRGB in [0, 1], by true place if known, else by place; grey for sensors not compared.
     pairs : ndarray of int, shape (E, 2)
-        Neighbours, by true place if known, else by place.
+        Neighbours, by true place if known, else by place; none of more than 10,000 sensors.
     view : tuple of float
         A good side to look from: elevation and azimuth in degrees.
     units : str
@@ -254,7 +257,7 @@ def _on_the_truth(sensor_map: SensorMap, sensors: NDArray[np.intp], score: Score
         points=points,
         truth=truth,
         colours=np.vstack([place_colours(truth, view), grey]),
-        pairs=neighbour_pairs(truth),
+        pairs=_joined(truth),
         view=view,
         units=score.units,
     )
@@ -269,10 +272,14 @@ def _by_itself(sensor_map: SensorMap, sensors: NDArray[np.intp], number: int) ->
         points=points,
         truth=np.empty((0, points.shape[1])),
         colours=place_colours(points),
-        pairs=neighbour_pairs(points),
+        pairs=_joined(points),
         view=best_view(points) if points.shape[1] == 3 else VIEWS[0],
         units=sensor_map.units,
     )
+
+
+def _joined(points: NDArray[np.float64]) -> NDArray[np.intp]:
+    return neighbour_pairs(points if len(points) <= MOST_JOINED else points[:0])
 
 
 def _with_axes(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:

@@ -25,14 +25,18 @@ from anisomap.numerics.approximate.placing import Placed, place
 from anisomap.numerics.approximate.sketch import Sketch, sketch
 from anisomap.recording import MissingPolicy, Recording, Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.streaming import Chunks, _checked, _cut, _Pieces
+from anisomap.streaming import Chunks, _cut, _Pieces, completed
 
 logger = logging.getLogger(__name__)
 
 APPROXIMATED = "r-anisomap"
 """The method that there is an approximate way of."""
 
+EXCERPT_READINGS = 1 << 27
+"""Readings that sensor health is judged from: of many sensors, few are touched in few frames."""
+
 _KIN = 4
+_FEWEST_CONTACTS = 20  # in the excerpt, to be judged by it
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +103,7 @@ def reconstruct_approximately(
         How much is looked at, and the seed.
     names : sequence of str, optional
         Names of the sensors.
-    missing : {"error", "drop-frames"}
+    missing : {"error", "drop-frames", "interpolate"}
         As for `reconstruct_chunks`.
     exclude, drop : iterable of str or int
         As for `anisomap.reconstruct`.
@@ -153,10 +157,7 @@ def relate(
     Related
     """
     chosen = options or ApproximateOptions()
-    pieces = _Pieces()
-
-    def opened() -> Iterator[NDArray[Any]]:
-        return _checked(chunks(), missing)
+    pieces, opened = _Pieces(EXCERPT_READINGS), completed(chunks, missing)
 
     def watched() -> Iterator[NDArray[Any]]:
         for chunk in opened():
@@ -299,7 +300,7 @@ def _revised(
         revised = sensor
         if judged < known.n_frames:
             revised = replace(sensor, contacts=int(known.contacts[i]))
-            if known.varying[i] and sensor.status in ("dead", "stuck"):
+            if known.varying[i] and sensor.contacts < _FEWEST_CONTACTS:
                 revised = replace(revised, status="ok", reason="")
         if known.varying[i] and alone[i] and revised.status == "ok":
             reason = "related to no other sensor beyond chance"

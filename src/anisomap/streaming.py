@@ -355,18 +355,20 @@ def _revised(sensor: SensorHealth, varies: bool, whole: float) -> SensorHealth:
 class _Pieces:
     """Every so many-th piece of consecutive frames, however many come."""
 
-    def __init__(self) -> None:
+    def __init__(self, n_readings: int = 0) -> None:
+        self._n_readings = n_readings or EXCERPT_READINGS
         self._kept: list[NDArray[Any]] = []
         self._stride, self._seen = 1, 0
         self.whole = False
 
     def add(self, chunk: NDArray[Any]) -> None:
-        most = max(2, EXCERPT_READINGS // (PIECE_FRAMES * chunk.shape[1]))
+        # A chunk of very many sensors is shorter than a piece.
+        most = max(2 * PIECE_FRAMES, self._n_readings // chunk.shape[1])
         for start in range(0, len(chunk), PIECE_FRAMES):
             if self._seen % self._stride == 0:
                 self._kept.append(np.array(chunk[start : start + PIECE_FRAMES]))
             self._seen += 1
-            if len(self._kept) > most:
+            if sum(map(len, self._kept)) > most:
                 self._kept = self._kept[::2]
                 self._stride *= 2
 

@@ -27,7 +27,10 @@ def map_recording(
     ] = None,
     picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
     report: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
-    method: Annotated[str, Parameter(alias="-m", group=options.method_group)] = DEFAULT_METHOD,
+    method: Annotated[
+        str | None,
+        Parameter(alias="-m", group=options.method_group, show_default=DEFAULT_METHOD),
+    ] = None,
     dimensions: Annotated[
         int, Parameter(alias="-d", group=options.method_group, validator=Number(gte=1))
     ] = 3,
@@ -99,10 +102,18 @@ def map_recording(
         even_spacing=even_spacing,
         smacof=SmacofOptions(tolerance, max_iterations),
     )
+    by = large.method(method)
     found = None
     if large.asked_for or streams.too_large(recordings, how):
         evidence, found = streams.examine(
-            recordings, how, nan=nan, method=method, options=chosen, large=large
+            recordings,
+            how,
+            nan=nan,
+            method=by,
+            options=chosen,
+            large=large,
+            drop=drop,
+            seed=seed,
         )
     else:
         evidence = pipeline.examine_runs(pipeline.read_runs(recordings, how, nan))
@@ -110,7 +121,7 @@ def map_recording(
     pipeline.show_recording(evidence)
     sensor_map = pipeline.make_map(
         evidence,
-        method,
+        by,
         dimensions,
         options=chosen,
         exclude=options.sensors(exclude, names),

@@ -11,6 +11,7 @@ import numpy as np
 
 from anisomap import figures, formats, report
 from anisomap._files import check_distinct
+from anisomap.approximation import Related, approximate_map_of
 from anisomap.cli.console import console, number, percent, progress, show_facts, show_table
 from anisomap.evaluation import Score, confidence_in_words, score
 from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
@@ -19,6 +20,8 @@ from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import assess_runs, join_runs, reconstruct_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.streaming import Gathered, map_of
+
+_MOST_SHOWN = 100  # sensors with a fault
 
 
 @dataclass(frozen=True)
@@ -112,10 +115,12 @@ def make_map(
     exclude: Sequence[str] = (),
     drop: Sequence[str] = (),
     judge: bool = True,
-    gathered: Gathered | None = None,
+    gathered: Gathered | Related | None = None,
 ) -> SensorMap:
     """Reconstruct, with progress; doubts are warned of on the way."""
     with progress("making the map"):
+        if isinstance(gathered, Related):
+            return approximate_map_of(gathered, dimensions, options=options, exclude=exclude)
         if gathered is not None:
             return map_of(gathered, method, dimensions, options=options, exclude=exclude, drop=drop)
         return reconstruct_runs(
@@ -179,8 +184,12 @@ def show_recording(evidence: Evidence) -> None:
 
 
 def show_health(health: Sequence[SensorHealth], *, everyone: bool = False) -> None:
-    """Print sensor health: those with a fault, or everyone, and how many are well."""
-    ill = [sensor for sensor in health if sensor.status != "ok"]
+    """Print sensor health: those with a fault, or everyone, and how many are well.
+
+    Of very many with a fault, the first are shown.
+    """
+    every = [sensor for sensor in health if sensor.status != "ok"]
+    ill = every if everyone else every[:_MOST_SHOWN]
     well = [sensor for sensor in health if sensor.status == "ok"]
     counts = Counter(sensor.status for sensor in health)
     title = "Sensor health: " + ", ".join(f"{n} {status}" for status, n in counts.most_common())
@@ -203,6 +212,8 @@ def show_health(health: Sequence[SensorHealth], *, everyone: bool = False) -> No
     show_table(title, columns, rows)
     for sensor in ill:
         console.print(f"  {sensor.name}: {sensor.reason}", markup=False, soft_wrap=True)
+    if len(every) > len(ill):
+        console.print(f"  ... and {len(every) - len(ill)} more that are not ok")
 
 
 def _show_map(sensor_map: SensorMap) -> None:

@@ -16,12 +16,15 @@ from cyclopts.validators import Number
 from numpy.typing import NDArray
 
 from anisomap import formats
+from anisomap.approximation import APPROXIMATED, Related, relate
 from anisomap.cli.console import progress
+from anisomap.cli.parameters import sensors
 from anisomap.cli.pipeline import Evidence
 from anisomap.errors import InputError
 from anisomap.formats.grids import with_grid
 from anisomap.health import summarise
-from anisomap.methods import MethodOptions
+from anisomap.methods import DEFAULT_METHOD, MethodOptions
+from anisomap.numerics.approximate.options import ApproximateOptions
 from anisomap.numerics.gathering import Crew
 from anisomap.recording import MissingPolicy, Recording, default_names
 from anisomap.streaming import CHUNK_READINGS, Gathered, completed, gather_similarity
@@ -47,16 +50,45 @@ class LargeOptions:
         Let the workers of a Dask cluster do it: address of its scheduler, as in tcp://host:8786.
     checkpoint
         File to note down what was counted so far, and to go on from if it is there.
+    approximate
+        Make an approximate map by r-anisomap, for more sensors than all pairs can be compared of.
     """
 
     workers: Annotated[int, Parameter(validator=Number(gte=1))] = 1
     dask: str = ""
     checkpoint: Path | None = None
+    approximate: Annotated[bool, Parameter(negative=())] = False
 
     @property
     def asked_for(self) -> bool:
         """Whether any of them was given."""
+        return self.approximate or self._shared
+
+    @property
+    def _shared(self) -> bool:
         return self.workers > 1 or bool(self.dask) or self.checkpoint is not None
+
+    def method(self, asked: str | None) -> str:
+        """Tell by which method a map is made, given the one that was asked for, if any was.
+
+        Raises
+        ------
+        InputError
+            If an approximate map is asked for by a method, or in a way, that there is none of.
+        """
+        if not self.approximate:
+            return asked or DEFAULT_METHOD
+        if asked not in (None, APPROXIMATED):
+            raise InputError(
+                f"--approximate is of {APPROXIMATED}, not of {asked}; leave out --method, or "
+                "--approximate"
+            )
+        if self._shared:
+            raise InputError(
+                "an approximate map is made by this process alone, from the start; leave out "
+                "--workers, --dask and --checkpoint"
+            )
+        return APPROXIMATED
 
 
 AS_EVER = LargeOptions()
@@ -85,8 +117,12 @@ def examine(
     method: str,
     options: MethodOptions,
     large: LargeOptions,
-) -> tuple[Evidence, Gathered]:
+    drop: list[str] | None = None,
+    seed: int = 0,
+) -> tuple[Evidence, Gathered | Related]:
     """Go through recordings of the same sensors as one, with progress, for a method's map.
+
+    Sensors to drop, and the seed, matter to an approximate map only.
 
     Raises
     ------
@@ -100,15 +136,24 @@ def examine(
         if how.preset:
             like, kept = _named(files, like, how.preset)
             files = replace(files, kept=kept)
-        found = gather_similarity(
-            files,
-            method,
-            options,
-            like=like,
-            crew=Crew(large.workers, large.dask),
-            checkpoint=large.checkpoint,
-            source=_described(paths, how, nan),
-        )
+        found: Gathered | Related
+        if large.approximate:
+            found = relate(
+                files,
+                like=like,
+                drop=sensors(drop, like.names),
+                options=ApproximateOptions(seed=seed),
+            )
+        else:
+            found = gather_similarity(
+                files,
+                method,
+                options,
+                like=like,
+                crew=Crew(large.workers, large.dask),
+                checkpoint=large.checkpoint,
+                source=_described(paths, how, nan),
+            )
     summary = replace(
         summarise(found.excerpt, found.health),
         n_frames=found.n_frames,

@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from anisomap._drawing import (
+    MOST_JOINED,
     VIEWS,
     Body,
     View,
@@ -236,14 +237,17 @@ def _agreement(score: Score) -> str:
 
 
 def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float) -> list[str]:
+    joined = np.count_nonzero(sensor_map.component == 0) <= MOST_JOINED
     if score is None:
+        lines = "Lines join nearest neighbours on the map. " if joined else ""
         notes = [
-            f"This map is known up to {sensor_map.known_up_to}. "
-            "Lines join nearest neighbours on the map; a sensor has the same colour in every view."
+            f"This map is known up to {sensor_map.known_up_to}. {lines}"
+            "A sensor has the same colour in every view."
         ]
     else:
+        lines = "Lines join true neighbours in both pictures. " if joined else ""
         notes = [
-            "Lines join true neighbours in both pictures; a sensor has the same colour in both. "
+            f"{lines}A sensor has the same colour in both pictures. "
             "Rotation, scale and mirror image cannot be read from a map: they were fitted."
         ]
     unplaced = [
@@ -260,15 +264,15 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
         notes.append(f"Drawn are the first three of {sensor_map.dimensions} dimensions.")
     doubts = [*sensor_map.notes, *warn_of_pieces(sensor_map)]
     notes += [f"Note: {shown(note, 400)}" for note in doubts]
-    lines = [
+    wrapped = [
         line for note in notes for line in textwrap.wrap(note, int(width * _CHARACTERS_AN_INCH))
     ]
-    if len(lines) > _MOST_LINES:
-        lines = [
-            *lines[: _MOST_LINES - 1],
+    if len(wrapped) > _MOST_LINES:
+        wrapped = [
+            *wrapped[: _MOST_LINES - 1],
             "There are more notes: see the map itself, or a report.",
         ]
-    return lines
+    return wrapped
 
 
 def _write_around(figure: Figure, title: str, notes: list[str]) -> None:

@@ -27,6 +27,7 @@ _STEEP = 50
 _FEW_PAIRS = 200
 _SIZE = 75.0
 _CROWD = 300
+_FAR_TOO_MANY = 5_000  # dots for a drawing program: they are drawn as pixels in SVG and PDF, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +195,8 @@ def _draw_layers(
     point_layer = np.minimum((nearness * _LAYERS).astype(int), _LAYERS - 1)
     # A line lies at the depth of its farther end, so that it never crosses over a nearer dot.
     line_layer = np.minimum(point_layer[first], point_layer[second])
-    size = _SIZE * float(np.clip(np.sqrt(60 / len(points)), 0.14, 1))
-    crowded = len(points) > _CROWD
+    size = _SIZE * float(np.clip(np.sqrt(60 / len(points)), 0.02, 1))
+    crowded, as_pixels = len(points) > _CROWD, len(points) > _FAR_TOO_MANY
     for layer in np.unique(point_layer):
         near = (layer + 1) / _LAYERS
         segments = _segments(points, look.pairs[line_layer == layer])
@@ -204,6 +205,7 @@ def _draw_layers(
             color="#555b62",
             alpha=(0.12 + 0.5 * near**1.5) * (0.5 if crowded else 1),
             linewidth=(0.5 + 0.6 * near) * (0.6 if crowded else 1),
+            rasterized=as_pixels,
             zorder=4 * layer + 1,
         )
         chosen = point_layer == layer
@@ -214,6 +216,7 @@ def _draw_layers(
             alpha=0.45 + 0.55 * near,
             edgecolors=np.where(look.unscored[chosen], FAINT, "white").tolist(),
             linewidths=0 if crowded else 0.5,
+            rasterized=as_pixels,
             zorder=4 * layer + 2,
             **_flat_colours(axes),
         )
@@ -221,7 +224,7 @@ def _draw_layers(
             if (marked & chosen).any():
                 axes.scatter(
                     *points[marked & chosen].T,
-                    s=max(size, 16) * scale,
+                    s=(size if as_pixels else max(size, 16)) * scale,
                     marker=marker,
                     facecolors="black" if marker == "x" else "none",
                     **({} if marker == "x" else {"edgecolors": INK}),

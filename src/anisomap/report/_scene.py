@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
@@ -34,6 +35,7 @@ _TRUE_LINES = "rgba(0,114,178,0.35)"
 _ERRORS = "rgba(213,94,0,0.9)"
 _EYE = 2.15
 _CROWD = 800
+_MOST_DOTS = 5_000  # of a piece: a browser turns so many smoothly
 _LONGEST_NAME = 40
 _BRACKETS = str.maketrans(
     "<>",
@@ -61,17 +63,30 @@ def scene(
     list of dict
         For each piece: ``label``; ``traces`` by what they show (``map``, ``neighbours``,
         ``ailing``; with a truth also ``truth``, ``true-neighbours``, ``errors``); ``colours``, the
-        marker colours to choose from; ``names``; and plotly's ``layout``.
+        marker colours to choose from; ``names``; ``left_out``, how many sensors the view leaves
+        out; and plotly's ``layout``.
     """
-    return [
-        _piece(
-            body,
-            names=[_inert(sensor_map.names[i]) for i in body.sensors],
-            statuses=[statuses[i] for i in body.sensors],
-            errors=score.alignment.errors if score is not None and len(body.truth) else None,
+    pieces = []
+    for body in drawn:
+        errors = score.alignment.errors if score is not None and len(body.truth) else None
+        seen = _seen(body, statuses)
+        part = body if seen is None else _part(body, seen)
+        pieces.append(
+            _piece(
+                part,
+                names=[_inert(sensor_map.names[i]) for i in part.sensors],
+                statuses=[statuses[i] for i in part.sensors],
+                errors=errors
+                if errors is None or seen is None
+                else errors[seen[seen < len(errors)]],
+            )
+            | {
+                "label": f"Piece {body.number}: {len(body.points)} sensors",
+                "left_out": len(body.points) - len(part.points),
+                "layout": _layout(body),
+            }
         )
-        for body in drawn
-    ]
+    return pieces
 
 
 def status_colours(statuses: Sequence[str]) -> dict[str, str]:
@@ -79,6 +94,29 @@ def status_colours(statuses: Sequence[str]) -> dict[str, str]:
     found = set(statuses)
     known = {status: colour for status, colour in STATUS_COLOURS.items() if status in found}
     return known | dict.fromkeys(sorted(found - known.keys()), _OTHER)
+
+
+def _seen(body: Body, statuses: Sequence[str]) -> NDArray[np.intp] | None:
+    """Choose the sensors of a large piece that are shown; None if all are."""
+    if len(body.points) <= _MOST_DOTS:
+        return None
+    ailing = np.array([statuses[i] != "ok" for i in body.sensors])
+    first = np.flatnonzero(ailing)[: _MOST_DOTS // 2]
+    others = np.flatnonzero(~ailing)
+    even = np.linspace(0, len(others) - 1, min(len(others), _MOST_DOTS - len(first))).astype(int)
+    return np.sort(np.concatenate([first, others[even]]))
+
+
+def _part(body: Body, seen: NDArray[np.intp]) -> Body:
+    """Keep some sensors of a piece, without lines between them."""
+    return replace(
+        body,
+        sensors=body.sensors[seen],
+        points=body.points[seen],
+        truth=body.truth[seen[seen < len(body.truth)]],
+        colours=body.colours[seen],
+        pairs=body.pairs[:0],
+    )
 
 
 def _piece(
@@ -101,13 +139,7 @@ def _piece(
             "truth": _dots(body.truth, ["circle-open"] * len(body.truth), true_hover),
         }
         traces["truth"]["marker"] |= {"color": STATUS_COLOURS["ok"], "line": {"width": 1.5}}
-    return {
-        "label": f"Piece {body.number}: {len(body.points)} sensors",
-        "names": names,
-        "traces": traces,
-        "colours": _colours(body, statuses, errors),
-        "layout": _layout(body),
-    }
+    return {"names": names, "traces": traces, "colours": _colours(body, statuses, errors)}
 
 
 def _dots(points: NDArray[np.float64], symbols: list[str], hover: list[str]) -> Trace:

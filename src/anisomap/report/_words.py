@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisomap._drawing import shown, warn_of_pieces
+from anisomap._drawing import MOST_JOINED, shown, warn_of_pieces
 from anisomap._listing import listing
 from anisomap.evaluation import Score, confidence_in_words
 from anisomap.health import RecordingSummary, SensorHealth
@@ -17,6 +17,8 @@ from anisomap.sensor_map import SensorMap
 
 UNKNOWN = "\N{EN DASH}"
 _AGREEMENT = ((0.98, "very closely"), (0.9, "closely"), (0.6, "roughly"), (-1.0, "only weakly"))
+
+_MOST_ROWS = 2000  # of the table: a browser takes long to lay out more
 
 _COARSE = 1.0  # sensor spacings: a sensor so far off stands where another should
 
@@ -50,25 +52,28 @@ class Row:
 
 @dataclass(frozen=True)
 class SensorTable:
-    """All sensors: those with problems first, in the order of the map otherwise.
+    """Sensors: those with problems first, in the order of the map otherwise.
 
     Attributes
     ----------
     columns : tuple of Fact
         Titles of the cells, with what they mean; name, status and reason come before them.
     rows : tuple of Row
-        One a sensor.
+        One a sensor; of very many sensors, the first.
     counts : str
         How many sensors have which status.
+    n_sensors : int
+        How many there are, listed or not.
     """
 
     columns: tuple[Fact, ...]
     rows: tuple[Row, ...]
     counts: str
+    n_sensors: int
 
     @property
     def n_problems(self) -> int:
-        """Number of sensors that are not ok."""
+        """Number of sensors that are listed and not ok."""
         return sum(row.status != "ok" for row in self.rows)
 
 
@@ -184,10 +189,12 @@ def alternative_text(sensor_map: SensorMap, score: Score | None) -> str:
     """Say what the picture shows to those who cannot see it."""
     placed = int(sensor_map.placed.sum())
     if score is None:
-        return f"The map of {placed} sensors, neighbours joined by lines."
+        lines = ", neighbours joined by lines" if placed <= MOST_JOINED else ""
+        return f"The map of {placed} sensors{lines}."
+    joined = ", with true neighbours joined in both" if placed <= MOST_JOINED else ""
     return (
         f"Left, the true places of {len(score.sensors)} sensors; in the middle, the map fitted to "
-        "them, with true neighbours joined in both; right, distances on the map against true "
+        f"them{joined}; right, distances on the map against true "
         f"distances, which correlate with Mantel r {score.mantel.r:.3f}."
     )
 
@@ -233,7 +240,9 @@ def sensor_table(
         columns.append(Fact(f"Error{unit}", "", "distance from its true place"))
     columns += _MEASURED if health else ()
     rows = []
-    for i, name in enumerate(sensor_map.names):
+    ill_first = sorted(range(len(statuses)), key=lambda i: statuses[i] == "ok")
+    for i in ill_first[:_MOST_ROWS]:
+        name = sensor_map.names[i]
         cells = []
         if columns and columns[0].name == "Piece":
             piece = int(sensor_map.component[i]) + 1
@@ -245,9 +254,8 @@ def sensor_table(
             cells += _measurements(sensor)
         reason = "" if sensor is None else shown(sensor.reason)
         rows.append(Row(shown(name), statuses[i], reason, tuple(cells)))
-    rows.sort(key=lambda row: row.status == "ok")
     counts = ", ".join(f"{statuses.count(status)} {status}" for status in sorted(set(statuses)))
-    return SensorTable(tuple(columns), tuple(rows), counts)
+    return SensorTable(tuple(columns), tuple(rows), counts, len(statuses))
 
 
 def contents(summary: RecordingSummary | None) -> list[Fact]:
