@@ -218,8 +218,9 @@ def show_health(health: Sequence[SensorHealth], *, everyone: bool = False) -> No
 
 def _show_map(sensor_map: SensorMap) -> None:
     """Print what a map is, and how far it is known."""
+    how = ", approximate" if sensor_map.provenance.get("approximate") else ""
     show_facts(
-        f"Map by {sensor_map.method}",
+        f"Map by {sensor_map.method}{how}",
         {
             "sensors placed": f"{np.count_nonzero(sensor_map.placed)} of {sensor_map.n_sensors}, "
             f"in {sensor_map.dimensions} dimensions",

@@ -223,6 +223,8 @@ def _entitle(axes: Axes, title: str) -> None:
 def _title(sensor_map: SensorMap, score: Score | None) -> str:
     sensors = f"{int(sensor_map.placed.sum())} sensors"
     parts = [shown(sensor_map.method, 60) or "map", sensors]
+    if sensor_map.provenance.get("approximate"):
+        parts.insert(1, "approximate")
     if score is None:
         if np.isfinite(sensor_map.stress):
             parts.append(f"Stress-1 {sensor_map.stress:.3f}")

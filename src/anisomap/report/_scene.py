@@ -71,14 +71,14 @@ def scene(
         errors = score.alignment.errors if score is not None and len(body.truth) else None
         seen = _seen(body, statuses)
         part = body if seen is None else _part(body, seen)
+        if errors is not None and seen is not None:
+            errors = errors[seen[seen < len(errors)]]
         pieces.append(
             _piece(
                 part,
                 names=[_inert(sensor_map.names[i]) for i in part.sensors],
                 statuses=[statuses[i] for i in part.sensors],
-                errors=errors
-                if errors is None or seen is None
-                else errors[seen[seen < len(errors)]],
+                errors=errors,
             )
             | {
                 "label": f"Piece {body.number}: {len(body.points)} sensors",

@@ -1,0 +1,203 @@
+"""What an approximate map loses against the exact one, where both can be made; and what it costs.
+
+``python -m benchmarks.approximate`` prints the tables of ``docs/large-recordings.md``;
+``--large`` those of sizes that only an approximate map can be made of.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from threadpoolctl import threadpool_limits
+
+from anisomap import SensorMap, reconstruct, reconstruct_approximately, score
+from anisomap.errors import AnisomapWarning
+from anisomap.evaluation import Score
+from anisomap.numerics.similarity import pearson
+
+Matrix = NDArray[np.float64]
+
+REACH = 4.0
+"""Radius of a contact in sensor spacings: it covers 50 sensors."""
+
+STROKE = 15
+"""Frames that a contact moves in one direction before it is lifted."""
+
+BLOCK = 500
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A kind of skin, the dimensions of its map, and how many contacts move over it at a time."""
+
+    name: str
+    spread: Callable[[int, int, np.random.Generator], Matrix]
+    dimensions: int
+    contacts: Callable[[int], int]
+
+
+def on_a_square(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matrix:
+    """Draw points on a square on which so many sensors have one unit of area each."""
+    return rng.uniform(0, n_sensors**0.5, (n_points, 2))
+
+
+def on_a_sphere(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matrix:
+    """Draw points on a sphere of the same area."""
+    points = rng.normal(size=(n_points, 3))
+    radius = (n_sensors / (4 * np.pi)) ** 0.5
+    return np.asarray(radius * points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+def _one(_: int) -> int:
+    return 1
+
+
+def _many(n_sensors: int) -> int:
+    return max(2, n_sensors // 1000)
+
+
+SKINS = (
+    Skin("flat, one contact, in 2D", on_a_square, 2, _one),
+    Skin("flat, one contact, in 3D", on_a_square, 3, _one),
+    Skin("sphere, one contact, in 3D", on_a_sphere, 3, _one),
+    Skin("flat, N / 1000 contacts, in 2D", on_a_square, 2, _many),
+    Skin("sphere, N / 1000 contacts, in 3D", on_a_sphere, 3, _many),
+)
+
+
+def touch(
+    skin: Skin, sensors: Matrix, n_frames: int, rng: np.random.Generator
+) -> Iterator[NDArray[np.uint8]]:
+    """Give the readings of a skin over which contacts move in strokes, a block at a time."""
+    n_sensors, tree = len(sensors), KDTree(sensors)
+    n_contacts = skin.contacts(n_sensors)
+    for begin in range(0, n_frames, BLOCK):
+        count = min(BLOCK, n_frames - begin)
+        frames = np.repeat(np.arange(count), n_contacts)
+        strokes = frames // STROKE * n_contacts + np.tile(np.arange(n_contacts), count)
+        starts = skin.spread(strokes.max() + 1, n_sensors, rng)
+        headings = rng.normal(size=starts.shape)
+        headings /= np.linalg.norm(headings, axis=1, keepdims=True)
+        places = starts[strokes] + headings[strokes] * (frames % STROKE)[:, None]
+        if sensors.shape[1] == 3:
+            places *= np.linalg.norm(sensors[0]) / np.linalg.norm(places, axis=1, keepdims=True)
+        forces = rng.uniform(0.6, 1, len(starts))[strokes]
+        apart = KDTree(places).sparse_distance_matrix(tree, REACH, output_type="coo_matrix")
+        depths = 255 * forces[apart.row] * (1 - apart.data / REACH)
+        block = np.zeros((count, n_sensors), dtype=np.uint8)
+        np.maximum.at(block, (frames[apart.row], apart.col), depths.astype(np.uint8))
+        yield block
+
+
+def losses(sizes: Sequence[int], n_frames: int, seeds: int) -> None:
+    """Print how exact and approximate maps of the same recordings compare."""
+    print(
+        "| skin | sensors | exact | approximate | lost | worst | agreement "
+        "| exact (s) | approximate (s) |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    for skin in SKINS:
+        for n_sensors in sizes:
+            rows = np.array([_loss(skin, n_sensors, n_frames, seed) for seed in range(seeds)])
+            exact, approximate, agreement, slow, fast = rows.mean(axis=0)
+            print(
+                f"| {skin.name} | {n_sensors} | {exact:.4f} | {approximate:.4f} "
+                f"| {exact - approximate:.4f} | {(rows[:, 0] - rows[:, 1]).max():.4f} "
+                f"| {agreement:.4f} | {slow:.1f} | {fast:.1f} |",
+                flush=True,
+            )
+
+
+def _loss(
+    skin: Skin, n_sensors: int, n_frames: int, seed: int
+) -> tuple[float, float, float, float, float]:
+    rng = np.random.default_rng(seed)
+    sensors = skin.spread(n_sensors, n_sensors, rng)
+    readings = np.concatenate(list(touch(skin, sensors, n_frames, rng)))
+    slow, exact = _timed(
+        lambda: reconstruct(
+            method="r-anisomap", dimensions=skin.dimensions, similarity=pearson(readings)
+        )
+    )
+    fast, found = _timed(lambda: reconstruct_approximately(readings, skin.dimensions))
+    return (
+        _score(exact, sensors).mantel.r,
+        _score(found, sensors).mantel.r,
+        _score(found, exact.positions).mantel.r,
+        slow,
+        fast,
+    )
+
+
+def _score(found: SensorMap, truth: Matrix) -> Score:
+    return score(found, truth, permutations=0)
+
+
+def _timed(make: Callable[[], SensorMap]) -> tuple[float, SensorMap]:
+    begin = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)
+        made = make()
+    return time.process_time() - begin, made
+
+
+def costs(sizes: Sequence[int], n_frames: int) -> None:
+    """Print what approximate maps of recordings on disk take."""
+    print("| skin | sensors x frames | CPU (s) | peak memory (GB) | Mantel r | neighbours kept |")
+    print("|---|---|---|---|---|---|")
+    for n_sensors in sizes:
+        for skin in SKINS[3:]:
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / "readings.npy"
+                sensors = _written(path, skin, n_sensors, n_frames)
+                mapped = np.load(path, mmap_mode="r")
+                seconds, found = _timed(partial(reconstruct_approximately, mapped, skin.dimensions))
+            result = _score(found, sensors)
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+            print(
+                f"| {skin.name} | {n_sensors} x {n_frames} | {seconds:.0f} | {peak:.1f} "
+                f"| {result.mantel.r:.4f} | {result.neighbours_kept:.0%} |",
+                flush=True,
+            )
+
+
+def _written(path: Path, skin: Skin, n_sensors: int, n_frames: int) -> Matrix:
+    rng = np.random.default_rng(0)
+    sensors = skin.spread(n_sensors, n_sensors, rng)
+    file = np.lib.format.open_memmap(path, "w+", np.uint8, (n_frames, n_sensors))
+    done = 0
+    for block in touch(skin, sensors, n_frames, rng):
+        file[done : done + len(block)] = block
+        done += len(block)
+    file.flush()
+    return sensors
+
+
+def main() -> None:
+    """Print the tables, in Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sensors", type=int, nargs="+", default=[1000, 4000, 8000])
+    parser.add_argument("--frames", type=int, default=20_000)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--large", action="store_true")
+    arguments = parser.parse_args()
+    with threadpool_limits(1):
+        if arguments.large:
+            costs([20_000, 100_000], arguments.frames)
+        else:
+            losses(arguments.sensors, arguments.frames, arguments.seeds)
+
+
+if __name__ == "__main__":
+    main()
