@@ -92,6 +92,13 @@ def number(value: float | None, digits: int = 3, unit: str = "") -> str:
 
 def verdict(sensor_map: SensorMap, score: Score | None) -> list[str]:
     """Say how good the map is: the first sentence is the headline."""
+    sentences = _verdict(sensor_map, score)
+    if sensor_map.provenance.get("approximate"):
+        sentences.append("This map is approximate: not all pairs of sensors were compared.")
+    return sentences
+
+
+def _verdict(sensor_map: SensorMap, score: Score | None) -> list[str]:
     placed = int(sensor_map.placed.sum())
     if score is None:
         trust = (

@@ -23,7 +23,10 @@ WEAK = 0.5
 STRONG = 0.7
 """From this share on they are followed even where chance may make them."""
 
-_FEWEST_MEETINGS = 3.0
+FEWEST_MEETINGS = 3.0
+"""Meetings beyond those that chance explains on average: so few are an anecdote."""
+
+_BEST_OF_ONE = 0.75  # times the best of all pairs is what the best of one sensor's pairs reaches
 
 
 class Joined(NamedTuple):
@@ -62,8 +65,9 @@ def join(links: Links, known: Sketch, neighbours: int) -> Joined:
     A chance link is a short cut from one end of the skin to another, and a thousand sensors span so
     many pairs that some are alike by chance. Three signs tell: r is much lower than the best that
     either sensor has (from such neighbours, a detour over nearer ones is no longer); r is no higher
-    than chance may make it (`chance_level`), and not near the best; or the sensors have hardly any
-    neighbour in common (on a line they share half of them, in a plane a third or more).
+    than chance may make it (`chance_level`; that of a sensor that was hardly touched may be its
+    best, and is kept); or the sensors have hardly any neighbour in common (on a line they share
+    half of them, in a plane a third or more).
     """
     n_sensors = len(known.mean)
     best = np.zeros(n_sensors)
@@ -71,7 +75,10 @@ def join(links: Links, known: Sketch, neighbours: int) -> Joined:
     np.maximum.at(best, links.seconds, links.r)
     share = links.r / np.maximum(np.minimum(best[links.firsts], best[links.seconds]), 1e-300)
     usable = (links.r >= NUMERICAL_ZERO) & (share >= WEAK)
-    usable &= (share >= STRONG) | (links.r >= chance_level(links, known))
+    chance = chance_level(links, known, meetings=0)
+    usable &= ((share >= STRONG) & (links.r >= _BEST_OF_ONE * chance)) | (
+        links.r >= chance_level(links, known)
+    )
     near = links.chosen(usable)
     near = near.chosen(_among_best(near, n_sensors, neighbours))
     edges = near.chosen(_borne_out(near, n_sensors))
@@ -92,7 +99,9 @@ def _borne_out(links: Links, n_sensors: int) -> NDArray[np.bool_]:
     return found
 
 
-def chance_level(links: Links, known: Sketch) -> NDArray[np.float64]:
+def chance_level(
+    links: Links, known: Sketch, meetings: float = FEWEST_MEETINGS
+) -> NDArray[np.float64]:
     """Tell which r the best of all unrelated pairs may reach by chance.
 
     Parameters
@@ -100,6 +109,8 @@ def chance_level(links: Links, known: Sketch) -> NDArray[np.float64]:
     links : Links
     known : Sketch
         How often, and for how long, sensors were touched.
+    meetings : float
+        So many chance meetings more are allowed for, since few events are spread wider than many.
 
     Returns
     -------
@@ -110,15 +121,15 @@ def chance_level(links: Links, known: Sketch) -> NDArray[np.float64]:
     Two sensors that are touched c and c' times in T frames, for d and d' frames each, meet about
     ``c c' (d + d') / T`` times by chance, and r grows by ``(c c')^(-1/2)`` with each. So its
     standard deviation is ``((d + d') / T)^(1/2)``, as of so many independent frames; of P pairs the
-    best is ``(2 log P)^(1/2)`` deviations off. Three meetings more are allowed for, since few
-    events are spread wider than many.
+    best is ``(2 log P)^(1/2)`` deviations off.
     """
     n_sensors = len(known.mean)
-    duration = known.away / known.contacts
+    touched = np.maximum(known.contacts, 1)
+    duration = known.away / touched
     deviations = np.sqrt(2 * np.log(max(n_sensors * (n_sensors - 1) / 2, 2)))
     together = (duration[links.firsts] + duration[links.seconds]) / known.n_frames
-    contacts = np.sqrt(known.contacts[links.firsts] * known.contacts[links.seconds])
-    return np.asarray(deviations * np.sqrt(together) + _FEWEST_MEETINGS / contacts)
+    contacts = np.sqrt(touched[links.firsts] * touched[links.seconds])
+    return np.asarray(deviations * np.sqrt(together) + meetings / contacts)
 
 
 def lengths_of(links: Links, edges: Links, mu: float) -> NDArray[np.float64]:

@@ -25,9 +25,10 @@ class Sketch:
     varying : ndarray of bool, shape (N,)
         Which sensors ever vary.
     contacts : ndarray of int, shape (N,)
-        How many separate times each was away from where it mostly is.
+        How many separate times each went beyond its first reading, to the side that it went to
+        more often.
     away : ndarray of int, shape (N,)
-        In how many frames.
+        In how many frames it was there, or was not, whichever are fewer.
     projections : ndarray of float32, shape (N, s)
         Rows whose inner products are r of the sensors on average over the random signs; of unit
         length on average. 0 where a sensor never varies.
@@ -71,50 +72,53 @@ def sketch(chunks: Iterable[NDArray[Any]], size: int, rng: np.random.Generator) 
     ``(1 + r^2) / s`` (Weinberger et al. 2009, arXiv:0902.2206).
     """
     found: _Running | None = None
+    # A source of its own for each, so that it does not matter how frames are cut into chunks.
+    draw_place, draw_sign = rng.spawn(2)
     for chunk in chunks:
         if found is None:
-            found = _Running(chunk, size)
-        found.add(chunk, rng)
+            found = _Running(chunk[0], size)
+        places = draw_place.integers(size, size=len(chunk))
+        found.add(chunk, places, np.where(draw_sign.random(len(chunk)) < 0.5, -1.0, 1.0))
     if found is None:
         raise InputError("there is no frame to make a map of")
     return found.finished()
 
 
 class _Running:
-    """Sums over the frames so far, of readings less a reference near their mean."""
+    """Sums over the frames so far, of readings less the first, which is at rest for most."""
 
     def __init__(self, first: NDArray[Any], size: int) -> None:
-        n_sensors = first.shape[1]
+        n_sensors = len(first)
         self.n_frames = 0
-        self.reference = first.mean(axis=0, dtype=np.float64)
-        self.first = first[0].astype(np.float64)
+        self.first = first.astype(np.float64)
         self.sums, self.squares = np.zeros((2, n_sensors))
         self.varying = np.zeros(n_sensors, dtype=bool)
-        self.above, self.rises = np.zeros((2, n_sensors), dtype=np.int64)
-        self.was_above = self.first > self.reference
+        # Above and below the first reading.
+        self.beyond, self.crossings = np.zeros((2, 2, n_sensors), dtype=np.int64)
+        self.was_beyond = np.zeros((2, n_sensors), dtype=bool)
         self.weights = np.zeros(size)  # what a sensor that always reads 1 is projected onto
         self.projections = np.zeros((size, n_sensors), dtype=np.float32)
 
-    def add(self, chunk: NDArray[Any], rng: np.random.Generator) -> None:
-        size = len(self.weights)
-        places, signs = rng.integers(size, size=len(chunk)), rng.choice([-1.0, 1.0], len(chunk))
-        values = chunk - self.reference
+    def add(
+        self, chunk: NDArray[Any], places: NDArray[np.int64], signs: NDArray[np.float64]
+    ) -> None:
+        values = chunk - self.first
         self.n_frames += len(chunk)
         self.sums += values.sum(axis=0)
         self.squares += np.einsum("ti,ti->i", values, values)
-        self.varying |= (chunk != self.first).any(axis=0)
-        above = values > 0
-        before = np.vstack([self.was_above, above[:-1]])
-        self.above += np.count_nonzero(above, axis=0)
-        self.rises += np.count_nonzero(above & ~before, axis=0)
-        self.was_above = above[-1]
+        self.varying |= values.any(axis=0)
+        for side, beyond in enumerate((values > 0, values < 0)):
+            self.beyond[side] += np.count_nonzero(beyond, axis=0)
+            self.crossings[side] += beyond[0] & ~self.was_beyond[side]
+            self.crossings[side] += np.count_nonzero(beyond[1:] & ~beyond[:-1], axis=0)
+            self.was_beyond[side] = beyond[-1]
         used, rows = np.unique(places, return_inverse=True)
         spread = csr_array(
             (signs.astype(np.float32), (rows, np.arange(len(chunk)))),
             shape=(len(used), len(chunk)),
         )
         self.projections[used] += spread @ values.astype(np.float32)
-        self.weights += np.bincount(places, signs, minlength=size)
+        self.weights += np.bincount(places, signs, minlength=len(self.weights))
 
     def finished(self) -> Sketch:
         shift = self.sums / self.n_frames
@@ -123,15 +127,17 @@ class _Running:
         scale = np.divide(
             self.n_frames**-0.5, deviation, out=np.zeros_like(deviation), where=varying
         )
+        below = self.crossings[1] > self.crossings[0]
+        away = np.where(below, *self.beyond[::-1])
         rows = np.ascontiguousarray(self.projections.T)
         rows -= np.outer(shift, self.weights).astype(np.float32)
         rows *= scale[:, None].astype(np.float32)
         return Sketch(
             n_frames=self.n_frames,
-            mean=self.reference + shift,
+            mean=self.first + shift,
             deviation=deviation,
             varying=varying,
-            contacts=np.maximum(self.rises, 1),
-            away=np.minimum(self.above, self.n_frames - self.above),
+            contacts=self.crossings.max(axis=0),
+            away=np.minimum(away, self.n_frames - away),
             projections=rows,
         )
