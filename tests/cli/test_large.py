@@ -132,3 +132,47 @@ def test_large_recordings_must_have_the_same_sensors(run, parts):
     made = run("map", parts[0], "few.npz")
     assert made.code != 0
     assert "few.npz is not of the same sensors" in made.err
+
+
+def test_an_approximate_map_is_labelled_in_all_that_is_written(run, parts):
+    outputs = [f"map.{suffix}" for suffix in ("csv", "json", "npz")]
+    written = [word for name in outputs for word in ("-o", name)]
+    made = run("map", *parts, "--approximate", "-d", 2, *written, "--report", "map.html")
+    assert made.code == 0
+    assert "Map by r-anisomap, approximate" in made.out
+    assert "this map is approximate" in made.err
+    for name in outputs:
+        written_map = anisomap.read_map(name)
+        assert written_map.provenance["approximate"] is True
+        assert any("this map is approximate" in note for note in written_map.notes)
+    page = Path("map.html").read_text(encoding="utf-8")
+    assert "This map is approximate" in page
+    assert "approximate_landmarks" in page
+    assert run("map", *parts, "-m", "r-anisomap", "-d", 2, "-o", "exact.csv").code == 0
+    exact = positions("exact.csv")
+    assert anisomap.mantel(positions("map.csv"), exact, permutations=0).r > 0.99
+
+
+def test_a_seed_repeats_an_approximate_map(run, parts):
+    for name, seed in (("one.csv", 3), ("two.csv", 3), ("other.csv", 4)):
+        arguments = ["--approximate", "-m", "r-anisomap", "-d", 2, "--seed", seed, "-o", name]
+        assert run("map", *parts, *arguments, "--drop", "pad 5,7").code == 0
+    assert Path("one.csv").read_bytes() == Path("two.csv").read_bytes()
+    assert Path("one.csv").read_bytes() != Path("other.csv").read_bytes()
+    assert np.isnan(positions("one.csv")[[5, 7]]).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-m", "covariogram"], "--approximate is of r-anisomap, not of covariogram"),
+        (["-m", "isomap"], "not of isomap"),
+        (["--workers", 2], "leave out --workers"),
+        (["--even-spacing"], "even spacing"),
+    ],
+)
+def test_what_is_not_approximate_is_refused(run, parts, arguments, message):
+    made = run("map", *parts, "--approximate", *arguments)
+    assert made.code != 0
+    assert message in made.err
+    assert not list(Path().glob("*.csv"))

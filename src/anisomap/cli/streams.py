@@ -23,7 +23,7 @@ from anisomap.cli.pipeline import Evidence
 from anisomap.errors import InputError
 from anisomap.formats.grids import with_grid
 from anisomap.health import summarise
-from anisomap.methods import DEFAULT_METHOD, MethodOptions
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors
 from anisomap.numerics.approximate.options import ApproximateOptions
 from anisomap.numerics.gathering import Crew
 from anisomap.recording import MissingPolicy, Recording, default_names
@@ -138,6 +138,7 @@ def examine(
             files = replace(files, kept=kept)
         found: Gathered | Related
         if large.approximate:
+            check_priors(method, options, readings=False)
             found = relate(
                 files,
                 like=like,

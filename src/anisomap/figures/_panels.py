@@ -229,6 +229,7 @@ def _draw_layers(
                     facecolors="black" if marker == "x" else "none",
                     **({} if marker == "x" else {"edgecolors": INK}),
                     linewidths=1.4 if marker == "x" else 0.8,
+                    rasterized=as_pixels,
                     zorder=4 * layer + 3,
                     **_flat_colours(axes),
                 )

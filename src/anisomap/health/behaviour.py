@@ -173,7 +173,8 @@ def _unexplained(active: NDArray[np.bool_], kin: NDArray[np.int64]) -> NDArray[n
         np.count_nonzero(mine & ~series[others[others != NOBODY]].any(axis=0))
         for mine, others in zip(series, kin, strict=True)
     ]
-    return np.asarray(alone / np.maximum(np.count_nonzero(series, axis=1), 1))
+    counted = np.where((kin != NOBODY).any(axis=1), alone, 0)  # where there is nobody to ask
+    return np.asarray(counted / np.maximum(np.count_nonzero(series, axis=1), 1))
 
 
 def _lag_correlation(readings: NDArray[np.float64], lag: int) -> NDArray[np.float64]:

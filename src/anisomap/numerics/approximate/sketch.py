@@ -128,7 +128,7 @@ class _Running:
             self.n_frames**-0.5, deviation, out=np.zeros_like(deviation), where=varying
         )
         below = self.crossings[1] > self.crossings[0]
-        away = np.where(below, *self.beyond[::-1])
+        away = np.where(below, self.beyond[1], self.beyond[0])
         rows = np.ascontiguousarray(self.projections.T)
         rows -= np.outer(shift, self.weights).astype(np.float32)
         rows *= scale[:, None].astype(np.float32)
