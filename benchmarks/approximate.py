@@ -1,7 +1,8 @@
 """What an approximate map loses against the exact one, where both can be made; and what it costs.
 
 ``python -m benchmarks.approximate`` prints the tables of ``docs/large-recordings.md``;
-``--large`` those of sizes that only an approximate map can be made of.
+``--large`` those of sizes that only an approximate map can be made of, ``--recordings FOLDER`` those
+of real recordings (archives with ``readings`` and ``positions``).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from threadpoolctl import threadpool_limits
 
-from anisomap import SensorMap, reconstruct, reconstruct_approximately, score
+from anisomap import SensorMap, read, reconstruct, reconstruct_approximately, score
 from anisomap.errors import AnisomapWarning
 from anisomap.evaluation import Score
 from anisomap.numerics.similarity import pearson
@@ -125,12 +126,18 @@ def _loss(
     rng = np.random.default_rng(seed)
     sensors = skin.spread(n_sensors, n_sensors, rng)
     readings = np.concatenate(list(touch(skin, sensors, n_frames, rng)))
+    return _compare(readings, sensors, skin.dimensions)
+
+
+def _compare(
+    readings: NDArray[np.generic], sensors: Matrix, dimensions: int
+) -> tuple[float, float, float, float, float]:
     slow, exact = _timed(
         lambda: reconstruct(
-            method="r-anisomap", dimensions=skin.dimensions, similarity=pearson(readings)
+            method="r-anisomap", dimensions=dimensions, similarity=pearson(readings)
         )
     )
-    fast, found = _timed(lambda: reconstruct_approximately(readings, skin.dimensions))
+    fast, found = _timed(lambda: reconstruct_approximately(readings, dimensions))
     return (
         _score(exact, sensors).mantel.r,
         _score(found, sensors).mantel.r,
@@ -138,6 +145,23 @@ def _loss(
         slow,
         fast,
     )
+
+
+def real_losses(folder: Path) -> None:
+    """Print the same of real recordings, in the plane."""
+    print("| recording | sensors | exact | approximate | lost | agreement |")
+    print("|---|---|---|---|---|---|")
+    for path in sorted(folder.glob("*.npz")):
+        recording = read(path)
+        if recording.positions is not None:
+            exact, approximate, agreement, _, _ = _compare(
+                recording.readings, recording.positions, 2
+            )
+            print(
+                f"| {path.stem} | {recording.n_sensors} | {exact:.4f} | {approximate:.4f} "
+                f"| {exact - approximate:.4f} | {agreement:.4f} |",
+                flush=True,
+            )
 
 
 def _score(found: SensorMap, truth: Matrix) -> Score:
@@ -191,10 +215,13 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=20_000)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--large", action="store_true")
+    parser.add_argument("--recordings", type=Path)
     arguments = parser.parse_args()
     with threadpool_limits(1):
         if arguments.large:
             costs([20_000, 100_000], arguments.frames)
+        elif arguments.recordings:
+            real_losses(arguments.recordings)
         else:
             losses(arguments.sensors, arguments.frames, arguments.seeds)
 

@@ -25,6 +25,7 @@ from .health import summarise as summarise
 from .methods import METHODS as METHODS
 from .methods import SIMILARITIES as SIMILARITIES
 from .methods import MethodOptions as MethodOptions
+from .numerics.approximate.options import ApproximateOptions as ApproximateOptions
 from .reconstruction import reconstruct as reconstruct
 from .recording import Recording as Recording
 from .runs import join_runs as join_runs

@@ -14,10 +14,10 @@ from anisomap.numerics.approximate.correlations import Links
 from anisomap.numerics.approximate.sketch import Sketch
 from anisomap.numerics.dissimilarity import NUMERICAL_ZERO
 
-SHARED = 0.25
+SHARED = 0.3
 """Share of their neighbours that two sensors have in common at least if they lie side by side."""
 
-WEAK = 0.5
+WEAK = 0.4
 """Links below this share of the best that either of their sensors has are not followed."""
 
 STRONG = 0.7
