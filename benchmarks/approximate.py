@@ -1,8 +1,8 @@
 """What an approximate map loses against the exact one, where both can be made; and what it costs.
 
 ``python -m benchmarks.approximate`` prints the tables of ``docs/large-recordings.md``;
-``--large`` those of sizes that only an approximate map can be made of, ``--recordings FOLDER`` those
-of real recordings (archives with ``readings`` and ``positions``).
+``--large`` those of sizes that only an approximate map can be made of, ``--recordings FOLDER``
+those of real recordings (archives with ``readings`` and ``positions``).
 """
 
 from __future__ import annotations
