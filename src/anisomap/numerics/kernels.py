@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Reals = NDArray[np.float32] | NDArray[np.float64]
 Ints = NDArray[np.int64]
 Range = tuple[int, int]  # from the first to before the last
 
@@ -140,9 +141,7 @@ def relax(
 
 
 @numba.njit(nogil=True, cache=True, fastmath=REORDERED, error_model="numpy")
-def add_stress(
-    points: Floats, targets: Floats, weights: Floats, rows: Range, slope: Floats
-) -> float:
+def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope: Reals) -> float:
     """Sum the raw stress over the pairs i < j with i in those `rows`.
 
     `points` is (k, N), a row a coordinate. `weights` is (N, N), or (1, N) if one row serves all.
@@ -150,7 +149,8 @@ def add_stress(
     other nowhere: their difference is 0, and the tiny number keeps its factor finite.
     """
     dimensions, n_points = points.shape
-    room = np.empty(WIDTH)
+    tiny, one = np.finfo(points.dtype).tiny, points.dtype.type(1)
+    room = np.empty(WIDTH, points.dtype)
     total = 0.0
     for i in range(rows[0], rows[1]):
         weighted = i if len(weights) > 1 else 0
@@ -158,23 +158,25 @@ def add_stress(
             stop = min(start + WIDTH, n_points)
             size = stop - start
             factors = room[:size]
-            factors[:] = 1e-300
+            factors[:] = tiny
             for axis in range(dimensions):
                 mine, theirs = points[axis, i], points[axis, start:stop]
                 for j in range(size):
-                    factors[j] += (mine - theirs[j]) ** 2
+                    apart = mine - theirs[j]
+                    factors[j] += apart * apart
             target, weight = targets[i, start:stop], weights[weighted, start:stop]
-            partial = 0.0
+            partial = points.dtype.type(0)
             for j in range(size):
-                inverse = 1 / np.sqrt(factors[j])
+                inverse = one / np.sqrt(factors[j])
                 excess = factors[j] * inverse - target[j]
-                partial += weight[j] * excess * excess
-                factors[j] = weight[j] * excess * inverse
-            total += partial
+                weighted_excess = weight[j] * excess
+                partial += weighted_excess * excess
+                factors[j] = weighted_excess * inverse
+            total += float(partial)
             for axis in range(dimensions):
                 mine, theirs = points[axis, i], points[axis, start:stop]
                 pulled = slope[axis, start:stop]
-                pull = 0.0
+                pull = points.dtype.type(0)
                 for j in range(size):
                     share = factors[j] * (mine - theirs[j])
                     pull += share
