@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 from unittest.mock import patch
 
 import numpy as np
@@ -25,7 +25,7 @@ from anisomap.numerics.graph import metricise
 from anisomap.numerics.scaling import Scaling, SmacofOptions, smacof, torgerson
 from anisomap.numerics.stress import Problem, objective
 
-Matrix = NDArray[np.float64]
+Matrix = NDArray[np.floating[Any]]
 Result = TypeVar("Result")
 
 NEAR_THE_BEST = 1 + 1e-3
@@ -154,7 +154,9 @@ def _sklearn(metric: Matrix, start: Matrix, iterations: int) -> float:
     return float(stress)
 
 
-def _guttman_steps(metric: Matrix, start: Matrix, goal: float, most: int = 3000) -> int:
+def _guttman_steps(
+    metric: Matrix, start: NDArray[np.float64], goal: float, most: int = 3000
+) -> int:
     """Count the iterations that scikit-learn needs: its steps are these, and take it minutes."""
     with objective(Problem(metric, np.ones((1, len(metric))))) as stress:
         positions = start

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from anisomap.numerics.activity import estimate_rest
 from anisomap.numerics.binning import maximum_entropy_codes
 from anisomap.numerics.similarity import co_activation, information_of_codes, pearson
 
-Matrix = NDArray[np.float64]
+Matrix = NDArray[np.floating[Any]]
 
 _PAIRS = 200
 

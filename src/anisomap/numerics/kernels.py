@@ -7,12 +7,13 @@ interpreter's lock: threads that work on separate rows or columns run at the sam
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Reals = NDArray[np.float32] | NDArray[np.float64]
+Reals = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
 Range = tuple[int, int]  # from the first to before the last
 
@@ -22,7 +23,7 @@ REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
 @numba.njit(nogil=True, cache=True)
-def shorten(paths: Floats, left: Floats, right: Floats, rows: Range, columns: Range) -> None:
+def shorten(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Range) -> None:
     """Lower ``paths[i, j]`` to the least ``left[i, k] + right[k, j]``: a product of (min, +).
 
     Only those `rows` and `columns` of `paths` are looked at and changed.
@@ -50,7 +51,7 @@ def shorten(paths: Floats, left: Floats, right: Floats, rows: Range, columns: Ra
 
 
 @numba.njit(nogil=True, cache=True)
-def close(paths: Floats) -> None:
+def close(paths: Reals) -> None:
     """Replace a small matrix of lengths by that of its shortest paths: Floyd and Warshall."""
     for k in range(len(paths)):
         for i in range(len(paths)):
@@ -59,7 +60,7 @@ def close(paths: Floats) -> None:
 
 
 @numba.njit(nogil=True, cache=True)
-def nearest(lengths: Floats, count: int) -> Ints:
+def nearest(lengths: Reals, count: int) -> Ints:
     """Give, for each node, the ends of its `count` shortest edges; itself where it has fewer."""
     n_nodes = len(lengths)
     ends = np.empty((n_nodes, count), np.int64)
@@ -82,7 +83,7 @@ def nearest(lengths: Floats, count: int) -> Ints:
 
 @numba.njit(nogil=True, cache=True)
 def _sweep(
-    tile: Floats, order: Ints, edges: tuple[Ints, Ints, Floats], stamps: Ints, clock: int
+    tile: Reals, order: Ints, edges: tuple[Ints, Ints, Reals], stamps: Ints, clock: int
 ) -> bool:
     """Lower the paths to each node by those to its neighbours; tell whether any became shorter.
 
@@ -111,10 +112,10 @@ def _sweep(
 
 @numba.njit(nogil=True, cache=True)
 def relax(
-    paths: Floats,
+    paths: Reals,
     sources: Ints,
     order: Ints,
-    edges: tuple[Ints, Ints, Floats],
+    edges: tuple[Ints, Ints, Reals],
     most_sweeps: int,
 ) -> None:
     """Lower paths along edges until no edge helps any more: Bellman and Ford, many sources at once.
@@ -124,7 +125,7 @@ def relax(
     ``offsets[u + 1]``. Nodes are swept in `order` and back again.
     """
     n_nodes = len(paths)
-    tile = np.empty((n_nodes, len(sources)))
+    tile = np.empty((n_nodes, len(sources)), paths.dtype)
     for node in range(n_nodes):
         for place in range(len(sources)):
             tile[node, place] = paths[sources[place], node]
@@ -183,3 +184,27 @@ def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope
                     pulled[j] -= share
                 slope[axis, i] += pull
     return total
+
+
+@numba.njit(nogil=True, cache=True)
+def add_products(
+    panel: Reals,
+    first: int,
+    entries: tuple[Ints, Reals, Ints],
+    by_sensor: tuple[Ints, Ints],
+) -> None:
+    """Add products of entries of the same frame to ``panel[i - first, j]`` for all j >= i.
+
+    `entries` go frame by frame, in each by sensor: the sensor, the value, and where the frame ends.
+    `by_sensor` tells which entries are of a sensor, one sensor after the other, and where each
+    sensor's begin.
+    """
+    sensors, values, ends = entries
+    order, starts = by_sensor
+    for i in range(first, first + len(panel)):
+        row = panel[i - first]
+        for k in range(starts[i], starts[i + 1]):
+            entry = order[k]
+            value = values[entry]
+            for other in range(entry, ends[entry]):
+                row[sensors[other]] += value * values[other]

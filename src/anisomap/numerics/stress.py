@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from anisomap.numerics.compiled import COMPILED_FROM, kernels, spread
+from anisomap.numerics.precision import Reals, rows_at_a_time
 
 Floats = NDArray[np.float64]
-Reals = NDArray[np.float32] | NDArray[np.float64]
 
 COINCIDENT = 1e-150
 """Points so close pull each other nowhere: which way would be rounding error."""
@@ -23,9 +23,6 @@ PIECES = 16
 
 SINGLE_RANGE = 1e9
 """Distances up to this, and down to its inverse, can be squared in float32."""
-
-ROWS = 512
-"""Rows worked on at a time where a whole matrix of distances is not needed at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +66,7 @@ class Problem:
             apart = positions - positions.mean(axis=0)
             return len(positions) * float(np.vdot(apart, apart))
         total = 0.0
-        for begin in range(0, len(self.targets), ROWS):
-            rows = slice(begin, begin + ROWS)
+        for rows in rows_at_a_time(len(self.targets)):
             lengths = self.targets[rows] if positions is None else cdist(positions[rows], positions)
             weights = self.weights if self.all_alike else self.weights[rows]
             total += float(np.vdot(weights * lengths, lengths.astype(np.float64, copy=False)))
