@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from anisomap.errors import InputError
 from anisomap.numerics.binning import DEFAULT_BINS
 from anisomap.numerics.contacts import ContactOptions
-from anisomap.numerics.covariogram import CovariogramOptions
+from anisomap.numerics.covariogram_objective import CovariogramOptions
 from anisomap.numerics.dissimilarity import (
     direct_dissimilarity,
     information_distance,

@@ -28,7 +28,7 @@ from anisomap.methods import (
     compute_stages,
     find_method,
 )
-from anisomap.numerics.covariogram import CovariogramOptions
+from anisomap.numerics.covariogram_objective import CovariogramOptions
 from anisomap.numerics.dissimilarity import symmetric
 from anisomap.numerics.precision import Reals, held_as
 from anisomap.pieces import Pieces, refine_pieces, scale_pieces

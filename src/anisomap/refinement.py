@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
-from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram
+from anisomap.numerics.covariogram import fit_covariogram
+from anisomap.numerics.covariogram_objective import CovariogramOptions
 from anisomap.numerics.evidence import typical_noise
 from anisomap.numerics.neighbours import direct_neighbours, unevenness
 from anisomap.numerics.precision import Reals

@@ -32,10 +32,10 @@ logger = logging.getLogger(__name__)
 CHUNK_READINGS = 1 << 23
 """Readings that are taken at a time,"""
 
-CHUNK_FRAMES = 2048
+CHUNK_FRAMES = 4096
 """or so many frames of many sensors: merging what was counted takes longer then than counting,"""
 
-MOST_READINGS = 1 << 26
+MOST_READINGS = 1 << 27
 """but never more readings than this."""
 
 EXCERPT_READINGS = 1 << 22

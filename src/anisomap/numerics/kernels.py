@@ -187,24 +187,23 @@ def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope
 
 
 @numba.njit(nogil=True, cache=True)
-def add_products(
-    panel: Reals,
-    first: int,
-    entries: tuple[Ints, Reals, Ints],
-    by_sensor: tuple[Ints, Ints],
-) -> None:
-    """Add products of entries of the same frame to ``panel[i - first, j]`` for all j >= i.
+def add_products(panel: Reals, first: int, sensors: Ints, values: Reals, begins: Ints) -> None:
+    """Add products of values of the same frame to ``panel[i - first, j]`` for all j >= i.
 
-    `entries` go frame by frame, in each by sensor: the sensor, the value, and where the frame ends.
-    `by_sensor` tells which entries are of a sensor, one sensor after the other, and where each
-    sensor's begin.
+    The values of frame f, by increasing sensor, stand from ``begins[f]`` to ``begins[f + 1]``.
     """
-    sensors, values, ends = entries
-    order, starts = by_sensor
-    for i in range(first, first + len(panel)):
-        row = panel[i - first]
-        for k in range(starts[i], starts[i + 1]):
-            entry = order[k]
-            value = values[entry]
-            for other in range(entry, ends[entry]):
+    last = first + len(panel)
+    for frame in range(len(begins) - 1):
+        entry, end = begins[frame], begins[frame + 1]
+        beyond = end
+        while entry < beyond:  # halve it until `entry` is the first from `first` on
+            middle = (entry + beyond) // 2
+            if sensors[middle] < first:
+                entry = middle + 1
+            else:
+                beyond = middle
+        while entry < end and sensors[entry] < last:
+            row, value = panel[sensors[entry] - first], values[entry]
+            for other in range(entry, end):
                 row[sensors[other]] += value * values[other]
+            entry += 1

@@ -46,18 +46,16 @@ def products_of_few(readings: NDArray[Any]) -> tuple[Floats, Floats] | None:
     together = np.count_nonzero(touched, axis=1).astype(np.float64)
     if DENSE_PRODUCTS * np.vdot(together, together) > float(n_sensors) ** 2 * n_frames:
         return None
-    frames, sensors = (places.astype(np.uint32) for places in np.nonzero(touched))
+    sensors = np.nonzero(touched)[1].astype(np.uint32)
     depths = readings[touched].astype(np.float64) - rest[sensors]
-    ends = np.cumsum(together).astype(np.int64)[frames]
-    by_sensor = np.argsort(sensors.astype(np.min_scalar_type(n_sensors)), kind="stable")
-    starts = np.concatenate([[0], np.cumsum(np.bincount(sensors, minlength=n_sensors))])
+    begins = np.concatenate([[0], np.cumsum(together)]).astype(np.int64)
     sums = np.bincount(sensors, weights=depths, minlength=n_sensors)
     products = np.empty((n_sensors, n_sensors))
 
     def add(begin: int) -> None:
         rows = slice(begin, min(begin + _ROWS, n_sensors))
         panel = np.outer(sums[rows], sums / -n_frames)
-        kernels().add_products(panel, begin, (sensors, depths, ends), (by_sensor, starts))
+        kernels().add_products(panel, begin, sensors, depths, begins)
         products[rows] = panel
 
     with spread(n_sensors) as spread_over:
