@@ -31,6 +31,7 @@ from anisomap.methods import (
 from anisomap.numerics.covariogram_objective import CovariogramOptions
 from anisomap.numerics.dissimilarity import symmetric
 from anisomap.numerics.precision import Reals, held_as
+from anisomap.numerics.room import check_room_for_pairs
 from anisomap.pieces import Pieces, refine_pieces, scale_pieces
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap
@@ -101,7 +102,8 @@ def reconstruct(
     ------
     InputError
         If a reading is missing (see `Recording.complete`), fewer than 3 sensors vary or are
-        related to one another, the method or a sensor is unknown, or a given stage does not fit.
+        related to one another, the method or a sensor is unknown, a given stage does not fit, or
+        there are more sensors than the machine has memory for.
 
     Warns
     -----
@@ -131,6 +133,7 @@ def reconstruct(
             f"ever vary and are not dropped); a map takes at least {chosen.fewest_sensors}"
         )
     part = ... if taking_part.all() else np.ix_(taking_part, taking_part)
+    check_room_for_pairs(int(np.count_nonzero(taking_part)))
     counts = None if weights is None else _checked_weights(weights, n_sensors)[part]
     everything_known = counts is None or bool((counts[~np.eye(len(counts), dtype=bool)] > 0).all())
     check_priors(

@@ -21,6 +21,7 @@ from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.evidence import sampling_variance
 from anisomap.numerics.gathering import ALONE, Crew, gather
 from anisomap.numerics.precision import Reals
+from anisomap.numerics.room import check_room_for_pairs
 from anisomap.numerics.values import ValueCounts
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
@@ -176,6 +177,7 @@ def gather_similarity(
         """Take the excerpt in passing; the second time, there is one."""
         watching = not pieces.whole
         for chunk in _checked(chunks(), missing):
+            check_room_for_pairs(chunk.shape[1])
             if watching:
                 pieces.add(chunk)
             yield chunk
