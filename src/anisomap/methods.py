@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from anisomap.errors import InputError
 from anisomap.numerics.binning import DEFAULT_BINS
+from anisomap.numerics.chance import without_chance
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram_objective import CovariogramOptions
 from anisomap.numerics.dissimilarity import (
@@ -29,11 +30,7 @@ from anisomap.numerics.dissimilarity import (
     regularised_reciprocal,
     symmetric,
 )
-from anisomap.numerics.evidence import (
-    blended_correlation,
-    related_pieces,
-    sampling_variance,
-)
+from anisomap.numerics.evidence import blended_correlation, sampling_variance
 from anisomap.numerics.graph import (
     check_semi_metric,
     metricise,
@@ -48,7 +45,6 @@ from anisomap.refinement import Evidence, Refined, refine_by_contacts, refine_by
 logger = logging.getLogger(__name__)
 
 Matrix: TypeAlias = Reals
-
 DEFAULT_METHOD = "covariogram"
 
 _ROUNDING = 1e-6
@@ -198,12 +194,7 @@ def _direct(evidence: Evidence, options: MethodOptions) -> Matrix:
         # Partial correlations take all others into account, of which too many are unknown.
         return regularised_reciprocal(np.where(evidence.known, evidence.similarity, 0), options.mu)
     apart = direct_dissimilarity(evidence.similarity, evidence.noise)
-    if not options.part:
-        return apart
-    pieces = related_pieces(evidence.similarity, evidence.noise)
-    if pieces.any():
-        apart[np.not_equal.outer(pieces, pieces)] = np.inf
-    return apart
+    return without_chance(apart, evidence.similarity, evidence.noise, part=options.part)
 
 
 def _covariogram(

@@ -9,6 +9,7 @@ from scipy.spatial.distance import pdist, squareform
 from anisomap import Recording, reconstruct
 from anisomap.evaluation import mantel
 from anisomap.numerics import precision, shortest_paths
+from anisomap.numerics.chance import related_pieces
 from anisomap.numerics.dissimilarity import (
     direct_dissimilarity,
     information_distance,
@@ -16,7 +17,6 @@ from anisomap.numerics.dissimilarity import (
     regularised_reciprocal,
     symmetric,
 )
-from anisomap.numerics.evidence import related_pieces
 from anisomap.numerics.graph import metricise
 from anisomap.numerics.precision import equals_transpose, mirror
 from anisomap.numerics.scaling import smacof, torgerson

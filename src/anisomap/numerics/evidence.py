@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.cluster.hierarchy import DisjointSet
 from scipy.stats import rankdata
 
 from anisomap.errors import InputError
 from anisomap.numerics.activity import estimate_rest
-from anisomap.numerics.precision import Reals, as_reals, held_as, rows_at_a_time
+from anisomap.numerics.precision import Reals, held_as
 from anisomap.numerics.similarity import pearson
 
 N_BLOCKS = 20
@@ -29,7 +27,6 @@ _SENSORS_AT_ONCE = 64
 _FEWEST_FRAMES = 4
 _FEWEST_SENSORS = 3
 _ENOUGH = 4000  # sensors, to tell what pairs are like
-_BEYOND_CHANCE = 1.2
 
 
 def even_and_odd(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -166,70 +163,6 @@ def typical_noise(variance: ArrayLike) -> float:
     values = values[::step, ::step]
     pairs = values[np.triu_indices(len(values), 1)]
     return float(np.median(pairs if pairs.size else values))
-
-
-def related_pieces(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.intp]:
-    """Part sensors that are related to one another from those related by chance alone.
-
-    Parameters
-    ----------
-    similarity : array_like of shape (N, N)
-        Correlations.
-    variance : array_like of shape (N, N)
-        Their sampling variances, above 0.
-
-    Returns
-    -------
-    ndarray of int, shape (N,)
-        Which piece each sensor belongs to; 0 is the largest, then by the first sensor.
-
-    Notes
-    -----
-    Pieces grow along the strongest links, correlations in units of their noise (as in single
-    linkage). Among m independent links the strongest is about ``sqrt(2 log m)`` by chance; a piece
-    of n sensors has m = n (N - n) to the rest. Links count from 1.2 times that on: on simulated
-    and real skins of 500 frames and more, the weakest link that held a skin together was 1.22.
-    Between two skins that were touched independently, the strongest was 0.8 to 1.1, and 1.0 to
-    1.4 where few large contacts made many pairs meet by one and the same chance: such skins may
-    be taken for one.
-    """
-    links, noise = as_reals(similarity), np.asarray(variance)
-    n_sensors = len(links)
-    if n_sensors < 2:
-        return np.zeros(n_sensors, dtype=np.intp)
-    least = typical_noise(noise)
-    for rows in rows_at_a_time(n_sensors):
-        links[rows] /= np.sqrt(np.maximum(noise[rows], least))
-    pieces = DisjointSet(range(n_sensors))
-    for strength, i, j in sorted(_strongest_links(links), reverse=True):
-        smaller = min(pieces.subset_size(i), pieces.subset_size(j))
-        by_chance = math.sqrt(2 * math.log(max(2, smaller * (n_sensors - smaller))))
-        if strength >= _BEYOND_CHANCE * by_chance:
-            pieces.merge(i, j)
-    labels = np.empty(n_sensors, dtype=np.intp)
-    ordered = sorted(pieces.subsets(), key=lambda piece: (-len(piece), min(piece)))
-    for label, piece in enumerate(ordered):
-        labels[list(piece)] = label
-    return labels
-
-
-def _strongest_links(links: Reals) -> Iterator[tuple[float, int, int]]:
-    """Give the N - 1 strongest links that hold all together: a maximum spanning tree.
-
-    Notes
-    -----
-    Prim (1957), Bell System Technical Journal 36: 1389-1401.
-    """
-    strongest, towards = links[0].astype(np.float64), np.zeros(len(links), dtype=np.intp)
-    outside = np.ones(len(links), dtype=bool)
-    outside[0] = False
-    for _ in range(len(links) - 1):
-        new = int(np.where(outside, strongest, -np.inf).argmax())
-        yield float(strongest[new]), int(towards[new]), new
-        outside[new] = False
-        stronger = links[new] > strongest
-        strongest[stronger] = links[new][stronger]
-        towards[stronger] = new
 
 
 def _autocorrelation(readings: NDArray[np.generic], longest: int) -> NDArray[np.float64]:
