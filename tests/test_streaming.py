@@ -1,7 +1,11 @@
 """Recordings in chunks: the same map as of one array, whoever does the work, cut off or not."""
 
+import importlib
+
+import joblib
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 import anisomap
 from anisomap import Recording, SensorMapper, reconstruct, streaming
@@ -10,7 +14,7 @@ from anisomap.methods import METHODS, MethodOptions
 from anisomap.numerics.accumulators import Moments
 from anisomap.numerics.gathering import Crew, gather
 from anisomap.streaming import reconstruct_chunks
-from dying import Dying
+from dying import Dying, ThreadLimits
 from skins import flat_skin
 
 # Readings of so many levels as a sensor of 6 bits has.
@@ -125,9 +129,39 @@ def test_workers_make_the_same_map_to_the_last_bit(method):
     np.testing.assert_array_equal(many.positions, alone.positions)
 
 
+@pytest.mark.parametrize("backend", ["threading", "loky", "multiprocessing"])
+def test_any_backend_of_joblib_makes_the_same_map_to_the_last_bit(backend):
+    alone = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2)
+    with joblib.parallel_config(backend):
+        many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, crew=Crew(2))
+    np.testing.assert_array_equal(many.positions, alone.positions)
+
+
+def test_ray_makes_the_same_map_to_the_last_bit():
+    ray = pytest.importorskip("ray")
+    importlib.import_module("ray.util.joblib").register_ray()
+    alone = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2)
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        with joblib.parallel_config("ray"):
+            many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, crew=Crew(2))
+    finally:
+        ray.shutdown()
+    np.testing.assert_array_equal(many.positions, alone.positions)
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky"])
+def test_workers_do_not_fight_over_cores(backend):
+    with threadpool_limits(3), joblib.parallel_config(backend):
+        found = gather(cut_at(*range(100, 2500, 100)), ThreadLimits.of, crew=Crew(2))
+        assert found.limits == {1}
+        assert ThreadLimits.of(None).limits == {3}
+
+
 def test_a_worker_that_dies_is_done_without(tmp_path):
     chunks = cut_at(700, 1500, 2000)
-    found = gather(chunks, Dying(tmp_path), crew=Crew(2))
+    with joblib.parallel_config("loky"):
+        found = gather(chunks, Dying(tmp_path), crew=Crew(2))
     expected = gather(chunks, Moments.of)
     np.testing.assert_array_equal(found.comoment, expected.comoment)
     assert (tmp_path / "dead").exists()

@@ -42,7 +42,7 @@ class LargeOptions:
     Parameters
     ----------
     workers
-        Processes that go through the recording side by side.
+        Threads that go through the recording side by side, as many as there are cores at most.
     dask
         Let the workers of a Dask cluster do it: address of its scheduler, as in tcp://host:8786.
     checkpoint

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from anisomap.numerics.checkpoints import Checkpoint
 logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 3
+_ROUND = 4  # chunks a worker
 
 
 @dataclass(frozen=True)
@@ -28,14 +30,15 @@ class Crew:
     Parameters
     ----------
     workers : int
-        Processes on this machine; 1 is none but this.
+        Threads of this process that make something of chunks side by side; 1 is none but this.
     scheduler : str
         Address of a Dask scheduler, as in ``tcp://host:8786``, whose workers do it instead.
 
     Notes
     -----
-    Another backend of joblib (Ray's, say) does the work if it is chosen around the call, with
-    ``joblib.parallel_config``, and `workers` is more than 1.
+    Another backend of joblib does the work if it is chosen around the call and `workers` is more
+    than 1: ``joblib.parallel_config("ray")``, say, or ``"loky"`` for processes. Threads are the
+    default since what takes long lets go of the interpreter's lock, and nothing has to be sent.
     """
 
     workers: int = 1
@@ -114,9 +117,25 @@ def _shared(
     joblib: Any = import_module("joblib")
     if crew.scheduler:
         return _on_dask(joblib, chunks, take, crew.scheduler)
-    pool = joblib.Parallel(crew.workers, return_as="generator", batch_size=1)
-    jobs: Iterator[Any] = pool(joblib.delayed(_alone)(take, chunk) for chunk in chunks)
-    return jobs
+    return _on_joblib(joblib, chunks, take, crew.workers)
+
+
+def _on_joblib(
+    joblib: Any, chunks: Iterable[NDArray[Any]], take: Callable[[NDArray[Any]], Any], workers: int
+) -> Iterator[Any]:
+    jobs = (joblib.delayed(_alone)(take, chunk, os.getpid()) for chunk in chunks)
+    # Limits are those of a process: threads that set and lifted them would undo one another's.
+    with threadpool_limits(1):
+        try:
+            pool = joblib.Parallel(workers, prefer="threads", return_as="generator", batch_size=1)
+        except ValueError:
+            # Some backends (Ray's is one) hand results over only once they have all.
+            pool = joblib.Parallel(workers, batch_size=1)
+            with pool:
+                while batch := list(islice(jobs, _ROUND * joblib.effective_n_jobs(workers))):
+                    yield from pool(batch)
+        else:
+            yield from pool(jobs)
 
 
 def _on_dask(
@@ -134,13 +153,15 @@ def _on_dask(
     with client, joblib.parallel_config("dask", client=client):
         pool = joblib.Parallel(return_as="generator", batch_size=1)
         try:
-            yield from pool(joblib.delayed(_alone)(take, chunk) for chunk in chunks)
+            yield from pool(joblib.delayed(_alone)(take, chunk, os.getpid()) for chunk in chunks)
         except died as error:
             # Dask takes up the work of a worker that died, but not the chunks that it held.
             raise BrokenExecutor(str(error)) from error
 
 
-def _alone(take: Callable[[NDArray[Any]], Any], chunk: NDArray[Any]) -> Any:
+def _alone(take: Callable[[NDArray[Any]], Any], chunk: NDArray[Any], asked_by: int) -> Any:
     """Do a worker's part on one thread: the others have work of their own."""
+    if os.getpid() == asked_by:
+        return take(chunk)
     with threadpool_limits(1):
         return take(chunk)
