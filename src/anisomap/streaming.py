@@ -101,7 +101,8 @@ def reconstruct_chunks(
     crew : Crew
         Who does the work.
     checkpoint : pathlib.Path, optional
-        File to note down what was counted, and to go on from if it is there.
+        File to note down what was counted, and to go on from if it is there; one of other readings
+        or another method is refused.
 
     Returns
     -------
@@ -170,6 +171,8 @@ def gather_similarity(
     def watched() -> Iterator[NDArray[Any]]:
         """Take the excerpt in passing; the second time, there is one."""
         watching = not pieces.whole
+        if watching:
+            pieces.forget()
         for chunk in whole():
             if watching:
                 pieces.add(chunk)
@@ -182,7 +185,8 @@ def gather_similarity(
         values = gather(watched, ValueCounts.of, crew=crew, checkpoint=held, stage="values")
     logger.info("comparing all pairs of sensors (%s)", name)
     take = recipe.prepare(values, options.bins)
-    total = gather(watched, take, crew=crew, checkpoint=held, stage="pairs")
+    before = "" if values is None else "values"
+    total = gather(watched, take, crew=crew, checkpoint=held, stage="pairs", after=before)
     varying = total.varying() if values is None else values.varying()
     excerpt = pieces.recording(like)
     notes = [] if values is None else list(_rounding(values, excerpt.names))
@@ -356,9 +360,13 @@ class _Pieces:
     """Every so many-th piece of consecutive frames, however many come."""
 
     def __init__(self) -> None:
+        self.whole = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, with the first chunk."""
         self._kept: list[NDArray[Any]] = []
         self._stride, self._seen = 1, 0
-        self.whole = False
 
     def add(self, chunk: NDArray[Any]) -> None:
         most = max(2, EXCERPT_READINGS // (PIECE_FRAMES * chunk.shape[1]))

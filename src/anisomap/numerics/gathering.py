@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError, MissingExtraError
-from anisomap.numerics.checkpoints import Checkpoint
+from anisomap.numerics.checkpoints import Checkpoint, Trail
 
 logger = logging.getLogger(__name__)
 
@@ -55,6 +55,7 @@ def gather(
     crew: Crew = ALONE,
     checkpoint: Checkpoint | None = None,
     stage: str = "total",
+    after: str = "",
 ) -> Any:
     """Make something of every chunk and merge it.
 
@@ -70,6 +71,8 @@ def gather(
         Where to go on, and what to keep up to date.
     stage : str
         Its name in the checkpoint.
+    after : str
+        A stage that `take` was made from, if any: nothing is gone on with after another outcome.
 
     Returns
     -------
@@ -81,18 +84,26 @@ def gather(
     ------
     InputError
         If there is no chunk, or workers keep dying.
+    FileError
+        If the checkpoint is of other chunks.
     MissingExtraError
         If a scheduler is given, and Dask is not installed.
     """
     done, total = checkpoint(stage) if checkpoint else (0, None)
     failures = 0
     while True:
+        trail = Trail(checkpoint.mark(after) if checkpoint else "")
+        opened = iter(trail.along(chunks()) if checkpoint else chunks())
+        for _ in islice(opened, done):
+            pass
+        if checkpoint:
+            checkpoint.check(stage, trail.mark(done))
         try:
-            for part in _shared(islice(chunks(), done, None), take, crew):
+            for part in _shared(opened, take, crew):
                 total, done = part if total is None else total.merged(part), done + 1
                 failures = 0
                 if checkpoint:
-                    checkpoint.keep(stage, done, total)
+                    checkpoint.keep(stage, done, trail.mark(done), total)
             break
         except BrokenExecutor as error:
             failures += 1
@@ -105,7 +116,7 @@ def gather(
     if total is None:
         raise InputError("there is no frame to make a map of")
     if checkpoint:
-        checkpoint.keep(stage, done, total, now=True)
+        checkpoint.write()
     return total
 
 
