@@ -13,6 +13,7 @@ from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.methods import METHODS, MethodOptions
 from anisomap.numerics.accumulators import Moments
 from anisomap.numerics.gathering import Crew, gather
+from anisomap.numerics.joint_values import JointValues
 from anisomap.streaming import reconstruct_chunks
 from dying import Dying, ThreadLimits
 from skins import flat_skin
@@ -42,13 +43,31 @@ def test_chunks_make_the_map_of_one_array(method, cuts):
 
 
 @pytest.mark.parametrize("method", EXACT)
+@pytest.mark.parametrize("cuts", [[3, 900, 901], [2, *range(3, 23)]], ids=["few", "frame by frame"])
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
-def test_a_live_stream_makes_the_map_of_one_array(method):
-    parts = SensorMapper(n_components=2, method=method)
-    for part in np.split(READINGS, [3, 900, 901]):
+def test_a_live_stream_makes_the_map_of_one_array(method, cuts):
+    parts, whole = (SensorMapper(n_components=2, method=method) for _ in range(2))
+    for part in np.split(READINGS, cuts):
         parts.partial_fit(part)
-    expected = reconstruct(SKIN, method, 2)
-    np.testing.assert_allclose(parts.positions_, expected.positions, atol=1e-10)
+    np.testing.assert_allclose(parts.positions_, whole.fit(READINGS).positions_, atol=1e-10)
+    if isinstance(parts._pairs, JointValues):
+        counted = JointValues.of(READINGS)
+        np.testing.assert_array_equal(parts._pairs.counts, counted.counts)
+        assert parts._pairs.single.n_frames == len(READINGS)
+
+
+@pytest.mark.parametrize("method", sorted(set(METHODS) - set(EXACT)))
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def test_a_live_stream_makes_refined_maps_of_correlations_however_it_comes(method):
+    made = []
+    for cuts in ([3, 900, 901], [2000]):
+        parts = SensorMapper(n_components=2, method=method)
+        for part in np.split(READINGS, cuts):
+            parts.partial_fit(part)
+        made.append(parts.positions_)
+    np.testing.assert_allclose(made[0], made[1], atol=1e-6)
+    whole = reconstruct_chunks(cut_at(), method, 2)
+    assert anisomap.mantel(made[0], whole.positions, permutations=0).r > 0.999
 
 
 def test_how_chunks_are_cut_does_not_matter_to_the_covariogram():

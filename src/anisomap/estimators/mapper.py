@@ -138,7 +138,9 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         Notes
         -----
         Frames are not kept: memory does not grow with their number. The map is that of `fit` on
-        all of them, up to rounding, but sensor health is not assessed. What other methods than
+        all of them, up to rounding, but sensor health is not assessed, gaps are settled within
+        each part, and ``"covariogram"`` and ``"contact-fit"`` make their maps of Pearson's r alone,
+        as in `anisomap.streaming.reconstruct_chunks`. What other methods than
         those on Pearson's r make of a reading is known only once all frames are; so the joint
         counts of values are kept, and a warning says so if a sensor reads too many values to keep
         them apart (`anisomap.numerics.joint_values.MOST_SERIES` of all sensors together).

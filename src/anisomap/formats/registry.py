@@ -34,7 +34,7 @@ from anisomap.formats import (
 )
 from anisomap.formats.choice import Content
 from anisomap.formats.grids import with_grid
-from anisomap.formats.kind import Format as Format
+from anisomap.formats.kind import Format
 from anisomap.formats.presets import apply_preset
 from anisomap.formats.source import blaming, head
 from anisomap.formats.stream import (
