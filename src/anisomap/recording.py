@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap._listing import counted
 from anisomap.errors import InputError
+from anisomap.numerics.gaps import filled
 
 Scalar: TypeAlias = str | int | float | bool
 """What provenance is made of: values that every file format can hold."""
@@ -208,7 +209,7 @@ class Recording:
         if policy == "error":
             raise InputError(self._describe_missing(missing))
         if policy == "interpolate":
-            return replace(self, readings=_interpolated(self.readings, missing))
+            return replace(self, readings=filled(self.readings))
         if policy != "drop-frames":
             raise InputError(f"unknown policy {policy!r}: use error, drop-frames or interpolate")
         silent = missing.all(axis=0)
@@ -320,20 +321,6 @@ def _check_times(times: NDArray[np.float64], n_frames: int) -> None:
             f"times must increase, but frame {frame} ({times[frame]:g} s) "
             f"does not come after frame {frame - 1} ({times[frame - 1]:g} s)"
         )
-
-
-def _interpolated(
-    readings: NDArray[np.floating], missing: NDArray[np.bool_]
-) -> NDArray[np.floating]:
-    filled = np.array(readings)
-    frames = np.arange(len(readings))
-    for sensor in np.flatnonzero(missing.any(axis=0)):
-        gaps = missing[:, sensor]
-        known = frames[~gaps]
-        filled[gaps, sensor] = (
-            np.interp(frames[gaps], known, readings[known, sensor]) if known.size else 0.0
-        )
-    return filled
 
 
 def _rebuilt(fields: dict[str, Any]) -> Recording:

@@ -6,6 +6,7 @@ import logging
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from mmap import mmap
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -19,6 +20,7 @@ from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors, find_m
 from anisomap.numerics.checkpoints import Checkpoint
 from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.evidence import sampling_variance
+from anisomap.numerics.gaps import Settled, interpolated, no_gaps, whole_frames
 from anisomap.numerics.gathering import ALONE, Crew, gather
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.room import check_room_for_pairs
@@ -102,12 +104,13 @@ def reconstruct_chunks(
         As for `anisomap.reconstruct`.
     names : sequence of str, optional
         Names of the sensors.
-    missing : {"error", "drop-frames"}
-        What to do about NaN: see `Recording.complete`. There is no interpolating here.
+    missing : {"error", "drop-frames", "interpolate"}
+        What to do about NaN: see `completed`.
     crew : Crew
         Who does the work.
     checkpoint : pathlib.Path, optional
-        File to note down what was counted, and to go on from if it is there.
+        File to note down what was counted, and to go on from if it is there; one of other readings
+        or another method is refused.
 
     Returns
     -------
@@ -169,14 +172,16 @@ def gather_similarity(
     """
     check_priors(method, options, readings=False)
     name = find_method(method).similarity
-    recipe, pieces = CHUNKED[name], _Pieces()
+    recipe, pieces, whole = CHUNKED[name], _Pieces(), completed(chunks, missing)
     of = f"{name} of {source or 'frames'}, {options.bins} bins"
     held = Checkpoint(checkpoint, of) if checkpoint else None
 
     def watched() -> Iterator[NDArray[Any]]:
         """Take the excerpt in passing; the second time, there is one."""
         watching = not pieces.whole
-        for chunk in _checked(chunks(), missing):
+        if watching:
+            pieces.forget()
+        for chunk in whole():
             check_room_for_pairs(chunk.shape[1])
             if watching:
                 pieces.add(chunk)
@@ -189,7 +194,8 @@ def gather_similarity(
         values = gather(watched, ValueCounts.of, crew=crew, checkpoint=held, stage="values")
     logger.info("comparing all pairs of sensors (%s)", name)
     take = recipe.prepare(values, options.bins)
-    total = gather(watched, take, crew=crew, checkpoint=held, stage="pairs")
+    before = "" if values is None else "values"
+    total = gather(watched, take, crew=crew, checkpoint=held, stage="pairs", after=before)
     varying = total.varying() if values is None else values.varying()
     excerpt = pieces.recording(like)
     notes = [] if values is None else list(_rounding(values, excerpt.names))
@@ -206,6 +212,39 @@ def gather_similarity(
         ),
         notes=tuple(notes),
     )
+
+
+def completed(chunks: Chunks, missing: MissingPolicy = "error") -> Settled:
+    """Settle what to do about readings that are NaN or infinite, as `Recording.complete` does.
+
+    Parameters
+    ----------
+    chunks : callable
+        Opens the readings of one recording.
+    missing : {"error", "drop-frames", "interpolate"}
+        Gaps of any length are filled; memory is needed for twice `CHUNK_READINGS`. Only where a
+        gap is longer than those, or a sensor has no reading at all, frames are gone through once
+        more to find where it ends.
+
+    Returns
+    -------
+    callable
+        Opens the readings without gaps, in chunks that may be cut otherwise.
+
+    Raises
+    ------
+    InputError
+        If there is no such policy; once opened, under "error" if a reading is missing, under
+        "drop-frames" if no frame is left, and if chunks are not all of the same sensors.
+    """
+    checked = partial(_checked, chunks)
+    if missing == "interpolate":
+        return interpolated(checked, CHUNK_READINGS)
+    if missing == "drop-frames":
+        return whole_frames(checked)
+    if missing != "error":
+        raise InputError(f"unknown policy {missing!r}: use error, drop-frames or interpolate")
+    return no_gaps(checked)
 
 
 def map_of(
@@ -296,10 +335,10 @@ def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[
     return np.memmap(whole.filename, whole.dtype, "r", offset, shape)
 
 
-def _checked(chunks: Iterable[ArrayLike], missing: MissingPolicy) -> Iterator[NDArray[Any]]:
-    """Give chunks of the same sensors, without missing readings; empty ones are left out."""
+def _checked(chunks: Chunks) -> Iterator[NDArray[Any]]:
+    """Give chunks of the same sensors; empty ones are left out."""
     n_sensors, done = None, 0
-    for chunk in chunks:
+    for chunk in chunks():
         array = np.asarray(chunk)
         if array.dtype.kind not in "biuf" or array.ndim != 2:
             raise InputError(
@@ -311,25 +350,8 @@ def _checked(chunks: Iterable[ArrayLike], missing: MissingPolicy) -> Iterator[ND
                 f"from frame {done} on there are {array.shape[1]} sensors, but {n_sensors} before"
             )
         n_sensors, done = array.shape[1], done + len(array)
-        whole = _complete(array, missing, done - len(array))
-        if len(whole):
-            yield whole
-
-
-def _complete(array: NDArray[Any], missing: MissingPolicy, before: int) -> NDArray[Any]:
-    if array.dtype.kind != "f":
-        return array
-    gaps = ~np.isfinite(array)
-    if not gaps.any():
-        return array
-    if missing == "drop-frames":
-        return np.asarray(array[~gaps.any(axis=1)])
-    frame, sensor = np.argwhere(gaps)[0]
-    raise InputError(
-        f"readings are NaN or infinite, the first of sensor {sensor} in frame {before + frame}; "
-        "leave such frames out (drop-frames, --nan drop-frames): interpolating takes a recording "
-        "that is in memory as a whole"
-    )
+        if len(array):
+            yield array
 
 
 def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:
@@ -353,9 +375,13 @@ class _Pieces:
     """Every so many-th piece of consecutive frames, however many come."""
 
     def __init__(self) -> None:
+        self.whole = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, with the first chunk."""
         self._kept: list[NDArray[Any]] = []
         self._stride, self._seen = 1, 0
-        self.whole = False
 
     def add(self, chunk: NDArray[Any]) -> None:
         most = max(2, EXCERPT_READINGS // (PIECE_FRAMES * chunk.shape[1]))

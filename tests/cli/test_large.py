@@ -1,11 +1,14 @@
 """Recordings that are gone through in blocks from the command line: the same map."""
 
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import anisomap
+from anisomap import streaming
 from anisomap.cli import streams
 from skins import flat_skin
 
@@ -33,7 +36,9 @@ def parts(tmp_path):
 def all_is_large(monkeypatch):
     monkeypatch.setattr(streams, "LARGE_BYTES", 0)
     monkeypatch.setattr(streams, "PROBED_BYTES", 0)
-    monkeypatch.setattr(streams, "CHUNK_READINGS", 42 * 170)
+    monkeypatch.setattr(streaming, "CHUNK_READINGS", 42 * 170)
+    monkeypatch.setattr(streaming, "CHUNK_FRAMES", 1)
+    monkeypatch.setattr(anisomap.formats, "read", None)  # nothing is read as a whole any more
 
 
 def positions(path: str) -> np.ndarray:
@@ -41,11 +46,10 @@ def positions(path: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("method", ["r-anisomap", "i-anisomap"])
-def test_large_recordings_make_the_same_map(run, parts, method, request, monkeypatch):
+def test_large_recordings_make_the_same_map(run, parts, method, request):
     arguments = ["-d", 2, "-m", method, "--permutations", 9]
     whole = run("map", *parts, *arguments, "-o", "whole.csv")
     request.getfixturevalue("all_is_large")
-    monkeypatch.setattr(anisomap.formats, "read", None)  # nothing is read as a whole any more
     made = run("map", *parts, *arguments, "-o", "parts.csv", "--report", "report.html")
     assert made.code == whole.code == 0
     np.testing.assert_allclose(positions("parts.csv"), positions("whole.csv"), atol=1e-8)
@@ -66,23 +70,64 @@ def test_workers_and_checkpoints(run, parts):
     assert "checkpoint of something else" in other.err
 
 
+@pytest.fixture
+def robots(tmp_path):
+    """Two recordings of an iCub's port: thermal pads, an absent triangle, and gaps of all kinds."""
+    whole = np.zeros((2400, 48), dtype=np.float32)
+    pads = [i for i in range(48) if i % 12 not in (6, 10) and i // 12 != 2]
+    whole[:, pads] = np.round(flat_skin(n_frames=2400).readings * 50)[:, : len(pads)]
+    whole[:, 6] = np.arange(2400) % 90
+    paths = []
+    for i, readings in enumerate(np.split(whole, [1300])):
+        readings[40:44, 3] = np.nan
+        readings[:200, 5] = readings[-9:, 8] = np.nan
+        readings[300:900, 11] = np.inf
+        readings[50, 6] = np.nan  # of what is no sensor
+        readings[:, 30] = np.nan  # of what is not there
+        paths.append(tmp_path / f"robot{i}.npz")
+        anisomap.write(anisomap.Recording(readings), paths[-1])
+    return paths
+
+
+@pytest.mark.parametrize("nan", ["interpolate", "drop-frames"])
+@pytest.mark.parametrize("case", [(1, "icub"), (2, "icub"), (2, "")])
+def test_gaps_and_robots_are_treated_as_in_whole_recordings(run, robots, nan, case, request):
+    n_files, preset = case
+    arguments = [*robots[:n_files], "-d", 2, "-m", "i-anisomap", "--nan", nan, "--no-confidence"]
+    arguments += ["--preset", preset] if preset else []
+    whole = run("map", *arguments, "-o", "whole.json")
+    request.getfixturevalue("all_is_large")
+    made = run("map", *arguments, "-o", "blocks.json")
+    assert made.code == whole.code == 0
+    expected, found = (anisomap.read_map(f"{name}.json") for name in ("whole", "blocks"))
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-8)
+    assert found.names == expected.names
+    assert found.health == expected.health
+    assert made.out.split("Files")[0] == whole.out.split("Files")[0]
+    if preset:
+        assert found.names[-1] == "b0.t3.k11"
+        assert found.n_sensors == 30
+
+
 @pytest.mark.usefixtures("all_is_large")
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--nan", "interpolate"], "needs a recording that is read as a whole"),
-        (["--dask", "tcp://127.0.0.1:1"], "cluster|no Dask scheduler"),
-    ],
-)
-def test_what_blocks_do_not_allow_is_refused(run, parts, arguments, message):
-    made = run("map", *parts, *arguments)
+def test_what_blocks_do_not_allow_is_refused(run, parts, robots, monkeypatch):
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT", "1s")
+    with suppress(ImportError):
+        import_module("dask").config.refresh()
+    made = run("map", *parts, "--dask", "tcp://127.0.0.1:1")
     assert made.code != 0
-    assert any(part in made.err for part in message.split("|"))
+    assert "cluster" in made.err or "no Dask scheduler" in made.err
+    made = run("map", *robots)
+    assert made.code != 0
+    assert "the first of sensor 5 in frame 0" in made.err
+    made = run("map", *parts, "--preset", "icub")
+    assert made.code != 0
+    assert "no whole triangles" in made.err
 
 
 @pytest.mark.usefixtures("all_is_large")
 def test_large_recordings_must_have_the_same_sensors(run, parts):
-    few = anisomap.read(parts[1]).select(np.arange(30))
+    few = anisomap.formats.registry.read(parts[1]).select(np.arange(30))
     anisomap.write(few, "few.npz")
     made = run("map", parts[0], "few.npz")
     assert made.code != 0

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +24,7 @@ from anisomap.health import summarise
 from anisomap.methods import MethodOptions
 from anisomap.numerics.gathering import Crew
 from anisomap.recording import MissingPolicy, Recording, default_names
-from anisomap.streaming import Gathered, chunk_frames, gather_similarity
+from anisomap.streaming import Gathered, chunk_frames, completed, gather_similarity
 
 LARGE_BYTES = 1 << 29
 """Readings, as float32, that are not read as a whole any more."""
@@ -41,7 +42,7 @@ class LargeOptions:
     Parameters
     ----------
     workers
-        Processes that go through the recording side by side.
+        Threads that go through the recording side by side, as many as there are cores at most.
     dask
         Let the workers of a Dask cluster do it: address of its scheduler, as in tcp://host:8786.
     checkpoint
@@ -63,7 +64,7 @@ AS_EVER = LargeOptions()
 
 def too_large(paths: Sequence[Path], how: formats.ReadOptions) -> bool:
     """Tell from their first blocks whether recordings are too large to be read as a whole."""
-    if how.preset or sum(map(_on_disk, paths)) < PROBED_BYTES:
+    if sum(map(_on_disk, paths)) < PROBED_BYTES:
         return False
     total = 0.0
     with warnings.catch_warnings():
@@ -90,26 +91,23 @@ def examine(
     Raises
     ------
     InputError
-        If sensors are missing in some, or an option needs the recording as a whole.
+        If sensors are missing in some, or the preset does not fit.
     """
-    if how.preset or nan == "interpolate":
-        option = "--nan interpolate" if nan == "interpolate" else "--preset"
-        raise InputError(
-            f"{option} needs a recording that is read as a whole, but this is gone through in "
-            "blocks; leave it out, or convert the recording first"
-        )
     with progress("looking into the files"):
         like = _like(paths, how)
     with progress("going through all frames") as tell:
+        files = _Files(tuple(paths), how, like.names, nan, tell)
+        if how.preset:
+            like, kept = _named(files, like, how.preset)
+            files = replace(files, kept=kept)
         found = gather_similarity(
-            partial(_blocks, paths, how, like.names, tell),
+            files,
             method,
             options,
             like=like,
-            missing=nan,
             crew=Crew(large.workers, large.dask),
             checkpoint=large.checkpoint,
-            source=" + ".join(f"{path.name} ({_on_disk(path)} bytes)" for path in paths),
+            source=_described(paths, how, nan),
         )
     summary = replace(
         summarise(found.excerpt, found.health),
@@ -154,22 +152,60 @@ def _first_frame(path: Path, how: formats.ReadOptions) -> Recording:
     return with_grid(frame, how.grid)
 
 
-def _blocks(
-    paths: Sequence[Path],
-    how: formats.ReadOptions,
-    names: Sequence[str],
-    tell: Callable[[float], None],
-) -> Iterator[NDArray[Any]]:
-    """Give the readings of one file after the other, sensors in the same order."""
-    n_frames = chunk_frames(len(names))
-    for done, path in enumerate(paths):
-        with formats.open_stream(path, frames=n_frames, options=how) as stream:
-            own = {name: i for i, name in enumerate(stream.names or names)}
-            order = [own[name] for name in names]
-            in_order = order == list(range(len(order)))
+@dataclass(frozen=True, eq=False)
+class _Files:
+    """Recordings of the same sensors as one; called, it opens their readings without gaps.
+
+    What a preset leaves out is left out as where recordings are read as a whole: of one at once,
+    of several only once gaps are settled in each.
+    """
+
+    paths: tuple[Path, ...]
+    how: formats.ReadOptions
+    names: tuple[str, ...]
+    nan: MissingPolicy
+    tell: Callable[[float], None]
+    kept: NDArray[np.intp] | None = None
+
+    def __call__(self) -> Iterator[NDArray[Any]]:
+        if len(self.paths) == 1:
+            return completed(partial(self.raw, 0, self.kept), self.nan)()
+        every = (completed(partial(self.raw, i), self.nan)() for i in range(len(self.paths)))
+        chunks = chain.from_iterable(every)
+        return chunks if self.kept is None else (chunk[:, self.kept] for chunk in chunks)
+
+    def raw(self, number: int, kept: NDArray[np.intp] | None = None) -> Iterator[NDArray[Any]]:
+        """Give the readings of a file, sensors in the order of `names`."""
+        path, n_frames = self.paths[number], chunk_frames(len(self.names))
+        with formats.open_stream(path, frames=n_frames, options=self.how) as stream:
+            own = {name: i for i, name in enumerate(stream.names or self.names)}
+            order = np.array([own[name] for name in self.names])
+            order = order if kept is None else order[kept]
+            in_order = np.array_equal(order, np.arange(stream.n_sensors))
             for block in stream.blocks:
                 yield block.readings if in_order else block.readings[:, order]
-                tell((done + block.share) / len(paths))
+                self.tell((number + block.share) / len(self.paths))
+
+
+def _named(files: _Files, like: Recording, preset: str) -> tuple[Recording, NDArray[np.intp]]:
+    """Name the sensors of a known robot, once it is known which of its values ever vary."""
+    frames: list[NDArray[Any]] = []
+    for chunk in files.raw(0) if len(files.paths) == 1 else files():
+        known = np.isfinite(chunk)
+        lowest = np.where(known, chunk, np.inf).min(axis=0)
+        highest = np.where(known, chunk, -np.inf).max(axis=0)
+        first, low, high = frames or (chunk[0], lowest, highest)
+        frames = [first, np.minimum(low, lowest), np.maximum(high, highest)]
+    probe = replace(like, readings=np.array(frames))
+    kept = np.array(list(formats.numbering(probe, preset)))
+    return formats.apply_preset(probe, preset), kept
+
+
+def _described(paths: Sequence[Path], how: formats.ReadOptions, nan: MissingPolicy) -> str:
+    """Say what is counted, so that nobody goes on with what was counted of something else."""
+    of = " + ".join(f"{path.name} ({_on_disk(path)} bytes)" for path in paths)
+    told = {"select": how.select, "preset": how.preset, "nan": "" if nan == "error" else nan}
+    return ", ".join([of, *(f"{option} {value}" for option, value in told.items() if value)])
 
 
 def _on_disk(path: Path) -> int:

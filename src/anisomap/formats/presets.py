@@ -51,6 +51,37 @@ def apply_preset(recording: Recording, preset: str) -> Recording:
     """
     if not preset:
         return recording
+    kept = numbering(recording, preset)
+    chosen = recording.select(list(kept))
+    rest = float(np.nanmedian(chosen.readings[0]))
+    state = "raw, falls when pressed" if rest > _RAW_REST else "compensated, rests at 0"
+    return replace(
+        chosen,
+        names=tuple(kept.values()),
+        metadata={**recording.metadata, "preset": preset, "skin": state},
+    )
+
+
+def numbering(recording: Recording, preset: str) -> dict[int, str]:
+    """Tell which values of a robot's recording are sensors, and what these are called.
+
+    Parameters
+    ----------
+    recording : Recording
+        As for `apply_preset`. Of its readings it matters only which vary.
+    preset : str
+        A name in `PRESETS`.
+
+    Returns
+    -------
+    dict of int to str
+        By the index of the value, in the order in which `apply_preset` keeps them.
+
+    Raises
+    ------
+    InputError
+        As `apply_preset`.
+    """
     if preset not in PRESETS:
         raise InputError(f"there is no preset {preset!r}; known are {', '.join(PRESETS)}")
     kept = {
@@ -60,14 +91,7 @@ def apply_preset(recording: Recording, preset: str) -> Recording:
     }
     if not kept:
         raise InputError(f"under the preset {preset}, no sensor of this recording ever varies")
-    chosen = recording.select(list(kept))
-    rest = float(np.nanmedian(chosen.readings[0]))
-    state = "raw, falls when pressed" if rest > _RAW_REST else "compensated, rests at 0"
-    return replace(
-        chosen,
-        names=tuple(kept.values()),
-        metadata={**recording.metadata, "preset": preset, "skin": state},
-    )
+    return kept
 
 
 def _ports(recording: Recording) -> dict[str, list[int]]:
@@ -79,12 +103,12 @@ def _ports(recording: Recording) -> dict[str, list[int]]:
 
 
 def _numbered(
-    recording: Recording, port: str, indices: list[int], numbering: Numbering
+    recording: Recording, port: str, indices: list[int], known: Numbering
 ) -> list[tuple[int, str]]:
     if not port:
-        return list(numbering(recording).items())
+        return list(known(recording).items())
     part = replace(recording.select(indices), source=port, metadata={})
-    return [(indices[i], f"{port}/{name}") for i, name in numbering(part).items()]
+    return [(indices[i], f"{port}/{name}") for i, name in known(part).items()]
 
 
 def icub(recording: Recording) -> dict[int, str]:

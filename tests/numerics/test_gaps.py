@@ -1,0 +1,113 @@
+"""Missing readings in chunks: filled or left out as in one array, to the last bit."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from anisomap import Recording
+from anisomap.errors import InputError
+from anisomap.numerics.gaps import interpolated, no_gaps, whole_frames
+
+N_FRAMES, N_SENSORS = 24, 3
+
+readings = st.floats(-1e6, 1e6, width=32)
+holes = st.sampled_from([np.nan, np.inf, -np.inf])
+cuts = st.lists(st.integers(0, N_FRAMES), max_size=12).map(sorted)
+windows = st.integers(1, 2 * N_FRAMES * N_SENSORS)
+
+
+@st.composite
+def with_gaps(draw):
+    """Readings with gaps of every length: single ones, long ones, at the ends, all of a sensor."""
+    whole = draw(arrays(draw(st.sampled_from([np.float32, np.float64])), (N_FRAMES, N_SENSORS),
+                        elements=readings))  # fmt: skip
+    for _ in range(draw(st.integers(0, 6))):
+        begin, end = sorted(draw(st.tuples(*[st.integers(0, N_FRAMES)] * 2)))
+        whole[begin:end, draw(st.integers(0, N_SENSORS - 1))] = draw(holes)
+    return whole
+
+
+class Opened:
+    """Chunks that count how often they are opened."""
+
+    def __init__(self, whole, cut):
+        self.chunks = [part for part in np.split(whole, cut) if len(part)]
+        self.times = 0
+
+    def __call__(self):
+        self.times += 1
+        return iter(self.chunks)
+
+
+@given(with_gaps(), cuts, windows)
+def test_gaps_are_filled_as_in_one_array(whole, cut, window):
+    chunks = Opened(whole, cut)
+    found = interpolated(chunks, window)
+    expected = Recording(whole).complete("interpolate").readings
+    for passes in range(2):
+        np.testing.assert_array_equal(np.concatenate(list(found())), expected)
+        # To find where long gaps end takes one pass, however many there are.
+        assert chunks.times <= passes + 2
+
+
+@given(with_gaps(), cuts, st.integers(N_FRAMES * N_SENSORS, 10**6))
+def test_short_gaps_take_no_pass_of_their_own(whole, cut, window):
+    chunks = Opened(whole, cut)
+    list(interpolated(chunks, window)())
+    assert chunks.times == 1
+
+
+def test_a_window_and_the_next_are_all_that_is_read_ahead():
+    whole = np.ones((1000, 1), dtype=np.float32)
+    whole[5:900] = np.nan
+    whole[900:] = 3
+    read = []
+
+    def chunks():
+        for i, row in enumerate(whole):
+            read.append(i)
+            yield row[None]
+
+    found = interpolated(chunks, 10)()
+    next(found)
+    assert len(read) == 20 + 1000
+    read.clear()
+    ahead = 0
+    for part in found:
+        assert len(part) <= 10
+        ahead += len(part)
+        assert len(read) <= ahead + 10
+
+
+@given(with_gaps(), cuts)
+def test_frames_are_left_out_as_of_one_array(whole, cut):
+    found = whole_frames(Opened(whole, cut))
+    try:
+        expected = Recording(whole).complete("drop-frames").readings
+    except InputError:
+        with pytest.raises(InputError, match="every frame misses a reading"):
+            list(found())
+        return
+    for _ in range(2):
+        np.testing.assert_array_equal(np.concatenate(list(found())), expected)
+
+
+@given(with_gaps(), cuts)
+def test_the_first_gap_is_named(whole, cut):
+    missing = np.argwhere(~np.isfinite(whole))
+    if not len(missing):
+        np.testing.assert_array_equal(np.concatenate(list(no_gaps(Opened(whole, cut))())), whole)
+        return
+    frame, sensor = missing[0]
+    with pytest.raises(InputError, match=f"the first of sensor {sensor} in frame {frame};"):
+        list(no_gaps(Opened(whole, cut))())
+
+
+@given(arrays(np.uint8, (N_FRAMES, 2)), cuts, windows)
+def test_whole_numbers_have_no_gaps(whole, cut, window):
+    for opened in (interpolated(Opened(whole, cut), window), whole_frames(Opened(whole, cut))):
+        found = np.concatenate(list(opened()))
+        assert found.dtype == np.uint8
+        np.testing.assert_array_equal(found, whole)
