@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import gc
 import math
 import os
 import time
@@ -99,7 +98,6 @@ def on_one_thread(run: Callable[[], Result]) -> tuple[Cost, Result]:
 
 def _begin_peak() -> float:
     """Forget the most memory ever held, and give the megabytes held now; NaN if that cannot be."""
-    gc.collect()
     try:
         (_OWN / "clear_refs").write_text("5")
         # What was freed but not given back would be used again unseen.

@@ -91,7 +91,8 @@ def _races(
         f"SMACOF, {_ITERATIONS} iterations",
         given,
         partial(ours, _ITERATIONS),
-        (
+        drawn=False,
+        rivals=(
             Rival(
                 plain.name,
                 Cost(_ITERATIONS * plain.each, np.nan),

@@ -80,7 +80,7 @@ def _put_together(recording: Recording, method: str) -> Rival:
     rest = _put_together_from(regularised_reciprocal(similarity))
     begin = {"r-anisomap": "corrcoef", "i-anisomap": "one-hot product"}[method]
     return Rival(
-        f"numpy {begin} + {rest.name}",
+        f"{begin} + {rest.name}",
         cost.times((len(similarity) / few) ** 2).and_then(rest.cost),
         lambda made: alike and rest.same(made),
         {"r-anisomap": 12, "i-anisomap": 25}[method],
@@ -104,7 +104,7 @@ def _put_together_from(lengths: Matrix) -> Rival:
     paths, _ = cost_of_floyd_warshall(len(metric))
     cost = paths.and_then(cost_of_eigh(len(metric))[0])
     return Rival(
-        "scipy floyd_warshall + eigh + sklearn smacof",
+        "floyd_warshall + eigh + smacof",
         cost.and_then(Cost(steps.taken * plain.each, np.nan)),
         lambda made: are_shortest(metric, lengths) and raw_stress(made, metric) <= target,
         how=f"{steps} smacof steps x {plain.each:.2g} s",
