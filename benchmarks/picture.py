@@ -21,7 +21,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     """Draw a panel for each family of stages: ours solid, theirs dashed, hollow if estimated."""
     drawn = [row for row in rows if row.drawn]
     families = list(dict.fromkeys(row.family for row in drawn))
-    figure = Figure(figsize=(12, 7.5 * -(-len(families) // 2)), layout="constrained")
+    figure = Figure(figsize=(14, 7 * -(-len(families) // 2)), layout="constrained")
     panels = figure.subplots(-(-len(families) // 2), min(2, len(families)), squeeze=False).flat
     for family, axes in zip(families, panels, strict=False):
         _draw_family(axes, [row for row in drawn if row.family == family])
@@ -50,4 +50,4 @@ def _draw_family(axes: Axes, rows: Sequence[Row]) -> None:
     axes.set_xticks(sizes, [f"{size:,}" for size in sizes])
     axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
     axes.grid(visible=True, alpha=0.3)
-    axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), frameon=False)
+    axes.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.1), frameon=False)

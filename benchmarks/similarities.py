@@ -21,7 +21,7 @@ Floats = NDArray[np.floating[Any]]
 Codes = NDArray[np.uint16]
 
 _WHOLE = 4000  # sensors, or one-hot columns, up to which rivals do all of the work
-_PAIRS = 500
+PAIRS = 500
 _SPEARMAN_FRAMES = 10_000
 
 
@@ -120,7 +120,7 @@ def _information(given: str, codes: Codes, goal: float, *, drawn: bool) -> Race:
 
 def _by_pairs(codes: Codes, goal: float) -> Rival:
     n_sensors = codes.shape[1]
-    pairs = np.random.default_rng(2).integers(0, n_sensors, (_PAIRS, 2))
+    pairs = np.random.default_rng(2).integers(0, n_sensors, (PAIRS, 2))
 
     def some_pairs() -> Floats:
         return np.array([mutual_info_score(codes[:, i], codes[:, j]) for i, j in pairs])
@@ -132,8 +132,8 @@ def _by_pairs(codes: Codes, goal: float) -> Rival:
         "sklearn mutual_info_score",
         some_pairs,
         same,
-        part=f"{_PAIRS} pairs",
-        factor=n_sensors * (n_sensors + 1) / 2 / _PAIRS,
+        part=f"{PAIRS} pairs",
+        factor=n_sensors * (n_sensors + 1) / 2 / PAIRS,
         goal=goal,
     )
 
