@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks import measuring, paths, scalings, similarities
+from benchmarks import measuring, paths, race, scalings, similarities, wholes
 from benchmarks.__main__ import main
 from benchmarks.inputs import flat_skin, round_skin, stroked_skin, tiled_torso
 from benchmarks.measuring import measured, threads
@@ -31,8 +31,10 @@ def recordings(tmp_path):
 @pytest.fixture
 def hasty(monkeypatch):
     monkeypatch.setattr(measuring, "_LEAST", 0)
+    monkeypatch.setattr(race, "cores", lambda: 1)
     monkeypatch.setattr(similarities, "PAIRS", 20)
     monkeypatch.setattr(scalings, "MOST_STEPS", 50)
+    monkeypatch.setattr(wholes, "MOST_STEPS", 50)
 
 
 def rows_of(path):
@@ -43,7 +45,7 @@ def rows_of(path):
 def test_the_whole_in_miniature(tmp_path, recordings, hasty, capsys):
     folder = tmp_path / "out"
     sizes = ["40", "60"]
-    given = ["--recordings", str(recordings), "--sensors", *sizes, "--frames", "1000"]
+    given = ["--recordings", str(recordings), "--sensors", *sizes, "--frames", "600"]
     assert main([*given, "--output", str(folder)]) == 0
     assert {path.name for path in folder.iterdir()} == {
         "bench-table.md",

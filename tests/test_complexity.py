@@ -11,7 +11,7 @@ from anisomap.numerics.binning import maximum_entropy_codes
 from anisomap.numerics.graph import metricise
 from anisomap.numerics.scaling import smacof, torgerson
 
-SIZES = (250, 500, 1000)
+SIZES = (400, 700, 1000)
 
 
 @pytest.fixture(scope="module")
