@@ -30,9 +30,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     torso = _torso(chosen.recordings)
     sizes = chosen.sensors or [*(QUICK if chosen.quick else SIZES), *([LARGE] * chosen.large)]
     n_frames = chosen.frames or (QUICK_FRAMES if chosen.quick else FRAMES)
+    patience = 4000 if chosen.large else QUICK[0] if chosen.quick else 1000
     rows: list[Row] = []
     for n_sensors in sizes:
-        setting = Setting(n_sensors, n_frames, torso, slow=chosen.large)
+        setting = Setting(n_sensors, n_frames, torso, patience)
         for name in chosen.stages:
             family, races = STAGES[name]
             for race in races(setting):

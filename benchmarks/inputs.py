@@ -51,6 +51,14 @@ def stroked_skin(n_sensors: int, n_frames: int, active: float = 0.09) -> tuple[R
     return readings, positions
 
 
+def noisy_readings(n_sensors: int, n_frames: int) -> Readings:
+    """Give independent readings, never the same twice, far from 0: nothing is at rest."""
+    rng = np.random.default_rng(0)
+    readings = rng.standard_normal((n_frames, n_sensors), np.float32)
+    readings += rng.uniform(10, 100, n_sensors).astype(np.float32)
+    return readings
+
+
 def flat_skin(n_sensors: int) -> Matrix:
     """Give dissimilarities of a flat skin that is touched everywhere alike."""
     rng = np.random.default_rng(0)

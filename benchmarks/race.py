@@ -23,14 +23,14 @@ class Setting:
     n_sensors, n_frames : int
     torso : Path, optional
         The recording of a real skin that is tiled.
-    slow : bool
-        Whether to run what takes many minutes, too.
+    patience : int
+        Sensors up to which the default method is run, which takes many times as long as all else.
     """
 
     n_sensors: int
     n_frames: int
     torso: Path | None = None
-    slow: bool = False
+    patience: int = 1000
 
 
 @dataclass(frozen=True, eq=False)

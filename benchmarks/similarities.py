@@ -14,7 +14,7 @@ from sklearn.metrics import mutual_info_score
 
 from anisomap.numerics.binning import maximum_entropy_codes
 from anisomap.numerics.similarity import co_activation, information_of_codes, pearson, spearman
-from benchmarks.inputs import stroked_skin, tiled_torso
+from benchmarks.inputs import noisy_readings, stroked_skin, tiled_torso
 from benchmarks.race import Race, Rival, Setting, timed_rival
 
 Floats = NDArray[np.floating[Any]]
@@ -30,6 +30,7 @@ def pearson_races(setting: Setting) -> Iterator[Race]:
     inputs = {"simulated skin": stroked_skin(setting.n_sensors, setting.n_frames)[0]}
     if setting.torso:
         inputs["torso, tiled"] = tiled_torso(setting.torso, setting.n_sensors, setting.n_frames)
+    inputs["pure noise"] = noisy_readings(setting.n_sensors, setting.n_frames)
     for given, readings in inputs.items():
         theirs = Theirs("numpy.corrcoef", correlation, 1e-5, goal=2)
         yield Race("Pearson r", given, partial(pearson, readings), (_of_leading(readings, theirs),))

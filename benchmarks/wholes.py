@@ -33,7 +33,6 @@ _WHOLE = 4000
 _DIMENSIONS = 3
 _MDS_ITERATIONS = 30
 _MDS_WHOLE = 1000
-_COVARIOGRAM_UP_TO = 1000
 
 
 def whole_races(setting: Setting) -> Iterator[Race]:
@@ -44,7 +43,7 @@ def whole_races(setting: Setting) -> Iterator[Race]:
     for method in ("r-anisomap", "i-anisomap"):
         ours = partial(_map, recording, method, health=health)
         yield Race("whole map from readings", method, ours, (_put_together(recording, method),))
-    if setting.n_sensors <= _COVARIOGRAM_UP_TO or setting.slow:
+    if setting.n_sensors <= setting.patience:
         ours = partial(_map, recording, "covariogram", health=health)
         yield Race("whole map from readings", "covariogram, the default", ours)
     lengths = regularised_reciprocal(pearson(recording.readings))
