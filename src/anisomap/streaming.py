@@ -20,6 +20,7 @@ from anisomap.numerics.checkpoints import Checkpoint
 from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.evidence import sampling_variance
 from anisomap.numerics.gathering import ALONE, Crew, gather
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.values import ValueCounts
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
@@ -29,7 +30,13 @@ from anisomap.sensor_map import SensorMap
 logger = logging.getLogger(__name__)
 
 CHUNK_READINGS = 1 << 23
-"""Readings that are taken at a time."""
+"""Readings that are taken at a time,"""
+
+CHUNK_FRAMES = 2048
+"""or so many frames of many sensors: merging what was counted takes longer then than counting,"""
+
+MOST_READINGS = 1 << 26
+"""but never more readings than this."""
 
 EXCERPT_READINGS = 1 << 22
 """Readings that sensor health is judged from, in pieces from all over the recording."""
@@ -62,7 +69,7 @@ class Gathered:
         What was not done as with one array.
     """
 
-    similarity: NDArray[np.float64]
+    similarity: Reals
     varying: NDArray[np.bool_]
     n_frames: int
     excerpt: Recording
@@ -260,12 +267,18 @@ def _on_squeezing(found: Gathered, made: SensorMap) -> tuple[str, ...]:
     )
 
 
+def chunk_frames(n_sensors: int) -> int:
+    """Tell how many frames of so many sensors are taken at a time."""
+    few = min(CHUNK_FRAMES, MOST_READINGS // n_sensors)
+    return max(1, CHUNK_READINGS // n_sensors, few)
+
+
 def _cut(readings: NDArray[Any]) -> Chunks:
     if readings.ndim != 2 or 0 in readings.shape:
         raise InputError(
             f"readings have shape {readings.shape}; they must be frames x sensors, shape (T, N)"
         )
-    n_frames = max(1, CHUNK_READINGS // readings.shape[1])
+    n_frames = chunk_frames(readings.shape[1])
     starts = range(0, len(readings), n_frames)
     if isinstance(readings, np.memmap) and isinstance(readings.base, mmap):
         return lambda: (_remapped(readings, start, n_frames) for start in starts)

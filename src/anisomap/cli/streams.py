@@ -23,7 +23,7 @@ from anisomap.health import summarise
 from anisomap.methods import MethodOptions
 from anisomap.numerics.gathering import Crew
 from anisomap.recording import MissingPolicy, Recording, default_names
-from anisomap.streaming import CHUNK_READINGS, Gathered, gather_similarity
+from anisomap.streaming import Gathered, chunk_frames, gather_similarity
 
 LARGE_BYTES = 1 << 29
 """Readings, as float32, that are not read as a whole any more."""
@@ -161,7 +161,7 @@ def _blocks(
     tell: Callable[[float], None],
 ) -> Iterator[NDArray[Any]]:
     """Give the readings of one file after the other, sensors in the same order."""
-    n_frames = max(1, CHUNK_READINGS // len(names))
+    n_frames = chunk_frames(len(names))
     for done, path in enumerate(paths):
         with formats.open_stream(path, frames=n_frames, options=how) as stream:
             own = {name: i for i, name in enumerate(stream.names or names)}

@@ -21,10 +21,11 @@ from anisomap.numerics.activity import Rest, rest_of_counts
 from anisomap.numerics.binning import maximum_entropy_bins
 from anisomap.numerics.counting import Layout, joint_logarithms_of_counts
 from anisomap.numerics.joint_values import JointValues
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.similarity import information_of_logarithms, phi_of_counts
 from anisomap.numerics.values import Recoding, ValueCounts
 
-Matrix: TypeAlias = NDArray[np.float64]
+Matrix: TypeAlias = Reals
 
 Take: TypeAlias = Callable[[NDArray[Any]], Any]
 """Makes an accumulator of a chunk of finite readings, shape (t, N)."""

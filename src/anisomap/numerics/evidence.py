@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.cluster.hierarchy import DisjointSet
-from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.stats import rankdata
 
 from anisomap.errors import InputError
 from anisomap.numerics.activity import estimate_rest
+from anisomap.numerics.precision import Reals, as_reals, held_as, rows_at_a_time
 from anisomap.numerics.similarity import pearson
 
 N_BLOCKS = 20
@@ -27,6 +28,7 @@ _CAUTION = 10.0
 _SENSORS_AT_ONCE = 64
 _FEWEST_FRAMES = 4
 _FEWEST_SENSORS = 3
+_ENOUGH = 4000  # sensors, to tell what pairs are like
 _BEYOND_CHANCE = 1.2
 
 
@@ -62,12 +64,13 @@ def reliability(readings: ArrayLike) -> float:
     -------
     float
         Correlation over pairs of sensors of Pearson's r in the two halves of `even_and_odd`; in
-        [-1, 1]. 0 where all pairs are alike in a half, and where there are fewer than 4 frames or
-        3 sensors.
+        [-1, 1]. Of more than 4,000 sensors, evenly chosen ones are compared. 0 where all pairs are
+        alike in a half, and where there are fewer than 4 frames or 3 sensors.
     """
     values = np.asarray(readings)
     if len(values) < _FEWEST_FRAMES or values.shape[1] < _FEWEST_SENSORS:
         return 0.0
+    values = values[:, :: -(-values.shape[1] // _ENOUGH)]
     pairs = np.triu_indices(values.shape[1], 1)
     first, second = (pearson(values[half])[pairs] for half in even_and_odd(len(values)))
     if np.ptp(first) == 0 or np.ptp(second) == 0:
@@ -75,7 +78,7 @@ def reliability(readings: ArrayLike) -> float:
     return float(np.corrcoef(first, second)[0, 1])
 
 
-def blended_correlation(readings: ArrayLike) -> NDArray[np.float64]:
+def blended_correlation(readings: ArrayLike) -> Reals:
     """Correlate readings where these can be relied on, and their ranks where they cannot.
 
     Parameters
@@ -103,12 +106,15 @@ def blended_correlation(readings: ArrayLike) -> NDArray[np.float64]:
     of_values, of_ranks = max(reliability(values), 0.0), max(reliability(ranks), 0.0)
     steadier = 1.0 if of_ranks >= of_values else of_ranks / of_values
     weight = 1 - (1 - of_values**_RELIANCE) * steadier**_CAUTION
-    blended = weight * pearson(values) + (1 - weight) * pearson(ranks)
+    blended, of_ranks_alone = pearson(values), pearson(ranks)
+    blended *= weight
+    of_ranks_alone *= 1 - weight
+    blended += of_ranks_alone
     np.fill_diagonal(blended, 1.0)
-    return np.asarray(blended)
+    return blended
 
 
-def sampling_variance(readings: ArrayLike) -> NDArray[np.float64]:
+def sampling_variance(readings: ArrayLike) -> Reals:
     """Estimate the variance that a correlation of two unrelated sensors has by chance.
 
     Parameters
@@ -144,12 +150,20 @@ def sampling_variance(readings: ArrayLike) -> NDArray[np.float64]:
     taper = 2 * (1 - np.arange(window + 1) / (window + 1))
     taper[0] = 1.0  # every other lag stands for itself and its negative
     kept = autocorrelation[: window + 1]
-    return np.asarray(np.maximum((kept * taper[:, None]).T @ kept, 1.0) / n_frames)
+    tapered = np.sqrt(taper / n_frames)[:, None] * kept
+    tapered = tapered.astype(held_as(values.shape[1]), copy=False)
+    variance = tapered.T @ tapered  # a matrix by itself: symmetric to the last bit
+    return np.maximum(variance, 1 / n_frames, out=variance)
 
 
 def typical_noise(variance: ArrayLike) -> float:
-    """Give the median of a variance over pairs of sensors, the diagonal aside."""
-    values = np.asarray(variance, dtype=np.float64)
+    """Give the median of a variance over pairs of sensors, the diagonal aside.
+
+    Of more than 4,000 sensors, it is that over the pairs of so many, evenly chosen.
+    """
+    values = np.asarray(variance)
+    step = -(-len(values) // _ENOUGH)
+    values = values[::step, ::step]
     pairs = values[np.triu_indices(len(values), 1)]
     return float(np.median(pairs if pairs.size else values))
 
@@ -179,27 +193,43 @@ def related_pieces(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.int
     1.4 where few large contacts made many pairs meet by one and the same chance: such skins may
     be taken for one.
     """
-    alike = np.asarray(similarity, dtype=np.float64)
-    noise = np.asarray(variance, dtype=np.float64)
-    n_sensors = len(alike)
+    links, noise = as_reals(similarity), np.asarray(variance)
+    n_sensors = len(links)
     if n_sensors < 2:
         return np.zeros(n_sensors, dtype=np.intp)
-    links = alike / np.sqrt(np.maximum(noise, typical_noise(noise)))
-    links = (links + links.T) / 2
-    # Edges must be positive: scipy reads a dense 0 as no edge.
-    tree = minimum_spanning_tree(links.max() - links + 1).tocoo()
+    least = typical_noise(noise)
+    for rows in rows_at_a_time(n_sensors):
+        links[rows] /= np.sqrt(np.maximum(noise[rows], least))
     pieces = DisjointSet(range(n_sensors))
-    for edge in np.argsort(tree.data, kind="stable").tolist():
-        i, j = int(tree.row[edge]), int(tree.col[edge])
+    for strength, i, j in sorted(_strongest_links(links), reverse=True):
         smaller = min(pieces.subset_size(i), pieces.subset_size(j))
         by_chance = math.sqrt(2 * math.log(max(2, smaller * (n_sensors - smaller))))
-        if links[i, j] >= _BEYOND_CHANCE * by_chance:
+        if strength >= _BEYOND_CHANCE * by_chance:
             pieces.merge(i, j)
     labels = np.empty(n_sensors, dtype=np.intp)
     ordered = sorted(pieces.subsets(), key=lambda piece: (-len(piece), min(piece)))
     for label, piece in enumerate(ordered):
         labels[list(piece)] = label
     return labels
+
+
+def _strongest_links(links: Reals) -> Iterator[tuple[float, int, int]]:
+    """Give the N - 1 strongest links that hold all together: a maximum spanning tree.
+
+    Notes
+    -----
+    Prim (1957), Bell System Technical Journal 36: 1389-1401.
+    """
+    strongest, towards = links[0].astype(np.float64), np.zeros(len(links), dtype=np.intp)
+    outside = np.ones(len(links), dtype=bool)
+    outside[0] = False
+    for _ in range(len(links) - 1):
+        new = int(np.where(outside, strongest, -np.inf).argmax())
+        yield float(strongest[new]), int(towards[new]), new
+        outside[new] = False
+        stronger = links[new] > strongest
+        strongest[stronger] = links[new][stronger]
+        towards[stronger] = new
 
 
 def _autocorrelation(readings: NDArray[np.generic], longest: int) -> NDArray[np.float64]:
