@@ -13,13 +13,11 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.numerics.dissimilarity import regularised_reciprocal
+from anisomap.numerics.precision import held_as
 from anisomap.numerics.similarity import pearson
 
 Matrix = NDArray[np.floating[Any]]
 Readings = NDArray[np.float32]
-
-SINGLE_FROM = 10_000
-"""From so many sensors on, matrices are given in float32: in float64 they would not fit."""
 
 _REACH = 2.5
 _TOUCHES_A_SENSOR = 8
@@ -85,31 +83,31 @@ def _touched(sensors: Matrix, touches: Matrix, rng: np.random.Generator) -> Matr
     pressure = rng.uniform(0.5, 1.5, len(touches))
     readings = csr_array((pressure[apart.row] * (_REACH - apart.data), (apart.row, apart.col)))
     mean: Matrix = np.asarray(readings.mean(axis=0))
-    correlation: Matrix = (readings.T @ readings).toarray()
+    correlation = _held((readings.T @ readings).toarray())
     correlation /= len(touches)
     correlation -= np.outer(mean, mean)
     deviation = np.sqrt(np.diag(correlation))
     correlation /= deviation
     correlation /= deviation[:, None]
-    return in_precision(regularised_reciprocal(correlation))
+    return _held(regularised_reciprocal(correlation))
 
 
 def noisy_metric(n_sensors: int) -> Matrix:
     """Give distances in space, each a little wrong: very many are shortest paths themselves."""
     rng = np.random.default_rng(0)
     distances = pdist(rng.normal(size=(n_sensors, 3)))
-    return in_precision(squareform(distances * rng.uniform(0.95, 1.05, len(distances))))
+    return _held(squareform(distances * rng.uniform(0.95, 1.05, len(distances))))
 
 
 def pure_noise(n_sensors: int) -> Matrix:
     """Give independent lengths, as from sensors that have nothing in common."""
     rng = np.random.default_rng(0)
-    return in_precision(squareform(rng.uniform(0.01, 1, n_sensors * (n_sensors - 1) // 2)))
+    return _held(squareform(rng.uniform(0.01, 1, n_sensors * (n_sensors - 1) // 2)))
 
 
-def in_precision(matrix: Matrix) -> Matrix:
-    """Give a large matrix in float32."""
-    return matrix.astype(np.float32) if len(matrix) >= SINGLE_FROM else matrix
+def _held(matrix: Matrix) -> Matrix:
+    """Give a matrix in the type in which so many sensors are worked on."""
+    return matrix.astype(held_as(len(matrix)), copy=False)
 
 
 def tiled_torso(path: Path, n_sensors: int, n_frames: int) -> Readings:
@@ -152,4 +150,4 @@ def _met(places: Matrix, shift: Matrix) -> tuple[NDArray[np.intp], NDArray[np.in
 def torso_dissimilarity(path: Path, n_sensors: int, n_frames: int) -> Matrix:
     """Give the dissimilarities of a real skin, tiled."""
     readings = tiled_torso(path, n_sensors, n_frames)
-    return in_precision(regularised_reciprocal(pearson(readings)))
+    return _held(regularised_reciprocal(pearson(readings)))

@@ -152,7 +152,7 @@ def of_sklearn(metric: Matrix, start: Matrix) -> Plain:
             )
 
     cost, _ = on_one_thread(steps)
-    alike = _problem(metric, np.ones((1, len(metric))))
+    alike = Problem(metric, np.ones((1, len(metric))))
     return Plain(
         "sklearn smacof",
         cost.cpu * factor / _ITERATIONS,
@@ -179,12 +179,8 @@ def of_weighted(metric: Matrix, weights: Matrix, start: Matrix) -> Plain:
         "numpy, its inverse given",
         cost.cpu,
         f"1 step x {_ITERATIONS}",
-        partial(_majorise, _problem(metric, weights), start, lambda slope: inverse @ slope / 2),
+        partial(_majorise, Problem(metric, weights), start, lambda slope: inverse @ slope / 2),
     )
-
-
-def _problem(metric: Matrix, weights: Matrix) -> Problem:
-    return Problem(np.asarray(metric, np.float64), np.asarray(weights, np.float64))
 
 
 def _majorise(
