@@ -156,7 +156,8 @@ def run(race: Race, family: str, n_sensors: int) -> Iterator[Row]:
 
 def of_part(part: str, factor: float) -> str:
     """Say of what part of the work a time is, and how many times it was taken."""
-    return "" if factor == 1 else f"{part} x {factor:,.3g}"
+    times = f"{factor:,.0f}" if factor >= 100 else f"{factor:.3g}"
+    return "" if factor == 1 else f"{part} x {times}"
 
 
 def timed_rival(

@@ -20,7 +20,7 @@ from benchmarks.race import Race, Rival, Setting, timed_rival
 Floats = NDArray[np.floating[Any]]
 Codes = NDArray[np.uint16]
 
-_WHOLE = 4000  # sensors, or one-hot columns, up to which rivals do all of the work
+WHOLE = 4000  # sensors, or one-hot columns, up to which rivals do all of the work
 PAIRS = 500
 _SPEARMAN_FRAMES = 10_000
 
@@ -55,19 +55,19 @@ def co_activation_races(setting: Setting) -> Iterator[Race]:
 
 
 class Theirs(NamedTuple):
-    """A rival, how far it may be from ours, and how many sensors it is given at the most."""
+    """A rival, how far it may be from ours, the goal, and how many sensors it is given at most."""
 
     name: str
     compute: Callable[[NDArray[Any]], Floats]
     tolerance: float
     goal: float | None = None
-    most: int = _WHOLE
+    most: int | None = None
 
 
 def _of_leading(series: NDArray[Any], theirs: Theirs) -> Rival:
     """Let a rival do all pairs of the first sensors: what is left goes with their square."""
     n_sensors = series.shape[1]
-    few = min(n_sensors, theirs.most)
+    few = min(n_sensors, theirs.most or WHOLE)
 
     def same(ours: Floats, expected: Floats) -> bool:
         return bool(np.abs(ours[:few, :few] - expected).max() <= theirs.tolerance)
@@ -111,9 +111,7 @@ def information_races(setting: Setting) -> Iterator[Race]:
 def _information(given: str, codes: Codes, goal: float, *, drawn: bool) -> Race:
     n_codes = int(codes.max()) + 1
     # Counts so large are rounded in float32 when their logarithms are taken.
-    by_product = Theirs(
-        "numpy, one-hot product", one_hot_information, 1e-4, goal, _WHOLE // n_codes
-    )
+    by_product = Theirs("numpy, one-hot product", one_hot_information, 1e-4, goal, WHOLE // n_codes)
     rivals = (_of_leading(codes, by_product), _by_pairs(codes, 3000))
     compute = partial(information_of_codes, codes)
     return Race("mutual information", given, compute, rivals, drawn)

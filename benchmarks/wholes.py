@@ -24,15 +24,15 @@ from benchmarks.inputs import stroked_skin
 from benchmarks.measuring import Cost, on_one_thread, threads
 from benchmarks.paths import are_shortest, cost_of_eigh, cost_of_floyd_warshall
 from benchmarks.race import Race, Rival, Setting, of_part
-from benchmarks.scalings import MOST_STEPS, NEAR_THE_BEST, of_sklearn
+from benchmarks.scalings import NEAR_THE_BEST, of_sklearn
 from benchmarks.similarities import correlation, one_hot_information
 
 Matrix = NDArray[np.floating[Any]]
 
-_WHOLE = 4000
+WHOLE = 4000
 _DIMENSIONS = 3
 _MDS_ITERATIONS = 30
-_MDS_WHOLE = 1000
+_MDS_FEW = 1000
 
 
 def whole_races(setting: Setting) -> Iterator[Race]:
@@ -68,7 +68,7 @@ def _put_together(recording: Recording, method: str) -> Rival:
     similarity = compute_stages(readings, method).similarity
     if similarity is None:
         raise AssertionError("readings were given, so there is a similarity")
-    few = min(len(similarity), 1000 if method == "i-anisomap" else _WHOLE)
+    few = min(len(similarity), 1000 if method == "i-anisomap" else WHOLE)
 
     def theirs() -> Matrix:
         some = readings[:, :few]
@@ -99,7 +99,7 @@ def _put_together_from(lengths: Matrix) -> Rival:
         start = torgerson(metric, _DIMENSIONS)
         target = smacof(metric, start=start).raw_stress * NEAR_THE_BEST
     plain = of_sklearn(metric, start)
-    steps = plain.walk(target, MOST_STEPS)
+    steps = plain.walk(target, plain.most)
     paths, _ = cost_of_floyd_warshall(len(metric))
     cost = paths.and_then(cost_of_eigh(len(metric))[0])
     return Rival(
@@ -125,7 +125,7 @@ def _of_sklearn(
     name: str, scale: Callable[[Matrix], tuple[str, Matrix]], lengths: Matrix, truth: Matrix
 ) -> Rival:
     """Give a rival that makes another map: how true both are takes the place of sameness."""
-    few = min(len(lengths), _WHOLE)
+    few = min(len(lengths), WHOLE)
     factor = (len(lengths) / few) ** 2
     cost, (how, positions) = on_one_thread(lambda: scale(lengths[:few, :few]))
     theirs = likeness(positions, truth[:few])
@@ -140,14 +140,14 @@ def _of_sklearn(
 
 def likeness(positions: Matrix, truth: Matrix) -> float:
     """Correlate distances with true ones, of the first points if there are very many."""
-    few = slice(_WHOLE)
+    few = slice(WHOLE)
     return float(np.corrcoef(pdist(positions[few]), pdist(truth[few]))[0, 1])
 
 
 def _mds(lengths: Matrix) -> tuple[str, Matrix]:
     # The parameter that says "precomputed" has just changed its name.
     name = "metric" if "metric_mds" in MDS().get_params() else "dissimilarity"
-    more = {} if len(lengths) <= _MDS_WHOLE else {"max_iter": _MDS_ITERATIONS}
+    more = {} if len(lengths) <= _MDS_FEW else {"max_iter": _MDS_ITERATIONS}
     scale = MDS(_DIMENSIONS, n_init=1, random_state=0, **{name: "precomputed"}, **more)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of defaults that will change

@@ -34,7 +34,6 @@ def hasty(monkeypatch):
     monkeypatch.setattr(race, "cores", lambda: 1)
     monkeypatch.setattr(similarities, "PAIRS", 20)
     monkeypatch.setattr(scalings, "MOST_STEPS", 50)
-    monkeypatch.setattr(wholes, "MOST_STEPS", 50)
 
 
 def rows_of(path):
@@ -65,6 +64,24 @@ def test_the_whole_in_miniature(tmp_path, recordings, hasty, capsys):
     assert "as N to the power of" in table
     assert (folder / "bench.png").read_bytes().startswith(b"\x89PNG")
     assert "torso, tiled" in capsys.readouterr().out
+
+
+def test_where_rivals_take_too_long_they_do_a_part(tmp_path, hasty, monkeypatch):
+    for module in (similarities, paths, scalings, wholes):
+        monkeypatch.setattr(module, "WHOLE", 30)
+    given = ["--sensors", "61", "--frames", "600", "--output", str(tmp_path)]
+    paths.cost_of_eigh.cache_clear()
+    paths.cost_of_floyd_warshall.cache_clear()
+    assert main(given) == 0
+    rows = [row for row in rows_of(tmp_path / "bench.csv") if row["against"]]
+    assert {row["estimated"] for row in rows} == {"True"}
+    assert {row["same"] for row in rows if row["stage"] != "whole map from dissimilarities"} == {
+        "True"
+    }
+    by_stage = {row["stage"]: row["how"] for row in rows}
+    assert by_stage["metricising"] == "30 sensors x 8.41"
+    assert by_stage["Torgerson"] == "30 sensors x 8.41"
+    assert by_stage["SMACOF, 30 iterations"] == "30 sensors x 4.13"
 
 
 def test_a_wrong_result_is_told_and_fails(tmp_path, hasty, monkeypatch, capsys):
