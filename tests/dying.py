@@ -1,8 +1,11 @@
-"""Work at which a process dies; a module of its own, so that other processes can import it."""
+"""Work that shows who does it, or kills them; in a module that other processes can import."""
 
 import os
 import signal
+from dataclasses import dataclass
 from pathlib import Path
+
+from threadpoolctl import threadpool_info
 
 from anisomap.numerics.accumulators import Moments
 
@@ -18,3 +21,17 @@ class Dying:
             self.mark.touch()
             os.kill(os.getpid(), signal.SIGKILL)
         return Moments.of(chunk)
+
+
+@dataclass(frozen=True)
+class ThreadLimits:
+    """How many threads linear algebra may use where chunks are worked on."""
+
+    limits: frozenset
+
+    @classmethod
+    def of(cls, _):
+        return cls(frozenset(pool["num_threads"] for pool in threadpool_info()))
+
+    def merged(self, other):
+        return ThreadLimits(self.limits | other.limits)

@@ -11,7 +11,6 @@ from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from anisomap import Anisomap, SensorMapper, mantel, reconstruct
-from anisomap import estimators as estimators_module
 from anisomap.errors import AnisomapWarning, InputError
 from skins import flat_skin, lattice
 
@@ -42,7 +41,7 @@ def test_a_mapper_makes_the_map_that_reconstruct_makes(method):
 
 
 def test_frames_may_come_in_parts(monkeypatch):
-    monkeypatch.setattr(estimators_module, "SAMPLE_FRAMES", 200)
+    monkeypatch.setattr("anisomap.estimators.mapper.SAMPLE_FRAMES", 200)
     whole = SensorMapper(n_components=2).fit(SKIN.readings)
     parts = SensorMapper(n_components=2)
     for part in np.split(SKIN.readings, [7, 400, 401, 1100]):

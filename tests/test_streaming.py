@@ -1,7 +1,11 @@
 """Recordings in chunks: the same map as of one array, whoever does the work, cut off or not."""
 
+import importlib
+
+import joblib
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 import anisomap
 from anisomap import Recording, SensorMapper, reconstruct, streaming
@@ -9,8 +13,9 @@ from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.methods import METHODS, MethodOptions
 from anisomap.numerics.accumulators import Moments
 from anisomap.numerics.gathering import Crew, gather
+from anisomap.numerics.joint_values import JointValues
 from anisomap.streaming import reconstruct_chunks
-from dying import Dying
+from dying import Dying, ThreadLimits
 from skins import flat_skin
 
 # Readings of so many levels as a sensor of 6 bits has.
@@ -38,13 +43,31 @@ def test_chunks_make_the_map_of_one_array(method, cuts):
 
 
 @pytest.mark.parametrize("method", EXACT)
+@pytest.mark.parametrize("cuts", [[3, 900, 901], [2, *range(3, 23)]], ids=["few", "frame by frame"])
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
-def test_a_live_stream_makes_the_map_of_one_array(method):
-    parts = SensorMapper(n_components=2, method=method)
-    for part in np.split(READINGS, [3, 900, 901]):
+def test_a_live_stream_makes_the_map_of_one_array(method, cuts):
+    parts, whole = (SensorMapper(n_components=2, method=method) for _ in range(2))
+    for part in np.split(READINGS, cuts):
         parts.partial_fit(part)
-    expected = reconstruct(SKIN, method, 2)
-    np.testing.assert_allclose(parts.positions_, expected.positions, atol=1e-10)
+    np.testing.assert_allclose(parts.positions_, whole.fit(READINGS).positions_, atol=1e-10)
+    if isinstance(parts._pairs, JointValues):
+        counted = JointValues.of(READINGS)
+        np.testing.assert_array_equal(parts._pairs.counts, counted.counts)
+        assert parts._pairs.single.n_frames == len(READINGS)
+
+
+@pytest.mark.parametrize("method", sorted(set(METHODS) - set(EXACT)))
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def test_a_live_stream_makes_refined_maps_of_correlations_however_it_comes(method):
+    made = []
+    for cuts in ([3, 900, 901], [2000]):
+        parts = SensorMapper(n_components=2, method=method)
+        for part in np.split(READINGS, cuts):
+            parts.partial_fit(part)
+        made.append(parts.positions_)
+    np.testing.assert_allclose(made[0], made[1], atol=1e-6)
+    whole = reconstruct_chunks(cut_at(), method, 2)
+    assert anisomap.mantel(made[0], whole.positions, permutations=0).r > 0.999
 
 
 def test_how_chunks_are_cut_does_not_matter_to_the_covariogram():
@@ -59,6 +82,7 @@ def test_how_chunks_are_cut_does_not_matter_to_the_covariogram():
 def test_an_array_on_disk_is_gone_through_in_chunks(tmp_path, monkeypatch, dtype):
     np.save(tmp_path / "skin.npy", READINGS.astype(dtype))
     monkeypatch.setattr(streaming, "CHUNK_READINGS", 300 * 42)
+    monkeypatch.setattr(streaming, "CHUNK_FRAMES", 1)
     mapped = np.load(tmp_path / "skin.npy", mmap_mode="r")
     for part in (slice(None), slice(100, 2400)):
         found = reconstruct_chunks(mapped[part] if part.start else mapped, "i-anisomap", 2)
@@ -69,6 +93,7 @@ def test_an_array_on_disk_is_gone_through_in_chunks(tmp_path, monkeypatch, dtype
 def test_an_array_on_disk_may_lie_column_after_column(tmp_path, monkeypatch):
     np.save(tmp_path / "skin.npy", np.asfortranarray(READINGS))
     monkeypatch.setattr(streaming, "CHUNK_READINGS", 300 * 42)
+    monkeypatch.setattr(streaming, "CHUNK_FRAMES", 1)
     found = reconstruct_chunks(np.load(tmp_path / "skin.npy", mmap_mode="r"), "r-anisomap", 2)
     expected = reconstruct(SKIN, "r-anisomap", 2)
     np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
@@ -125,9 +150,39 @@ def test_workers_make_the_same_map_to_the_last_bit(method):
     np.testing.assert_array_equal(many.positions, alone.positions)
 
 
+@pytest.mark.parametrize("backend", ["threading", "loky", "multiprocessing"])
+def test_any_backend_of_joblib_makes_the_same_map_to_the_last_bit(backend):
+    alone = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2)
+    with joblib.parallel_config(backend):
+        many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, crew=Crew(2))
+    np.testing.assert_array_equal(many.positions, alone.positions)
+
+
+def test_ray_makes_the_same_map_to_the_last_bit():
+    ray = pytest.importorskip("ray")
+    importlib.import_module("ray.util.joblib").register_ray()
+    alone = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2)
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        with joblib.parallel_config("ray"):
+            many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, crew=Crew(2))
+    finally:
+        ray.shutdown()
+    np.testing.assert_array_equal(many.positions, alone.positions)
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky"])
+def test_workers_do_not_fight_over_cores(backend):
+    with threadpool_limits(3), joblib.parallel_config(backend):
+        found = gather(cut_at(*range(100, 2500, 100)), ThreadLimits.of, crew=Crew(2))
+        assert found.limits == {1}
+        assert ThreadLimits.of(None).limits == {3}
+
+
 def test_a_worker_that_dies_is_done_without(tmp_path):
     chunks = cut_at(700, 1500, 2000)
-    found = gather(chunks, Dying(tmp_path), crew=Crew(2))
+    with joblib.parallel_config("loky"):
+        found = gather(chunks, Dying(tmp_path), crew=Crew(2))
     expected = gather(chunks, Moments.of)
     np.testing.assert_array_equal(found.comoment, expected.comoment)
     assert (tmp_path / "dead").exists()

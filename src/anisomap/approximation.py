@@ -25,7 +25,7 @@ from anisomap.numerics.approximate.placing import Placed, place
 from anisomap.numerics.approximate.sketch import Sketch, sketch
 from anisomap.recording import MissingPolicy, Recording, Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.streaming import Chunks, _cut, _Pieces, completed
+from anisomap.streaming import CHUNK_READINGS, Chunks, _cut, _Pieces, completed
 
 logger = logging.getLogger(__name__)
 
@@ -157,7 +157,12 @@ def relate(
     Related
     """
     chosen = options or ApproximateOptions()
-    pieces, opened = _Pieces(EXCERPT_READINGS), completed(chunks, missing)
+    pieces, whole = _Pieces(EXCERPT_READINGS), completed(chunks, missing)
+
+    def opened() -> Iterator[NDArray[Any]]:
+        for chunk in whole():
+            n_frames = max(1, CHUNK_READINGS // chunk.shape[1])
+            yield from (chunk[i : i + n_frames] for i in range(0, len(chunk), n_frames))
 
     def watched() -> Iterator[NDArray[Any]]:
         for chunk in opened():

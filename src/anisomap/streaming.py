@@ -22,6 +22,8 @@ from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.evidence import sampling_variance
 from anisomap.numerics.gaps import Settled, interpolated, no_gaps, whole_frames
 from anisomap.numerics.gathering import ALONE, Crew, gather
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.room import check_room_for_pairs
 from anisomap.numerics.values import ValueCounts
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
@@ -31,7 +33,13 @@ from anisomap.sensor_map import SensorMap
 logger = logging.getLogger(__name__)
 
 CHUNK_READINGS = 1 << 23
-"""Readings that are taken at a time."""
+"""Readings that are taken at a time,"""
+
+CHUNK_FRAMES = 4096
+"""or so many frames of many sensors: merging what was counted takes longer then than counting,"""
+
+MOST_READINGS = 1 << 27
+"""but never more readings than this."""
 
 EXCERPT_READINGS = 1 << 22
 """Readings that sensor health is judged from, in pieces from all over the recording."""
@@ -64,7 +72,7 @@ class Gathered:
         What was not done as with one array.
     """
 
-    similarity: NDArray[np.float64]
+    similarity: Reals
     varying: NDArray[np.bool_]
     n_frames: int
     excerpt: Recording
@@ -101,7 +109,8 @@ def reconstruct_chunks(
     crew : Crew
         Who does the work.
     checkpoint : pathlib.Path, optional
-        File to note down what was counted, and to go on from if it is there.
+        File to note down what was counted, and to go on from if it is there; one of other readings
+        or another method is refused.
 
     Returns
     -------
@@ -170,7 +179,10 @@ def gather_similarity(
     def watched() -> Iterator[NDArray[Any]]:
         """Take the excerpt in passing; the second time, there is one."""
         watching = not pieces.whole
+        if watching:
+            pieces.forget()
         for chunk in whole():
+            check_room_for_pairs(chunk.shape[1])
             if watching:
                 pieces.add(chunk)
             yield chunk
@@ -182,7 +194,8 @@ def gather_similarity(
         values = gather(watched, ValueCounts.of, crew=crew, checkpoint=held, stage="values")
     logger.info("comparing all pairs of sensors (%s)", name)
     take = recipe.prepare(values, options.bins)
-    total = gather(watched, take, crew=crew, checkpoint=held, stage="pairs")
+    before = "" if values is None else "values"
+    total = gather(watched, take, crew=crew, checkpoint=held, stage="pairs", after=before)
     varying = total.varying() if values is None else values.varying()
     excerpt = pieces.recording(like)
     notes = [] if values is None else list(_rounding(values, excerpt.names))
@@ -295,12 +308,18 @@ def _on_squeezing(found: Gathered, made: SensorMap) -> tuple[str, ...]:
     )
 
 
+def chunk_frames(n_sensors: int) -> int:
+    """Tell how many frames of so many sensors are taken at a time."""
+    few = min(CHUNK_FRAMES, MOST_READINGS // n_sensors)
+    return max(1, CHUNK_READINGS // n_sensors, few)
+
+
 def _cut(readings: NDArray[Any]) -> Chunks:
     if readings.ndim != 2 or 0 in readings.shape:
         raise InputError(
             f"readings have shape {readings.shape}; they must be frames x sensors, shape (T, N)"
         )
-    n_frames = max(1, CHUNK_READINGS // readings.shape[1])
+    n_frames = chunk_frames(readings.shape[1])
     starts = range(0, len(readings), n_frames)
     if isinstance(readings, np.memmap) and isinstance(readings.base, mmap):
         return lambda: (_remapped(readings, start, n_frames) for start in starts)
@@ -357,9 +376,13 @@ class _Pieces:
 
     def __init__(self, n_readings: int = 0) -> None:
         self._n_readings = n_readings or EXCERPT_READINGS
+        self.whole = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, with the first chunk."""
         self._kept: list[NDArray[Any]] = []
         self._stride, self._seen = 1, 0
-        self.whole = False
 
     def add(self, chunk: NDArray[Any]) -> None:
         # A chunk of very many sensors is shorter than a piece.

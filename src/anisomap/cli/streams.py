@@ -27,7 +27,7 @@ from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors
 from anisomap.numerics.approximate.options import ApproximateOptions
 from anisomap.numerics.gathering import Crew
 from anisomap.recording import MissingPolicy, Recording, default_names
-from anisomap.streaming import CHUNK_READINGS, Gathered, completed, gather_similarity
+from anisomap.streaming import Gathered, chunk_frames, completed, gather_similarity
 
 LARGE_BYTES = 1 << 29
 """Readings, as float32, that are not read as a whole any more."""
@@ -45,7 +45,7 @@ class LargeOptions:
     Parameters
     ----------
     workers
-        Processes that go through the recording side by side.
+        Threads that go through the recording side by side, as many as there are cores at most.
     dask
         Let the workers of a Dask cluster do it: address of its scheduler, as in tcp://host:8786.
     checkpoint
@@ -222,7 +222,7 @@ class _Files:
 
     def raw(self, number: int, kept: NDArray[np.intp] | None = None) -> Iterator[NDArray[Any]]:
         """Give the readings of a file, sensors in the order of `names`."""
-        path, n_frames = self.paths[number], max(1, CHUNK_READINGS // len(self.names))
+        path, n_frames = self.paths[number], chunk_frames(len(self.names))
         with formats.open_stream(path, frames=n_frames, options=self.how) as stream:
             own = {name: i for i, name in enumerate(stream.names or self.names)}
             order = np.array([own[name] for name in self.names])

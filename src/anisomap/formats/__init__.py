@@ -4,6 +4,7 @@ Where things are:
 
 =================  =================================================================
 `registry`         `FORMATS`, and `read`, `open_stream`, `write` ..., which choose from it
+`kind`             what a format is
 `npz`              NumPy archives: recordings and maps
 `text`             delimited text: recordings
 `map_csv`          delimited text: maps and true positions
@@ -39,10 +40,10 @@ A new format is one file with its readers and writers, and one line in `registry
 
 from anisomap.formats.choice import ChoiceError as ChoiceError
 from anisomap.formats.choice import Content as Content
+from anisomap.formats.kind import Format as Format
 from anisomap.formats.presets import apply_preset as apply_preset
 from anisomap.formats.presets import numbering as numbering
 from anisomap.formats.registry import FORMATS as FORMATS
-from anisomap.formats.registry import Format as Format
 from anisomap.formats.registry import check_writable as check_writable
 from anisomap.formats.registry import contents as contents
 from anisomap.formats.registry import needs_scale as needs_scale

@@ -26,7 +26,9 @@ from anisomap.numerics.kernels_counting import (
     dense_panel,
     fold_panel,
     list_entries,
+    pack_bits,
     sparse_panel,
+    tally_codes,
 )
 
 MANY_SENSORS = 300
@@ -91,8 +93,12 @@ class Layout:
 
 def code_counts(codes: Codes, n_codes: int) -> NDArray[np.int64]:
     """Count how often every sensor has every code, shape (N, b), of codes of shape (T, N)."""
-    found = [np.count_nonzero(codes == code, axis=0) for code in range(n_codes)]
-    return np.column_stack(found).astype(np.int64)
+    if codes.shape[1] < MANY_SENSORS:
+        found = [np.count_nonzero(codes == code, axis=0) for code in range(n_codes)]
+        return np.column_stack(found).astype(np.int64)
+    counts = np.zeros((codes.shape[1], n_codes), dtype=np.int64)
+    compiled(tally_codes)(_plain(codes), counts)
+    return counts
 
 
 def co_occurrences(codes: Codes, layout: Layout) -> NDArray[np.uint32]:
@@ -279,14 +285,13 @@ def _panel_counter(codes: Codes, layout: Layout) -> _Panel:
 
 def _bits(codes: Codes, layout: Layout) -> NDArray[np.uint64]:
     """Pack what is on into a bit a frame, shape (M, words)."""
-    n_frames, n_codes = len(codes), layout.position.shape[1]
-    by_sensor = np.array(codes.T, dtype=np.min_scalar_type(n_codes - 1), order="C")
-    octets = np.zeros((layout.n_series, -(-n_frames // _WORD) * 8), dtype=np.uint8)
-    for code, position in enumerate(layout.position.T):
-        there = np.flatnonzero(position >= 0)
-        packed = np.packbits(by_sensor[there] == code, axis=1)
-        octets[position[there], : packed.shape[1]] = packed
-    return octets.view(np.uint64)
+    bits = np.zeros((layout.n_series + 1, -(-len(codes) // _WORD)), dtype=np.uint64)
+    compiled(pack_bits)(_plain(codes), layout.position, bits)
+    return bits[:-1]
+
+
+def _plain(codes: Codes) -> Codes:
+    return codes.view(np.uint8) if codes.dtype == np.bool_ else codes
 
 
 def _entries(codes: Codes, layout: Layout) -> Entries:
@@ -300,6 +305,5 @@ def _entries(codes: Codes, layout: Layout) -> Entries:
         np.empty(size, dtype=np.int64),
         starts,
     )
-    plain = codes.view(np.uint8) if codes.dtype == np.bool_ else codes
-    compiled(list_entries)(plain, layout.reference, layout.position, on)
+    compiled(list_entries)(_plain(codes), layout.reference, layout.position, on)
     return on

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
@@ -14,11 +15,12 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError, MissingExtraError
-from anisomap.numerics.checkpoints import Checkpoint
+from anisomap.numerics.checkpoints import Checkpoint, Trail
 
 logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 3
+_ROUND = 4  # chunks a worker
 
 
 @dataclass(frozen=True)
@@ -28,14 +30,15 @@ class Crew:
     Parameters
     ----------
     workers : int
-        Processes on this machine; 1 is none but this.
+        Threads of this process that make something of chunks side by side; 1 is none but this.
     scheduler : str
         Address of a Dask scheduler, as in ``tcp://host:8786``, whose workers do it instead.
 
     Notes
     -----
-    Another backend of joblib (Ray's, say) does the work if it is chosen around the call, with
-    ``joblib.parallel_config``, and `workers` is more than 1.
+    Another backend of joblib does the work if it is chosen around the call and `workers` is more
+    than 1: ``joblib.parallel_config("ray")``, say, or ``"loky"`` for processes. Threads are the
+    default since what takes long lets go of the interpreter's lock, and nothing has to be sent.
     """
 
     workers: int = 1
@@ -52,6 +55,7 @@ def gather(
     crew: Crew = ALONE,
     checkpoint: Checkpoint | None = None,
     stage: str = "total",
+    after: str = "",
 ) -> Any:
     """Make something of every chunk and merge it.
 
@@ -67,6 +71,8 @@ def gather(
         Where to go on, and what to keep up to date.
     stage : str
         Its name in the checkpoint.
+    after : str
+        A stage that `take` was made from, if any: nothing is gone on with after another outcome.
 
     Returns
     -------
@@ -78,18 +84,26 @@ def gather(
     ------
     InputError
         If there is no chunk, or workers keep dying.
+    FileError
+        If the checkpoint is of other chunks.
     MissingExtraError
         If a scheduler is given, and Dask is not installed.
     """
     done, total = checkpoint(stage) if checkpoint else (0, None)
     failures = 0
     while True:
+        trail = Trail(checkpoint.mark(after) if checkpoint else "")
+        opened = iter(trail.along(chunks()) if checkpoint else chunks())
+        for _ in islice(opened, done):
+            pass
+        if checkpoint:
+            checkpoint.check(stage, trail.mark(done))
         try:
-            for part in _shared(islice(chunks(), done, None), take, crew):
+            for part in _shared(opened, take, crew):
                 total, done = part if total is None else total.merged(part), done + 1
                 failures = 0
                 if checkpoint:
-                    checkpoint.keep(stage, done, total)
+                    checkpoint.keep(stage, done, trail.mark(done), total)
             break
         except BrokenExecutor as error:
             failures += 1
@@ -102,7 +116,7 @@ def gather(
     if total is None:
         raise InputError("there is no frame to make a map of")
     if checkpoint:
-        checkpoint.keep(stage, done, total, now=True)
+        checkpoint.write()
     return total
 
 
@@ -114,9 +128,25 @@ def _shared(
     joblib: Any = import_module("joblib")
     if crew.scheduler:
         return _on_dask(joblib, chunks, take, crew.scheduler)
-    pool = joblib.Parallel(crew.workers, return_as="generator", batch_size=1)
-    jobs: Iterator[Any] = pool(joblib.delayed(_alone)(take, chunk) for chunk in chunks)
-    return jobs
+    return _on_joblib(joblib, chunks, take, crew.workers)
+
+
+def _on_joblib(
+    joblib: Any, chunks: Iterable[NDArray[Any]], take: Callable[[NDArray[Any]], Any], workers: int
+) -> Iterator[Any]:
+    jobs = (joblib.delayed(_alone)(take, chunk, os.getpid()) for chunk in chunks)
+    # Limits are those of a process: threads that set and lifted them would undo one another's.
+    with threadpool_limits(1):
+        try:
+            pool = joblib.Parallel(workers, prefer="threads", return_as="generator", batch_size=1)
+        except ValueError:
+            # Some backends (Ray's is one) hand results over only once they have all.
+            pool = joblib.Parallel(workers, batch_size=1)
+            with pool:
+                while batch := list(islice(jobs, _ROUND * joblib.effective_n_jobs(workers))):
+                    yield from pool(batch)
+        else:
+            yield from pool(jobs)
 
 
 def _on_dask(
@@ -134,13 +164,15 @@ def _on_dask(
     with client, joblib.parallel_config("dask", client=client):
         pool = joblib.Parallel(return_as="generator", batch_size=1)
         try:
-            yield from pool(joblib.delayed(_alone)(take, chunk) for chunk in chunks)
+            yield from pool(joblib.delayed(_alone)(take, chunk, os.getpid()) for chunk in chunks)
         except died as error:
             # Dask takes up the work of a worker that died, but not the chunks that it held.
             raise BrokenExecutor(str(error)) from error
 
 
-def _alone(take: Callable[[NDArray[Any]], Any], chunk: NDArray[Any]) -> Any:
+def _alone(take: Callable[[NDArray[Any]], Any], chunk: NDArray[Any], asked_by: int) -> Any:
     """Do a worker's part on one thread: the others have work of their own."""
+    if os.getpid() == asked_by:
+        return take(chunk)
     with threadpool_limits(1):
         return take(chunk)

@@ -72,7 +72,7 @@ def compiled(loop: Callable[..., None]) -> Callable[..., None]:
     Parameters
     ----------
     loop : callable
-        `dense_panel`, `list_entries`, `sparse_panel` or `fold_panel`.
+        `tally_codes`, `pack_bits`, `dense_panel`, `list_entries`, `sparse_panel` or `fold_panel`.
 
     Returns
     -------
@@ -85,6 +85,39 @@ def compiled(loop: Callable[..., None]) -> Callable[..., None]:
     except RuntimeError:  # no folder that compiled code could be kept in may be written to
         fast = numba.njit(loop, nogil=True)
     return fast
+
+
+def tally_codes(codes: NDArray[Any], counts: NDArray[np.int64]) -> None:
+    """Count how often every sensor has every code.
+
+    Parameters
+    ----------
+    codes : ndarray of int, shape (T, N)
+        What every sensor read.
+    counts : ndarray of int64, shape (N, b)
+        Zeros; filled.
+    """
+    for frame in range(codes.shape[0]):
+        for sensor in range(codes.shape[1]):
+            counts[sensor, codes[frame, sensor]] += 1
+
+
+def pack_bits(codes: NDArray[Any], position: NDArray[np.int64], bits: NDArray[np.uint64]) -> None:
+    """Pack what is on into a bit a frame.
+
+    Parameters
+    ----------
+    codes : ndarray of int, shape (T, N)
+        What every sensor read.
+    position : ndarray of int64, shape (N, b)
+        See `anisomap.numerics.counting.Layout`.
+    bits : ndarray of uint64, shape (M + 1, words)
+        Zeros; filled. What is no series goes to the last row, which saves asking.
+    """
+    for frame in range(codes.shape[0]):
+        word, bit = frame // 64, _ONES << np.uint64(frame % 64)
+        for sensor in range(codes.shape[1]):
+            bits[position[sensor, codes[frame, sensor]], word] |= bit
 
 
 def dense_panel(

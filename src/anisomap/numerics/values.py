@@ -19,6 +19,7 @@ from anisomap.numerics.binning import maximum_entropy_bins
 MOST_VALUES = 1 << 24
 """Values that are kept of all sensors together: 256 MiB."""
 
+_CHUNK_FRAMES = 256  # what is worked out on the way stays in the processor's cache
 _FEWEST_VALUES = 256  # of one sensor, however many sensors there are
 _MAGNITUDE = np.int64(np.iinfo(np.int64).max)
 
@@ -159,11 +160,25 @@ class Recoding:
         """Recode readings of shape (T, N)."""
         array = np.asarray(readings)
         recoded = np.empty(array.shape, dtype=self.outcomes[0].dtype)
+        if _is_byte(array.dtype):
+            self._look_up(array, recoded)
+            return recoded
         for sensor, column in enumerate(array.T):
-            starts = self.starts[sensor]
-            where = np.searchsorted(starts, column.astype(np.float64), side="right")
-            recoded[:, sensor] = self.outcomes[sensor][where]
+            recoded[:, sensor] = self._of_sensor(sensor, column)
         return recoded
+
+    def _look_up(self, array: NDArray[Any], recoded: NDArray[Any]) -> None:
+        """Recode readings of which there are no more than 256, by a table of all of them."""
+        every = np.arange(256, dtype=np.uint8).view(array.dtype)
+        table = np.concatenate([self._of_sensor(i, every) for i in range(array.shape[1])])
+        own = 256 * np.arange(array.shape[1])
+        for start in range(0, len(array), _CHUNK_FRAMES):
+            frames = slice(start, start + _CHUNK_FRAMES)
+            table.take(array[frames].view(np.uint8) + own, out=recoded[frames], mode="clip")
+
+    def _of_sensor(self, sensor: int, column: NDArray[Any]) -> NDArray[Any]:
+        where = np.searchsorted(self.starts[sensor], column.astype(np.float64), side="right")
+        return np.asarray(self.outcomes[sensor][where])
 
 
 def distinct(column: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -181,13 +196,17 @@ def distinct(column: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int6
     counts : ndarray of int, shape (m,)
         How often each occurs.
     """
-    if column.dtype.kind in "biu" and column.dtype.itemsize == 1:
+    if _is_byte(column.dtype):
         lowest = int(column.min())
         counts = np.bincount(column.astype(np.intp) - lowest)
         there = np.flatnonzero(counts)
         return (there + lowest).astype(np.float64), counts[there].astype(np.int64)
     values, counts = np.unique(column, return_counts=True)
     return values.astype(np.float64), counts.astype(np.int64)
+
+
+def _is_byte(dtype: np.dtype[Any]) -> bool:
+    return dtype.kind in "biu" and dtype.itemsize == 1
 
 
 def _bounded(

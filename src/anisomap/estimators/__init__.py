@@ -1,0 +1,5 @@
+"""The same calls with scikit-learn's faces."""
+
+from anisomap.estimators.embedding import Anisomap as Anisomap
+from anisomap.estimators.mapper import SAMPLE_FRAMES as SAMPLE_FRAMES
+from anisomap.estimators.mapper import SensorMapper as SensorMapper

@@ -1,0 +1,163 @@
+"""An embedding whose rows are objects."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator
+from sklearn.metrics import pairwise_distances
+from sklearn.utils.validation import check_non_negative, validate_data
+
+from anisomap.numerics.graph import metricise
+from anisomap.numerics.scaling import SmacofOptions, smacof
+
+
+class Anisomap(BaseEstimator):
+    """Embed objects (rows) by their distances, metricised over all pairs: ANISOMAP.
+
+    A drop-in for scikit-learn's ``MDS`` and ``Isomap`` that takes any semi-metric, weights, and
+    missing pairs. There is no `transform`: like MDS, it places only what it was fitted on.
+
+    Parameters
+    ----------
+    n_components : int, default=2
+        Dimensions of the embedding.
+    metric : str or callable, default="euclidean"
+        How to compare rows, as `sklearn.metrics.pairwise_distances` takes it; ``"precomputed"`` if
+        X is a matrix of dissimilarities. It may be any semi-metric (correlation, cosine, squared
+        distance).
+    metric_params : dict, optional
+        More arguments for `metric`.
+    tol, max_iter : float, int
+        When to stop scaling: see `anisomap.numerics.scaling.SmacofOptions`.
+
+    Attributes
+    ----------
+    embedding_ : ndarray of shape (n_samples, n_components)
+        Where the objects are.
+    metric_matrix_ : ndarray of shape (n_samples, n_samples)
+        The metricised dissimilarities that were scaled.
+    stress_ : float
+        Stress-1: 0 is a perfect fit.
+    n_iter_ : int
+        Iterations of SMACOF.
+    n_features_in_ : int
+        Number of columns of X.
+
+    See Also
+    --------
+    SensorMapper : the same for sensors, which are columns.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    >>> embedding = Anisomap().fit_transform(square)
+    >>> np.allclose(np.linalg.norm(embedding, axis=1), 0.5**0.5, atol=1e-4)
+    True
+    """
+
+    def __init__(
+        self,
+        n_components: int = 2,
+        *,
+        metric: str | Any = "euclidean",
+        metric_params: dict[str, Any] | None = None,
+        tol: float = SmacofOptions.tolerance,
+        max_iter: int = SmacofOptions.max_iterations,
+    ) -> None:
+        self.n_components = n_components
+        self.metric = metric
+        self.metric_params = metric_params
+        self.tol = tol
+        self.max_iter = max_iter
+
+    def fit(
+        self,
+        X: ArrayLike,
+        y: object = None,
+        *,
+        weights: ArrayLike | None = None,
+        init: ArrayLike | None = None,
+    ) -> Self:
+        """Embed the rows of X.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_samples, n_features) or (n_samples, n_samples)
+            Objects, or their dissimilarities, where NaN or infinity marks a pair not known (on
+            either side of the diagonal).
+        y : object
+            Not looked at.
+        weights : array_like of shape (n_samples, n_samples), optional
+            How much each distance counts; 0 is not at all.
+        init : array_like of shape (n_samples, n_components), optional
+            Where to set out from; Torgerson's scaling unless given.
+
+        Returns
+        -------
+        Anisomap
+            Itself.
+
+        Raises
+        ------
+        InputError
+            If a dissimilarity is negative or not symmetric, or the known pairs do not connect all
+            objects.
+        """
+        precomputed = self.metric == "precomputed"
+        values = validate_data(
+            self,
+            X,
+            dtype=np.float64,
+            ensure_all_finite=not precomputed,
+            ensure_min_samples=2,
+        )
+        if precomputed:
+            check_non_negative(values, "Anisomap")
+            unknown = np.isnan(values) | np.isnan(values.T)
+            dissimilarity = np.where(unknown, np.inf, values)
+        else:
+            dissimilarity = pairwise_distances(
+                values, metric=self.metric, **(self.metric_params or {})
+            )
+            # Some metrics leave rounding errors: below 0, or of a row to itself.
+            dissimilarity = np.maximum(dissimilarity, 0)
+            np.fill_diagonal(dissimilarity, 0)
+        self.metric_matrix_ = metricise(dissimilarity)
+        scaling = smacof(
+            self.metric_matrix_,
+            dimensions=self.n_components,
+            start=init,
+            weights=weights,
+            options=SmacofOptions(self.tol, self.max_iter),
+        )
+        self.embedding_ = scaling.positions
+        self.stress_ = scaling.stress
+        self.n_iter_ = len(scaling.trace) - 1
+        return self
+
+    def fit_transform(
+        self,
+        X: ArrayLike,
+        y: object = None,
+        *,
+        weights: ArrayLike | None = None,
+        init: ArrayLike | None = None,
+    ) -> NDArray[np.float64]:
+        """Embed the rows of X and give their positions; see `fit`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_components)
+        """
+        return self.fit(X, y, weights=weights, init=init).embedding_
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.pairwise = self.metric == "precomputed"
+        tags.input_tags.allow_nan = tags.input_tags.pairwise
+        tags.input_tags.positive_only = tags.input_tags.pairwise
+        return tags
