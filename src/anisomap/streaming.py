@@ -20,7 +20,7 @@ from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors, find_m
 from anisomap.numerics.checkpoints import Checkpoint
 from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.evidence import sampling_variance
-from anisomap.numerics.gaps import Settled, interpolated, no_gaps, whole_frames
+from anisomap.numerics.gaps import Settled, interpolated, no_gaps, of_same_sensors, whole_frames
 from anisomap.numerics.gathering import ALONE, Crew, gather
 from anisomap.numerics.values import ValueCounts
 from anisomap.reconstruction import reconstruct
@@ -39,6 +39,8 @@ EXCERPT_READINGS = 1 << 22
 PIECE_FRAMES = 512
 """Consecutive frames of a piece."""
 
+_FRAMES_A_SENSOR = 2
+_AT_MOST = 4  # times as many readings as usual
 _MOST_TO_LOOK_AT = 2000  # sensors, for neighbours among them
 
 Chunks: TypeAlias = Callable[[], Iterable[ArrayLike]]
@@ -205,6 +207,16 @@ def gather_similarity(
     )
 
 
+def chunk_frames(n_sensors: int) -> int:
+    """Tell how many frames to take at a time: `CHUNK_READINGS`, or more of very many sensors.
+
+    What is made of a chunk has cells for pairs of sensors, and costs as much to merge as to make
+    if there are too few frames in it.
+    """
+    usual = max(1, CHUNK_READINGS // n_sensors)
+    return max(usual, min(_FRAMES_A_SENSOR * n_sensors, _AT_MOST * usual))
+
+
 def completed(chunks: Chunks, missing: MissingPolicy = "error") -> Settled:
     """Settle what to do about readings that are NaN or infinite, as `Recording.complete` does.
 
@@ -213,9 +225,9 @@ def completed(chunks: Chunks, missing: MissingPolicy = "error") -> Settled:
     chunks : callable
         Opens the readings of one recording.
     missing : {"error", "drop-frames", "interpolate"}
-        Gaps of any length are filled; memory is needed for twice `CHUNK_READINGS`. Only where a
-        gap is longer than those, or a sensor has no reading at all, frames are gone through once
-        more to find where it ends.
+        Gaps of any length are filled, in memory for two chunks. Only where a gap is longer than a
+        chunk, or a sensor has no reading at all, frames are gone through once more to find where
+        it ends.
 
     Returns
     -------
@@ -228,7 +240,7 @@ def completed(chunks: Chunks, missing: MissingPolicy = "error") -> Settled:
         If there is no such policy; once opened, under "error" if a reading is missing, under
         "drop-frames" if no frame is left, and if chunks are not all of the same sensors.
     """
-    checked = partial(_checked, chunks)
+    checked = partial(of_same_sensors, chunks)
     if missing == "interpolate":
         return interpolated(checked, CHUNK_READINGS)
     if missing == "drop-frames":
@@ -304,7 +316,7 @@ def _cut(readings: NDArray[Any]) -> Chunks:
         raise InputError(
             f"readings have shape {readings.shape}; they must be frames x sensors, shape (T, N)"
         )
-    n_frames = max(1, CHUNK_READINGS // readings.shape[1])
+    n_frames = chunk_frames(readings.shape[1])
     starts = range(0, len(readings), n_frames)
     if isinstance(readings, np.memmap) and isinstance(readings.base, mmap):
         return lambda: (_remapped(readings, start, n_frames) for start in starts)
@@ -318,25 +330,6 @@ def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[
     shape = (min(n_frames, len(whole) - start), whole.shape[1])
     offset = whole.offset + start * whole.strides[0]
     return np.memmap(whole.filename, whole.dtype, "r", offset, shape)
-
-
-def _checked(chunks: Chunks) -> Iterator[NDArray[Any]]:
-    """Give chunks of the same sensors; empty ones are left out."""
-    n_sensors, done = None, 0
-    for chunk in chunks():
-        array = np.asarray(chunk)
-        if array.dtype.kind not in "biuf" or array.ndim != 2:
-            raise InputError(
-                f"a chunk of readings is of type {array.dtype} and shape {array.shape}; it must "
-                "be of real numbers, frames x sensors"
-            )
-        if array.shape[1] != (n_sensors or array.shape[1]) or not array.shape[1]:
-            raise InputError(
-                f"from frame {done} on there are {array.shape[1]} sensors, but {n_sensors} before"
-            )
-        n_sensors, done = array.shape[1], done + len(array)
-        if len(array):
-            yield array
 
 
 def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:

@@ -24,7 +24,7 @@ from anisomap.health import summarise
 from anisomap.methods import MethodOptions
 from anisomap.numerics.gathering import Crew
 from anisomap.recording import MissingPolicy, Recording, default_names
-from anisomap.streaming import CHUNK_READINGS, Gathered, completed, gather_similarity
+from anisomap.streaming import Gathered, chunk_frames, completed, gather_similarity
 
 LARGE_BYTES = 1 << 29
 """Readings, as float32, that are not read as a whole any more."""
@@ -176,7 +176,7 @@ class _Files:
 
     def raw(self, number: int, kept: NDArray[np.intp] | None = None) -> Iterator[NDArray[Any]]:
         """Give the readings of a file, sensors in the order of `names`."""
-        path, n_frames = self.paths[number], max(1, CHUNK_READINGS // len(self.names))
+        path, n_frames = self.paths[number], chunk_frames(len(self.names))
         with formats.open_stream(path, frames=n_frames, options=self.how) as stream:
             own = {name: i for i, name in enumerate(stream.names or self.names)}
             order = np.array([own[name] for name in self.names])
