@@ -5,6 +5,8 @@ READY := .venv/ready
 OUT ?= demo
 OUT_PAPER ?= paper-out
 RECORDINGS ?=
+LARGE ?=
+ARGS ?=
 .DEFAULT_GOAL := help
 .PHONY: help demo paper numbers test check format bench quality docs clean
 
@@ -44,8 +46,9 @@ format: $(READY)  ## put the code into the project's format
 	$(BIN)/ruff format
 	$(BIN)/ruff check --fix
 
-bench: $(READY)  ## time the stages against what a user would pick instead
-	$(BIN)/python -m benchmarks
+bench: $(READY)  ## every stage and whole maps against what others do, in bench/ (LARGE=1, ARGS=--quick)
+	$(BIN)/python -m benchmarks $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(if $(LARGE),--large) $(ARGS)
+	$(BIN)/python -m benchmarks.simulation
 
 quality: $(READY)  ## how true the maps of every method are; RECORDINGS=folder adds real ones
 	$(BIN)/python -m benchmarks.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
@@ -54,4 +57,4 @@ docs: $(READY)  ## the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
 clean:  ## remove what the other targets made
-	rm -rf .venv demo quality paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv demo bench quality paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

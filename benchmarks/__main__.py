@@ -1,110 +1,90 @@
-"""Time every stage against numpy, scipy or scikit-learn, side by side in one run.
+"""Time every stage and whole maps beside what a user would pick instead: ``make bench``.
 
-Results are compared before they are timed: a fast wrong answer is no answer.
+Results are compared before they are timed: a fast wrong answer is no answer, and the command fails.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import sys
+from collections.abc import Sequence
+from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import spearmanr
-from sklearn.metrics import mutual_info_score
+from benchmarks.picture import draw
+from benchmarks.race import Row, Setting, run
+from benchmarks.stages import STAGES
+from benchmarks.tables import figures, markdown, write_csv
 
-from anisomap.numerics.binning import maximum_entropy_codes
-from anisomap.numerics.similarity import information_of_codes, pearson, spearman
-from benchmarks import core, simulation, statistics
+SIZES = (256, 1000, 4000)
+LARGE = 20_000
+QUICK = (256, 1000)
+FRAMES = 30_000
+QUICK_FRAMES = 4000
 
-Matrix = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Race:
-    """A stage, and what it is measured against; `agree` tells whether two results are the same."""
-
-    stage: str
-    against: str
-    ours: Callable[[], Matrix]
-    theirs: Callable[[], Matrix]
-    agree: Callable[[Matrix, Matrix], bool]
+TORSO = "icub_torso.npz"
 
 
-def skin(n_sensors: int, n_frames: int, rng: np.random.Generator) -> Matrix:
-    """Sparse readings of a flat skin over which a contact wanders."""
-    positions = rng.uniform(size=(n_sensors, 2)) * n_sensors**0.5
-    touch = np.cumsum(rng.normal(0, 0.5, (n_frames, 2)), axis=0) % n_sensors**0.5
-    squares = ((touch[:, None] - positions) ** 2).sum(axis=2)
-    depths = np.maximum(0, 2.5 - np.sqrt(squares))
-    return np.asarray(depths * rng.uniform(0.5, 1.5, (n_frames, 1)))
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the races, write what came out, and give 1 if any result was wrong."""
+    chosen = _parse(arguments)
+    torso = _torso(chosen.recordings)
+    sizes = chosen.sensors or [*(QUICK if chosen.quick else SIZES), *([LARGE] * chosen.large)]
+    n_frames = chosen.frames or (QUICK_FRAMES if chosen.quick else FRAMES)
+    patience = 4000 if chosen.large else QUICK[0] if chosen.quick else 1000
+    rows: list[Row] = []
+    for n_sensors in sizes:
+        setting = Setting(n_sensors, n_frames, torso, patience)
+        for name in chosen.stages:
+            family, races = STAGES[name]
+            for race in races(setting):
+                for row in run(race, family, n_sensors):
+                    rows.append(row)
+                    _tell(row)
+            write(rows, chosen.output, n_frames)
+    draw(rows, pictures(chosen.output) / "bench.png")
+    print(f"written: {chosen.output}")
+    wrong = [row for row in rows if row.same is False]
+    for row in wrong:
+        print(f"WRONG: {row.stage}, {row.given}, {row.n_sensors} sensors", file=sys.stderr)
+    return 1 if wrong else 0
 
 
-def races(n_sensors: int, n_frames: int) -> Iterator[Race]:
-    """Give every race on one skin."""
-    readings = skin(n_sensors, n_frames, np.random.default_rng(0))
-    readings = readings[:, np.ptp(readings, axis=0) > 0]
-    yield Race(
-        "Pearson r",
-        "numpy.corrcoef",
-        lambda: pearson(readings),
-        lambda: np.asarray(np.corrcoef(readings.T)),
-        lambda a, b: np.allclose(a, b, atol=1e-5),
-    )
-    yield Race(
-        "Spearman rho",
-        "scipy.stats.spearmanr",
-        lambda: spearman(readings),
-        lambda: np.asarray(spearmanr(readings).statistic),
-        lambda a, b: np.allclose(a, b, atol=1e-10),
-    )
-    codes = maximum_entropy_codes(readings)
-    few = codes[:, : min(60, codes.shape[1])]
-    yield Race(
-        f"mutual information ({few.shape[1]} sensors)",
-        "sklearn mutual_info_score over pairs",
-        lambda: information_of_codes(few),
-        lambda: np.array([[mutual_info_score(a, b) for a in few.T] for b in few.T]),
-        lambda a, b: np.allclose(a, b, atol=1e-10),
-    )
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="few frames, up to 1,000 sensors")
+    parser.add_argument("--large", action="store_true", help="20,000 sensors too: takes hours")
+    parser.add_argument("--sensors", type=int, nargs="+", help="other sizes, smallest first")
+    parser.add_argument("--frames", type=int, help="other lengths of recordings")
+    parser.add_argument("--stages", nargs="+", default=tuple(STAGES), choices=tuple(STAGES))
+    parser.add_argument("--recordings", type=Path, help=f"folder that holds {TORSO}")
+    parser.add_argument("-o", "--output", type=Path, default=Path("bench"), help="folder")
+    return parser.parse_args(arguments)
 
 
-def main() -> None:
-    """Run the races and print a table in Markdown."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sensors", type=int, nargs="+", default=[256, 1000, 4000])
-    parser.add_argument("--frames", type=int, default=4000)
-    arguments = parser.parse_args()
-    print("| sensors | stage | ours (s) | against | theirs (s) | ratio | same result |")
-    print("|---|---|---|---|---|---|---|")
-    for n_sensors in arguments.sensors:
-        for race in races(n_sensors, arguments.frames):
-            ours, mine = _timed(race.ours)
-            theirs, yours = _timed(race.theirs)
-            same = "yes" if race.agree(mine, yours) else "NO"
-            print(
-                f"| {n_sensors} | {race.stage} | {ours:.4f} | {race.against} | {theirs:.4f} "
-                f"| {theirs / ours:.1f} | {same} |",
-                flush=True,
-            )
-    print()
-    statistics.main(arguments.sensors)
-    core.main(arguments.sensors)
-    print()
-    simulation.main()
+def _torso(folder: Path | None) -> Path | None:
+    if folder is not None and (folder / TORSO).is_file():
+        return folder / TORSO
+    print(f"no real skin: name a folder that holds {TORSO} with --recordings")
+    return None
 
 
-def _timed(run: Callable[[], Matrix], least_seconds: float = 0.2) -> tuple[float, Matrix]:
-    """Give the fastest of several runs, since what disturbs a run only ever slows it."""
-    seconds: list[float] = []
-    while sum(seconds) < least_seconds or len(seconds) < 2:
-        begin = time.perf_counter()
-        result = run()
-        seconds.append(time.perf_counter() - begin)
-    return min(seconds), result
+def _tell(row: Row) -> None:
+    verdict = row.same if isinstance(row.same, str) else ("same" if row.same else "WRONG")
+    versus = f", {figures(row.ratio)} x {row.against}, {verdict}" if row.against else ""
+    print(f"{row.n_sensors}: {row.stage}, {row.given}: {row.cpu:.3g} s{versus}", flush=True)
+
+
+def write(rows: Sequence[Row], folder: Path, n_frames: int) -> None:
+    """Write what has come out so far."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "bench-table.md").write_text(markdown(rows, n_frames), encoding="utf-8")
+    write_csv(rows, pictures(folder) / "bench.csv")
+
+
+def pictures(folder: Path) -> Path:
+    """Give the folder itself, or that of the pictures if it is that of the documentation."""
+    return folder / "_static" if (folder / "_static").is_dir() else folder
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

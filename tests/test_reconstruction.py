@@ -12,7 +12,7 @@ from anisomap import Recording, reconstruct, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.methods import METHODS, PAPER_METHODS, SIMILARITIES, MethodOptions, compute_stages
 from anisomap.numerics.contacts import ContactOptions
-from anisomap.numerics.covariogram import CovariogramOptions
+from anisomap.numerics.covariogram_objective import CovariogramOptions
 from anisomap.numerics.scaling import SmacofOptions
 from anisomap.placement import spacing_of
 from anisomap.refinement import Evidence, Refined, refine_by_contacts

@@ -82,6 +82,7 @@ def test_how_chunks_are_cut_does_not_matter_to_the_covariogram():
 def test_an_array_on_disk_is_gone_through_in_chunks(tmp_path, monkeypatch, dtype):
     np.save(tmp_path / "skin.npy", READINGS.astype(dtype))
     monkeypatch.setattr(streaming, "CHUNK_READINGS", 300 * 42)
+    monkeypatch.setattr(streaming, "CHUNK_FRAMES", 1)
     mapped = np.load(tmp_path / "skin.npy", mmap_mode="r")
     for part in (slice(None), slice(100, 2400)):
         found = reconstruct_chunks(mapped[part] if part.start else mapped, "i-anisomap", 2)
@@ -92,6 +93,7 @@ def test_an_array_on_disk_is_gone_through_in_chunks(tmp_path, monkeypatch, dtype
 def test_an_array_on_disk_may_lie_column_after_column(tmp_path, monkeypatch):
     np.save(tmp_path / "skin.npy", np.asfortranarray(READINGS))
     monkeypatch.setattr(streaming, "CHUNK_READINGS", 300 * 42)
+    monkeypatch.setattr(streaming, "CHUNK_FRAMES", 1)
     found = reconstruct_chunks(np.load(tmp_path / "skin.npy", mmap_mode="r"), "r-anisomap", 2)
     expected = reconstruct(SKIN, "r-anisomap", 2)
     np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)

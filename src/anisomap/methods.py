@@ -17,37 +17,34 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from anisomap.errors import InputError
 from anisomap.numerics.binning import DEFAULT_BINS
+from anisomap.numerics.chance import without_chance
 from anisomap.numerics.contacts import ContactOptions
-from anisomap.numerics.covariogram import CovariogramOptions
+from anisomap.numerics.covariogram_objective import CovariogramOptions
 from anisomap.numerics.dissimilarity import (
     direct_dissimilarity,
     information_distance,
     regularised_reciprocal,
     symmetric,
 )
-from anisomap.numerics.evidence import (
-    blended_correlation,
-    related_pieces,
-    sampling_variance,
-)
+from anisomap.numerics.evidence import blended_correlation, sampling_variance
 from anisomap.numerics.graph import (
     check_semi_metric,
     metricise,
     neighbour_graph,
     smallest_connected_neighbour_graph,
 )
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling import SmacofOptions
 from anisomap.numerics.similarity import co_activation, mutual_information, pearson, spearman
 from anisomap.refinement import Evidence, Refined, refine_by_contacts, refine_by_covariogram
 
 logger = logging.getLogger(__name__)
 
-Matrix: TypeAlias = NDArray[np.float64]
-
+Matrix: TypeAlias = Reals
 DEFAULT_METHOD = "covariogram"
 
 _ROUNDING = 1e-6
@@ -193,14 +190,11 @@ def _information_distance(evidence: Evidence, _: MethodOptions) -> Matrix:
 
 
 def _direct(evidence: Evidence, options: MethodOptions) -> Matrix:
-    if np.mean(evidence.known) < _MOSTLY_KNOWN:
+    if evidence.known.mean() < _MOSTLY_KNOWN:
         # Partial correlations take all others into account, of which too many are unknown.
         return regularised_reciprocal(np.where(evidence.known, evidence.similarity, 0), options.mu)
     apart = direct_dissimilarity(evidence.similarity, evidence.noise)
-    if not options.part:
-        return apart
-    pieces = related_pieces(evidence.similarity, evidence.noise)
-    return np.where(np.equal.outer(pieces, pieces), apart, np.inf)
+    return without_chance(apart, evidence.similarity, evidence.noise, part=options.part)
 
 
 def _covariogram(
@@ -367,8 +361,10 @@ def compute_stages(
     evidence = _gathered(readings, recipe, chosen, similarity, noise)
     if known is not None:
         evidence = evidence.knowing(np.asarray(known, dtype=bool))
-    apart = np.where(evidence.known, recipe.dissimilarity(evidence, chosen), np.inf)
-    np.fill_diagonal(apart, 0)
+    apart = recipe.dissimilarity(evidence, chosen)
+    if known is not None:
+        apart[~evidence.known] = np.inf
+        np.fill_diagonal(apart, 0)
     logger.info("finding shortest paths")
     return Stages(evidence, apart, recipe.metric(apart))
 
@@ -395,7 +391,10 @@ def _gathered(
             f"the similarity reaches {np.abs(alike).max():g}, but this method is of correlations, "
             "from -1 to 1; r-anisomap takes any similarity"
         )
-    if noise is None:
-        noise = np.full(alike.shape, 1 / options.independent_frames)
-    known = np.ones(alike.shape, dtype=bool)
-    return Evidence(alike, symmetric(noise, "noise"), known, values)
+    given = np.array(1 / options.independent_frames) if noise is None else symmetric(noise, "noise")
+    return Evidence(
+        alike,
+        np.broadcast_to(given, alike.shape),  # what is the same everywhere takes no room
+        np.broadcast_to(np.array(True), alike.shape),
+        values,
+    )

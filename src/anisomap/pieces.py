@@ -12,6 +12,7 @@ from scipy.spatial.distance import cdist
 
 from anisomap.methods import MethodOptions, Refine
 from anisomap.numerics.graph import components
+from anisomap.numerics.precision import Reals, rows_at_a_time
 from anisomap.numerics.scaling import Scaling, SmacofOptions, smacof
 from anisomap.recording import Scalar
 from anisomap.refinement import Evidence
@@ -50,11 +51,11 @@ class Pieces:
 
 
 def scale_pieces(
-    metric: NDArray[np.float64],
+    metric: Reals,
     dimensions: int,
     *,
     start: NDArray[np.float64] | None,
-    weights: NDArray[np.float64] | None,
+    weights: Reals | None,
     options: SmacofOptions,
 ) -> Pieces:
     """Scale each connected piece of a metric by itself.
@@ -78,13 +79,12 @@ def scale_pieces(
     scalings: list[Scaling] = []
     for label in range(labels.max() + 1):
         piece = labels == label
-        inside = np.ix_(piece, piece)
         logger.info("scaling %d sensors into %d dimensions", piece.sum(), dimensions)
         scaling = smacof(
-            metric[inside],
+            _among(metric, piece),
             dimensions=dimensions,
             start=None if start is None else start[piece],
-            weights=None if weights is None else weights[inside],
+            weights=None if weights is None else _among(weights, piece),
             options=options,
         )
         positions[piece] = scaling.positions
@@ -104,7 +104,7 @@ def scale_pieces(
 def refine_pieces(
     refine: Refine,
     evidence: Evidence,
-    metric: NDArray[np.float64],
+    metric: Reals,
     pieces: Pieces,
     options: MethodOptions,
 ) -> Pieces:
@@ -130,18 +130,16 @@ def refine_pieces(
     notes: list[str] = []
     for label in range(pieces.labels.max() + 1):
         piece = pieces.labels == label
-        apart = metric[np.ix_(piece, piece)]
+        apart = _among(metric, piece)
         if np.count_nonzero(piece) >= options.fewest_sensors and (apart > 0).any():
             refined = refine(evidence.of(piece), apart, positions[piece], options)
             positions[piece] = refined.positions
             facts = dict(refined.facts) if label == 0 else facts
             notes += refined.notes
         # Refined places come in a unit of their own: bring all pieces back to the metric's.
-        distances = cdist(positions[piece], positions[piece])
-        size = float((distances**2).sum())
-        scale = float((distances * apart).sum()) / size if size > 0 else 0.0
+        scale, missed, size = _best_scale(positions[piece], apart)
         positions[piece] *= scale if scale > 0 else 1.0
-        raw += float(((scale * distances - apart) ** 2).sum())
+        raw += missed
         spread += scale**2 * size
     stress = float(np.sqrt(raw / spread)) if spread > 0 else 0.0
     return replace(
@@ -151,3 +149,33 @@ def refine_pieces(
         facts=facts,
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _among(matrix: Reals, sensors: NDArray[np.bool_]) -> Reals:
+    """Keep only the pairs of some sensors; without a copy if these are all."""
+    return matrix if sensors.all() else matrix[np.ix_(sensors, sensors)]
+
+
+def _best_scale(positions: NDArray[np.float64], apart: Reals) -> tuple[float, float, float]:
+    """Find the scale at which places fit distances best.
+
+    Returns
+    -------
+    scale : float
+        0 if the places coincide.
+    missed : float
+        Sum of the squares that are left, at that scale; as `size`, both (i, j) and (j, i) count.
+    size : float
+        Sum of the squares of the distances between the places.
+    """
+    size = product = missed = 0.0
+    for rows in rows_at_a_time(len(positions)):
+        distances = cdist(positions[rows], positions)
+        size += float(np.vdot(distances, distances))
+        product += float((distances * apart[rows]).sum())
+    scale = product / size if size > 0 else 0.0
+    for rows in rows_at_a_time(len(positions)):
+        missed += float(
+            ((scale * cdist(positions[rows], positions) - apart[rows]) ** 2).sum(dtype=np.float64)
+        )
+    return scale, missed, size

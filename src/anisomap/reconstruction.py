@@ -28,8 +28,10 @@ from anisomap.methods import (
     compute_stages,
     find_method,
 )
-from anisomap.numerics.covariogram import CovariogramOptions
+from anisomap.numerics.covariogram_objective import CovariogramOptions
 from anisomap.numerics.dissimilarity import symmetric
+from anisomap.numerics.precision import Reals, held_as
+from anisomap.numerics.room import check_room_for_pairs
 from anisomap.pieces import Pieces, refine_pieces, scale_pieces
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap
@@ -100,7 +102,8 @@ def reconstruct(
     ------
     InputError
         If a reading is missing (see `Recording.complete`), fewer than 3 sensors vary or are
-        related to one another, the method or a sensor is unknown, or a given stage does not fit.
+        related to one another, the method or a sensor is unknown, a given stage does not fit, or
+        there are more sensors than the machine has memory for.
 
     Warns
     -----
@@ -116,7 +119,7 @@ def reconstruct(
     if dimensions < 1:
         raise InputError(f"{dimensions} dimensions hold no map; use 2 or 3")
     given = {"similarity": similarity, "dissimilarity": dissimilarity, "metric": metric}
-    matrices = {what: np.asarray(matrix) for what, matrix in given.items() if matrix is not None}
+    matrices = {what: _as_held(matrix) for what, matrix in given.items() if matrix is not None}
     n_sensors = _count_sensors(recording, matrices)
     sensor_names = (tuple(names) if recording is None else recording.names) or default_names(
         n_sensors
@@ -129,7 +132,8 @@ def reconstruct(
             f"only {np.count_nonzero(taking_part)} of {n_sensors} sensors take part (those that "
             f"ever vary and are not dropped); a map takes at least {chosen.fewest_sensors}"
         )
-    part = np.ix_(taking_part, taking_part)
+    part = ... if taking_part.all() else np.ix_(taking_part, taking_part)
+    check_room_for_pairs(int(np.count_nonzero(taking_part)))
     counts = None if weights is None else _checked_weights(weights, n_sensors)[part]
     everything_known = counts is None or bool((counts[~np.eye(len(counts), dtype=bool)] > 0).all())
     check_priors(
@@ -255,6 +259,11 @@ def _count_sensors(recording: Recording | None, matrices: Mapping[str, NDArray[n
     return int(expected[0])
 
 
+def _as_held(matrix: ArrayLike) -> NDArray[np.generic]:
+    values = np.asarray(matrix)
+    return np.asarray(values, held_as(len(values))) if values.ndim else values
+
+
 def _mask(names: tuple[str, ...], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
     mask = np.zeros(len(names), dtype=bool)
     mask[find_sensors(names, sensors)] = True
@@ -270,23 +279,23 @@ def _checked_start(start: ArrayLike, n_sensors: int, dimensions: int) -> NDArray
     return positions
 
 
-def _checked_weights(weights: ArrayLike, n_sensors: int) -> NDArray[np.float64]:
+def _checked_weights(weights: ArrayLike, n_sensors: int) -> Reals:
     values = _square(weights, "weights", n_sensors)
     if not np.isfinite(values).all() or (values < 0).any():
         raise InputError("weights must be finite and at least 0")
     return symmetric(values, "weight")
 
 
-def _checked_noise(noise: ArrayLike, n_sensors: int) -> NDArray[np.float64]:
+def _checked_noise(noise: ArrayLike, n_sensors: int) -> Reals:
     values = _square(noise, "noise", n_sensors)
-    pairs = ~np.eye(n_sensors, dtype=bool)
-    if not np.isfinite(values).all() or not (values[pairs] > 0).all():
+    n_positive = np.count_nonzero(values > 0) - np.count_nonzero(np.diag(values) > 0)
+    if not np.isfinite(values).all() or n_positive < n_sensors * (n_sensors - 1):
         raise InputError("the noise is a variance: it must be finite, and above 0")
     return symmetric(values, "noise")
 
 
-def _square(matrix: ArrayLike, what: str, n_sensors: int) -> NDArray[np.float64]:
-    values = np.asarray(matrix, dtype=np.float64)
+def _square(matrix: ArrayLike, what: str, n_sensors: int) -> Reals:
+    values: Reals = np.asarray(matrix, dtype=held_as(n_sensors))
     if values.shape != (n_sensors, n_sensors):
         raise InputError(
             f"the {what} have shape {values.shape}; they must be ({n_sensors}, {n_sensors})"

@@ -11,15 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
-from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram
+from anisomap.numerics.covariogram import fit_covariogram
+from anisomap.numerics.covariogram_objective import CovariogramOptions
 from anisomap.numerics.evidence import typical_noise
 from anisomap.numerics.neighbours import direct_neighbours, unevenness
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.unrolling import UnrollingOptions, contact_passes, even_spacing
 from anisomap.recording import Scalar
 
 logger = logging.getLogger(__name__)
 
-Matrix: TypeAlias = NDArray[np.float64]
+Matrix: TypeAlias = Reals
 
 _FEWEST_TO_FIT = 8  # sensors; fewer have hardly more pairs than coordinates
 _LENGTHWISE = ("passes", "uneven", "even_spacing")

@@ -22,6 +22,8 @@ from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.evidence import sampling_variance
 from anisomap.numerics.gaps import Settled, interpolated, no_gaps, of_same_sensors, whole_frames
 from anisomap.numerics.gathering import ALONE, Crew, gather
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.room import check_room_for_pairs
 from anisomap.numerics.values import ValueCounts
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
@@ -31,7 +33,13 @@ from anisomap.sensor_map import SensorMap
 logger = logging.getLogger(__name__)
 
 CHUNK_READINGS = 1 << 23
-"""Readings that are taken at a time."""
+"""Readings that are taken at a time,"""
+
+CHUNK_FRAMES = 4096
+"""or so many frames of many sensors: merging what was counted takes longer then than counting,"""
+
+MOST_READINGS = 1 << 27
+"""but never more readings than this."""
 
 EXCERPT_READINGS = 1 << 22
 """Readings that sensor health is judged from, in pieces from all over the recording."""
@@ -66,7 +74,7 @@ class Gathered:
         What was not done as with one array.
     """
 
-    similarity: NDArray[np.float64]
+    similarity: Reals
     varying: NDArray[np.bool_]
     n_frames: int
     excerpt: Recording
@@ -176,6 +184,7 @@ def gather_similarity(
         if watching:
             pieces.forget()
         for chunk in whole():
+            check_room_for_pairs(chunk.shape[1])
             if watching:
                 pieces.add(chunk)
             yield chunk
@@ -309,6 +318,12 @@ def _on_squeezing(found: Gathered, made: SensorMap) -> tuple[str, ...]:
         made.positions[largest],
         found.similarity[np.ix_(largest, largest)],
     )
+
+
+def chunk_frames(n_sensors: int) -> int:
+    """Tell how many frames of so many sensors are taken at a time."""
+    few = min(CHUNK_FRAMES, MOST_READINGS // n_sensors)
+    return max(1, CHUNK_READINGS // n_sensors, few)
 
 
 def _cut(readings: NDArray[Any]) -> Chunks:

@@ -37,6 +37,7 @@ def all_is_large(monkeypatch):
     monkeypatch.setattr(streams, "LARGE_BYTES", 0)
     monkeypatch.setattr(streams, "PROBED_BYTES", 0)
     monkeypatch.setattr(streaming, "CHUNK_READINGS", 42 * 170)
+    monkeypatch.setattr(streaming, "CHUNK_FRAMES", 1)
     monkeypatch.setattr(anisomap.formats, "read", None)  # nothing is read as a whole any more
 
 

@@ -10,9 +10,10 @@ from scipy.optimize import check_grad
 from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
-from anisomap.numerics import covariogram
+from anisomap.numerics import compiled, covariogram_objective
 from anisomap.numerics.blocks import overlapping_blocks
-from anisomap.numerics.covariogram import CovariogramOptions, fit_covariogram
+from anisomap.numerics.covariogram import fit_covariogram
+from anisomap.numerics.covariogram_objective import CovariogramOptions
 from anisomap.numerics.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph import metricise
 from anisomap.numerics.scaling import smacof
@@ -52,11 +53,11 @@ def test_the_gradient_is_that_of_finite_differences(most, unknown):
     metric = metric + metric.T
     known = rng.uniform(size=(14, 14)) >= unknown
     known &= known.T & ~np.eye(14, dtype=bool)
-    problem = covariogram._Problem(similarity, metric, known, 0.3, CovariogramOptions())
-    blocks = [covariogram._Block(b, problem) for b in overlapping_blocks(places, most)]
+    problem = covariogram_objective.Problem(similarity, metric, known, 0.3, CovariogramOptions())
+    blocks = [covariogram_objective.Block(b, problem) for b in overlapping_blocks(places, most)]
 
     def objective(p):
-        return covariogram._objective(blocks, p[:-1].reshape(14, 3), p[-1])
+        return covariogram_objective.objective(blocks, p[:-1].reshape(14, 3), p[-1])
 
     for _ in range(3):
         at = np.append(places.ravel() + 0.3 * rng.standard_normal(42), rng.uniform(-0.5, 0.7))
@@ -169,10 +170,26 @@ def test_blocks_give_nearly_the_map_that_one_gives():
         fit_covariogram(
             observed, start, metric, noise=0.001, options=CovariogramOptions(block=size)
         ).positions
-        for size in (600, 40)
+        for size in (600, 80)
     )
     assert mantel_r(whole, parted) > 0.995
     assert 1 - mantel_r(parted, places) < 2 * (1 - mantel_r(whole, places)) + 0.001
+
+
+@pytest.mark.parametrize("n_threads", [2, 3])
+def test_threads_change_nothing(n_threads, monkeypatch):
+    _, similarity = skin(60, 2)
+    metric, start = set_out(similarity, 2, 0.001)
+
+    def fitted():
+        options = CovariogramOptions(block=20)
+        found = fit_covariogram(similarity, start, metric, noise=0.001, options=options)
+        return found.positions.tobytes()
+
+    alone = fitted()
+    monkeypatch.setattr(compiled, "SPREAD_FROM", 1)
+    monkeypatch.setattr(compiled, "thread_count", lambda: n_threads)
+    assert fitted() == alone
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from anisomap.errors import InputError
 from anisomap.numerics.activity import estimate_rest
+from anisomap.numerics.chance import related_pieces
 from anisomap.numerics.evidence import (
     blended_correlation,
     even_and_odd,
-    related_pieces,
     reliability,
     sampling_variance,
     typical_noise,

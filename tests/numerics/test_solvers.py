@@ -5,12 +5,12 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import approx_fprime
 from scipy.sparse.linalg import ArpackNoConvergence
-from scipy.spatial.distance import pdist, squareform
+from scipy.spatial.distance import cdist, pdist, squareform
 from scipy.spatial.transform import Rotation
 
 from anisomap.errors import InputError
@@ -65,6 +65,53 @@ def test_compiled_loops_give_what_whole_matrices_give(always_compiled, case):
         raw, gradient = function(positions)
     assert raw == pytest.approx(expected, rel=1e-12)
     np.testing.assert_allclose(gradient, slope, rtol=1e-9, atol=1e-9 * np.abs(slope).max(initial=1))
+
+
+@given(problems())
+@in_fixtures
+def test_float32_gives_nearly_the_same(always_compiled, case):
+    problem, positions = case
+    coarse = problem.single()
+    assume(coarse is not None)
+    assert coarse.targets.dtype == coarse.weights.dtype == np.float32
+    expected, slope = plain_stress(problem, positions)
+    with objective(coarse, single=True) as function:
+        raw, gradient = function(positions)
+    squares = problem.weighted_squares() + problem.weighted_squares(positions)
+    assert raw == pytest.approx(expected, abs=1e-6 * squares)
+    pulls = problem.weights * (problem.targets + cdist(positions, positions))
+    np.testing.assert_allclose(gradient, slope, atol=1e-5 * pulls.sum(axis=1).max(initial=0))
+
+
+@pytest.mark.parametrize("unit", [1e-40, 1e-12, 1e12, 1e40])
+def test_distances_that_leave_float32_are_scaled_without_it(always_compiled, unit):
+    distances = unit * bent_skin(11, 0)
+    assert Problem(distances, np.ones((1, len(distances)))).single() is None
+    found, plain = smacof(distances, dimensions=2), smacof(distances / unit, dimensions=2)
+    assert found.stress == pytest.approx(plain.stress, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("share_known", [1.0, 0.6])
+def test_the_way_in_float32_ends_where_that_in_float64_does(always_compiled, seed, share_known):
+    distances = bent_skin(11, seed)
+    rng = np.random.default_rng(seed)
+    weights = squareform(rng.uniform(size=len(squareform(distances))) < share_known)
+    in_double = SmacofOptions(solver="lbfgs")
+    found = smacof(distances, dimensions=2, weights=weights)
+    expected = smacof(distances, dimensions=2, weights=weights, options=in_double)
+    assert found.converged
+    assert found.raw_stress == pytest.approx(expected.raw_stress, rel=1e-6)
+    assert (np.diff(found.trace) <= 0).all()
+    excess = squareform(weights) * (pdist(found.positions) - squareform(distances)) ** 2
+    assert found.raw_stress == pytest.approx(excess.sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("most", [0, 1, 7, 12])
+def test_both_ways_together_take_no_more_steps_than_allowed(always_compiled, most):
+    found = smacof(bent_skin(11, 0), dimensions=2, options=SmacofOptions(0, most))
+    assert len(found.trace) == most + 1
+    assert not found.converged
 
 
 @pytest.mark.parametrize("seed", range(5))

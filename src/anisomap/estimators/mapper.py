@@ -17,6 +17,7 @@ from anisomap.numerics.activity import Rest, estimate_rest
 from anisomap.numerics.binning import DEFAULT_BINS
 from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.joint_values import JointValues
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling import SmacofOptions
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
@@ -233,7 +234,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
             part = JointValues.of(recording.readings)
         self._pairs = part if self._pairs is None else self._pairs.merged(part)
 
-    def _similarity(self) -> NDArray[np.float64] | None:
+    def _similarity(self) -> Reals | None:
         """Give the similarity from the parts, if frames came in parts."""
         pairs = self._pairs
         if pairs is None:

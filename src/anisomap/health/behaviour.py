@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.activity import Rest, estimate_rest
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.similarity import pearson
 
 _MATCHES = 4  # neighbours that are asked whether they felt a contact, too
@@ -89,9 +90,7 @@ def observe(readings: NDArray[np.float64]) -> Behaviour:
     )
 
 
-def _unexplained(
-    active: NDArray[np.bool_], correlation: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _unexplained(active: NDArray[np.bool_], correlation: Reals) -> NDArray[np.float64]:
     """Share of a sensor's active frames in which none of its nearest kin is active."""
     n_sensors = active.shape[1]
     matches = min(_MATCHES, n_sensors - 1)

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.counting import Codes, Counts, Layout, co_occurrences
+from anisomap.numerics.precision import Reals, held_as, rows_at_a_time
+from anisomap.numerics.sparse_products import products_of_few
 
 CHUNK_FRAMES = 8192
 """Frames that are converted to float64 at a time: enough for fast products, little memory."""
@@ -63,6 +65,9 @@ class Moments:
 
     @classmethod
     def _of_chunk(cls, chunk: NDArray[np.generic], single: bool) -> Moments:
+        few = products_of_few(chunk) if chunk.shape[1] >= SINGLE_SENSORS else None
+        if few is not None:
+            return cls(len(chunk), *few)
         if single and (found := _in_float32(chunk)) is not None:
             mean, small = found
             return cls(len(chunk), mean, (small.T @ small).astype(np.float64))
@@ -92,17 +97,19 @@ class Moments:
         n_frames = self.n_frames + other.n_frames
         step = other.mean - self.mean
         weight = self.n_frames * other.n_frames / n_frames
-        comoment = np.outer(step, step)
-        comoment *= weight
-        comoment += self.comoment
-        comoment += other.comoment
+        comoment = np.empty_like(self.comoment)
+        for rows in rows_at_a_time(len(comoment)):
+            np.outer(step[rows], step, out=comoment[rows])
+            comoment[rows] *= weight
+            comoment[rows] += self.comoment[rows]
+            comoment[rows] += other.comoment[rows]
         return Moments(n_frames, self.mean + step * (other.n_frames / n_frames), comoment)
 
     def varying(self) -> NDArray[np.bool_]:
         """Tell which sensors ever varied, shape (N,)."""
         return np.asarray(np.diag(self.comoment) > 0)
 
-    def correlation(self) -> NDArray[np.float64]:
+    def correlation(self) -> Reals:
         """Give Pearson's r of every pair of sensors.
 
         Returns
@@ -155,14 +162,16 @@ class CoOccurrences:
         return CoOccurrences(n_frames, self.first, np.add(self.counts, other.counts, dtype=dtype))
 
 
-def correlation_of_comoments(comoment: NDArray[np.float64]) -> NDArray[np.float64]:
+def correlation_of_comoments(comoment: NDArray[np.float64]) -> Reals:
     """Divide co-moments by the spreads of both sensors; see `Moments.correlation`."""
     spread = np.sqrt(np.diag(comoment))
     scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
-    # One product of scales, then one of matrices: the same two roundings for (i, j) and (j, i).
-    correlation = np.outer(scale, scale)
-    correlation *= comoment
-    np.clip(correlation, -1, 1, out=correlation)
+    correlation = np.empty(comoment.shape, held_as(len(comoment)))
+    for rows in rows_at_a_time(len(comoment)):
+        # First the product of scales: the same two roundings for (i, j) and (j, i).
+        products = np.outer(scale[rows], scale)
+        products *= comoment[rows]
+        np.clip(products, -1, 1, out=correlation[rows], casting="same_kind")
     np.fill_diagonal(correlation, 1.0)
     return correlation
 

@@ -21,10 +21,14 @@ from anisomap.numerics.activity import Rest, rest_of_counts
 from anisomap.numerics.binning import maximum_entropy_bins
 from anisomap.numerics.counting import Layout, joint_logarithms_of_counts
 from anisomap.numerics.joint_values import JointValues
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.room import check_room
 from anisomap.numerics.similarity import information_of_logarithms, phi_of_counts
 from anisomap.numerics.values import Recoding, ValueCounts
 
-Matrix: TypeAlias = NDArray[np.float64]
+Matrix: TypeAlias = Reals
+
+_COUNTS = 3 * 4  # bytes of a pair: a total, a part, and both together, in uint32
 
 Take: TypeAlias = Callable[[NDArray[Any]], Any]
 """Makes an accumulator of a chunk of finite readings, shape (t, N)."""
@@ -89,7 +93,13 @@ def _codes(values: ValueCounts, bins: int) -> tuple[list[NDArray[np.intp]], Layo
 
 def _prepare_codes(values: ValueCounts | None, bins: int) -> Take:
     known = _settled(values)
-    return partial(_take_codes, known.bins(bins), _codes(known, bins)[1])
+    layout = _codes(known, bins)[1]
+    check_room(
+        _COUNTS * layout.n_series**2,
+        f"counting all pairs of {bins} bins of {known.n_sensors} sensors",
+        "use fewer bins, or linear correlation (r-anisomap)",
+    )
+    return partial(_take_codes, known.bins(bins), layout)
 
 
 def _information(found: CoOccurrences) -> Matrix:

@@ -39,6 +39,11 @@ def thread_count() -> int:
     return int(import_module("numba").config.NUMBA_NUM_THREADS)
 
 
+def spreads(n_rows: int) -> bool:
+    """Tell whether `spread` shares work on so many rows between threads."""
+    return n_rows >= SPREAD_FROM and thread_count() > 1
+
+
 @contextmanager
 def spread(n_rows: int) -> Iterator[Map]:
     """Give a `map` that runs pieces on all cores if the matrix has rows enough.
@@ -47,13 +52,13 @@ def spread(n_rows: int) -> Iterator[Map]:
     once, or after a fork. Pieces must not depend on how many threads there are, so that results
     do not either.
     """
-    n_threads = thread_count() if n_rows >= SPREAD_FROM else 1
-    if n_threads == 1:
-        yield _one_after_another
+    if not spreads(n_rows):
+        yield in_turn
         return
-    with ThreadPoolExecutor(n_threads) as pool:
+    with ThreadPoolExecutor(thread_count()) as pool:
         yield lambda task, pieces: list(pool.map(task, pieces))
 
 
-def _one_after_another(task: Callable[[Piece], Result], pieces: Iterable[Piece], /) -> list[Result]:
+def in_turn(task: Callable[[Piece], Result], pieces: Iterable[Piece], /) -> list[Result]:
+    """Run the task on one piece after the other."""
     return [task(piece) for piece in pieces]

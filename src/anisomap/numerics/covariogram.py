@@ -6,71 +6,38 @@ the places are fitted together, to correlations whose errors are themselves corr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
+from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError
 from anisomap.numerics.blocks import overlapping_blocks
+from anisomap.numerics.compiled import Map, spread, spreads
+from anisomap.numerics.covariogram_objective import (
+    Block,
+    CovariogramOptions,
+    Problem,
+    linear,
+    objective,
+)
 from anisomap.numerics.dissimilarity import symmetric
+from anisomap.numerics.precision import Reals
 
-Matrix = NDArray[np.float64]
+Matrix: TypeAlias = Reals
 
+_ENOUGH = 4000  # sensors, to tell how far correlations reach
 _HALF_WAY = (0.15, 0.45)
 """Pairs that are correlated so much are about one range of the covariogram apart."""
 
+_COARSER = 100
 _EXPONENTS = (0.3, 4.0)
-_NEAREST = 1e-6  # of a range
-_AMPLITUDES = (1e-3, 10.0)
-_SMALLEST_EIGENVALUE = 0.5
-
-
-@dataclass(frozen=True)
-class CovariogramOptions:
-    """Parameters of the fit; the defaults were chosen on simulated skins, once for all.
-
-    Parameters
-    ----------
-    loyalty : float
-        Weight of the metric that the fit sets out from, at least 0, in units of the noise.
-    repulsion : float
-        Weight of the force that keeps sensors apart and unfolds the map, at least 0, in units of
-        the noise.
-    ridge : float
-        Variance, above 0, that is added to every reading before correlations are whitened, as a
-        share of its own.
-    tolerance : float
-        Stop when a step lowers the objective by less than this share of it.
-    max_iterations : int
-        Stop after so many steps at the latest.
-    block : int
-        Most sensors whose correlations are whitened together; more are fitted in overlapping
-        blocks.
-    """
-
-    loyalty: float = 1.0
-    repulsion: float = 0.1
-    ridge: float = 1.0
-    tolerance: float = 1e-9
-    max_iterations: int = 300
-    block: int = 500
-
-    def __post_init__(self) -> None:
-        for name in ("loyalty", "repulsion", "tolerance"):
-            if not (np.isfinite(value := getattr(self, name)) and value >= 0):
-                raise InputError(f"{name} is {value}; it must be at least 0")
-        if not (np.isfinite(self.ridge) and self.ridge > 0):
-            raise InputError(f"ridge is {self.ridge}; it must be above 0")
-        if self.max_iterations < 0:
-            raise InputError(f"max_iterations is {self.max_iterations}; it must be at least 0")
-        if self.block < 3:
-            raise InputError(f"block is {self.block}; a block holds at least 3 sensors")
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +125,7 @@ def fit_covariogram(
 
     More than `CovariogramOptions.block` sensors are fitted as a composite likelihood: the sum of
     the same objective over blocks of neighbours, over blocks shifted by half their size, and over
-    blocks that span the whole skin.
+    blocks that span the whole skin. The cores share the blocks.
     """
     chosen = options or CovariogramOptions()
     alike = symmetric(similarity, "similarity")
@@ -169,30 +136,34 @@ def fit_covariogram(
     unit = _range(alike, places, mask)
     places = (places - places.mean(axis=0)) / unit
     np.fill_diagonal(mask, val=False)
-    problem = _Problem(alike, apart / unit, mask, noise, chosen)
-    blocks = [_Block(sensors, problem) for sensors in overlapping_blocks(places, chosen.block)]
-    shape = places.shape
-
-    def objective(parameters: Matrix) -> tuple[float, Matrix]:
-        return _objective(blocks, parameters[:-1].reshape(shape), float(parameters[-1]))
-
+    problem = Problem(alike, apart / unit, mask, noise, chosen)
+    in_one = len(places) <= chosen.block
+    size = chosen.block if in_one else max(3, chosen.block // 2)
+    blocks = [Block(sensors, problem) for sensors in overlapping_blocks(places, size)]
     bounds = [(None, None)] * places.size + [(np.log(_EXPONENTS[0]), np.log(_EXPONENTS[1]))]
-    found = minimize(
-        objective,
-        np.append(places.ravel(), 0.0),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={
-            "maxiter": chosen.max_iterations,
-            "maxfun": 2 * chosen.max_iterations + 20,
-            "maxcor": 20,
-            "ftol": chosen.tolerance,
-        },
-    )
+    shape = places.shape
+    with _shared_out(len(places)) as spread_over:
+
+        def at(parameters: Matrix) -> tuple[float, Matrix]:
+            x, log_exponent = parameters[:-1].reshape(shape), float(parameters[-1])
+            return objective(blocks, x, log_exponent, spread_over)
+
+        found = minimize(
+            at,
+            np.append(places.ravel(), 0.0),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={
+                "maxiter": chosen.max_iterations,
+                "maxfun": 2 * chosen.max_iterations + 20,
+                "maxcor": 20,
+                "ftol": chosen.tolerance * (1 if in_one else _COARSER),
+            },
+        )
     places = found.x[:-1].reshape(shape)
-    terms = [block.terms(places, float(found.x[-1])) for block in blocks]
-    amplitude, offset = _linear(np.sum([term.products for term in terms], axis=0))
+    terms = (block.terms(places, float(found.x[-1])) for block in blocks)
+    amplitude, offset = linear(np.sum([term.products for term in terms], axis=0))
     places = places - places.mean(axis=0)
     places.setflags(write=False)
     return Covariogram(
@@ -206,167 +177,17 @@ def fit_covariogram(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """What is to be explained, in units of the covariogram's range."""
-
-    similarity: Matrix
-    metric: Matrix
-    known: NDArray[np.bool_]
-    noise: float
-    options: CovariogramOptions
-
-
-@dataclass(frozen=True, eq=False)
-class _Terms:
-    """What one block adds, at given positions: whitened products, and matrices for the gradient.
-
-    With ``<A, B> = tr(A W B W)``, `products` holds <E,E>, <E,O>, <E,S>, <O,O>, <O,S>, <S,S> of
-    the model's shape E, the offset's O (ones where known) and the similarity S.
-    """
-
-    products: Matrix
-    shape: Matrix
-    whitened_shape: Matrix
-    distances: Matrix
-    logarithms: Matrix
-    powers: Matrix
-
-
-class _Block:
-    """The part of the objective that is about some sensors, with what does not change of it."""
-
-    def __init__(self, sensors: NDArray[np.intp], problem: _Problem) -> None:
-        inside = np.ix_(sensors, sensors)
-        self.sensors, self._options = sensors, problem.options
-        self._known = problem.known[inside]
-        self._alike = np.where(self._known, problem.similarity[inside], 0.0)
-        self._whitening = _whitening(self._alike, problem.options.ridge)
-        self._pairs = ~np.eye(len(sensors), dtype=bool)
-        apart = problem.metric[inside]
-        self._closeness = np.divide(1.0, apart, out=np.zeros_like(apart), where=self._pairs)
-        self._noise = problem.noise / 2  # each pair stands in a matrix twice
-
-    @cached_property
-    def whitened_similarity(self) -> Matrix:
-        return self._whitened(self._alike)
-
-    @cached_property
-    def whitened_offset(self) -> Matrix:
-        return self._whitened(self._known.astype(np.float64))
-
-    @cached_property
-    def _fixed_products(self) -> tuple[float, float, float]:
-        ones = self.whitened_offset[self._known].sum()
-        cross = self.whitened_similarity[self._known].sum()
-        return float(ones), float(cross), float(np.vdot(self._alike, self.whitened_similarity))
-
-    def terms(self, places: Matrix, log_exponent: float) -> _Terms:
-        points = places[self.sensors]
-        distances = np.maximum(cdist(points, points), _NEAREST)
-        np.fill_diagonal(distances, 1.0)
-        logarithms = np.log(distances)
-        powers = np.exp(np.exp(log_exponent) * logarithms)
-        shape = np.where(self._known, np.exp(-powers), 0.0)
-        whitened = self._whitened(shape)
-        products = np.array(
-            [
-                np.vdot(shape, whitened),
-                np.vdot(shape, self.whitened_offset),
-                np.vdot(shape, self.whitened_similarity),
-                *self._fixed_products,
-            ]
-        )
-        return _Terms(products, shape, whitened, distances, logarithms, powers)
-
-    def gradient(
-        self, terms: _Terms, places: Matrix, exponent: float, amplitude: float, offset: float
-    ) -> tuple[float, Matrix, float]:
-        """Give the priors' value, and gradients by positions and by the exponent's logarithm."""
-        residual = (
-            amplitude * terms.whitened_shape
-            + offset * self.whitened_offset
-            - self.whitened_similarity
-        )
-        slope = -amplitude * exponent * residual * terms.shape * terms.powers
-        by_exponent = float(np.vdot(slope, terms.logarithms))
-        value, pull = self._priors(terms)
-        # Each coordinate difference is divided by the distance twice: once of d d/dx, once of db.
-        force = (slope / terms.distances + pull) / terms.distances
-        np.fill_diagonal(force, 0.0)
-        points = places[self.sensors]
-        by_places = 2 * (force.sum(axis=1)[:, None] * points - force @ points)
-        return value, by_places, by_exponent
-
-    def _priors(self, terms: _Terms) -> tuple[float, Matrix]:
-        options = self._options
-        ratios = terms.distances * self._closeness
-        strays = np.where(self._pairs, ratios - ratios.sum() / self._pairs.sum(), 0.0)
-        value = options.loyalty * np.vdot(strays, strays) - options.repulsion * np.sum(
-            terms.logarithms
-        )
-        pull = 2 * options.loyalty * strays * self._closeness - options.repulsion / terms.distances
-        return float(self._noise * value), self._noise * pull
-
-    def _whitened(self, matrix: Matrix) -> Matrix:
-        return np.asarray(self._whitening @ matrix @ self._whitening)
-
-
-def _objective(
-    blocks: Sequence[_Block], places: Matrix, log_exponent: float
-) -> tuple[float, Matrix]:
-    terms = [block.terms(places, log_exponent) for block in blocks]
-    products = np.sum([term.products for term in terms], axis=0)
-    amplitude, offset = _linear(products)
-    ee, eo, es, oo, os, ss = products
-    value = (
-        amplitude**2 * ee
-        + offset**2 * oo
-        + ss
-        + 2 * (amplitude * offset * eo - amplitude * es - offset * os)
-    ) / 2
-    by_places = np.zeros_like(places)
-    by_exponent = 0.0
-    for block, term in zip(blocks, terms, strict=True):
-        priors, moved, bent = block.gradient(
-            term, places, float(np.exp(log_exponent)), amplitude, offset
-        )
-        value += priors
-        by_places[block.sensors] += moved
-        by_exponent += bent
-    return float(value), np.append(by_places.ravel(), by_exponent)
-
-
-def _linear(products: Matrix) -> tuple[float, float]:
-    """Solve for the amplitude and offset that leave the least whitened residual."""
-    ee, eo, es, oo, os, _ = products
-    determinant = ee * oo - eo * eo
-    alone = es / ee if ee > 0 else 0.0
-    amplitude = (es * oo - eo * os) / determinant if determinant > 1e-12 * ee * oo else alone
-    # Below, the function does not fall, and above, sensors are out of one another's sight.
-    amplitude = float(np.clip(amplitude, *_AMPLITUDES))
-    return amplitude, float((os - amplitude * eo) / oo) if oo > 0 else 0.0
-
-
-def _whitening(similarity: Matrix, ridge: float) -> Matrix:
-    covariance = similarity.copy()
-    np.fill_diagonal(covariance, 1 + ridge)
-    identity = np.eye(len(covariance))
-    try:
-        inverse = cho_solve(cho_factor(covariance), identity)
-    except np.linalg.LinAlgError:
-        # Not a matrix of correlations: some pairs are unknown, or it is another similarity.
-        values, vectors = np.linalg.eigh(covariance)
-        inverse = (vectors / np.maximum(values, _SMALLEST_EIGENVALUE * ridge)) @ vectors.T
-    shared = inverse.sum(axis=1)
-    total = shared.sum()
-    if total > 0:
-        inverse = inverse - np.outer(shared, shared) / total
-    return np.asarray((inverse + inverse.T) / 2)
+@contextmanager
+def _shared_out(n_sensors: int) -> Iterator[Map]:
+    """Let the cores share blocks; linear algebra has one thread meanwhile, or all would fight."""
+    with spread(n_sensors) as spread_over, threadpool_limits(1 if spreads(n_sensors) else None):
+        yield spread_over
 
 
 def _range(similarity: Matrix, places: Matrix, known: NDArray[np.bool_]) -> float:
     """Give about how far apart sensors are whose correlation has fallen to a third."""
+    step = -(-len(places) // _ENOUGH)
+    places, similarity, known = places[::step], similarity[::step, ::step], known[::step, ::step]
     distances = cdist(places, places)
     pairs = known & ~np.eye(len(places), dtype=bool)
     half_way = pairs & (similarity > _HALF_WAY[0]) & (similarity < _HALF_WAY[1])
@@ -387,10 +208,12 @@ def _check(
                 f"the {what} has shape {matrix.shape}; it must be {similarity.shape}, as the "
                 "similarity"
             )
-    pairs = ~np.eye(n_sensors, dtype=bool)
-    if not (metric[pairs] > 0).all() or not np.isfinite(metric).all():
+    n_positive = np.count_nonzero(metric > 0) - np.count_nonzero(np.diag(metric) > 0)
+    if n_positive < n_sensors * (n_sensors - 1) or not np.isfinite(metric).all():
         raise InputError("the metric must be finite, and positive between different sensors")
-    if not np.isfinite(places).all() or not np.isfinite(similarity[pairs]).all():
+    n_unknown = np.count_nonzero(~np.isfinite(similarity))
+    n_unknown -= np.count_nonzero(~np.isfinite(np.diag(similarity)))
+    if not np.isfinite(places).all() or n_unknown:
         raise InputError("the start and the similarity must be finite")
     if not (np.isfinite(noise) and noise > 0):
         raise InputError(f"the noise is {noise}; it must be positive")

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dpotrf, dpotri, spotrf, spotri
 
 from anisomap.errors import InputError
+from anisomap.numerics.evidence import typical_noise
+from anisomap.numerics.precision import Reals, as_reals, equals_transpose, mirror, rows_at_a_time
 
 NUMERICAL_ZERO = 1e-12
 """A similarity below this is rounding error: its reciprocal would be no distance but noise."""
 
+_ROUNDING = {np.float64: 1e-7, np.float32: 1e-5}
 _SHARE_OF_INDIRECT = 0.1
 _CAUTION = 5.0
 
 
-def symmetric(matrix: ArrayLike, what: str) -> NDArray[np.float64]:
+def symmetric(matrix: ArrayLike, what: str) -> Reals:
     """Check that a matrix is square, free of NaN and symmetric, and make it so to the last bit.
 
     Parameters
@@ -28,28 +32,29 @@ def symmetric(matrix: ArrayLike, what: str) -> NDArray[np.float64]:
     -------
     ndarray of shape (N, N)
         A copy in which (i, j) and (j, i) are the same number: one bit of difference can mislead a
-        shortest path.
+        shortest path. In float64, or in float32 if that is what was given.
 
     Raises
     ------
     InputError
         If it is not square, holds NaN, or differs from its transpose by more than rounding.
     """
-    values = np.array(matrix, dtype=np.float64)
+    values = as_reals(matrix)
     if values.ndim != 2 or values.shape[0] != values.shape[1] or not values.size:
         raise InputError(f"the {what} matrix has shape {values.shape}; it must be square, (N, N)")
     if np.isnan(values).any():
         i, j = np.argwhere(np.isnan(values))[0]
         raise InputError(f"the {what} of sensors {i} and {j} is NaN; it must be a number")
-    if np.array_equal(values, values.T):
+    if equals_transpose(values):
         return values
     finite = np.abs(values[np.isfinite(values)])
-    if not np.allclose(values, values.T, rtol=1e-7, atol=1e-9 * finite.max(initial=0)):
+    slack = _ROUNDING[values.dtype.type]
+    if not np.allclose(values, values.T, rtol=slack, atol=slack / 100 * finite.max(initial=0)):
         raise InputError(f"the {what} matrix is not symmetric; average it with its transpose first")
     return np.asarray((values + values.T) / 2)
 
 
-def regularised_reciprocal(similarity: ArrayLike, mu: float = 1.0) -> NDArray[np.float64]:
+def regularised_reciprocal(similarity: ArrayLike, mu: float = 1.0) -> Reals:
     """Turn a similarity into a dissimilarity that grows without bound as similarity vanishes.
 
     Parameters
@@ -64,7 +69,7 @@ def regularised_reciprocal(similarity: ArrayLike, mu: float = 1.0) -> NDArray[np
     -------
     ndarray of shape (N, N)
         A semi-metric: symmetric, zero diagonal, elsewhere positive or infinite. Infinite
-        everywhere if no pair has a positive similarity.
+        everywhere if no pair has a positive similarity. In float32 if that is what was given.
 
     Raises
     ------
@@ -82,15 +87,16 @@ def regularised_reciprocal(similarity: ArrayLike, mu: float = 1.0) -> NDArray[np
     values = symmetric(similarity, "similarity")
     np.fill_diagonal(values, 0)
     values[values < NUMERICAL_ZERO] = 0
-    smallest = values.min(where=values > 0, initial=np.inf)
-    regularisation = mu * smallest if np.isfinite(smallest) else 0.0
+    smallest = float(values.min(where=values > 0, initial=np.inf))
+    if np.isfinite(smallest):
+        values += mu * smallest
     with np.errstate(divide="ignore"):
-        dissimilarity = 1 / (values + regularisation)
+        dissimilarity = np.reciprocal(values, out=values)
     np.fill_diagonal(dissimilarity, 0)
-    return np.asarray(dissimilarity)
+    return dissimilarity
 
 
-def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> NDArray[np.float64]:
+def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> Reals:
     """Turn correlations into a dissimilarity that trusts direct neighbours most.
 
     Parameters
@@ -125,20 +131,27 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> NDArray[np.
     variance = symmetric(noise, "noise")
     if variance.shape != values.shape:
         raise InputError(f"the noise has shape {variance.shape}, the similarity {values.shape}")
-    partial = partial_correlation(values)
-    pairs = ~np.eye(len(values), dtype=bool)
-    values[~pairs | (values < NUMERICAL_ZERO)] = 0
-    kinship = np.sqrt(values * (np.maximum(partial, 0) + _SHARE_OF_INDIRECT * values))
-    if not (kinship > 0).any():
-        return np.where(pairs, np.inf, 0.0)
-    kinship += kinship.min(where=kinship > 0, initial=np.inf)
-    variance = np.maximum(variance, np.median(variance[pairs]))
-    dissimilarity = (1 + _CAUTION * variance / kinship**2) / np.sqrt(kinship)
+    kinship = partial_correlation(values)
+    np.fill_diagonal(values, 0)
+    values[values < NUMERICAL_ZERO] = 0
+    smallest = np.inf
+    for rows in rows_at_a_time(len(values)):
+        direct = np.maximum(kinship[rows], 0) + _SHARE_OF_INDIRECT * values[rows]
+        kinship[rows] = np.sqrt(values[rows] * direct)
+        smallest = min(smallest, kinship[rows].min(where=kinship[rows] > 0, initial=np.inf))
+    if not np.isfinite(smallest):
+        return np.where(np.eye(len(values), dtype=bool), 0.0, np.inf)
+    least = typical_noise(variance)
+    dissimilarity = values
+    for rows in rows_at_a_time(len(values)):
+        regularised = kinship[rows] + smallest
+        cautious = 1 + _CAUTION * np.maximum(variance[rows], least) / regularised**2
+        dissimilarity[rows] = cautious / np.sqrt(regularised)
     np.fill_diagonal(dissimilarity, 0)
-    return np.asarray((dissimilarity + dissimilarity.T) / 2)
+    return dissimilarity
 
 
-def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> NDArray[np.float64]:
+def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> Reals:
     """Tell what every pair of sensors shares that no other sensor explains.
 
     Parameters
@@ -160,16 +173,34 @@ def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> NDArray[n
     """
     covariance = symmetric(correlation, "correlation")
     np.fill_diagonal(covariance, 1 + ridge)
-    try:
-        precision = np.linalg.inv(covariance)
-    except np.linalg.LinAlgError:  # not a matrix of correlations
-        precision = np.linalg.pinv(covariance, hermitian=True)
+    precision = _inverse(covariance)
     scale = np.sqrt(np.abs(np.diag(precision)))
     scale[scale == 0] = 1.0
-    return np.asarray(-precision / np.outer(scale, scale))
+    for rows in rows_at_a_time(len(precision)):
+        precision[rows] /= np.outer(-scale[rows], scale)
+    return precision
 
 
-def information_distance(information: ArrayLike) -> NDArray[np.float64]:
+def _inverse(covariance: Reals) -> Reals:
+    """Invert a symmetric matrix in its own place, by Cholesky's factors where it has them."""
+    diagonal = np.diag(covariance).copy()
+    double = covariance.dtype == np.float64
+    factorise, invert = (dpotrf, dpotri) if double else (spotrf, spotri)
+    _, failed = factorise(covariance.T, lower=True, overwrite_a=True, clean=False)
+    if not failed:
+        invert(covariance.T, lower=True, overwrite_c=True)
+        mirror(covariance, upper=True)
+        return covariance
+    mirror(covariance, upper=False)  # what was overwritten is the other half
+    np.fill_diagonal(covariance, diagonal)
+    try:
+        inverse = np.linalg.inv(covariance)
+    except np.linalg.LinAlgError:  # not a matrix of correlations
+        inverse = np.linalg.pinv(covariance, hermitian=True)
+    return np.asarray((inverse + inverse.T) / 2)
+
+
+def information_distance(information: ArrayLike) -> Reals:
     """Give the information distance of every pair of sensors.
 
     Parameters
@@ -194,7 +225,8 @@ def information_distance(information: ArrayLike) -> NDArray[np.float64]:
     McGregor et al. (2011), section "Information Distance"; Crutchfield (1990).
     """
     values = symmetric(information, "mutual information")
-    entropy = np.diag(values)
-    distance = np.maximum(np.add.outer(entropy, entropy) - 2 * values, 0)
-    distance[distance < NUMERICAL_ZERO] = 0
-    return np.asarray(distance)
+    entropy = np.diag(values).copy()
+    for rows in rows_at_a_time(len(values)):
+        values[rows] = np.add.outer(entropy[rows], entropy) - 2 * values[rows]
+    values[values < NUMERICAL_ZERO] = 0
+    return values

@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.cluster.hierarchy import DisjointSet
-from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.stats import rankdata
 
 from anisomap.errors import InputError
 from anisomap.numerics.activity import estimate_rest
+from anisomap.numerics.precision import Reals, held_as
 from anisomap.numerics.similarity import pearson
 
 N_BLOCKS = 20
@@ -27,7 +26,7 @@ _CAUTION = 10.0
 _SENSORS_AT_ONCE = 64
 _FEWEST_FRAMES = 4
 _FEWEST_SENSORS = 3
-_BEYOND_CHANCE = 1.2
+_ENOUGH = 4000  # sensors, to tell what pairs are like
 
 
 def even_and_odd(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -62,12 +61,13 @@ def reliability(readings: ArrayLike) -> float:
     -------
     float
         Correlation over pairs of sensors of Pearson's r in the two halves of `even_and_odd`; in
-        [-1, 1]. 0 where all pairs are alike in a half, and where there are fewer than 4 frames or
-        3 sensors.
+        [-1, 1]. Of more than 4,000 sensors, evenly chosen ones are compared. 0 where all pairs are
+        alike in a half, and where there are fewer than 4 frames or 3 sensors.
     """
     values = np.asarray(readings)
     if len(values) < _FEWEST_FRAMES or values.shape[1] < _FEWEST_SENSORS:
         return 0.0
+    values = values[:, :: -(-values.shape[1] // _ENOUGH)]
     pairs = np.triu_indices(values.shape[1], 1)
     first, second = (pearson(values[half])[pairs] for half in even_and_odd(len(values)))
     if np.ptp(first) == 0 or np.ptp(second) == 0:
@@ -75,7 +75,7 @@ def reliability(readings: ArrayLike) -> float:
     return float(np.corrcoef(first, second)[0, 1])
 
 
-def blended_correlation(readings: ArrayLike) -> NDArray[np.float64]:
+def blended_correlation(readings: ArrayLike) -> Reals:
     """Correlate readings where these can be relied on, and their ranks where they cannot.
 
     Parameters
@@ -103,12 +103,15 @@ def blended_correlation(readings: ArrayLike) -> NDArray[np.float64]:
     of_values, of_ranks = max(reliability(values), 0.0), max(reliability(ranks), 0.0)
     steadier = 1.0 if of_ranks >= of_values else of_ranks / of_values
     weight = 1 - (1 - of_values**_RELIANCE) * steadier**_CAUTION
-    blended = weight * pearson(values) + (1 - weight) * pearson(ranks)
+    blended, of_ranks_alone = pearson(values), pearson(ranks)
+    blended *= weight
+    of_ranks_alone *= 1 - weight
+    blended += of_ranks_alone
     np.fill_diagonal(blended, 1.0)
-    return np.asarray(blended)
+    return blended
 
 
-def sampling_variance(readings: ArrayLike) -> NDArray[np.float64]:
+def sampling_variance(readings: ArrayLike) -> Reals:
     """Estimate the variance that a correlation of two unrelated sensors has by chance.
 
     Parameters
@@ -144,62 +147,22 @@ def sampling_variance(readings: ArrayLike) -> NDArray[np.float64]:
     taper = 2 * (1 - np.arange(window + 1) / (window + 1))
     taper[0] = 1.0  # every other lag stands for itself and its negative
     kept = autocorrelation[: window + 1]
-    return np.asarray(np.maximum((kept * taper[:, None]).T @ kept, 1.0) / n_frames)
+    tapered = np.sqrt(taper / n_frames)[:, None] * kept
+    tapered = tapered.astype(held_as(values.shape[1]), copy=False)
+    variance = tapered.T @ tapered  # a matrix by itself: symmetric to the last bit
+    return np.maximum(variance, 1 / n_frames, out=variance)
 
 
 def typical_noise(variance: ArrayLike) -> float:
-    """Give the median of a variance over pairs of sensors, the diagonal aside."""
-    values = np.asarray(variance, dtype=np.float64)
+    """Give the median of a variance over pairs of sensors, the diagonal aside.
+
+    Of more than 4,000 sensors, it is that over the pairs of so many, evenly chosen.
+    """
+    values = np.asarray(variance)
+    step = -(-len(values) // _ENOUGH)
+    values = values[::step, ::step]
     pairs = values[np.triu_indices(len(values), 1)]
     return float(np.median(pairs if pairs.size else values))
-
-
-def related_pieces(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.intp]:
-    """Part sensors that are related to one another from those related by chance alone.
-
-    Parameters
-    ----------
-    similarity : array_like of shape (N, N)
-        Correlations.
-    variance : array_like of shape (N, N)
-        Their sampling variances, above 0.
-
-    Returns
-    -------
-    ndarray of int, shape (N,)
-        Which piece each sensor belongs to; 0 is the largest, then by the first sensor.
-
-    Notes
-    -----
-    Pieces grow along the strongest links, correlations in units of their noise (as in single
-    linkage). Among m independent links the strongest is about ``sqrt(2 log m)`` by chance; a piece
-    of n sensors has m = n (N - n) to the rest. Links count from 1.2 times that on: on simulated
-    and real skins of 500 frames and more, the weakest link that held a skin together was 1.22.
-    Between two skins that were touched independently, the strongest was 0.8 to 1.1, and 1.0 to
-    1.4 where few large contacts made many pairs meet by one and the same chance: such skins may
-    be taken for one.
-    """
-    alike = np.asarray(similarity, dtype=np.float64)
-    noise = np.asarray(variance, dtype=np.float64)
-    n_sensors = len(alike)
-    if n_sensors < 2:
-        return np.zeros(n_sensors, dtype=np.intp)
-    links = alike / np.sqrt(np.maximum(noise, typical_noise(noise)))
-    links = (links + links.T) / 2
-    # Edges must be positive: scipy reads a dense 0 as no edge.
-    tree = minimum_spanning_tree(links.max() - links + 1).tocoo()
-    pieces = DisjointSet(range(n_sensors))
-    for edge in np.argsort(tree.data, kind="stable").tolist():
-        i, j = int(tree.row[edge]), int(tree.col[edge])
-        smaller = min(pieces.subset_size(i), pieces.subset_size(j))
-        by_chance = math.sqrt(2 * math.log(max(2, smaller * (n_sensors - smaller))))
-        if links[i, j] >= _BEYOND_CHANCE * by_chance:
-            pieces.merge(i, j)
-    labels = np.empty(n_sensors, dtype=np.intp)
-    ordered = sorted(pieces.subsets(), key=lambda piece: (-len(piece), min(piece)))
-    for label, piece in enumerate(ordered):
-        labels[list(piece)] = label
-    return labels
 
 
 def _autocorrelation(readings: NDArray[np.generic], longest: int) -> NDArray[np.float64]:

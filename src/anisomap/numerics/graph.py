@@ -11,10 +11,11 @@ from scipy.spatial.distance import squareform
 from anisomap.errors import InputError
 from anisomap.numerics.compiled import COMPILED_FROM
 from anisomap.numerics.dissimilarity import symmetric
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.shortest_paths import shortest_paths
 
 
-def check_semi_metric(dissimilarity: ArrayLike) -> NDArray[np.float64]:
+def check_semi_metric(dissimilarity: ArrayLike) -> Reals:
     """Check that a matrix can be read as lengths of edges.
 
     Parameters
@@ -44,7 +45,7 @@ def check_semi_metric(dissimilarity: ArrayLike) -> NDArray[np.float64]:
     return lengths
 
 
-def metricise(dissimilarity: ArrayLike) -> NDArray[np.float64]:
+def metricise(dissimilarity: ArrayLike) -> Reals:
     """Replace every dissimilarity by the length of the shortest path through all pairs.
 
     Parameters
@@ -67,7 +68,8 @@ def metricise(dissimilarity: ArrayLike) -> NDArray[np.float64]:
     Notes
     -----
     McGregor et al. (2011), section "ANISOMAP", step 2, and Text S3. Floyd (1962), Warshall (1962).
-    From 500 objects on the same by compiled loops: see `anisomap.numerics.shortest_paths`.
+    From 500 objects on the same by compiled loops: see `anisomap.numerics.shortest_paths`. What is
+    given in float32 is worked out in it, and right to about 1e-6.
     """
     lengths = check_semi_metric(dissimilarity)
     if len(lengths) >= COMPILED_FROM:

@@ -7,11 +7,13 @@ interpreter's lock: threads that work on separate rows or columns run at the sam
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+Reals = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
 Range = tuple[int, int]  # from the first to before the last
 
@@ -21,7 +23,7 @@ REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
 @numba.njit(nogil=True, cache=True)
-def shorten(paths: Floats, left: Floats, right: Floats, rows: Range, columns: Range) -> None:
+def shorten(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Range) -> None:
     """Lower ``paths[i, j]`` to the least ``left[i, k] + right[k, j]``: a product of (min, +).
 
     Only those `rows` and `columns` of `paths` are looked at and changed.
@@ -49,7 +51,7 @@ def shorten(paths: Floats, left: Floats, right: Floats, rows: Range, columns: Ra
 
 
 @numba.njit(nogil=True, cache=True)
-def close(paths: Floats) -> None:
+def close(paths: Reals) -> None:
     """Replace a small matrix of lengths by that of its shortest paths: Floyd and Warshall."""
     for k in range(len(paths)):
         for i in range(len(paths)):
@@ -58,7 +60,7 @@ def close(paths: Floats) -> None:
 
 
 @numba.njit(nogil=True, cache=True)
-def nearest(lengths: Floats, count: int) -> Ints:
+def nearest(lengths: Reals, count: int) -> Ints:
     """Give, for each node, the ends of its `count` shortest edges; itself where it has fewer."""
     n_nodes = len(lengths)
     ends = np.empty((n_nodes, count), np.int64)
@@ -81,7 +83,7 @@ def nearest(lengths: Floats, count: int) -> Ints:
 
 @numba.njit(nogil=True, cache=True)
 def _sweep(
-    tile: Floats, order: Ints, edges: tuple[Ints, Ints, Floats], stamps: Ints, clock: int
+    tile: Reals, order: Ints, edges: tuple[Ints, Ints, Reals], stamps: Ints, clock: int
 ) -> bool:
     """Lower the paths to each node by those to its neighbours; tell whether any became shorter.
 
@@ -110,10 +112,10 @@ def _sweep(
 
 @numba.njit(nogil=True, cache=True)
 def relax(
-    paths: Floats,
+    paths: Reals,
     sources: Ints,
     order: Ints,
-    edges: tuple[Ints, Ints, Floats],
+    edges: tuple[Ints, Ints, Reals],
     most_sweeps: int,
 ) -> None:
     """Lower paths along edges until no edge helps any more: Bellman and Ford, many sources at once.
@@ -123,7 +125,7 @@ def relax(
     ``offsets[u + 1]``. Nodes are swept in `order` and back again.
     """
     n_nodes = len(paths)
-    tile = np.empty((n_nodes, len(sources)))
+    tile = np.empty((n_nodes, len(sources)), paths.dtype)
     for node in range(n_nodes):
         for place in range(len(sources)):
             tile[node, place] = paths[sources[place], node]
@@ -140,9 +142,7 @@ def relax(
 
 
 @numba.njit(nogil=True, cache=True, fastmath=REORDERED, error_model="numpy")
-def add_stress(
-    points: Floats, targets: Floats, weights: Floats, rows: Range, slope: Floats
-) -> float:
+def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope: Reals) -> float:
     """Sum the raw stress over the pairs i < j with i in those `rows`.
 
     `points` is (k, N), a row a coordinate. `weights` is (N, N), or (1, N) if one row serves all.
@@ -150,7 +150,8 @@ def add_stress(
     other nowhere: their difference is 0, and the tiny number keeps its factor finite.
     """
     dimensions, n_points = points.shape
-    room = np.empty(WIDTH)
+    tiny, one = np.finfo(points.dtype).tiny, points.dtype.type(1)
+    room = np.empty(WIDTH, points.dtype)
     total = 0.0
     for i in range(rows[0], rows[1]):
         weighted = i if len(weights) > 1 else 0
@@ -158,26 +159,51 @@ def add_stress(
             stop = min(start + WIDTH, n_points)
             size = stop - start
             factors = room[:size]
-            factors[:] = 1e-300
+            factors[:] = tiny
             for axis in range(dimensions):
                 mine, theirs = points[axis, i], points[axis, start:stop]
                 for j in range(size):
-                    factors[j] += (mine - theirs[j]) ** 2
+                    apart = mine - theirs[j]
+                    factors[j] += apart * apart
             target, weight = targets[i, start:stop], weights[weighted, start:stop]
-            partial = 0.0
+            partial = points.dtype.type(0)
             for j in range(size):
-                inverse = 1 / np.sqrt(factors[j])
+                inverse = one / np.sqrt(factors[j])
                 excess = factors[j] * inverse - target[j]
-                partial += weight[j] * excess * excess
-                factors[j] = weight[j] * excess * inverse
-            total += partial
+                weighted_excess = weight[j] * excess
+                partial += weighted_excess * excess
+                factors[j] = weighted_excess * inverse
+            total += float(partial)
             for axis in range(dimensions):
                 mine, theirs = points[axis, i], points[axis, start:stop]
                 pulled = slope[axis, start:stop]
-                pull = 0.0
+                pull = points.dtype.type(0)
                 for j in range(size):
                     share = factors[j] * (mine - theirs[j])
                     pull += share
                     pulled[j] -= share
                 slope[axis, i] += pull
     return total
+
+
+@numba.njit(nogil=True, cache=True)
+def add_products(panel: Reals, first: int, sensors: Ints, values: Reals, begins: Ints) -> None:
+    """Add products of values of the same frame to ``panel[i - first, j]`` for all j >= i.
+
+    The values of frame f, by increasing sensor, stand from ``begins[f]`` to ``begins[f + 1]``.
+    """
+    last = first + len(panel)
+    for frame in range(len(begins) - 1):
+        entry, end = begins[frame], begins[frame + 1]
+        beyond = end
+        while entry < beyond:  # halve it until `entry` is the first from `first` on
+            middle = (entry + beyond) // 2
+            if sensors[middle] < first:
+                entry = middle + 1
+            else:
+                beyond = middle
+        while entry < end and sensors[entry] < last:
+            row, value = panel[sensors[entry] - first], values[entry]
+            for other in range(entry, end):
+                row[sensors[other]] += value * values[other]
+            entry += 1

@@ -13,6 +13,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.dissimilarity import NUMERICAL_ZERO, partial_correlation
 from anisomap.numerics.evidence import blended_correlation, even_and_odd
 from anisomap.numerics.graph import minimax_paths
+from anisomap.numerics.precision import Reals
 
 _LEAST_SIMILARITY = 1e-3
 """Less is as good as nothing: it must not make one unrelated pair farther apart than another."""
@@ -222,19 +223,17 @@ def agreement(
     return float(np.corrcoef(first, second)[0, 1])
 
 
-def _separation(similarity: NDArray[np.float64]) -> NDArray[np.float64]:
+def _separation(similarity: Reals) -> Reals:
     separation = np.sqrt(-np.log(np.clip(similarity, _LEAST_SIMILARITY, 1.0)))
     np.fill_diagonal(separation, 0)
     return np.asarray(separation)
 
 
-def _within(distances: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
+def _within(distances: Reals, reach: float) -> NDArray[np.bool_]:
     return np.asarray(distances <= reach * minimax_paths(distances))
 
 
-def _without_detours(
-    joined: NDArray[np.bool_], partial: NDArray[np.float64], slack: float
-) -> NDArray[np.bool_]:
+def _without_detours(joined: NDArray[np.bool_], partial: Reals, slack: float) -> NDArray[np.bool_]:
     kept = np.zeros_like(joined)
     for i, row in enumerate(partial):
         others = np.flatnonzero(joined[i])
@@ -243,9 +242,7 @@ def _without_detours(
     return np.asarray(kept | kept.T)
 
 
-def _strongest_tree(
-    partial: NDArray[np.float64], similarity: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _strongest_tree(partial: Reals, similarity: Reals) -> NDArray[np.bool_]:
     # All links that are direct before any that is not, and those by similarity.
     length = np.where(partial > 0, 1 / np.maximum(partial, 1e-9), 1e9 * (2 - similarity))
     np.fill_diagonal(length, 0)

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
-from scipy.linalg.blas import dsymv
+from scipy.linalg.blas import dsymv, ssymv
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
 from anisomap.errors import InputError
 from anisomap.numerics.dissimilarity import symmetric
 from anisomap.numerics.graph import check_semi_metric, components, metricise
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.solvers import SOLVERS
 from anisomap.numerics.stress import Problem
 
@@ -131,28 +132,30 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     return np.pad(columns, ((0, 0), (0, dimensions - columns.shape[1])))
 
 
-def _leading_dense(
-    squares: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    rows = squares.mean(axis=0)
+def _leading_dense(squares: Reals, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    rows = squares.mean(axis=0, dtype=np.float64)
     inner = -(squares - np.add.outer(rows, rows) + rows.mean()) / 2
     values, vectors = eigh(inner, subset_by_index=[len(inner) - count, len(inner) - 1])
     return values, vectors
 
 
 def _leading_iterated(
-    squares: NDArray[np.float64], count: int
+    squares: Reals, count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    double = squares.dtype == np.float64
+    multiply = dsymv if double else ssymv
+
     def double_centred(vector: NDArray[np.float64]) -> NDArray[np.float64]:
         # Half of the matrix is read, which is what a product with a large one takes its time for.
-        product = dsymv(1.0, squares.T, vector - vector.mean())
+        product = multiply(1.0, squares.T, vector - vector.mean()).astype(np.float64, copy=False)
         return np.asarray((product - product.mean()) / -2)
 
     operator = LinearOperator(squares.shape, matvec=double_centred, dtype=np.float64)
     # ARPACK would draw its own start: a fixed one makes equal input give equal output.
     start = np.random.default_rng(0).standard_normal(len(squares))
     try:
-        values, vectors = eigsh(operator, k=count, which="LA", v0=start)
+        # To the last bit, or as far as products in float32 allow.
+        values, vectors = eigsh(operator, k=count, which="LA", v0=start, tol=0 if double else 1e-5)
     except ArpackError:  # it does not settle, or there is nothing to find: all points coincide
         return _leading_dense(squares, count)
     return values, vectors
@@ -223,9 +226,10 @@ def smacof(
     )
 
 
-def _known(problem: Problem) -> NDArray[np.float64]:
+def _known(problem: Problem) -> Reals:
     """Give the known distances, the others infinite, if they hold everything together."""
-    known = np.where(problem.weights > 0, problem.targets, np.inf)
+    known = problem.targets.copy()
+    known[problem.weights <= 0] = np.inf
     np.fill_diagonal(known, 0)
     n_pieces = components(known).max() + 1
     if n_pieces > 1:
@@ -235,13 +239,13 @@ def _known(problem: Problem) -> NDArray[np.float64]:
     return known
 
 
-def _check_weights(weights: ArrayLike | None, targets: NDArray[np.float64]) -> NDArray[np.float64]:
+def _check_weights(weights: ArrayLike | None, targets: Reals) -> Reals:
     if weights is None and np.isfinite(targets).all():
-        return np.ones((1, len(targets)))
+        return np.ones((1, len(targets)), targets.dtype)
     if weights is None:
         checked = np.ones_like(targets)
     else:
-        checked = symmetric(weights, "weight")
+        checked = symmetric(weights, "weight").astype(targets.dtype, copy=False)
         if checked.shape != targets.shape:
             raise InputError(f"weights {checked.shape} do not fit distances {targets.shape}")
         if (checked < 0).any() or not np.isfinite(checked).all():

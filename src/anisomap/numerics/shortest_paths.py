@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from anisomap.numerics.compiled import kernels, spread
+from anisomap.numerics.precision import Reals, rows_at_a_time
 
 logger = logging.getLogger(__name__)
 
@@ -29,6 +30,9 @@ SOURCES = 256
 TILE = 64
 """Nodes gone through together, and twice as many rows are one piece of work."""
 
+ROUNDING = {np.float64: 1e-12, np.float32: 1e-5}
+"""By which share the lengths of paths of many edges may differ."""
+
 CHECKED = 8
 """Sources whose paths are tried against every edge."""
 
@@ -38,10 +42,10 @@ class Edges(NamedTuple):
 
     offsets: NDArray[np.int64]
     ends: NDArray[np.int64]
-    lengths: NDArray[np.float64]
+    lengths: Reals
 
 
-def shortest_paths(lengths: NDArray[np.float64]) -> NDArray[np.float64]:
+def shortest_paths(lengths: Reals) -> Reals:
     """Give the lengths of the shortest paths between all nodes.
 
     Parameters
@@ -65,7 +69,7 @@ def shortest_paths(lengths: NDArray[np.float64]) -> NDArray[np.float64]:
     return through_all_nodes(lengths)
 
 
-def along_few_edges(lengths: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def along_few_edges(lengths: Reals) -> Reals | None:
     """Follow only edges that may be shortest paths themselves; None if they are not few.
 
     Notes
@@ -80,30 +84,30 @@ def along_few_edges(lengths: NDArray[np.float64]) -> NDArray[np.float64] | None:
     order = _from_neighbour_to_neighbour(near)
     paths = lengths.copy()
     _relax(paths, order, near, FIRST_SWEEPS)
-    tight = paths == lengths
-    tight &= np.isfinite(lengths)
-    if np.count_nonzero(tight) > FEW * n_nodes**2:
+    most = int(FEW * n_nodes**2)
+    tight = _tight(paths, lengths, most)
+    if tight is None:
         return None
-    _relax(paths, order, _edges(lengths, *np.nonzero(tight)), np.iinfo(np.int64).max)
+    _relax(paths, order, _edges(lengths, *tight), np.iinfo(np.int64).max)
     for rows in _blocks(n_nodes, SOURCES):
         paths[rows] = np.minimum(paths[rows], paths[:, rows].T)
         paths[:, rows] = paths[rows].T
     return paths
 
 
-def holds(paths: NDArray[np.float64], lengths: NDArray[np.float64]) -> bool:
+def holds(paths: Reals, lengths: Reals) -> bool:
     """Tell whether no edge at all shortens the paths from a few sources (Bellman's condition)."""
     sources = np.unique(np.linspace(0, len(paths) - 1, CHECKED).astype(int))
     chosen = paths[sources]
     shorter = chosen.copy()
     kernels().shorten(shorter, chosen, lengths, (0, len(chosen)), (0, len(paths)))
-    if (shorter >= chosen * (1 - 1e-12)).all():
+    if (shorter >= chosen * (1 - ROUNDING[paths.dtype.type])).all():
         return True
     logger.warning("shortest paths along few edges were not the shortest: going through all nodes")
     return False
 
 
-def through_all_nodes(lengths: NDArray[np.float64]) -> NDArray[np.float64]:
+def through_all_nodes(lengths: Reals) -> Reals:
     """Go through all nodes, a block of them at a time: Floyd and Warshall in tiles.
 
     Notes
@@ -125,8 +129,8 @@ def through_all_nodes(lengths: NDArray[np.float64]) -> NDArray[np.float64]:
 
             def shorten(
                 rows: slice,
-                towards: NDArray[np.float64] = towards,
-                onward: NDArray[np.float64] = onward,
+                towards: Reals = towards,
+                onward: Reals = onward,
             ) -> None:
                 on_and_above = (rows.start, n_nodes)
                 loops.shorten(paths, towards, onward, (rows.start, rows.stop), on_and_above)
@@ -137,13 +141,28 @@ def through_all_nodes(lengths: NDArray[np.float64]) -> NDArray[np.float64]:
     return paths
 
 
-def _nearest(lengths: NDArray[np.float64]) -> NDArray[np.int64]:
+def _tight(
+    paths: Reals, lengths: Reals, most: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """List the edges that no detour shortens, each once; None if there are too many."""
+    starts, ends, count = [], [], 0
+    for rows in rows_at_a_time(len(paths)):
+        after = np.arange(rows.start, rows.stop)[:, None] < np.arange(len(paths))
+        same = after & (paths[rows] == lengths[rows]) & np.isfinite(lengths[rows])
+        start, end = np.nonzero(same)
+        starts.append(start + rows.start)
+        ends.append(end)
+        count += len(end)
+        if 2 * count > most:
+            return None
+    return np.concatenate(starts), np.concatenate(ends)
+
+
+def _nearest(lengths: Reals) -> NDArray[np.int64]:
     return np.asarray(kernels().nearest(lengths, NEAREST))
 
 
-def _edges(
-    lengths: NDArray[np.float64], starts: NDArray[np.int64], ends: NDArray[np.int64]
-) -> Edges:
+def _edges(lengths: Reals, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> Edges:
     """Give edges in both directions, each once, without loops and those of infinite length."""
     n_nodes = len(lengths)
     pairs = np.unique(np.concatenate([starts * n_nodes + ends, ends * n_nodes + starts]))
@@ -162,9 +181,7 @@ def _from_neighbour_to_neighbour(edges: Edges) -> NDArray[np.int64]:
     return reverse_cuthill_mckee(joined, symmetric_mode=True).astype(np.int64)
 
 
-def _relax(
-    paths: NDArray[np.float64], order: NDArray[np.int64], edges: Edges, most_sweeps: int
-) -> None:
+def _relax(paths: Reals, order: NDArray[np.int64], edges: Edges, most_sweeps: int) -> None:
     def relax(together: slice) -> None:
         # Sources that follow one another in `order` are near: much of the graph can be passed over.
         kernels().relax(paths, order[together], order, tuple(edges), most_sweeps)

@@ -22,12 +22,13 @@ from anisomap.numerics.counting import (
     co_occurrences,
     joint_logarithms,
 )
+from anisomap.numerics.precision import Reals, held_as, rows_at_a_time
 
 _LARGEST = 1e100
 _MANY_CODES = 64  # more would make panels of counts too large
 
 
-def pearson(readings: ArrayLike) -> NDArray[np.float64]:
+def pearson(readings: ArrayLike) -> Reals:
     """Correlate the readings of every pair of sensors linearly (Pearson's r).
 
     Parameters
@@ -45,7 +46,7 @@ def pearson(readings: ArrayLike) -> NDArray[np.float64]:
     return Moments.of(values, single=values.shape[1] >= SINGLE_SENSORS).correlation()
 
 
-def spearman(readings: ArrayLike) -> NDArray[np.float64]:
+def spearman(readings: ArrayLike) -> Reals:
     """Correlate the ranks of the readings of every pair of sensors (Spearman's rho).
 
     Parameters
@@ -61,7 +62,7 @@ def spearman(readings: ArrayLike) -> NDArray[np.float64]:
     return pearson(rankdata(np.asarray(readings), axis=0))
 
 
-def co_activation(readings: ArrayLike) -> NDArray[np.float64]:
+def co_activation(readings: ArrayLike) -> Reals:
     """Correlate whether sensors are beyond rest at all, however far (the phi coefficient).
 
     Parameters
@@ -78,7 +79,7 @@ def co_activation(readings: ArrayLike) -> NDArray[np.float64]:
     return phi_of_counts(co_occurrences(active, Layout.of_switches(active.shape[1])), len(active))
 
 
-def phi_of_counts(counts: Counts, n_frames: int) -> NDArray[np.float64]:
+def phi_of_counts(counts: Counts, n_frames: int) -> Reals:
     """Correlate sensors that are on or off, by how often they are on together.
 
     Parameters
@@ -93,12 +94,14 @@ def phi_of_counts(counts: Counts, n_frames: int) -> NDArray[np.float64]:
     ndarray of shape (N, N)
         As `pearson`.
     """
-    together = counts.astype(np.int64)
-    on = np.diag(together)
-    return correlation_of_comoments((n_frames * together - np.outer(on, on)).astype(np.float64))
+    on = np.diag(counts).astype(np.int64)
+    comoment = np.empty(counts.shape)
+    for rows in rows_at_a_time(len(counts)):
+        comoment[rows] = n_frames * counts[rows].astype(np.int64) - np.outer(on[rows], on)
+    return correlation_of_comoments(comoment)
 
 
-def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray[np.float64]:
+def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
     """Measure what the binned readings of every pair of sensors tell of each other.
 
     Parameters
@@ -127,7 +130,7 @@ def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray
     return information_of_codes(maximum_entropy_codes(readings, bins))
 
 
-def information_of_codes(codes: ArrayLike) -> NDArray[np.float64]:
+def information_of_codes(codes: ArrayLike) -> Reals:
     """Measure the mutual information of discrete series, in nats.
 
     Parameters
@@ -155,7 +158,7 @@ def information_of_codes(codes: ArrayLike) -> NDArray[np.float64]:
     return information_of_logarithms(joint, n_frames)
 
 
-def information_of_logarithms(joint: NDArray[np.float64], n_frames: int) -> NDArray[np.float64]:
+def information_of_logarithms(joint: NDArray[np.float64], n_frames: int) -> Reals:
     """Give the mutual information, in nats, of sums of n log n over joint counts.
 
     Parameters
@@ -172,12 +175,16 @@ def information_of_logarithms(joint: NDArray[np.float64], n_frames: int) -> NDAr
     """
     # A sensor meets itself only in equal codes, so the diagonal holds its own sum n_a log n_a.
     marginal = np.diag(joint)
-    information = np.log(n_frames) + (joint - np.add.outer(marginal, marginal)) / n_frames
-    entropy = np.log(n_frames) - marginal / n_frames
-    # Rounding can leave the bounds 0 <= I <= min(H, H) by some 1e-16.
-    bounded = np.clip(information, 0, np.minimum.outer(entropy, entropy).clip(0))
-    np.fill_diagonal(bounded, entropy.clip(0))
-    return np.asarray(bounded)
+    entropy = (np.log(n_frames) - marginal / n_frames).clip(0)
+    information = np.empty(joint.shape, held_as(len(joint)))
+    for rows in rows_at_a_time(len(joint)):
+        shared = joint[rows] - np.add.outer(marginal[rows], marginal)
+        shared /= n_frames
+        shared += np.log(n_frames)
+        # Rounding can leave the bounds 0 <= I <= min(H, H) by some 1e-16.
+        information[rows] = np.clip(shared, 0, np.minimum.outer(entropy[rows], entropy))
+    np.fill_diagonal(information, entropy)
+    return information
 
 
 def _squarable(readings: ArrayLike) -> NDArray[np.generic]:

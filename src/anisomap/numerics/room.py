@@ -1,0 +1,68 @@
+"""Whether what is to be done fits into the machine's memory: better a plain word than no answer."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from anisomap.errors import InputError
+from anisomap.numerics.precision import held_as
+
+MATRICES = 8
+"""Matrices of all pairs that making a map takes at once: 7.3 were measured of 20,000 sensors."""
+
+_GIB = 1 << 30
+
+
+def physical_memory() -> int | None:
+    """Give the machine's memory in bytes; None where it cannot be asked."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return None
+
+
+def check_room_for_pairs(n_sensors: int) -> None:
+    """Check that there is room for all pairs of so many sensors.
+
+    Parameters
+    ----------
+    n_sensors : int
+
+    Raises
+    ------
+    InputError
+        If a map of them would take more memory than the machine has.
+    """
+    needed = MATRICES * n_sensors**2 * np.dtype(held_as(n_sensors)).itemsize
+    check_room(
+        needed,
+        f"{n_sensors} sensors have so many pairs that a map of them",
+        "an approximate one takes far less (reconstruct_approximately, --approximate)",
+    )
+
+
+def check_room(needed: float, what: str, instead: str) -> None:
+    """Check that something fits into memory.
+
+    Parameters
+    ----------
+    needed : float
+        Bytes.
+    what : str
+        What takes them: the beginning of a sentence.
+    instead : str
+        What would take less: its end.
+
+    Raises
+    ------
+    InputError
+        If the machine has less.
+    """
+    there = physical_memory()
+    if there is not None and needed > there:
+        raise InputError(
+            f"{what} takes about {needed / _GIB:.0f} GiB of memory, and this machine has "
+            f"{there / _GIB:.0f}; {instead}"
+        )

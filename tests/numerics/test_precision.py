@@ -1,0 +1,124 @@
+"""Very many sensors are held in float32: the same results, but for the last digits."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.distance import pdist, squareform
+
+from anisomap import Recording, reconstruct
+from anisomap.evaluation import mantel
+from anisomap.numerics import precision, shortest_paths
+from anisomap.numerics.chance import related_pieces
+from anisomap.numerics.dissimilarity import (
+    direct_dissimilarity,
+    information_distance,
+    partial_correlation,
+    regularised_reciprocal,
+    symmetric,
+)
+from anisomap.numerics.graph import metricise
+from anisomap.numerics.precision import equals_transpose, mirror
+from anisomap.numerics.scaling import smacof, torgerson
+from anisomap.numerics.similarity import co_activation, mutual_information, pearson, spearman
+from anisomap.simulation import simulate
+
+
+@pytest.fixture
+def always_single(monkeypatch):
+    monkeypatch.setattr(precision, "SINGLE_FROM", 1)
+
+
+@pytest.fixture(scope="module")
+def readings():
+    return simulate("plane", n_frames=700, seed=0).readings
+
+
+@pytest.mark.parametrize("tile", [1, 2, 3, 50])
+@given(size=st.integers(1, 12), seed=st.integers(0, 99), upper=st.booleans())
+def test_one_half_is_copied_to_the_other(tile, size, seed, upper):
+    matrix = np.random.default_rng(seed).normal(size=(size, size))
+    half = np.triu(matrix) if upper else np.tril(matrix)
+    expected = half + half.T - np.diag(np.diag(matrix))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(precision, "_TILE", tile)
+        assert equals_transpose(matrix) == (size == 1)
+        mirror(matrix, upper=upper)
+        assert equals_transpose(matrix)
+    np.testing.assert_array_equal(matrix, expected)
+
+
+@pytest.mark.parametrize("similarity", [pearson, spearman, co_activation, mutual_information])
+def test_similarities(always_single, similarity, readings, monkeypatch):
+    single = similarity(readings)
+    monkeypatch.setattr(precision, "SINGLE_FROM", 10_000)
+    assert single.dtype == np.float32
+    assert (single == single.T).all()
+    np.testing.assert_allclose(single, similarity(readings), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "stage",
+    [
+        regularised_reciprocal,
+        partial_correlation,
+        information_distance,
+        lambda similarity: direct_dissimilarity(similarity, np.full_like(similarity, 1e-3)),
+    ],
+)
+def test_dissimilarities_stay_as_they_come(stage, readings):
+    similarity = pearson(readings)
+    double, single = stage(similarity), stage(similarity.astype(np.float32))
+    assert (double.dtype, single.dtype) == (np.float64, np.float32)
+    assert (single == single.T).all()
+    np.testing.assert_allclose(single, double, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("way", ["along_few_edges", "through_all_nodes"])
+def test_shortest_paths_stay_as_they_come(way, readings, monkeypatch):
+    monkeypatch.setattr(shortest_paths, "FEW", 1.0)
+    lengths = regularised_reciprocal(pearson(readings))
+    single = getattr(shortest_paths, way)(lengths.astype(np.float32))
+    assert single.dtype == np.float32
+    assert shortest_paths.holds(single, lengths.astype(np.float32))
+    np.testing.assert_allclose(single, metricise(lengths), rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [60, 300])  # both ways to eigenvectors
+def test_scaling_finds_the_same_places(size):
+    points = np.random.default_rng(0).normal(size=(size, 3))
+    distances = squareform(pdist(points))
+    single = distances.astype(np.float32)
+    assert mantel(torgerson(single, 3), points, permutations=0).r > 1 - 1e-9
+    assert mantel(smacof(single).positions, points, permutations=0).r > 1 - 1e-12
+
+
+def test_asymmetry_beyond_rounding_is_refused_in_either():
+    matrix = np.random.default_rng(0).uniform(size=(5, 5)).astype(np.float32)
+    matrix += matrix.T
+    matrix[0, 1] *= 1 + 1e-6
+    assert equals_transpose(symmetric(matrix, "similarity"))
+    with pytest.raises(ValueError, match="not symmetric"):
+        symmetric(matrix.astype(np.float64), "similarity")
+    matrix[0, 1] *= 1.01
+    with pytest.raises(ValueError, match="not symmetric"):
+        symmetric(matrix, "similarity")
+
+
+def test_pieces_are_those_of_float64(readings):
+    apart = np.kron(np.eye(2), pearson(readings)[:20, :20])
+    noise = np.full(apart.shape, 0.002)
+    expected = related_pieces(apart, noise)
+    assert expected.max() == 1
+    found = related_pieces(apart.astype(np.float32), noise.astype(np.float32))
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("method", ["covariogram", "r-anisomap", "i-anisomap", "isomap"])
+@pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
+def test_maps_are_as_good(always_single, method, readings, monkeypatch):
+    recording = Recording(readings)
+    single = reconstruct(recording, method, 2, judge=False)
+    monkeypatch.setattr(precision, "SINGLE_FROM", 10_000)
+    double = reconstruct(recording, method, 2, judge=False)
+    assert mantel(single.positions, double.positions, permutations=0).r > 0.9999

@@ -1,0 +1,190 @@
+"""The benchmarks themselves: that they run, measure what they say, and notice what is wrong."""
+
+import csv
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benchmarks import measuring, paths, race, scalings, similarities, wholes
+from benchmarks.__main__ import main
+from benchmarks.inputs import flat_skin, round_skin, stroked_skin, tiled_torso
+from benchmarks.measuring import measured, threads
+from benchmarks.race import Race, Rival, Row, run
+from benchmarks.stages import STAGES
+from benchmarks.tables import growth_exponent, markdown
+from threadpoolctl import threadpool_info
+
+from anisomap.numerics import compiled
+
+
+@pytest.fixture
+def recordings(tmp_path):
+    """A folder with a skin in the shape of the real one: a field of triangles, on and off."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    readings, places = stroked_skin(40, 1000)
+    np.savez(folder / "icub_torso.npz", readings=(readings > 0) * 1.0, positions=places)
+    return folder
+
+
+@pytest.fixture
+def hasty(monkeypatch):
+    monkeypatch.setattr(measuring, "_LEAST", 0)
+    monkeypatch.setattr(race, "cores", lambda: 1)
+    monkeypatch.setattr(similarities, "PAIRS", 20)
+    monkeypatch.setattr(scalings, "MOST_STEPS", 50)
+
+
+def rows_of(path):
+    with path.open(encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_the_whole_in_miniature(tmp_path, recordings, hasty, capsys):
+    folder = tmp_path / "out"
+    sizes = ["40", "60"]
+    given = ["--recordings", str(recordings), "--sensors", *sizes, "--frames", "600"]
+    assert main([*given, "--output", str(folder)]) == 0
+    assert {path.name for path in folder.iterdir()} == {
+        "bench-table.md",
+        "bench.csv",
+        "bench.png",
+    }
+    rows = rows_of(folder / "bench.csv")
+    assert {row["family"] for row in rows} == {family for family, _ in STAGES.values()}
+    assert {row["n_sensors"] for row in rows} == set(sizes)
+    assert all(float(row["cpu"]) > 0 and float(row["clock_of_all_cores"]) > 0 for row in rows)
+    verdicts = [row["same"] for row in rows if row["against"]]
+    assert set(verdicts) - {"True"} == {v for v in verdicts if v.startswith("another map")}
+    assert verdicts.count("True") > 40
+    table = (folder / "bench-table.md").read_text(encoding="utf-8")
+    assert "NO" not in table
+    assert "| N | stage |" in table
+    assert "as N to the power of" in table
+    assert (folder / "bench.png").read_bytes().startswith(b"\x89PNG")
+    assert "torso, tiled" in capsys.readouterr().out
+
+
+def test_where_rivals_take_too_long_they_do_a_part(tmp_path, hasty, monkeypatch):
+    for module in (similarities, paths, scalings, wholes):
+        monkeypatch.setattr(module, "WHOLE", 30)
+    given = ["--sensors", "61", "--frames", "600", "--output", str(tmp_path)]
+    paths.cost_of_eigh.cache_clear()
+    paths.cost_of_floyd_warshall.cache_clear()
+    assert main(given) == 0
+    rows = [row for row in rows_of(tmp_path / "bench.csv") if row["against"]]
+    assert {row["estimated"] for row in rows} == {"True"}
+    assert {row["same"] for row in rows if row["stage"] != "whole map from dissimilarities"} == {
+        "True"
+    }
+    by_stage = {row["stage"]: row["how"] for row in rows}
+    assert by_stage["metricising"] == "30 sensors x 8.41"
+    assert by_stage["Torgerson"] == "30 sensors x 8.41"
+    assert by_stage["SMACOF, 30 iterations"] == "30 sensors x 4.13"
+
+
+def test_a_wrong_result_is_told_and_fails(tmp_path, hasty, monkeypatch, capsys):
+    monkeypatch.setattr(
+        similarities, "pearson", lambda readings: 0.5 * similarities.correlation(readings)
+    )
+    given = ["--sensors", "40", "--frames", "300", "--stages", "pearson"]
+    assert main([*given, "--output", str(tmp_path)]) == 1
+    assert "**NO**" in (tmp_path / "bench-table.md").read_text(encoding="utf-8")
+    assert "WRONG: Pearson r" in capsys.readouterr().err
+
+
+def test_in_the_documentation_pictures_lie_among_the_others(tmp_path, hasty):
+    (tmp_path / "_static").mkdir()
+    given = ["--sensors", "40", "--frames", "300", "--stages", "torgerson"]
+    assert main([*given, "--output", str(tmp_path)]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["_static", "bench-table.md"]
+    assert sorted(path.name for path in (tmp_path / "_static").iterdir()) == [
+        "bench.csv",
+        "bench.png",
+    ]
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.4, 3.0])
+def test_the_exponent_of_a_power_law(exponent):
+    sizes = np.array([256, 1000, 4000])
+    assert growth_exponent(sizes, 3e-7 * sizes**exponent) == pytest.approx(exponent)
+
+
+def row(**known):
+    usual = Row(4000, "family", "stage", "input", 1.0, 1.0, 1.0, 0.5, 10.0)
+    return replace(usual, against="rival", its_cpu=40.0, same=True, **known)
+
+
+def test_a_goal_missed_stands_out_and_one_reached_does_not():
+    assert "| **40.0** | 50 (missed) | yes |" in markdown([row(goal=50)], 100)
+    assert "| 40.0 | 30 | yes |" in markdown([row(goal=30)], 100)
+
+
+def test_times_that_grow_tell_the_exponent():
+    rows = [row(), replace(row(), n_sensors=8000, cpu=4.0, its_cpu=320.0)]
+    assert "| 4,000 | 8,000 | 2.0 | rival | 3.0 |" in markdown(rows, 100)
+
+
+@pytest.mark.skipif(
+    not os.access("/proc/self/clear_refs", os.W_OK), reason="only Linux tells and resets the peak"
+)
+def test_the_memory_of_fifty_megabytes():
+    cost, _ = measured(lambda: np.ones(50_000_000, np.uint8).sum())
+    assert cost.memory == pytest.approx(50, abs=5)
+    cost, _ = measured(lambda: None)
+    assert cost.memory == pytest.approx(0, abs=5)
+
+
+def test_one_thread_is_one_thread():
+    with threads(1):
+        assert compiled.thread_count() == 1
+        assert {found["num_threads"] for found in threadpool_info()} <= {1}
+
+
+def test_a_race_is_checked_once_and_gives_a_row_a_rival():
+    checked = []
+
+    def same(result):
+        checked.append(result)
+        return result == 3
+
+    cost = measuring.Cost(2.0, 2.0)
+    rivals = (Rival("one", cost, same, goal=7), Rival("two", cost, lambda _: "other"))
+    small, large = (list(run(Race("s", "i", lambda: 3, rivals), "f", n)) for n in (10, 4000))
+    assert checked == [3, 3]
+    assert [found.same for found in small] == [True, "other"]
+    assert [found.goal for found in small + large] == [None, None, 7, None]
+
+
+def test_paths_a_little_wrong_are_not_the_shortest():
+    lengths = flat_skin(60)
+    right = paths.metricise(lengths)
+    assert paths.are_shortest(right, lengths)
+    assert not paths.are_shortest(lengths, lengths)
+    assert not paths.are_shortest(right * (1 + 1e-9), lengths)
+
+
+def test_eigenvectors_are_told_from_others():
+    metric = paths.metricise(flat_skin(80))
+    assert paths.are_eigenvectors(paths.torgerson(metric, 3), metric)
+    assert not paths.are_eigenvectors(paths.torgerson(metric, 3) * 1.01, metric)
+    assert not paths.are_eigenvectors(np.random.default_rng(0).normal(size=(80, 3)), metric)
+
+
+@pytest.mark.parametrize("make", [flat_skin, round_skin])
+def test_skins_are_semi_metrics_that_hold_together(make):
+    lengths = make(50)
+    np.testing.assert_array_equal(lengths, lengths.T)
+    assert np.isfinite(lengths).all()
+    assert (lengths[~np.eye(50, dtype=bool)] > 0).all()
+
+
+def test_torsos_are_joined_and_stroked_at_different_times(recordings):
+    path = recordings / "icub_torso.npz"
+    tiled = tiled_torso(path, 100, 300)
+    assert tiled.shape == (300, 100)
+    n_sensors = tiled_torso(path, 40, 300).shape[1]
+    alike = np.corrcoef(tiled.T)
+    assert alike[:n_sensors, n_sensors : 2 * n_sensors].max() > 0.5  # across the joint
+    assert np.abs(alike[:10, 2 * n_sensors :]).max() < 0.5  # far apart
