@@ -47,8 +47,6 @@ EXCERPT_READINGS = 1 << 22
 PIECE_FRAMES = 512
 """Consecutive frames of a piece."""
 
-_FRAMES_A_SENSOR = 2
-_AT_MOST = 4  # times as many readings as usual
 _MOST_TO_LOOK_AT = 2000  # sensors, for neighbours among them
 
 Chunks: TypeAlias = Callable[[], Iterable[ArrayLike]]
@@ -214,16 +212,6 @@ def gather_similarity(
         ),
         notes=tuple(notes),
     )
-
-
-def chunk_frames(n_sensors: int) -> int:
-    """Tell how many frames to take at a time: `CHUNK_READINGS`, or more of very many sensors.
-
-    What is made of a chunk has cells for pairs of sensors, and costs as much to merge as to make
-    if there are too few frames in it.
-    """
-    usual = max(1, CHUNK_READINGS // n_sensors)
-    return max(usual, min(_FRAMES_A_SENSOR * n_sensors, _AT_MOST * usual))
 
 
 def completed(chunks: Chunks, missing: MissingPolicy = "error") -> Settled:
