@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anisomap.methods import SIMILARITIES, MethodOptions
-from anisomap.numerics import counting, joint_values, values
+from anisomap.numerics import chunked, counting, joint_values, values
+from anisomap.numerics.accumulators import KeptCodes
 from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.joint_values import JointValues
 from anisomap.numerics.values import ValueCounts
@@ -67,6 +68,20 @@ def test_chunks_make_what_the_whole_makes(name, many, seed, cuts, data):
             np.testing.assert_array_equal(found, found.T)
             if name in ("co-activation", "mutual-information"):
                 np.testing.assert_array_equal(found, in_chunks(name, [readings]))
+
+
+@given(seed=st.integers(0, 20), cuts=rows)
+@settings(max_examples=15, deadline=None)
+def test_codes_are_kept_where_counts_would_take_more(seed, cuts):
+    readings = readings_of(seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(chunked, "_MUCH", 0)
+        known = ValueCounts.of(readings)
+        take = CHUNKED["mutual-information"].prepare(known, OPTIONS.bins)
+        assert isinstance(take(readings), KeptCodes)
+        found = in_chunks("mutual-information", np.split(readings, cuts))
+    expected = SIMILARITIES["mutual-information"].compute(readings, OPTIONS)
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("name", ["spearman", "mutual-information"])

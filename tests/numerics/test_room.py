@@ -47,7 +47,7 @@ def test_maps_say_so_before_they_are_begun(small_machine):
 
 
 def test_counts_of_all_bins_say_so(small_machine):
-    values = ValueCounts.of(np.random.default_rng(0).integers(0, 9, (90, 30)))
+    values = ValueCounts.of(np.random.default_rng(0).integers(0, 9, (20_000, 30)))
     prepare = CHUNKED["mutual-information"].prepare
     with pytest.raises(InputError, match="8 bins of 30 sensors"):
         prepare(values, 8)

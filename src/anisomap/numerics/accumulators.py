@@ -162,6 +162,35 @@ class CoOccurrences:
         return CoOccurrences(n_frames, self.first, np.add(self.counts, other.counts, dtype=dtype))
 
 
+@dataclass(frozen=True, eq=False)
+class KeptCodes:
+    """Codes of all frames as they are: of many sensors less than counts of all their pairs.
+
+    Attributes
+    ----------
+    n_frames : int
+        How many frames they are of, T.
+    parts : tuple of ndarray of int, shapes (t, N)
+        Small numbers from 0, in the order of the frames.
+    """
+
+    n_frames: int
+    parts: tuple[NDArray[np.integer[Any]], ...]
+
+    @classmethod
+    def of(cls, codes: NDArray[np.integer[Any]]) -> KeptCodes:
+        """Keep codes of shape (T, N)."""
+        return cls(len(codes), (codes.astype(np.min_scalar_type(codes.max(initial=0))),))
+
+    def merged(self, other: KeptCodes) -> KeptCodes:
+        """Put the codes of later frames of the same sensors behind these."""
+        return KeptCodes(self.n_frames + other.n_frames, self.parts + other.parts)
+
+    def whole(self) -> NDArray[np.integer[Any]]:
+        """Give all codes as one array, shape (T, N)."""
+        return np.concatenate(self.parts)
+
+
 def correlation_of_comoments(comoment: NDArray[np.float64]) -> Reals:
     """Divide co-moments by the spreads of both sensors; see `Moments.correlation`."""
     spread = np.sqrt(np.diag(comoment))

@@ -16,19 +16,29 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.accumulators import CoOccurrences, Moments, correlation_of_comoments
+from anisomap.numerics.accumulators import (
+    CoOccurrences,
+    KeptCodes,
+    Moments,
+    correlation_of_comoments,
+)
 from anisomap.numerics.activity import Rest, rest_of_counts
 from anisomap.numerics.binning import maximum_entropy_bins
 from anisomap.numerics.counting import Layout, joint_logarithms_of_counts
 from anisomap.numerics.joint_values import JointValues
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.room import check_room
-from anisomap.numerics.similarity import information_of_logarithms, phi_of_counts
+from anisomap.numerics.similarity import (
+    information_of_codes,
+    information_of_logarithms,
+    phi_of_counts,
+)
 from anisomap.numerics.values import Recoding, ValueCounts
 
 Matrix: TypeAlias = Reals
 
 _COUNTS = 3 * 4  # bytes of a pair: a total, a part, and both together, in uint32
+_MUCH = 1 << 28  # bytes of counts, beyond which it may be better to keep the codes
 
 Take: TypeAlias = Callable[[NDArray[Any]], Any]
 """Makes an accumulator of a chunk of finite readings, shape (t, N)."""
@@ -77,6 +87,10 @@ def _take_codes(recoding: Recoding, layout: Layout, chunk: NDArray[Any]) -> CoOc
     return CoOccurrences.of(recoding(chunk), layout)
 
 
+def _keep_codes(recoding: Recoding, chunk: NDArray[Any]) -> KeptCodes:
+    return KeptCodes.of(recoding(chunk))
+
+
 def _rest(values: ValueCounts) -> Rest:
     return rest_of_counts(zip(values.values, values.counts, strict=True))
 
@@ -94,15 +108,20 @@ def _codes(values: ValueCounts, bins: int) -> tuple[list[NDArray[np.intp]], Layo
 def _prepare_codes(values: ValueCounts | None, bins: int) -> Take:
     known = _settled(values)
     layout = _codes(known, bins)[1]
+    kept, counted = known.n_frames * known.n_sensors, _COUNTS * layout.n_series**2
     check_room(
-        _COUNTS * layout.n_series**2,
+        min(kept, counted),
         f"counting all pairs of {bins} bins of {known.n_sensors} sensors",
         "use fewer bins, or linear correlation (r-anisomap)",
     )
+    if kept <= counted and counted > _MUCH:
+        return partial(_keep_codes, known.bins(bins))
     return partial(_take_codes, known.bins(bins), layout)
 
 
-def _information(found: CoOccurrences) -> Matrix:
+def _information(found: CoOccurrences | KeptCodes) -> Matrix:
+    if isinstance(found, KeptCodes):
+        return information_of_codes(found.whole())
     joint = joint_logarithms_of_counts(found.counts, found.first, found.n_frames)
     return information_of_logarithms(joint, found.n_frames)
 

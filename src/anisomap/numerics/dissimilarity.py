@@ -42,7 +42,7 @@ def symmetric(matrix: ArrayLike, what: str) -> Reals:
     values = as_reals(matrix)
     if values.ndim != 2 or values.shape[0] != values.shape[1] or not values.size:
         raise InputError(f"the {what} matrix has shape {values.shape}; it must be square, (N, N)")
-    if np.isnan(values).any():
+    if np.isnan(values.min()):
         i, j = np.argwhere(np.isnan(values))[0]
         raise InputError(f"the {what} of sensors {i} and {j} is NaN; it must be a number")
     if equals_transpose(values):

@@ -34,7 +34,7 @@ def check_semi_metric(dissimilarity: ArrayLike) -> Reals:
         If it is not symmetric, holds NaN or a negative length, or its diagonal is not zero.
     """
     lengths = symmetric(dissimilarity, "dissimilarity")
-    if (lengths < 0).any():
+    if lengths.min() < 0:
         i, j = np.argwhere(lengths < 0)[0]
         raise InputError(
             f"the dissimilarity of {i} and {j} is {lengths[i, j]:g}; it must not be < 0"

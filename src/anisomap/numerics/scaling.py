@@ -118,7 +118,7 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     squares *= squares
     if dimensions < 1:
         raise InputError(f"{dimensions} dimensions hold no map; use 1 or more")
-    if not np.isfinite(squares).all():
+    if not np.isfinite(squares.max()):
         raise InputError("some distances are infinite: scale each connected component by itself")
     n_points = len(squares)
     if n_points <= max(DENSE_LIMIT, 2 * dimensions + 1):
@@ -206,9 +206,10 @@ def smacof(
     problem = Problem(targets, _check_weights(weights, targets))
     known = targets if problem.all_alike else _known(problem)
     if start is None:
-        start = torgerson(known if np.isfinite(known).all() else metricise(known), dimensions)
+        start = torgerson(known if np.isfinite(known.max()) else metricise(known), dimensions)
     positions = _check_start(start, len(targets))
-    targets[np.isinf(targets)] = 0
+    if not problem.all_alike:
+        targets[np.isinf(targets)] = 0
     find = SOLVERS[chosen.solver]
     positions, trace, converged = find(problem, positions, chosen.tolerance, chosen.max_iterations)
     if not converged and chosen.max_iterations:
@@ -240,7 +241,7 @@ def _known(problem: Problem) -> Reals:
 
 
 def _check_weights(weights: ArrayLike | None, targets: Reals) -> Reals:
-    if weights is None and np.isfinite(targets).all():
+    if weights is None and np.isfinite(targets.max()):
         return np.ones((1, len(targets)), targets.dtype)
     if weights is None:
         checked = np.ones_like(targets)

@@ -65,11 +65,12 @@ class Problem:
         if positions is not None and self.all_alike:  # Huygens: by the distances from the middle
             apart = positions - positions.mean(axis=0)
             return len(positions) * float(np.vdot(apart, apart))
+        if self.all_alike:
+            return sum(float(np.vdot(row, row)) for row in self.targets) / 2
         total = 0.0
         for rows in rows_at_a_time(len(self.targets)):
             lengths = self.targets[rows] if positions is None else cdist(positions[rows], positions)
-            weights = self.weights if self.all_alike else self.weights[rows]
-            total += float(np.vdot(weights * lengths, lengths.astype(np.float64, copy=False)))
+            total += float(np.vdot(self.weights[rows] * lengths, lengths.astype(np.float64)))
         return total / 2
 
 
