@@ -20,7 +20,7 @@ from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors, find_m
 from anisomap.numerics.checkpoints import Checkpoint
 from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.evidence import sampling_variance
-from anisomap.numerics.gaps import Settled, interpolated, no_gaps, whole_frames
+from anisomap.numerics.gaps import Settled, interpolated, no_gaps, of_same_sensors, whole_frames
 from anisomap.numerics.gathering import ALONE, Crew, gather
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.room import check_room_for_pairs
@@ -222,9 +222,9 @@ def completed(chunks: Chunks, missing: MissingPolicy = "error") -> Settled:
     chunks : callable
         Opens the readings of one recording.
     missing : {"error", "drop-frames", "interpolate"}
-        Gaps of any length are filled; memory is needed for twice `CHUNK_READINGS`. Only where a
-        gap is longer than those, or a sensor has no reading at all, frames are gone through once
-        more to find where it ends.
+        Gaps of any length are filled, in memory for two chunks. Only where a gap is longer than a
+        chunk, or a sensor has no reading at all, frames are gone through once more to find where
+        it ends.
 
     Returns
     -------
@@ -237,7 +237,7 @@ def completed(chunks: Chunks, missing: MissingPolicy = "error") -> Settled:
         If there is no such policy; once opened, under "error" if a reading is missing, under
         "drop-frames" if no frame is left, and if chunks are not all of the same sensors.
     """
-    checked = partial(_checked, chunks)
+    checked = partial(of_same_sensors, chunks)
     if missing == "interpolate":
         return interpolated(checked, CHUNK_READINGS)
     if missing == "drop-frames":
@@ -333,25 +333,6 @@ def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[
     shape = (min(n_frames, len(whole) - start), whole.shape[1])
     offset = whole.offset + start * whole.strides[0]
     return np.memmap(whole.filename, whole.dtype, "r", offset, shape)
-
-
-def _checked(chunks: Chunks) -> Iterator[NDArray[Any]]:
-    """Give chunks of the same sensors; empty ones are left out."""
-    n_sensors, done = None, 0
-    for chunk in chunks():
-        array = np.asarray(chunk)
-        if array.dtype.kind not in "biuf" or array.ndim != 2:
-            raise InputError(
-                f"a chunk of readings is of type {array.dtype} and shape {array.shape}; it must "
-                "be of real numbers, frames x sensors"
-            )
-        if array.shape[1] != (n_sensors or array.shape[1]) or not array.shape[1]:
-            raise InputError(
-                f"from frame {done} on there are {array.shape[1]} sensors, but {n_sensors} before"
-            )
-        n_sensors, done = array.shape[1], done + len(array)
-        if len(array):
-            yield array
 
 
 def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:

@@ -41,7 +41,7 @@ def short(request):
 def test_links_that_are_followed_join_sensors_of_one_contact(short):
     places, readings = short
     similarity, variance = links_of(readings)
-    followed = followed_links(similarity, variance, np.zeros(len(places)))
+    followed = followed_links(similarity, variance)
     apart = cdist(places, places)
     assert (followed == followed.T).all()
     assert not followed.diagonal().any()
@@ -68,23 +68,29 @@ def test_maps_of_large_skins_from_few_frames(short, monkeypatch):
 
 
 def test_pieces_stay_whole_and_apart():
-    places, readings = strip(3000, 5)
-    readings[:, places[:, 0] == 45] = readings[:, :1]  # a gap: these read what the first one does
-    rest = places[:, 0] != 45
-    other = strip(3000, 6)[1]
-    similarity, variance = links_of(np.hstack([readings[:, rest], other]))
-    pieces = np.repeat([0, 1], [np.count_nonzero(rest), other.shape[1]])
-    followed = followed_links(similarity, variance, pieces)
-    assert not followed[np.not_equal.outer(pieces, pieces)].any()
-    assert connected_components(followed, directed=False)[0] == 2
+    readings = np.hstack([strip(2500, seed)[1] for seed in (5, 6)])
+    size = readings.shape[1] // 2
+    similarity, variance = links_of(readings)
+    similarity[:size, size:] = similarity[size:, :size] = 0
+    apart = without_chance(np.ones_like(similarity), similarity, variance)
+    assert np.isinf(apart[:size, size:]).all()
+    for piece in (apart[:size, :size], apart[size:, size:]):
+        assert 0.01 < np.isfinite(piece).mean() < 0.3
+        assert connected_components(np.isfinite(piece), directed=False)[0] == 1
+
+
+def test_where_links_beyond_chance_hardly_hold_together_all_are_followed():
+    places, readings = strip(60, 0)
+    followed = followed_links(*links_of(readings))
+    np.testing.assert_array_equal(followed, ~np.eye(len(places), dtype=bool))
 
 
 def test_sensors_that_were_hardly_touched_keep_their_strongest_link():
-    places, readings = strip(700, 0)
+    readings = strip(700, 0)[1]
     readings[20:, 100] = 0
     readings[:20, 100] = readings[:20, 101]
     similarity, variance = links_of(readings)
-    followed = followed_links(similarity, variance, np.zeros(len(places)))
+    followed = followed_links(similarity, variance)
     assert connected_components(followed, directed=False)[0] == 1
     assert followed[100].any()
 
@@ -92,9 +98,8 @@ def test_sensors_that_were_hardly_touched_keep_their_strongest_link():
 def test_in_whatever_order_sensors_come(short):
     _, readings = short
     order = np.random.default_rng(0).permutation(readings.shape[1])
-    pieces = np.zeros(len(order))
-    expected = followed_links(*links_of(readings), pieces)[np.ix_(order, order)]
-    found = followed_links(*links_of(readings[:, order]), pieces)
+    expected = followed_links(*links_of(readings))[np.ix_(order, order)]
+    found = followed_links(*links_of(readings[:, order]))
     assert (found != expected).mean() < 1e-5  # ties of rounding aside
 
 
@@ -115,7 +120,7 @@ def test_where_contacts_cover_much_of_the_skin_links_are_not_looked_through(shor
     expected = in_units_of_noise(similarity, variance)
     monkeypatch.setattr(chance, "MOST_PRODUCTS", 1)
     monkeypatch.setattr(chance, "FOLLOWED", 0.5)
-    followed = followed_links(similarity, variance, np.zeros(len(similarity)))
+    followed = followed_links(similarity, variance)
     n_pairs = len(similarity) * (len(similarity) - 1) // 2
     strong = expected >= 0.5 * np.sqrt(2 * np.log(n_pairs))
     np.fill_diagonal(strong, val=False)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -42,6 +42,7 @@ class Opened:
 
 
 @given(with_gaps(), cuts, windows)
+@settings(deadline=None)
 def test_gaps_are_filled_as_in_one_array(whole, cut, window):
     chunks = Opened(whole, cut)
     found = interpolated(chunks, window)
@@ -53,6 +54,7 @@ def test_gaps_are_filled_as_in_one_array(whole, cut, window):
 
 
 @given(with_gaps(), cuts, st.integers(N_FRAMES * N_SENSORS, 10**6))
+@settings(deadline=None)
 def test_short_gaps_take_no_pass_of_their_own(whole, cut, window):
     chunks = Opened(whole, cut)
     list(interpolated(chunks, window)())
@@ -82,6 +84,7 @@ def test_a_window_and_the_next_are_all_that_is_read_ahead():
 
 
 @given(with_gaps(), cuts)
+@settings(deadline=None)
 def test_frames_are_left_out_as_of_one_array(whole, cut):
     found = whole_frames(Opened(whole, cut))
     try:
@@ -95,6 +98,7 @@ def test_frames_are_left_out_as_of_one_array(whole, cut):
 
 
 @given(with_gaps(), cuts)
+@settings(deadline=None)
 def test_the_first_gap_is_named(whole, cut):
     missing = np.argwhere(~np.isfinite(whole))
     if not len(missing):
@@ -106,6 +110,7 @@ def test_the_first_gap_is_named(whole, cut):
 
 
 @given(arrays(np.uint8, (N_FRAMES, 2)), cuts, windows)
+@settings(deadline=None)
 def test_whole_numbers_have_no_gaps(whole, cut, window):
     for opened in (interpolated(Opened(whole, cut), window), whole_frames(Opened(whole, cut))):
         found = np.concatenate(list(opened()))

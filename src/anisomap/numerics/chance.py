@@ -29,6 +29,9 @@ SHARED = 0.3
 ROUNDS = 4
 """Times that links are looked through: each leaves fewer that bear one another out by chance."""
 
+TOGETHER, SEVERAL = 0.95, 8
+"""Share of a skin that these links must hold together, and how many of a sensor (the median)."""
+
 MOST_PRODUCTS = 1e10
 """With more, contacts cover so much of the skin that a few steps lead anywhere without chance."""
 
@@ -52,17 +55,20 @@ def without_chance(
     Returns
     -------
     ndarray of shape (N, N)
-        Infinite between pieces; of more than 500 sensors, but for `followed_links`.
+        Infinite between pieces and, in those of more than 500 sensors, but for `followed_links`.
     """
     n_sensors = len(dissimilarity)
     pieces = np.zeros(n_sensors, dtype=np.intp)
     if part:
         pieces = related_pieces(similarity, variance)
-    if n_sensors > MANY_SENSORS:
-        dissimilarity[~followed_links(similarity, variance, pieces)] = np.inf
-        np.fill_diagonal(dissimilarity, 0)
-    elif pieces.any():
+    if pieces.any():
         dissimilarity[np.not_equal.outer(pieces, pieces)] = np.inf
+    alike, noise = np.asarray(similarity), np.asarray(variance)
+    for label in np.flatnonzero(np.bincount(pieces) > MANY_SENSORS):
+        inside = ... if not pieces.any() else np.ix_(pieces == label, pieces == label)
+        followed = followed_links(alike[inside], noise[inside])
+        np.fill_diagonal(followed, val=True)
+        dissimilarity[inside] = np.where(followed, dissimilarity[inside], np.inf)
     return dissimilarity
 
 
@@ -108,10 +114,8 @@ def related_pieces(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.int
     return labels
 
 
-def followed_links(
-    similarity: ArrayLike, variance: ArrayLike, pieces: ArrayLike
-) -> NDArray[np.bool_]:
-    """Tell which links are the direct evidence that two sensors are near, of very many sensors.
+def followed_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:
+    """Tell which links are direct evidence that two sensors of a large skin are near.
 
     Parameters
     ----------
@@ -119,13 +123,11 @@ def followed_links(
         Correlations.
     variance : array_like of shape (N, N)
         Their sampling variances, above 0.
-    pieces : array_like of int, shape (N,)
-        Which piece each sensor belongs to; those of a piece stay connected.
 
     Returns
     -------
     ndarray of bool, shape (N, N)
-        Symmetric, False on the diagonal.
+        Symmetric, False on the diagonal; they connect all sensors.
 
     Notes
     -----
@@ -134,21 +136,25 @@ def followed_links(
     link is followed if it is 1.5 times as strong as chance makes the strongest of all pairs,
     ``(2 log P)^(1/2)`` standard deviations, and if both sensors have enough links in common: side
     by side on a line they share half of them, in a plane a third or more. Sensors that are left
-    without a link keep their strongest.
+    without a link keep their strongest. Where so few links are left that they hardly hold the skin
+    together (contacts are small, or the recording is short), all are followed.
     """
     links = in_units_of_noise(similarity, variance)
-    belongs = np.asarray(pieces)
-    n_pairs = max(2, len(links) * (len(links) - 1) // 2)
+    n_sensors = len(links)
+    n_pairs = max(2, n_sensors * (n_sensors - 1) // 2)
     strong = links >= FOLLOWED * math.sqrt(2 * math.log(n_pairs))
     np.fill_diagonal(strong, val=False)
     followed = _borne_out(strong)
-    groups = DisjointSet(range(len(links)))
     parts = connected_components(followed, directed=False)[1]
+    together = np.bincount(parts).max() / n_sensors
+    if together < TOGETHER or np.median(np.count_nonzero(followed, axis=1)) < SEVERAL:
+        return ~np.eye(n_sensors, dtype=bool)
+    groups = DisjointSet(range(n_sensors))
     first = np.unique(parts, return_index=True)[1][parts]
     for sensor, leader in enumerate(first.tolist()):
         groups.merge(leader, sensor)
     for _, i, j in sorted(_strongest_links(links), reverse=True):
-        if belongs[i] == belongs[j] and groups.merge(i, j):
+        if groups.merge(i, j):
             followed[i, j] = followed[j, i] = True
     return followed
 

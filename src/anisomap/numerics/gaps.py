@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 
@@ -171,6 +171,25 @@ def no_gaps(chunks: Opened) -> Settled:
             yield chunk
 
     return opened
+
+
+def of_same_sensors(chunks: Callable[[], Iterable[ArrayLike]]) -> Iterator[Readings]:
+    """Give chunks on as arrays, empty ones left out; `InputError` if they do not fit together."""
+    n_sensors, done = None, 0
+    for chunk in chunks():
+        array = np.asarray(chunk)
+        if array.dtype.kind not in "biuf" or array.ndim != 2:
+            raise InputError(
+                f"a chunk of readings is of type {array.dtype} and shape {array.shape}; it must "
+                "be of real numbers, frames x sensors"
+            )
+        if array.shape[1] != (n_sensors or array.shape[1]) or not array.shape[1]:
+            raise InputError(
+                f"from frame {done} on there are {array.shape[1]} sensors, but {n_sensors} before"
+            )
+        n_sensors, done = array.shape[1], done + len(array)
+        if len(array):
+            yield array
 
 
 def _missing(readings: Readings) -> NDArray[np.bool_]:

@@ -20,7 +20,7 @@ from anisomap.numerics.checkpoints import Checkpoint, Trail
 logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 3
-_ROUND = 4  # chunks a worker
+_ROUND = 2  # chunks a worker
 
 
 @dataclass(frozen=True)
@@ -134,19 +134,22 @@ def _shared(
 def _on_joblib(
     joblib: Any, chunks: Iterable[NDArray[Any]], take: Callable[[NDArray[Any]], Any], workers: int
 ) -> Iterator[Any]:
-    jobs = (joblib.delayed(_alone)(take, chunk, os.getpid()) for chunk in chunks)
     # Limits are those of a process: threads that set and lifted them would undo one another's.
-    with threadpool_limits(1):
-        try:
-            pool = joblib.Parallel(workers, prefer="threads", return_as="generator", batch_size=1)
-        except ValueError:
-            # Some backends (Ray's is one) hand results over only once they have all.
-            pool = joblib.Parallel(workers, batch_size=1)
-            with pool:
-                while batch := list(islice(jobs, _ROUND * joblib.effective_n_jobs(workers))):
-                    yield from pool(batch)
-        else:
-            yield from pool(jobs)
+    with threadpool_limits(1), joblib.Parallel(workers, prefer="threads", batch_size=1) as pool:
+        yield from _in_rounds(joblib, pool, chunks, take, joblib.effective_n_jobs(workers))
+
+
+def _in_rounds(
+    joblib: Any,
+    pool: Callable[[list[Any]], list[Any]],
+    chunks: Iterable[NDArray[Any]],
+    take: Callable[[NDArray[Any]], Any],
+    n_workers: int,
+) -> Iterator[Any]:
+    """Hand out some chunks at a time: workers that are faster than merging would fill memory."""
+    jobs = (joblib.delayed(_alone)(take, chunk, os.getpid()) for chunk in chunks)
+    while batch := list(islice(jobs, _ROUND * n_workers)):
+        yield from pool(batch)
 
 
 def _on_dask(
@@ -162,9 +165,9 @@ def _on_dask(
         raise InputError(f"there is no Dask scheduler at {address}: {error}") from error
     died = (distributed.client.FutureCancelledError, distributed.KilledWorker)
     with client, joblib.parallel_config("dask", client=client):
-        pool = joblib.Parallel(return_as="generator", batch_size=1)
+        pool = joblib.Parallel(batch_size=1)
         try:
-            yield from pool(joblib.delayed(_alone)(take, chunk, os.getpid()) for chunk in chunks)
+            yield from _in_rounds(joblib, pool, chunks, take, joblib.effective_n_jobs(-1))
         except died as error:
             # Dask takes up the work of a worker that died, but not the chunks that it held.
             raise BrokenExecutor(str(error)) from error
