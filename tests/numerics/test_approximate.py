@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist, pdist
@@ -43,6 +43,7 @@ def linked(readings):
     return correlations([readings], known, everyone(readings.shape[1])), known
 
 
+@settings(deadline=None)  # the first call may compile
 @given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 59), max_size=4))
 def test_a_sketch_does_not_depend_on_how_frames_are_cut(seed, cuts):
     rng = np.random.default_rng(seed)
@@ -101,6 +102,7 @@ def test_the_most_alike_are_those_with_the_greatest_products(monkeypatch, count,
     )
 
 
+@settings(deadline=None)  # the first call may compile
 @given(st.integers(0, 2**32 - 1))
 def test_pairs_are_listed_once(seed):
     found = np.random.default_rng(seed).integers(-1, 9, (9, 4))
@@ -109,6 +111,7 @@ def test_pairs_are_listed_once(seed):
     assert list(zip(firsts.tolist(), seconds.tolist(), strict=True)) == sorted(expected)
 
 
+@settings(deadline=None)  # the first call may compile
 @given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 599), max_size=3))
 def test_r_of_pairs_is_pearsons(seed, cuts):
     rng = np.random.default_rng(seed)
@@ -164,6 +167,7 @@ def test_rows_of_paths_are_those_of_the_exact_metric_if_all_pairs_are_edges():
     np.testing.assert_allclose(found, expected[:, landmarks], rtol=1e-5)
 
 
+@settings(deadline=None)  # the first call may compile
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9))
 def test_paths_are_dijkstras(seed, degree):
     rng = np.random.default_rng(seed)
@@ -178,6 +182,7 @@ def test_paths_are_dijkstras(seed, degree):
     np.testing.assert_allclose(paths_from(sources, graph), expected, rtol=1e-5)
 
 
+@settings(deadline=None)  # the first call may compile
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
 def test_triangulation_is_exact_of_distances_between_points(seed, dimensions):
     points = np.random.default_rng(seed).normal(size=(40, dimensions))
