@@ -185,7 +185,7 @@ def joint_logarithms_of_counts(
     """
     marginals = np.diag(counts).astype(np.int64)
     own = own_logarithms(marginals, first, n_frames)
-    joint = np.add.outer(own, own) - xlogy(n_frames, n_frames)
+    joint: NDArray[np.float64] = np.add.outer(own, own) - float(xlogy(n_frames, n_frames))
     moving = np.flatnonzero(np.diff(first))
     begins = first[moving]
     for sensor in moving:
