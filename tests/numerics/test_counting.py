@@ -21,7 +21,6 @@ from anisomap.numerics.counting import (
     code_counts,
     joint_logarithms,
     joint_logarithms_of_counts,
-    mirrored,
 )
 from anisomap.numerics.similarity import co_activation, information_of_codes, pearson
 
@@ -124,12 +123,6 @@ def test_many_sensors_are_correlated_right_to_a_hundred_thousandth(offset, unit)
     np.testing.assert_array_equal(np.diag(r), 1)
     np.testing.assert_array_equal(r[11], np.eye(n_sensors)[11])
     assert r[12, 13] == pytest.approx(1, abs=1e-6)
-
-
-@pytest.mark.parametrize("size", [1, 5, 1023, 1024, 1025, 2100])
-def test_a_matrix_is_mirrored_in_blocks(size):
-    upper = np.triu(np.arange(size**2).reshape(size, size))
-    np.testing.assert_array_equal(mirrored(upper.copy()), upper + np.triu(upper, 1).T)
 
 
 def test_few_sensors_need_nothing_compiled():

@@ -30,6 +30,7 @@ from anisomap.numerics.kernels_counting import (
     sparse_panel,
     tally_codes,
 )
+from anisomap.numerics.precision import mirror
 
 MANY_SENSORS = 300
 """From so many sensors on, compiled loops pay; fewer are left to numpy."""
@@ -47,7 +48,6 @@ _Panel: TypeAlias = Callable[[int, int, NDArray[np.uint32]], None]
 _PANEL_SERIES = 96
 _INCREMENT = 12  # words of bits that are counted in the time of one step from entry to entry
 _WORD = 64
-_MIRRORED = 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,8 @@ def co_occurrences(codes: Codes, layout: Layout) -> NDArray[np.uint32]:
         counts[first[start] : first[stop]] = panel
 
     _in_panels(codes, layout, keep)
-    return mirrored(counts)
+    mirror(counts, upper=True)
+    return counts
 
 
 def joint_logarithms(codes: Codes, n_codes: int) -> NDArray[np.float64]:
@@ -159,7 +160,8 @@ def joint_logarithms(codes: Codes, n_codes: int) -> NDArray[np.float64]:
 
     _in_panels(codes, layout, take_in)
     np.fill_diagonal(joint, own_logarithms(marginals, layout.first, n_frames))
-    return mirrored(joint)
+    mirror(joint, upper=True)
+    return joint
 
 
 def joint_logarithms_of_counts(
@@ -183,7 +185,7 @@ def joint_logarithms_of_counts(
     """
     marginals = np.diag(counts).astype(np.int64)
     own = own_logarithms(marginals, first, n_frames)
-    joint = np.add.outer(own, own) - xlogy(n_frames, n_frames)
+    joint: NDArray[np.float64] = np.add.outer(own, own) - float(xlogy(n_frames, n_frames))
     moving = np.flatnonzero(np.diff(first))
     begins = first[moving]
     for sensor in moving:
@@ -196,7 +198,8 @@ def joint_logarithms_of_counts(
         cells = np.add.reduceat(_n_log_n(both).sum(axis=0) + _n_log_n(other), begins)
         joint[sensor, moving] = cells + _n_log_n(alone).sum(axis=0) + _n_log_n(neither)
         joint[sensor, sensor] = own[sensor]
-    return mirrored(joint)
+    mirror(joint, upper=True)
+    return joint
 
 
 def own_logarithms(
@@ -208,19 +211,6 @@ def own_logarithms(
     logs = np.zeros(len(first) - 1)
     np.add.at(logs, np.repeat(np.arange(logs.size), np.diff(first)), _n_log_n(marginals))
     return np.asarray(logs + _n_log_n(resting))
-
-
-def mirrored(matrix: NDArray[Any]) -> NDArray[Any]:
-    """Copy what is above the diagonal of a square matrix below it, in place, block by block."""
-    for start in range(0, len(matrix), _MIRRORED):
-        stop = start + _MIRRORED
-        corner = matrix[start:stop, start:stop]
-        below = np.tril_indices(len(corner), -1)
-        corner[below] = corner.T[below]
-        for other in range(stop, len(matrix), _MIRRORED):
-            across = slice(other, other + _MIRRORED)
-            matrix[across, start:stop] = matrix[start:stop, across].T
-    return matrix
 
 
 def _n_log_n(counts: NDArray[np.integer[Any]]) -> NDArray[np.float64]:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from anisomap.numerics.jit import loop
 
 Reals = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
@@ -22,7 +23,7 @@ WIDTH = 512  # so many columns at a time stay in the first-level cache
 REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def shorten(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Range) -> None:
     """Lower ``paths[i, j]`` to the least ``left[i, k] + right[k, j]``: a product of (min, +).
 
@@ -50,7 +51,7 @@ def shorten(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Range
                     lower[j] = min(lower[j], l0 + r0, l1 + r1, l2 + r2, l3 + r3)
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def close(paths: Reals) -> None:
     """Replace a small matrix of lengths by that of its shortest paths: Floyd and Warshall."""
     for k in range(len(paths)):
@@ -59,7 +60,7 @@ def close(paths: Reals) -> None:
                 paths[i, j] = min(paths[i, j], paths[i, k] + paths[k, j])
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def nearest(lengths: Reals, count: int) -> Ints:
     """Give, for each node, the ends of its `count` shortest edges; itself where it has fewer."""
     n_nodes = len(lengths)
@@ -81,7 +82,7 @@ def nearest(lengths: Reals, count: int) -> Ints:
     return ends
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def _sweep(
     tile: Reals, order: Ints, edges: tuple[Ints, Ints, Reals], stamps: Ints, clock: int
 ) -> bool:
@@ -110,7 +111,7 @@ def _sweep(
     return any_shorter
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def relax(
     paths: Reals,
     sources: Ints,
@@ -141,7 +142,7 @@ def relax(
             paths[sources[place], node] = tile[node, place]
 
 
-@numba.njit(nogil=True, cache=True, fastmath=REORDERED, error_model="numpy")
+@loop(fastmath=REORDERED, error_model="numpy")
 def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope: Reals) -> float:
     """Sum the raw stress over the pairs i < j with i in those `rows`.
 
@@ -186,7 +187,7 @@ def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope
     return total
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def add_products(panel: Reals, first: int, sensors: Ints, values: Reals, begins: Ints) -> None:
     """Add products of values of the same frame to ``panel[i - first, j]`` for all j >= i.
 

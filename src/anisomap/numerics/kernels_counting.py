@@ -79,11 +79,8 @@ def compiled(loop: Callable[..., None]) -> Callable[..., None]:
     callable
         The same, fast.
     """
-    numba: Any = import_module("numba")
-    try:
-        fast: Callable[..., None] = numba.njit(loop, cache=True, nogil=True)
-    except RuntimeError:  # no folder that compiled code could be kept in may be written to
-        fast = numba.njit(loop, nogil=True)
+    compiler: Any = import_module("anisomap.numerics.jit")
+    fast: Callable[..., None] = compiler.loop()(loop)
     return fast
 
 

@@ -6,9 +6,10 @@ checked here. All loops run without the interpreter's lock.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from anisomap.numerics.jit import loop
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -19,7 +20,7 @@ Range = tuple[int, int]  # from the first to before the last
 REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def keep_greatest(
     block: Singles, left: int, own: Ints, groups: Ints, greatest: tuple[Ints, Singles]
 ) -> None:
@@ -45,7 +46,7 @@ def keep_greatest(
                 least = kept[count - 1]
 
 
-@numba.njit(nogil=True, cache=True, fastmath=REORDERED)
+@loop(fastmath=REORDERED)
 def add_products(
     series: Singles, still: NDArray[np.bool_], pairs: tuple[Ints, Ints], totals: Floats, part: Range
 ) -> None:
@@ -74,7 +75,7 @@ def add_products(
         totals[pair] += total
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def count_shared(offsets: Ints, ends: Ints, starts: Ints, shared: Ints) -> None:
     """Count, for each edge of a graph, the neighbours that its two ends have in common.
 
@@ -94,7 +95,7 @@ def count_shared(offsets: Ints, ends: Ints, starts: Ints, shared: Ints) -> None:
                 b += 1
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def _sweep(
     tile: Singles, order: Ints, edges: tuple[Ints, Ints, Singles], stamps: Ints, clock: int
 ) -> bool:
@@ -123,7 +124,7 @@ def _sweep(
     return any_shorter
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def relax_from(
     tile: Singles, sources: Ints, order: Ints, edges: tuple[Ints, Ints, Singles]
 ) -> None:
@@ -144,7 +145,7 @@ def relax_from(
         clock += len(tile)
 
 
-@numba.njit(nogil=True, cache=True, fastmath=REORDERED, error_model="numpy")
+@loop(fastmath=REORDERED, error_model="numpy")
 def add_rows_stress(
     points: Singles, anchors: Singles, targets: Singles, rows: Range, slopes: tuple[Floats, Floats]
 ) -> float:
@@ -188,7 +189,7 @@ def add_rows_stress(
     return total
 
 
-@numba.njit(nogil=True, cache=True)
+@loop()
 def add_edges_stress(
     points: Floats, edges: tuple[Ints, Ints, Singles], weight: float, slope: Floats, rows: Range
 ) -> float:
