@@ -31,7 +31,8 @@ class ThreadLimits:
 
     @classmethod
     def of(cls, _):
-        return cls(frozenset(pool["num_threads"] for pool in threadpool_info()))
+        pools = threadpool_info()
+        return cls(frozenset(p["num_threads"] for p in pools if p["user_api"] == "blas"))
 
     def merged(self, other):
         return ThreadLimits(self.limits | other.limits)

@@ -8,7 +8,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import anisomap
-from anisomap import Recording, SensorMapper, reconstruct, streaming
+from anisomap import Recording, SensorMapper, chunks, reconstruct
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.methods import METHODS, MethodOptions
 from anisomap.numerics.accumulators import Moments
@@ -81,8 +81,8 @@ def test_how_chunks_are_cut_does_not_matter_to_the_covariogram():
 @pytest.mark.parametrize("dtype", [np.float32, np.uint8])
 def test_an_array_on_disk_is_gone_through_in_chunks(tmp_path, monkeypatch, dtype):
     np.save(tmp_path / "skin.npy", READINGS.astype(dtype))
-    monkeypatch.setattr(streaming, "CHUNK_READINGS", 300 * 42)
-    monkeypatch.setattr(streaming, "CHUNK_FRAMES", 1)
+    monkeypatch.setattr(chunks, "CHUNK_READINGS", 300 * 42)
+    monkeypatch.setattr(chunks, "CHUNK_FRAMES", 1)
     mapped = np.load(tmp_path / "skin.npy", mmap_mode="r")
     for part in (slice(None), slice(100, 2400)):
         found = reconstruct_chunks(mapped[part] if part.start else mapped, "i-anisomap", 2)
@@ -92,8 +92,8 @@ def test_an_array_on_disk_is_gone_through_in_chunks(tmp_path, monkeypatch, dtype
 
 def test_an_array_on_disk_may_lie_column_after_column(tmp_path, monkeypatch):
     np.save(tmp_path / "skin.npy", np.asfortranarray(READINGS))
-    monkeypatch.setattr(streaming, "CHUNK_READINGS", 300 * 42)
-    monkeypatch.setattr(streaming, "CHUNK_FRAMES", 1)
+    monkeypatch.setattr(chunks, "CHUNK_READINGS", 300 * 42)
+    monkeypatch.setattr(chunks, "CHUNK_FRAMES", 1)
     found = reconstruct_chunks(np.load(tmp_path / "skin.npy", mmap_mode="r"), "r-anisomap", 2)
     expected = reconstruct(SKIN, "r-anisomap", 2)
     np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
@@ -229,8 +229,8 @@ def test_chunks_of_something_else_are_refused(chunks, message):
 
 
 def test_health_is_judged_from_an_excerpt_of_bounded_size(monkeypatch):
-    monkeypatch.setattr(streaming, "EXCERPT_READINGS", 42 * 800)
-    monkeypatch.setattr(streaming, "PIECE_FRAMES", 50)
+    monkeypatch.setattr(chunks, "EXCERPT_READINGS", 42 * 800)
+    monkeypatch.setattr(chunks, "PIECE_FRAMES", 50)
     late = READINGS.copy()
     late[:-40, 7] = 0
     with pytest.warns(AnisomapWarning, match=r"judged from \d+ of 2500 frames"):

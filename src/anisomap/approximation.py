@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from anisomap._listing import listing
 from anisomap._version import __version__
+from anisomap.chunks import CHUNK_READINGS, Chunks, Excerpt, completed, cut
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Matches, SensorHealth, assess, weaknesses
 from anisomap.methods import MethodOptions
@@ -25,7 +26,6 @@ from anisomap.numerics.approximate.placing import Placed, place
 from anisomap.numerics.approximate.sketch import Sketch, sketch
 from anisomap.recording import MissingPolicy, Recording, Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.streaming import CHUNK_READINGS, Chunks, _cut, _Pieces, completed
 
 logger = logging.getLogger(__name__)
 
@@ -130,7 +130,7 @@ def reconstruct_approximately(
     See `anisomap.numerics.approximate` for the steps, and ``docs/large-recordings.md`` for what is
     lost. Sensors that nothing beyond chance relates come out as separate pieces, whatever `mu` is.
     """
-    chunks = readings if callable(readings) else _cut(np.asanyarray(readings))
+    chunks = readings if callable(readings) else cut(np.asanyarray(readings))
     found = relate(chunks, like=names, missing=missing, drop=drop, options=approximate)
     return approximate_map_of(found, dimensions, options=options, exclude=exclude)
 
@@ -157,7 +157,7 @@ def relate(
     Related
     """
     chosen = options or ApproximateOptions()
-    pieces, whole = _Pieces(EXCERPT_READINGS), completed(chunks, missing)
+    pieces, whole = Excerpt(EXCERPT_READINGS), completed(chunks, missing)
 
     def opened() -> Iterator[NDArray[Any]]:
         for chunk in whole():

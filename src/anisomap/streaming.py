@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from mmap import mmap
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.chunks import PIECE_FRAMES, Chunks, Excerpt, completed, cut
+from anisomap.errors import AnisomapWarning
 from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors, find_method
 from anisomap.numerics.checkpoints import Checkpoint
 from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.evidence import sampling_variance
-from anisomap.numerics.gaps import Settled, interpolated, no_gaps, of_same_sensors, whole_frames
 from anisomap.numerics.gathering import ALONE, Crew, gather
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.room import check_room_for_pairs
@@ -32,25 +30,7 @@ from anisomap.sensor_map import SensorMap
 
 logger = logging.getLogger(__name__)
 
-CHUNK_READINGS = 1 << 23
-"""Readings that are taken at a time,"""
-
-CHUNK_FRAMES = 4096
-"""or so many frames of many sensors: merging what was counted takes longer then than counting,"""
-
-MOST_READINGS = 1 << 27
-"""but never more readings than this."""
-
-EXCERPT_READINGS = 1 << 22
-"""Readings that sensor health is judged from, in pieces from all over the recording."""
-
-PIECE_FRAMES = 512
-"""Consecutive frames of a piece."""
-
 _MOST_TO_LOOK_AT = 2000  # sensors, for neighbours among them
-
-Chunks: TypeAlias = Callable[[], Iterable[ArrayLike]]
-"""Opens the readings from the first frame on, each time that it is called: arrays (t, N)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +110,7 @@ def reconstruct_chunks(
     AnisomapWarning
         Once for each of the notes.
     """
-    chunks = readings if callable(readings) else _cut(np.asanyarray(readings))
+    chunks = readings if callable(readings) else cut(np.asanyarray(readings))
     chosen = options or MethodOptions()
     found = gather_similarity(
         chunks,
@@ -172,7 +152,7 @@ def gather_similarity(
     """
     check_priors(method, options, readings=False)
     name = find_method(method).similarity
-    recipe, pieces, whole = CHUNKED[name], _Pieces(), completed(chunks, missing)
+    recipe, pieces, whole = CHUNKED[name], Excerpt(), completed(chunks, missing)
     of = f"{name} of {source or 'frames'}, {options.bins} bins"
     held = Checkpoint(checkpoint, of) if checkpoint else None
 
@@ -212,39 +192,6 @@ def gather_similarity(
         ),
         notes=tuple(notes),
     )
-
-
-def completed(chunks: Chunks, missing: MissingPolicy = "error") -> Settled:
-    """Settle what to do about readings that are NaN or infinite, as `Recording.complete` does.
-
-    Parameters
-    ----------
-    chunks : callable
-        Opens the readings of one recording.
-    missing : {"error", "drop-frames", "interpolate"}
-        Gaps of any length are filled, in memory for two chunks. Only where a gap is longer than a
-        chunk, or a sensor has no reading at all, frames are gone through once more to find where
-        it ends.
-
-    Returns
-    -------
-    callable
-        Opens the readings without gaps, in chunks that may be cut otherwise.
-
-    Raises
-    ------
-    InputError
-        If there is no such policy; once opened, under "error" if a reading is missing, under
-        "drop-frames" if no frame is left, and if chunks are not all of the same sensors.
-    """
-    checked = partial(of_same_sensors, chunks)
-    if missing == "interpolate":
-        return interpolated(checked, CHUNK_READINGS)
-    if missing == "drop-frames":
-        return whole_frames(checked)
-    if missing != "error":
-        raise InputError(f"unknown policy {missing!r}: use error, drop-frames or interpolate")
-    return no_gaps(checked)
 
 
 def map_of(
@@ -308,33 +255,6 @@ def _on_squeezing(found: Gathered, made: SensorMap) -> tuple[str, ...]:
     )
 
 
-def chunk_frames(n_sensors: int) -> int:
-    """Tell how many frames of so many sensors are taken at a time."""
-    few = min(CHUNK_FRAMES, MOST_READINGS // n_sensors)
-    return max(1, CHUNK_READINGS // n_sensors, few)
-
-
-def _cut(readings: NDArray[Any]) -> Chunks:
-    if readings.ndim != 2 or 0 in readings.shape:
-        raise InputError(
-            f"readings have shape {readings.shape}; they must be frames x sensors, shape (T, N)"
-        )
-    n_frames = chunk_frames(readings.shape[1])
-    starts = range(0, len(readings), n_frames)
-    if isinstance(readings, np.memmap) and isinstance(readings.base, mmap):
-        return lambda: (_remapped(readings, start, n_frames) for start in starts)
-    return lambda: (readings[start : start + n_frames] for start in starts)
-
-
-def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[Any]:
-    """Map some frames by themselves: what one large map has touched stays in memory."""
-    if whole.filename is None or not whole.flags.c_contiguous:
-        return whole[start : start + n_frames]
-    shape = (min(n_frames, len(whole) - start), whole.shape[1])
-    offset = whole.offset + start * whole.strides[0]
-    return np.memmap(whole.filename, whole.dtype, "r", offset, shape)
-
-
 def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:
     rounded = np.flatnonzero(values.grains)
     if rounded.size:
@@ -350,34 +270,3 @@ def _revised(sensor: SensorHealth, varies: bool, whole: float) -> SensorHealth:
     if varies and sensor.status in ("dead", "stuck"):
         return replace(judged, status="ok", reason="")
     return judged
-
-
-class _Pieces:
-    """Every so many-th piece of consecutive frames, however many come."""
-
-    def __init__(self, n_readings: int = 0) -> None:
-        self._n_readings = n_readings or EXCERPT_READINGS
-        self.whole = False
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin anew, with the first chunk."""
-        self._kept: list[NDArray[Any]] = []
-        self._stride, self._seen = 1, 0
-
-    def add(self, chunk: NDArray[Any]) -> None:
-        # A chunk of very many sensors is shorter than a piece.
-        most = max(2 * PIECE_FRAMES, self._n_readings // chunk.shape[1])
-        for start in range(0, len(chunk), PIECE_FRAMES):
-            if self._seen % self._stride == 0:
-                self._kept.append(np.array(chunk[start : start + PIECE_FRAMES]))
-            self._seen += 1
-            if sum(map(len, self._kept)) > most:
-                self._kept = self._kept[::2]
-                self._stride *= 2
-
-    def recording(self, like: Recording | Sequence[str]) -> Recording:
-        readings = np.concatenate(self._kept)
-        if isinstance(like, Recording):
-            return replace(like, readings=readings, times=None)
-        return Recording(readings, names=tuple(like))

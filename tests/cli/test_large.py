@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap import streaming
+from anisomap import chunks
 from anisomap.cli import streams
 from skins import flat_skin
 
@@ -36,8 +36,8 @@ def parts(tmp_path):
 def all_is_large(monkeypatch):
     monkeypatch.setattr(streams, "LARGE_BYTES", 0)
     monkeypatch.setattr(streams, "PROBED_BYTES", 0)
-    monkeypatch.setattr(streaming, "CHUNK_READINGS", 42 * 170)
-    monkeypatch.setattr(streaming, "CHUNK_FRAMES", 1)
+    monkeypatch.setattr(chunks, "CHUNK_READINGS", 42 * 170)
+    monkeypatch.setattr(chunks, "CHUNK_FRAMES", 1)
     monkeypatch.setattr(anisomap.formats, "read", None)  # nothing is read as a whole any more
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from anisomap import formats
 from anisomap.approximation import APPROXIMATED, Related, relate
+from anisomap.chunks import chunk_frames, completed
 from anisomap.cli.console import progress
 from anisomap.cli.parameters import sensors
 from anisomap.cli.pipeline import Evidence
@@ -27,7 +28,7 @@ from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors
 from anisomap.numerics.approximate.options import ApproximateOptions
 from anisomap.numerics.gathering import Crew
 from anisomap.recording import MissingPolicy, Recording, default_names
-from anisomap.streaming import Gathered, chunk_frames, completed, gather_similarity
+from anisomap.streaming import Gathered, gather_similarity
 
 LARGE_BYTES = 1 << 29
 """Readings, as float32, that are not read as a whole any more."""
