@@ -133,9 +133,12 @@ class Recording:
         ndarray of bool, shape (N,)
             False for a sensor whose finite readings are all the same, or that has none.
         """
-        missing = ~np.isfinite(self.readings)
-        lowest = np.where(missing, np.inf, self.readings).min(axis=0)
-        highest = np.where(missing, -np.inf, self.readings).max(axis=0)
+        lowest, highest = self.readings.min(axis=0), self.readings.max(axis=0)
+        known = np.isfinite(lowest) & np.isfinite(highest)
+        if not known.all():  # NaN comes out of the one, infinities out of either
+            missing = ~np.isfinite(self.readings)
+            lowest = np.where(missing, np.inf, self.readings).min(axis=0)
+            highest = np.where(missing, -np.inf, self.readings).max(axis=0)
         return np.asarray(highest > lowest)
 
     def indices(self, sensors: Iterable[str | int]) -> NDArray[np.intp]:

@@ -76,6 +76,7 @@ def test_codes_are_kept_where_counts_would_take_more(seed, cuts):
     readings = readings_of(seed)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(chunked, "_MUCH", 0)
+        patch.setattr(chunked, "_COUNTS", 10_000)
         known = ValueCounts.of(readings)
         take = CHUNKED["mutual-information"].prepare(known, OPTIONS.bins)
         assert isinstance(take(readings), KeptCodes)

@@ -122,3 +122,18 @@ def test_maps_are_as_good(always_single, method, readings, monkeypatch):
     monkeypatch.setattr(precision, "SINGLE_FROM", 10_000)
     double = reconstruct(recording, method, 2, judge=False)
     assert mantel(single.positions, double.positions, permutations=0).r > 0.9999
+
+
+@pytest.mark.parametrize("size", [30, 520])  # plainly, and by compiled loops
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_what_is_given_is_left_as_it_is(size, order, dtype):
+    points = np.random.default_rng(0).uniform(size=(size, 2))
+    distances = np.array(squareform(pdist(points)), dtype, order=order)
+    distances[0, 1] = distances[1, 0] = np.inf
+    weights = np.ones_like(distances)
+    before = distances.tobytes(), weights.tobytes()
+    smacof(distances, dimensions=2, weights=weights)
+    torgerson(metricise(distances), 2)
+    regularised_reciprocal(distances)
+    assert (distances.tobytes(), weights.tobytes()) == before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,13 +143,15 @@ def _observe_alone(readings: NDArray[np.float64]) -> _Alone:
     rest = estimate_rest(readings)
     active = rest.active(readings)
     # The far end of the range on the side of contact: where a sensor that saturates is held.
-    ceiling = (rest.side * readings).max(axis=0)
+    towards_contact = rest.side * readings
+    at_ceiling = active & (towards_contact == towards_contact.max(axis=0))
+    at_one, at_two = _lag_correlations(readings, (1, 2))
     return _Alone(
         rest=rest,
         active=active,
-        at_ceiling=_share(active & (rest.side * readings == ceiling), active),
-        at_one=_lag_correlation(readings, 1),
-        at_two=_lag_correlation(readings, 2),
+        at_ceiling=_share(at_ceiling, active),
+        at_one=at_one,
+        at_two=at_two,
     )
 
 
@@ -160,7 +163,7 @@ def _find_matches(readings: NDArray[np.floating]) -> Matches:
     if n_sensors > _ALL_PAIRS:
         found, r = most_alike(np.ascontiguousarray(_standardised(readings).T), count)
         return Matches(found, r[:, 0].astype(np.float64))
-    correlation = pearson(readings.astype(np.float64))
+    correlation = pearson(readings)
     np.fill_diagonal(correlation, -np.inf)
     kin = np.argpartition(-correlation, count - 1, axis=1)[:, :count]
     return Matches(kin.astype(np.int64), correlation.max(axis=1))
@@ -177,10 +180,14 @@ def _unexplained(active: NDArray[np.bool_], kin: NDArray[np.int64]) -> NDArray[n
     return np.asarray(counted / np.maximum(np.count_nonzero(series, axis=1), 1))
 
 
-def _lag_correlation(readings: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
+def _lag_correlations(
+    readings: NDArray[np.float64], lags: Iterable[int]
+) -> Iterator[NDArray[np.float64]]:
     centred = readings - readings.mean(axis=0)
     centred /= np.abs(centred).max(axis=0)
-    return np.asarray((centred[lag:] * centred[:-lag]).sum(axis=0) / (centred**2).sum(axis=0))
+    of_itself = np.einsum("ti,ti->i", centred, centred)
+    for lag in lags:
+        yield np.einsum("ti,ti->i", centred[lag:], centred[:-lag]) / of_itself
 
 
 def _noise_share(at_one: NDArray[np.float64], at_two: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.numerics.columns import columns, counted
+
 ATOM = 0.1
 """A value that holds at least this share of a sensor's frames is a rest, not a coincidence."""
 
@@ -86,18 +88,18 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     that reach about equally far on both sides (the pixels of a camera) have no rest to leave:
     what is beyond their median counts as active.
     """
-    counted = (np.unique(column, return_counts=True) for column in np.asarray(readings).T)
-    return rest_of_counts((values.astype(np.float64), counts) for values, counts in counted)
+    found = map(counted, columns(np.asarray(readings)))
+    return rest_of_counts((values.astype(np.float64), counts) for values, counts in found)
 
 
 def rest_of_counts(
-    counted: Iterable[tuple[NDArray[np.float64], NDArray[np.integer[Any]]]],
+    values_and_counts: Iterable[tuple[NDArray[np.float64], NDArray[np.integer[Any]]]],
 ) -> Rest:
     """Estimate where each sensor rests from which values it read how often.
 
     Parameters
     ----------
-    counted : iterable of (ndarray, ndarray of int)
+    values_and_counts : iterable of (ndarray, ndarray of int)
         For each sensor its distinct values, in increasing order, and how often each occurred.
 
     Returns
@@ -105,7 +107,7 @@ def rest_of_counts(
     Rest
         As from `estimate_rest`.
     """
-    rest, side, threshold = np.array([_rest_of(*pair) for pair in counted]).T
+    rest, side, threshold = np.array([_rest_of(*pair) for pair in values_and_counts]).T
     return Rest(value=rest, side=side, threshold=threshold)
 
 

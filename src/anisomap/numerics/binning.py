@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
+from anisomap.numerics.columns import columns, counted
 
 DEFAULT_BINS = 4
 """The paper's number of bins; it reports that 6 and 8 gave similar results."""
@@ -87,12 +88,12 @@ def maximum_entropy_codes(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDAr
     if bins > np.iinfo(np.uint16).max + 1:
         raise InputError(f"{bins} bins are more than the 65536 that codes can tell apart")
     values = np.asarray(readings)
-    codes = np.empty(values.shape, dtype=np.uint16)
-    for sensor, column in enumerate(values.T):
-        distinct, counts = np.unique(column, return_counts=True)
+    codes = np.empty(values.shape[::-1], dtype=np.uint16)
+    for sensor, column in enumerate(columns(values)):
+        distinct, counts = counted(column)
         found = maximum_entropy_bins(counts, bins)
         # Where the bin changes, of which there are few: faster than a place for every reading.
         changes = np.flatnonzero(np.diff(found)) + 1
         runs = found[np.concatenate([[0], changes])]
-        codes[:, sensor] = runs[np.searchsorted(distinct[changes], column, side="right")]
-    return codes
+        codes[sensor] = runs[np.searchsorted(distinct[changes], column, side="right")]
+    return np.ascontiguousarray(codes.T)

@@ -18,7 +18,7 @@ _SHARE_OF_INDIRECT = 0.1
 _CAUTION = 5.0
 
 
-def symmetric(matrix: ArrayLike, what: str) -> Reals:
+def symmetric(matrix: ArrayLike, what: str, *, copy: bool = True) -> Reals:
     """Check that a matrix is square, free of NaN and symmetric, and make it so to the last bit.
 
     Parameters
@@ -27,6 +27,8 @@ def symmetric(matrix: ArrayLike, what: str) -> Reals:
         Infinities are allowed.
     what : str
         What to call it in an error: ``"similarity"``.
+    copy : bool
+        If not, the matrix itself may be returned, which must not be changed then.
 
     Returns
     -------
@@ -39,7 +41,7 @@ def symmetric(matrix: ArrayLike, what: str) -> Reals:
     InputError
         If it is not square, holds NaN, or differs from its transpose by more than rounding.
     """
-    values = as_reals(matrix)
+    values = as_reals(matrix, copy=copy)
     if values.ndim != 2 or values.shape[0] != values.shape[1] or not values.size:
         raise InputError(f"the {what} matrix has shape {values.shape}; it must be square, (N, N)")
     if np.isnan(values.min()):

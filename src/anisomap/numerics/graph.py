@@ -15,13 +15,15 @@ from anisomap.numerics.precision import Reals
 from anisomap.numerics.shortest_paths import shortest_paths
 
 
-def check_semi_metric(dissimilarity: ArrayLike) -> Reals:
+def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
     """Check that a matrix can be read as lengths of edges.
 
     Parameters
     ----------
     dissimilarity : array_like of shape (N, N)
         Infinite where there is no edge.
+    copy : bool
+        If not, it may be returned itself, and must not be changed then.
 
     Returns
     -------
@@ -33,7 +35,7 @@ def check_semi_metric(dissimilarity: ArrayLike) -> Reals:
     InputError
         If it is not symmetric, holds NaN or a negative length, or its diagonal is not zero.
     """
-    lengths = symmetric(dissimilarity, "dissimilarity")
+    lengths = symmetric(dissimilarity, "dissimilarity", copy=copy)
     if lengths.min() < 0:
         i, j = np.argwhere(lengths < 0)[0]
         raise InputError(
@@ -71,7 +73,7 @@ def metricise(dissimilarity: ArrayLike) -> Reals:
     From 500 objects on the same by compiled loops: see `anisomap.numerics.shortest_paths`. What is
     given in float32 is worked out in it, and right to about 1e-6.
     """
-    lengths = check_semi_metric(dissimilarity)
+    lengths = check_semi_metric(dissimilarity, copy=False)
     if len(lengths) >= COMPILED_FROM:
         return shortest_paths(lengths)
     # Only inf means "no edge": a dense 0 would be read as none, and twins would come out far apart.

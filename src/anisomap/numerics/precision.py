@@ -27,10 +27,17 @@ def held_as(n_sensors: int) -> type[np.float32] | type[np.float64]:
     return np.float32 if n_sensors >= SINGLE_FROM else np.float64
 
 
-def as_reals(values: ArrayLike) -> Reals:
-    """Give an array as it is if it is float32, and in float64 otherwise; a copy in any case."""
+def as_reals(values: ArrayLike, *, copy: bool = True) -> Reals:
+    """Give an array in float32 if that is what it is, else in float64; a copy unless told not to.
+
+    Parameters
+    ----------
+    values : array_like
+    copy : bool
+        If not, it may be the array itself, which must not be changed then.
+    """
     single = getattr(values, "dtype", None) == np.float32
-    return np.array(values, dtype=np.float32 if single else np.float64)
+    return np.array(values, dtype=np.float32 if single else np.float64, copy=copy or None, order="C")
 
 
 def rows_at_a_time(n_rows: int, n_columns: int | None = None) -> Iterator[slice]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -114,8 +114,7 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     centring is applied as an operator, so the leading vectors of a large matrix cost only products
     with it.
     """
-    squares = check_semi_metric(distances)
-    squares *= squares
+    squares = np.square(check_semi_metric(distances, copy=False))
     if dimensions < 1:
         raise InputError(f"{dimensions} dimensions hold no map; use 1 or more")
     if not np.isfinite(squares.max()):
@@ -202,14 +201,14 @@ def smacof(
     loops.
     """
     chosen = options or SmacofOptions()
-    targets = check_semi_metric(distances)
+    targets = check_semi_metric(distances, copy=False)
     problem = Problem(targets, _check_weights(weights, targets))
     known = targets if problem.all_alike else _known(problem)
     if start is None:
         start = torgerson(known if np.isfinite(known.max()) else metricise(known), dimensions)
     positions = _check_start(start, len(targets))
     if not problem.all_alike:
-        targets[np.isinf(targets)] = 0
+        problem = replace(problem, targets=np.where(np.isinf(targets), 0, targets))
     find = SOLVERS[chosen.solver]
     positions, trace, converged = find(problem, positions, chosen.tolerance, chosen.max_iterations)
     if not converged and chosen.max_iterations:

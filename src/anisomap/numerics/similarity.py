@@ -190,7 +190,7 @@ def information_of_logarithms(joint: NDArray[np.float64], n_frames: int) -> Real
 def _squarable(readings: ArrayLike) -> NDArray[np.generic]:
     """Bring readings whose squares would overflow or vanish near 1, by powers of 2: exactly."""
     values = np.asarray(readings)
-    if values.dtype.kind != "f":
+    if values.dtype.kind != "f" or values.dtype.itemsize < np.dtype(np.float64).itemsize:
         return values
     reach = np.abs(values).max(axis=0, initial=0).astype(np.float64)
     if not ((reach > _LARGEST) | ((reach < 1 / _LARGEST) & (reach > 0))).any():
