@@ -133,7 +133,7 @@ def reconstruct(
             f"ever vary and are not dropped); a map takes at least {chosen.fewest_sensors}"
         )
     part = ... if taking_part.all() else np.ix_(taking_part, taking_part)
-    check_room_for_pairs(int(np.count_nonzero(taking_part)))
+    check_room_for_pairs(int(np.count_nonzero(taking_part)), refined=recipe.refine is not None)
     counts = None if weights is None else _checked_weights(weights, n_sensors)[part]
     everything_known = counts is None or bool((counts[~np.eye(len(counts), dtype=bool)] > 0).all())
     check_priors(

@@ -151,7 +151,7 @@ def gather_similarity(
     Gathered
     """
     check_priors(method, options, readings=False)
-    name = find_method(method).similarity
+    name, refined = find_method(method).similarity, find_method(method).refine is not None
     recipe, pieces, whole = CHUNKED[name], Excerpt(), completed(chunks, missing)
     of = f"{name} of {source or 'frames'}, {options.bins} bins"
     held = Checkpoint(checkpoint, of) if checkpoint else None
@@ -162,7 +162,7 @@ def gather_similarity(
         if watching:
             pieces.forget()
         for chunk in whole():
-            check_room_for_pairs(chunk.shape[1])
+            check_room_for_pairs(chunk.shape[1], refined=refined)
             if watching:
                 pieces.add(chunk)
             yield chunk

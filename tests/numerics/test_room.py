@@ -26,16 +26,17 @@ def test_there_is_memory():
 def test_where_it_cannot_be_asked_nothing_is_refused(monkeypatch):
     monkeypatch.delattr(os, "sysconf")
     assert physical_memory() is None
-    check_room_for_pairs(10**9)
+    check_room_for_pairs(10**9, refined=True)
 
 
 def test_as_many_sensors_as_a_common_machine_has_room_for(monkeypatch):
     monkeypatch.setattr(room, "physical_memory", lambda: 24 << 30)
-    check_room_for_pairs(20_000)
+    for refined in (False, True):
+        check_room_for_pairs(20_000, refined=refined)
     with pytest.raises(
         InputError, match=r"100000 sensors .* takes about 298 GiB .* has 24; .*appr"
     ):
-        check_room_for_pairs(100_000)
+        check_room_for_pairs(100_000, refined=False)
 
 
 def test_maps_say_so_before_they_are_begun(small_machine):

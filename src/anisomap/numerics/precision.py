@@ -37,7 +37,9 @@ def as_reals(values: ArrayLike, *, copy: bool = True) -> Reals:
         If not, it may be the array itself, which must not be changed then.
     """
     single = getattr(values, "dtype", None) == np.float32
-    return np.array(values, dtype=np.float32 if single else np.float64, copy=copy or None, order="C")
+    return np.array(
+        values, dtype=np.float32 if single else np.float64, copy=copy or None, order="C"
+    )
 
 
 def rows_at_a_time(n_rows: int, n_columns: int | None = None) -> Iterator[slice]:
