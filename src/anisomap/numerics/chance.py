@@ -145,7 +145,8 @@ def followed_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.boo
     strong = links >= FOLLOWED * math.sqrt(2 * math.log(n_pairs))
     np.fill_diagonal(strong, val=False)
     followed = _borne_out(strong)
-    parts = connected_components(followed, directed=False)[1]
+    graph: Any = csr_array(followed)
+    parts = connected_components(graph, directed=False)[1]
     together = np.bincount(parts).max() / n_sensors
     if together < TOGETHER or np.median(np.count_nonzero(followed, axis=1)) < SEVERAL:
         return ~np.eye(n_sensors, dtype=bool)

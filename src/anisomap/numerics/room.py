@@ -10,7 +10,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.precision import held_as
 
 MATRICES, MATRICES_OF_REFINED = 8, 11
-"""Matrices of all pairs that making a map takes at once, if it is only scaled, and if it is refined.
+"""Matrices of all pairs that making a map takes at once: if it is only scaled, and if refined.
 
 Of 20,000 sensors, 7.4 and 10.3 were measured.
 """
