@@ -117,15 +117,7 @@ def tiled_torso(path: Path, n_sensors: int, n_frames: int) -> Readings:
     presses or that of the other copy, whichever is more: so the joints hold together as the rest
     of the skin does. Sensors are taken from one end on.
     """
-    with np.load(path, allow_pickle=False) as stored:
-        readings, places = (
-            stored["readings"][:n_frames],
-            stored["positions"][:, :2].astype(np.float64),
-        )
-    order = np.argsort(places[:, 0], kind="stable")
-    order = order[np.ptp(readings, axis=0)[order] > 0]
-    readings, places = readings[:, order], places[order]
-    shift = np.array([(1 - _OVERLAP) * np.ptp(places[:, 0]), 0.0])
+    readings, places, shift = _tile(path, n_frames)
     here, there = _met(places, shift)
     rng = np.random.default_rng(0)
     copies = -(-n_sensors // len(places))
@@ -136,6 +128,26 @@ def tiled_torso(path: Path, n_sensors: int, n_frames: int) -> Readings:
         right[:, here] = np.maximum(right[:, here], rolled[number][:, there])
         left[:, there] = np.maximum(left[:, there], rolled[number + 1][:, here])
     return np.ascontiguousarray(np.hstack(tiles)[:, :n_sensors], dtype=np.float32)
+
+
+def tiled_places(path: Path, n_sensors: int, n_frames: int) -> Matrix:
+    """Tell where the sensors of `tiled_torso` are, shape (N, 2)."""
+    _, places, shift = _tile(path, n_frames)
+    copies = -(-n_sensors // len(places))
+    return np.concatenate([places + number * shift for number in range(copies)])[:n_sensors]
+
+
+def _tile(path: Path, n_frames: int) -> tuple[Readings, Matrix, Matrix]:
+    """Give a real skin's readings and places, from one end on, and how far its copies are apart."""
+    with np.load(path, allow_pickle=False) as stored:
+        readings, places = (
+            stored["readings"][:n_frames],
+            stored["positions"][:, :2].astype(np.float64),
+        )
+    order = np.argsort(places[:, 0], kind="stable")
+    order = order[np.ptp(readings, axis=0)[order] > 0]
+    shift = np.array([(1 - _OVERLAP) * np.ptp(places[order][:, 0]), 0.0])
+    return readings[:, order], places[order], shift
 
 
 def _met(places: Matrix, shift: Matrix) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from benchmarks.inputs import tiled_places, tiled_torso
 
 import anisomap
 from anisomap import Recording, reconstruct, score
@@ -401,3 +402,12 @@ def test_bins_of_continuous_readings_are_all_used(recordings_folder):
         assert (entropy <= np.log(bins) + 1e-12).all()
         assert mantel_r(reconstruct(recording, "isomap", 2, options=MethodOptions(bins=bins)),
                         recording) > 0.88  # fmt: skip
+
+
+@uneven
+def test_copies_of_a_real_skin_side_by_side_are_one_large_skin(recordings_folder):
+    # By chance 1,300 sensors make so many links that maps which follow them all reach only .66.
+    skin = recordings_folder / "icub_torso.npz"
+    truth = tiled_places(skin, 1300, 28_000)
+    recording = Recording(tiled_torso(skin, 1300, 28_000), positions=truth)
+    assert mantel_r(reconstruct(recording, dimensions=2, judge=False), recording) > 0.985

@@ -140,7 +140,7 @@ def reconstruct(
         method, chosen, readings=recording is not None and not matrices and everything_known
     )
     stages = compute_stages(
-        None if recording is None or matrices else recording.complete().readings[:, taking_part],
+        None if recording is None or matrices else _readings_of(recording, taking_part),
         method,
         chosen,
         **{what: matrix[part] for what, matrix in matrices.items()},
@@ -240,6 +240,11 @@ def _lacks_evidence(confidence: float) -> Iterator[str]:
             f"one is expected to reach a Mantel r of {confidence:.2f} only; record longer, and "
             "touch all of the skin"
         )
+
+
+def _readings_of(recording: Recording, sensors: NDArray[np.bool_]) -> NDArray[np.floating]:
+    readings = recording.complete().readings
+    return readings if sensors.all() else readings[:, sensors]
 
 
 def _count_sensors(recording: Recording | None, matrices: Mapping[str, NDArray[np.generic]]) -> int:
