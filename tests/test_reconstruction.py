@@ -417,3 +417,26 @@ def test_copies_of_a_real_skin_side_by_side_are_one_large_skin(recordings_folder
         dimensions=2, similarity=pearson(readings), noise=sampling_variance(readings)
     )
     assert mantel(found.positions, truth, permutations=0).r > 0.985
+
+
+@pytest.mark.parametrize("method", ["covariogram", "r-anisomap", "isomap"])
+@pytest.mark.parametrize("nonsense", [1.0, np.nan])
+def test_what_stands_at_unknown_pairs_does_not_matter(method, nonsense):
+    skin = flat_skin()
+    how = "i-anisomap" if method == "isomap" else "r-anisomap"
+    similarity = np.array(compute_stages(skin.readings, how).similarity)
+    rng = np.random.default_rng(0)
+    unknown = np.triu(rng.uniform(size=similarity.shape) < 0.1, 1)
+    unknown |= unknown.T
+    maps = []
+    for value in (0.0, nonsense):
+        given = np.where(unknown, value, similarity)
+        maps.append(reconstruct(None, method, 2, similarity=given, weights=~unknown).positions)
+    np.testing.assert_array_equal(*maps)
+    assert mantel(maps[0], skin.positions, permutations=0).r > (0.6 if method == "isomap" else 0.95)
+
+
+@pytest.mark.parametrize("matrix", [[["a", "b"], ["c", "d"]], [[1, 2], [3]], np.eye(3) * 1j])
+def test_what_is_no_matrix_is_refused(matrix):
+    with pytest.raises(InputError, match="no matrix of real numbers"):
+        reconstruct(similarity=matrix)

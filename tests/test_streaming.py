@@ -251,3 +251,31 @@ def test_even_spacing_is_refused_before_all_frames_are_read():
 
     with pytest.raises(InputError, match="even spacing"):
         reconstruct_chunks(unread, options=MethodOptions(even_spacing=True))
+
+
+@pytest.mark.parametrize("unit", [1e200, 1e-200])
+def test_readings_in_an_impossible_unit_are_refused(unit):
+    readings = READINGS.astype(np.float64)
+    readings[:, 3] *= unit
+    with pytest.raises(InputError, match=r"sensor 3 reads up to .* use another unit"):
+        reconstruct_chunks(readings, "r-anisomap", 2)
+
+
+def test_long_doubles_are_read_as_doubles():
+    found = reconstruct_chunks(READINGS.astype(np.longdouble), "r-anisomap", 2)
+    expected = reconstruct_chunks(READINGS, "r-anisomap", 2)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-9)
+
+
+def test_what_was_changed_in_memory_counts(tmp_path):
+    np.save(tmp_path / "skin.npy", READINGS)
+    mapped = np.load(tmp_path / "skin.npy", mmap_mode="c")
+    mapped[:, 3] = 0
+    with pytest.warns(AnisomapWarning, match="1 of 42 sensors never vary"):
+        found = reconstruct_chunks(mapped, "r-anisomap", 2)
+    assert not found.placed[3]
+
+
+def test_too_many_bins_are_refused():
+    with pytest.raises(InputError, match="70000 bins are more"):
+        reconstruct_chunks(READINGS, "i-anisomap", options=MethodOptions(bins=70_000))

@@ -60,8 +60,11 @@ def cut(readings: NDArray[Any]) -> Chunks:
 
 
 def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[Any]:
-    """Map some frames by themselves: what one large map has touched stays in memory."""
-    if whole.filename is None or not whole.flags.c_contiguous:
+    """Map some frames by themselves: what one large map has touched stays in memory.
+
+    What was changed in memory alone, as "copy on write" allows, is not in the file.
+    """
+    if whole.mode == "c" or whole.filename is None or not whole.flags.c_contiguous:
         return whole[start : start + n_frames]
     shape = (min(n_frames, len(whole) - start), whole.shape[1])
     offset = whole.offset + start * whole.strides[0]

@@ -215,11 +215,12 @@ def _contact_fit(
 def _neighbour_edges(evidence: Evidence, options: MethodOptions) -> Matrix:
     """Information distance between neighbours, and no edge between any others."""
     similarity = evidence.similarity
+    ranked = np.where(evidence.known, similarity, -np.inf)
     if options.n_neighbours is None:
-        joined, n_neighbours = smallest_connected_neighbour_graph(similarity)
+        joined, n_neighbours = smallest_connected_neighbour_graph(ranked)
         logger.info("%d neighbours connect every sensor", n_neighbours)
     else:
-        joined = neighbour_graph(similarity, options.n_neighbours)
+        joined = neighbour_graph(ranked, options.n_neighbours)
     edges = np.where(joined, information_distance(similarity), np.inf)
     np.fill_diagonal(edges, 0)
     return edges
@@ -358,6 +359,9 @@ def compute_stages(
     if dissimilarity is not None:
         checked = check_semi_metric(dissimilarity)
         return Stages(None, checked, recipe.metric(checked))
+    if known is not None and similarity is not None:
+        told = np.asarray(known, dtype=bool) | np.eye(len(np.asarray(known)), dtype=bool)
+        similarity = np.where(told, similarity, 0)  # whatever stands there, NaN among it
     evidence = _gathered(readings, recipe, chosen, similarity, noise)
     if known is not None:
         evidence = evidence.knowing(np.asarray(known, dtype=bool))

@@ -38,6 +38,8 @@ from anisomap.sensor_map import UNPLACED, SensorMap
 
 logger = logging.getLogger(__name__)
 
+_SINGLE_RANGE = 1e15
+
 
 def reconstruct(
     recording: Recording | None = None,
@@ -119,7 +121,9 @@ def reconstruct(
     if dimensions < 1:
         raise InputError(f"{dimensions} dimensions hold no map; use 2 or 3")
     given = {"similarity": similarity, "dissimilarity": dissimilarity, "metric": metric}
-    matrices = {what: _as_held(matrix) for what, matrix in given.items() if matrix is not None}
+    matrices = {
+        what: _as_held(matrix, what) for what, matrix in given.items() if matrix is not None
+    }
     n_sensors = _count_sensors(recording, matrices)
     sensor_names = (tuple(names) if recording is None else recording.names) or default_names(
         n_sensors
@@ -264,9 +268,23 @@ def _count_sensors(recording: Recording | None, matrices: Mapping[str, NDArray[n
     return int(expected[0])
 
 
-def _as_held(matrix: ArrayLike) -> NDArray[np.generic]:
-    values = np.asarray(matrix)
-    return np.asarray(values, held_as(len(values))) if values.ndim else values
+def _as_held(matrix: ArrayLike, what: str) -> Reals:
+    """Give a matrix in the type in which so many sensors are held, if it can be held in it."""
+    try:
+        values = np.asarray(matrix)
+    except ValueError:
+        values = np.asarray(None)
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"the {what} is no matrix of real numbers; it must be of shape (N, N)")
+    dtype = held_as(len(values)) if values.ndim else np.float64
+    if dtype == np.float32 and values.dtype == np.float64:
+        largest = float(values.max(where=np.isfinite(values), initial=0))
+        if largest and not 1 / _SINGLE_RANGE < largest < _SINGLE_RANGE:
+            raise InputError(
+                f"the {what} reaches {largest:g}; of so many sensors matrices are held in single "
+                "precision: divide it by that, so that its greatest number is 1"
+            )
+    return np.asarray(values, dtype)
 
 
 def _mask(names: tuple[str, ...], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
@@ -300,7 +318,7 @@ def _checked_noise(noise: ArrayLike, n_sensors: int) -> Reals:
 
 
 def _square(matrix: ArrayLike, what: str, n_sensors: int) -> Reals:
-    values: Reals = np.asarray(matrix, dtype=held_as(n_sensors))
+    values = _as_held(matrix, what)
     if values.shape != (n_sensors, n_sensors):
         raise InputError(
             f"the {what} have shape {values.shape}; they must be ({n_sensors}, {n_sensors})"

@@ -84,9 +84,15 @@ class Evidence:
         return Evidence(self.similarity[inside], self.noise[inside], self.known[inside], readings)
 
     def knowing(self, known: NDArray[np.bool_]) -> Evidence:
-        """Take some pairs for unknown, and the readings with them, which would tell of them."""
-        everything = bool((known | np.eye(len(known), dtype=bool)).all())
-        return replace(self, known=known, readings=self.readings if everything else None)
+        """Take some pairs for unknown, and the readings with them, which would tell of them.
+
+        Whatever their similarity was said to be, it is 0 from then on.
+        """
+        told = known | np.eye(len(known), dtype=bool)
+        if told.all():
+            return replace(self, known=known)
+        alike = np.where(told, self.similarity, 0)
+        return replace(self, similarity=alike, known=known, readings=None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.chunks import PIECE_FRAMES, Chunks, Excerpt, completed, cut
-from anisomap.errors import AnisomapWarning
+from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors, find_method
 from anisomap.numerics.checkpoints import Checkpoint
@@ -21,7 +21,7 @@ from anisomap.numerics.chunked import CHUNKED
 from anisomap.numerics.evidence import sampling_variance
 from anisomap.numerics.gathering import ALONE, Crew, gather
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.room import check_room_for_pairs
+from anisomap.numerics.room import check_room_for_pairs, check_room_for_workers
 from anisomap.numerics.values import ValueCounts
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
@@ -30,6 +30,7 @@ from anisomap.sensor_map import SensorMap
 
 logger = logging.getLogger(__name__)
 
+_LARGEST = 1e100  # its square is far from the ends of float64
 _MOST_TO_LOOK_AT = 2000  # sensors, for neighbours among them
 
 
@@ -163,6 +164,8 @@ def gather_similarity(
             pieces.forget()
         for chunk in whole():
             check_room_for_pairs(chunk.shape[1], refined=refined)
+            check_room_for_workers(chunk.shape[1], crew.workers)
+            _check_unit(chunk)
             if watching:
                 pieces.add(chunk)
             yield chunk
@@ -253,6 +256,19 @@ def _on_squeezing(found: Gathered, made: SensorMap) -> tuple[str, ...]:
         made.positions[largest],
         found.similarity[np.ix_(largest, largest)],
     )
+
+
+def _check_unit(chunk: NDArray[Any]) -> None:
+    """Refuse readings whose squares float64 does not hold: a unit is chosen for all frames."""
+    if chunk.dtype != np.float64:
+        return
+    reach = np.abs(chunk).max(axis=0)
+    beyond = np.flatnonzero((reach > _LARGEST) | ((reach < 1 / _LARGEST) & (reach > 0)))
+    if beyond.size:
+        raise InputError(
+            f"sensor {beyond[0]} reads up to {reach[beyond[0]]:g}; readings that come in chunks "
+            f"must be 0 or between {1 / _LARGEST:g} and {_LARGEST:g}: use another unit"
+        )
 
 
 def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:

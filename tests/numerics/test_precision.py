@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap import Recording, reconstruct
+from anisomap.errors import InputError
 from anisomap.evaluation import mantel
 from anisomap.numerics import precision, shortest_paths
 from anisomap.numerics.chance import related_pieces
@@ -137,3 +138,11 @@ def test_what_is_given_is_left_as_it_is(size, order, dtype):
     torgerson(metricise(distances), 2)
     regularised_reciprocal(distances)
     assert (distances.tobytes(), weights.tobytes()) == before
+
+
+@pytest.mark.parametrize("what", ["similarity", "dissimilarity", "metric"])
+@pytest.mark.parametrize("unit", [1e-30, 1e20, 1e39])
+def test_matrices_that_float32_cannot_hold_are_refused(always_single, what, unit):
+    distances = squareform(pdist(np.random.default_rng(0).uniform(size=(20, 2))))
+    with pytest.raises(InputError, match=f"the {what} reaches .* so that its greatest number is 1"):
+        reconstruct(method="r-anisomap", **{what: unit * distances})

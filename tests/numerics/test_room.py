@@ -9,6 +9,7 @@ from anisomap import reconstruct
 from anisomap.errors import InputError
 from anisomap.numerics import room
 from anisomap.numerics.chunked import CHUNKED
+from anisomap.numerics.gathering import Crew
 from anisomap.numerics.room import check_room_for_pairs, physical_memory
 from anisomap.numerics.values import ValueCounts
 from anisomap.streaming import reconstruct_chunks
@@ -45,6 +46,13 @@ def test_maps_say_so_before_they_are_begun(small_machine):
         reconstruct_chunks(readings, "r-anisomap")
     with pytest.raises(InputError, match="60 sensors"):
         reconstruct(similarity=np.corrcoef(readings.T))
+
+
+def test_workers_say_so_that_would_hold_too_much_at_once(monkeypatch):
+    readings = np.random.default_rng(0).uniform(size=(50, 60))
+    monkeypatch.setattr(room, "physical_memory", lambda: 11 * 8 * 60**2)
+    with pytest.raises(InputError, match=r"5 workers .* 60 sensors .* use fewer workers"):
+        reconstruct_chunks(readings, "covariogram", crew=Crew(5))
 
 
 def test_counts_of_all_bins_say_so(small_machine):

@@ -107,6 +107,20 @@ def test_the_way_in_float32_ends_where_that_in_float64_does(always_compiled, see
     assert found.raw_stress == pytest.approx(excess.sum(), rel=1e-12)
 
 
+def test_where_the_start_lies_does_not_matter(always_compiled):
+    distances = bent_skin(11, 0)
+    start = torgerson(distances, 2)
+    near, far = (smacof(distances, start=start + shift).trace for shift in (0, 1e7))
+    assert far[0] == pytest.approx(near[0], rel=1e-6)
+    assert far[-1] == pytest.approx(near[-1], rel=1e-6)
+
+
+def test_a_point_of_hardly_any_weight_is_scaled_without_float32(always_compiled):
+    weights = np.ones((121, 121))
+    weights[5] = weights[:, 5] = 1e-50
+    assert Problem(bent_skin(11, 0), weights).single() is None
+
+
 @pytest.mark.parametrize("most", [0, 1, 7, 12])
 def test_both_ways_together_take_no_more_steps_than_allowed(always_compiled, most):
     found = smacof(bent_skin(11, 0), dimensions=2, options=SmacofOptions(0, most))

@@ -46,7 +46,7 @@ class LargeOptions:
     Parameters
     ----------
     workers
-        Threads that go through the recording side by side, as many as there are cores at most.
+        Threads that go through the recording side by side; more than cores gain nothing.
     dask
         Let the workers of a Dask cluster do it: address of its scheduler, as in tcp://host:8786.
     checkpoint

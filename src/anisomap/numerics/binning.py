@@ -11,6 +11,9 @@ from anisomap.numerics.columns import columns, counted
 DEFAULT_BINS = 4
 """The paper's number of bins; it reports that 6 and 8 gave similar results."""
 
+MOST_BINS = 1 << 16
+"""As many as 16 bits tell apart."""
+
 
 def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray[np.intp]:
     """Share m distinct values out over bins so that the bins are as equally full as ties allow.
@@ -31,7 +34,7 @@ def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray
     Raises
     ------
     InputError
-        If `bins` is less than 2.
+        If `bins` is less than 2, or more than 65,536.
 
     Notes
     -----
@@ -44,6 +47,8 @@ def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray
     """
     if bins < 2:
         raise InputError(f"{bins} bins tell nothing apart; use 2 or more")
+    if bins > MOST_BINS:
+        raise InputError(f"{bins} bins are more than the {MOST_BINS} that codes can tell apart")
     mass = np.asarray(counts, dtype=np.int64)
     atoms = np.zeros(mass.size, dtype=bool)
     free = bins
@@ -85,8 +90,6 @@ def maximum_entropy_codes(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDAr
     InputError
         If `bins` is less than 2, or more than 65,536.
     """
-    if bins > np.iinfo(np.uint16).max + 1:
-        raise InputError(f"{bins} bins are more than the 65536 that codes can tell apart")
     values = np.asarray(readings)
     codes = np.empty(values.shape[::-1], dtype=np.uint16)
     for sensor, column in enumerate(columns(values)):

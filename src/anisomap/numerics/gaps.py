@@ -178,6 +178,8 @@ def of_same_sensors(chunks: Callable[[], Iterable[ArrayLike]]) -> Iterator[Readi
     n_sensors, done = None, 0
     for chunk in chunks():
         array = np.asarray(chunk)
+        if array.dtype.kind == "f" and array.dtype.itemsize > np.dtype(np.float64).itemsize:
+            array = array.astype(np.float64)
         if array.dtype.kind not in "biuf" or array.ndim != 2:
             raise InputError(
                 f"a chunk of readings is of type {array.dtype} and shape {array.shape}; it must "

@@ -70,8 +70,8 @@ def metricise(dissimilarity: ArrayLike) -> Reals:
     Notes
     -----
     McGregor et al. (2011), section "ANISOMAP", step 2, and Text S3. Floyd (1962), Warshall (1962).
-    From 500 objects on the same by compiled loops: see `anisomap.numerics.shortest_paths`. What is
-    given in float32 is worked out in it, and right to about 1e-6.
+    From 500 objects on the same by compiled loops: see `anisomap.numerics.shortest_paths`. Of so
+    many, what is given in float32 is worked out in it, and right to about 1e-6.
     """
     lengths = check_semi_metric(dissimilarity, copy=False)
     if len(lengths) >= COMPILED_FROM:

@@ -49,6 +49,28 @@ def check_room_for_pairs(n_sensors: int, *, refined: bool) -> None:
     )
 
 
+def check_room_for_workers(n_sensors: int, workers: int) -> None:
+    """Check that there is room for what several workers make of pairs before it is merged.
+
+    Parameters
+    ----------
+    n_sensors : int
+    workers : int
+
+    Raises
+    ------
+    InputError
+        If that would take more memory than the machine has.
+    """
+    if workers > 1:
+        # Two parts a worker, and merging: a total, another, and both together; in float64.
+        check_room(
+            8 * (2 * workers + 3) * n_sensors**2,
+            f"what {workers} workers make of the pairs of {n_sensors} sensors",
+            "use fewer workers",
+        )
+
+
 def check_room(needed: float, what: str, instead: str) -> None:
     """Check that something fits into memory.
 

@@ -207,6 +207,7 @@ def smacof(
     if start is None:
         start = torgerson(known if np.isfinite(known.max()) else metricise(known), dimensions)
     positions = _check_start(start, len(targets))
+    positions -= positions.mean(axis=0)  # far from the origin float32 would not tell points apart
     if not problem.all_alike:
         problem = replace(problem, targets=np.where(np.isinf(targets), 0, targets))
     find = SOLVERS[chosen.solver]

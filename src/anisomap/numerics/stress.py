@@ -47,7 +47,8 @@ class Problem:
 
     def single(self) -> Problem | None:
         """Give the same in float32, which holds and does twice as much; None if it leaves that."""
-        extremes = [float(matrix.max(initial=0)) for matrix in (self.targets, self.weights)]
+        of_points = float(self.weights.max(axis=1).min(initial=1))  # none may vanish
+        extremes = [of_points, *(float(m.max(initial=0)) for m in (self.targets, self.weights))]
         if not all(1 / SINGLE_RANGE < extreme < SINGLE_RANGE for extreme in extremes):
             return None
         return Problem(
