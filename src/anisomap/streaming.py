@@ -22,6 +22,7 @@ from anisomap.numerics.evidence import sampling_variance
 from anisomap.numerics.gathering import ALONE, Crew, gather
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.room import check_room_for_pairs, check_room_for_workers
+from anisomap.numerics.similarity import LARGEST_SQUARED, unsquarable
 from anisomap.numerics.values import ValueCounts
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
@@ -30,7 +31,6 @@ from anisomap.sensor_map import SensorMap
 
 logger = logging.getLogger(__name__)
 
-_LARGEST = 1e100  # its square is far from the ends of float64
 _MOST_TO_LOOK_AT = 2000  # sensors, for neighbours among them
 
 
@@ -152,7 +152,8 @@ def gather_similarity(
     Gathered
     """
     check_priors(method, options, readings=False)
-    name, refined = find_method(method).similarity, find_method(method).refine is not None
+    made_by = find_method(method)
+    name, refined = made_by.similarity, made_by.refine is not None
     recipe, pieces, whole = CHUNKED[name], Excerpt(), completed(chunks, missing)
     of = f"{name} of {source or 'frames'}, {options.bins} bins"
     held = Checkpoint(checkpoint, of) if checkpoint else None
@@ -263,11 +264,12 @@ def _check_unit(chunk: NDArray[Any]) -> None:
     if chunk.dtype != np.float64:
         return
     reach = np.abs(chunk).max(axis=0)
-    beyond = np.flatnonzero((reach > _LARGEST) | ((reach < 1 / _LARGEST) & (reach > 0)))
+    beyond = np.flatnonzero(unsquarable(reach))
     if beyond.size:
         raise InputError(
             f"sensor {beyond[0]} reads up to {reach[beyond[0]]:g}; readings that come in chunks "
-            f"must be 0 or between {1 / _LARGEST:g} and {_LARGEST:g}: use another unit"
+            f"must be 0 or between {1 / LARGEST_SQUARED:g} and {LARGEST_SQUARED:g}: "
+            "use another unit"
         )
 
 

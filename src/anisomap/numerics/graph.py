@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.cluster.hierarchy import cophenet, single
@@ -131,11 +133,24 @@ def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
     joined = np.isfinite(dissimilarity)
     if joined.all():  # common, and looking for pieces of a full matrix takes long
         return np.zeros(len(joined), dtype=np.intp)
-    labels = connected_components(joined, directed=False)[1]
-    sizes = np.bincount(labels)
+    return largest_first(connected_components(joined, directed=False)[1])
+
+
+def largest_first(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
+    """Renumber pieces: 0 is the largest; of equal ones, the one that holds the first object.
+
+    Parameters
+    ----------
+    labels : ndarray of int, shape (N,)
+        Which piece each object belongs to, from 0 on without gaps.
+
+    Returns
+    -------
+    ndarray of int, shape (N,)
+    """
     first_seen = np.unique(labels, return_index=True)[1]
-    order = np.lexsort((first_seen, -sizes))
-    return np.argsort(order)[labels]
+    order = np.lexsort((first_seen, -np.bincount(labels)))
+    return np.asarray(np.argsort(order)[labels])
 
 
 def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool_]:

@@ -1,7 +1,7 @@
 """The compiled inner loops of metricising and SMACOF, and only those.
 
-Numba takes its time to start and to compile, so this module is loaded by `compiled.kernels` alone,
-when a matrix is large enough to be worth it. Nothing is checked here. All loops run without the
+Numba takes its time to start and to compile, so this module is loaded by `compiled.kernels`, when a
+matrix is large enough to be worth it, and by the loops of approximate maps. Nothing is checked here. All loops run without the
 interpreter's lock: threads that work on separate rows or columns run at the same time.
 """
 
@@ -83,7 +83,7 @@ def nearest(lengths: Reals, count: int) -> Ints:
 
 
 @loop()
-def _sweep(
+def sweep_nodes(
     tile: Reals, order: Ints, edges: tuple[Ints, Ints, Reals], stamps: Ints, clock: int
 ) -> bool:
     """Lower the paths to each node by those to its neighbours; tell whether any became shorter.
@@ -135,7 +135,7 @@ def relax(
     backwards = order[::-1].copy()
     for sweep in range(most_sweeps):
         towards = order if sweep % 2 == 0 else backwards
-        if not _sweep(tile, towards, edges, stamps, 1 + sweep * n_nodes):
+        if not sweep_nodes(tile, towards, edges, stamps, 1 + sweep * n_nodes):
             break
     for node in range(n_nodes):
         for place in range(len(sources)):

@@ -24,7 +24,9 @@ from anisomap.numerics.counting import (
 )
 from anisomap.numerics.precision import Reals, held_as, rows_at_a_time
 
-_LARGEST = 1e100
+LARGEST_SQUARED = 1e100
+"""Readings up to this, and down to its inverse, are squared as they are."""
+
 _MANY_CODES = 64  # more would make panels of counts too large
 
 
@@ -187,13 +189,18 @@ def information_of_logarithms(joint: NDArray[np.float64], n_frames: int) -> Real
     return information
 
 
+def unsquarable(reach: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which sensors, by their greatest magnitude, have squares that float64 may not hold."""
+    return (reach > LARGEST_SQUARED) | ((reach < 1 / LARGEST_SQUARED) & (reach > 0))
+
+
 def _squarable(readings: ArrayLike) -> NDArray[np.generic]:
     """Bring readings whose squares would overflow or vanish near 1, by powers of 2: exactly."""
     values = np.asarray(readings)
     if values.dtype.kind != "f" or values.dtype.itemsize < np.dtype(np.float64).itemsize:
         return values
     reach = np.abs(values).max(axis=0, initial=0).astype(np.float64)
-    if not ((reach > _LARGEST) | ((reach < 1 / _LARGEST) & (reach > 0))).any():
+    if not unsquarable(reach).any():
         return values
     return np.asarray(np.ldexp(values.astype(np.float64), -np.frexp(reach)[1]))
 

@@ -13,6 +13,7 @@ from anisomap.numerics.approximate.candidates import loops
 from anisomap.numerics.approximate.correlations import Links
 from anisomap.numerics.approximate.sketch import Sketch
 from anisomap.numerics.dissimilarity import NUMERICAL_ZERO
+from anisomap.numerics.graph import largest_first
 
 SHARED = 0.3
 """Share of their neighbours that two sensors have in common at least if they lie side by side."""
@@ -165,11 +166,7 @@ def as_graph(
 def pieces_of(edges: Links, n_sensors: int) -> NDArray[np.intp]:
     """Tell which sensors hang together; see `Joined.pieces`."""
     graph = as_graph(edges, np.ones(len(edges.r)), n_sensors)
-    labels = connected_components(graph, directed=False)[1]
-    sizes = np.bincount(labels)
-    first_seen = np.unique(labels, return_index=True)[1]
-    order = np.lexsort((first_seen, -sizes))
-    return np.argsort(order)[labels]
+    return largest_first(connected_components(graph, directed=False)[1])
 
 
 def _among_best(links: Links, n_sensors: int, neighbours: int) -> NDArray[np.bool_]:

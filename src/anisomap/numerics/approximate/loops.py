@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.jit import loop
+from anisomap.numerics.kernels import sweep_nodes
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -96,35 +97,6 @@ def count_shared(offsets: Ints, ends: Ints, starts: Ints, shared: Ints) -> None:
 
 
 @loop()
-def _sweep(
-    tile: Singles, order: Ints, edges: tuple[Ints, Ints, Singles], stamps: Ints, clock: int
-) -> bool:
-    """Lower the paths to each node by those to its neighbours; tell whether any became shorter.
-
-    ``stamps[u]`` tells when the paths to u last became shorter, and when u was last looked at: of
-    a neighbour that is as it was then there is nothing to gain.
-    """
-    offsets, ends, lengths = edges
-    any_shorter = False
-    for node in order:
-        clock += 1
-        mine = tile[node]
-        shorter = 0
-        for edge in range(offsets[node], offsets[node + 1]):
-            if stamps[ends[edge], 0] > stamps[node, 1]:
-                theirs, length = tile[ends[edge]], lengths[edge]
-                for source in range(len(mine)):
-                    through = theirs[source] + length
-                    shorter |= through < mine[source]
-                    mine[source] = min(mine[source], through)
-        stamps[node, 1] = clock
-        if shorter:
-            stamps[node, 0] = clock
-            any_shorter = True
-    return any_shorter
-
-
-@loop()
 def relax_from(
     tile: Singles, sources: Ints, order: Ints, edges: tuple[Ints, Ints, Singles]
 ) -> None:
@@ -140,7 +112,7 @@ def relax_from(
         stamps[sources[place], 0] = 1
     backwards = order[::-1].copy()
     sweep, clock = 0, 1
-    while _sweep(tile, order if sweep % 2 == 0 else backwards, edges, stamps, clock):
+    while sweep_nodes(tile, order if sweep % 2 == 0 else backwards, edges, stamps, clock):
         sweep += 1
         clock += len(tile)
 
