@@ -1,8 +1,9 @@
 """The compiled inner loops of metricising and SMACOF, and only those.
 
 Numba takes its time to start and to compile, so this module is loaded by `compiled.kernels`, when a
-matrix is large enough to be worth it, and by the loops of approximate maps. Nothing is checked here. All loops run without the
-interpreter's lock: threads that work on separate rows or columns run at the same time.
+matrix is large enough to be worth it, and by the loops of approximate maps. Nothing is checked
+here. All loops run without the interpreter's lock: threads that work on separate rows or columns
+run at the same time.
 """
 
 from __future__ import annotations
