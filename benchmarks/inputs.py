@@ -12,9 +12,9 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist, squareform
 
-from anisomap.numerics.dissimilarity import regularised_reciprocal
+from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.precision import held_as
-from anisomap.numerics.similarity import pearson
+from anisomap.numerics.similarity.statistics import pearson
 
 Matrix = NDArray[np.floating[Any]]
 Readings = NDArray[np.float32]

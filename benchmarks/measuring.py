@@ -15,7 +15,7 @@ from unittest.mock import patch
 
 from threadpoolctl import threadpool_limits
 
-from anisomap.numerics import compiled
+from anisomap.numerics.compiled import parallel
 
 Result = TypeVar("Result")
 
@@ -64,7 +64,7 @@ def cores() -> int:
 @contextmanager
 def threads(count: int) -> Iterator[None]:
     """Let linear algebra, and the compiled loops of anisomap, use so many threads."""
-    with threadpool_limits(count), patch.object(compiled, "thread_count", lambda: count):
+    with threadpool_limits(count), patch.object(parallel, "thread_count", lambda: count):
         yield
 
 

@@ -12,8 +12,13 @@ from scipy.special import xlogy
 from scipy.stats import spearmanr
 from sklearn.metrics import mutual_info_score
 
-from anisomap.numerics.binning import maximum_entropy_codes
-from anisomap.numerics.similarity import co_activation, information_of_codes, pearson, spearman
+from anisomap.numerics.similarity.binning import maximum_entropy_codes
+from anisomap.numerics.similarity.statistics import (
+    co_activation,
+    information_of_codes,
+    pearson,
+    spearman,
+)
 from benchmarks.inputs import noisy_readings, stroked_skin, tiled_torso
 from benchmarks.race import Race, Rival, Setting, timed_rival
 

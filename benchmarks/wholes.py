@@ -15,11 +15,11 @@ from sklearn.manifold import MDS, Isomap
 from anisomap import AnisomapWarning, Recording, SensorMap, reconstruct
 from anisomap.health import assess
 from anisomap.methods import compute_stages
-from anisomap.numerics.binning import maximum_entropy_codes
-from anisomap.numerics.dissimilarity import regularised_reciprocal
-from anisomap.numerics.graph import metricise
-from anisomap.numerics.scaling import smacof, torgerson
-from anisomap.numerics.similarity import pearson
+from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
+from anisomap.numerics.graph.metric import metricise
+from anisomap.numerics.scaling.mds import smacof, torgerson
+from anisomap.numerics.similarity.binning import maximum_entropy_codes
+from anisomap.numerics.similarity.statistics import pearson
 from benchmarks.inputs import stroked_skin
 from benchmarks.measuring import Cost, on_one_thread, threads
 from benchmarks.paths import are_shortest, cost_of_eigh, cost_of_floyd_warshall

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_info
 
-from anisomap.numerics.accumulators import Moments
+from anisomap.numerics.similarity.accumulators import Moments
 
 
 class Dying:

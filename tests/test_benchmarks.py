@@ -15,7 +15,7 @@ from benchmarks.stages import STAGES
 from benchmarks.tables import growth_exponent, markdown
 from threadpoolctl import threadpool_info
 
-from anisomap.numerics import compiled
+from anisomap.numerics.compiled import parallel
 
 
 @pytest.fixture
@@ -138,7 +138,7 @@ def test_the_memory_of_fifty_megabytes():
 
 def test_one_thread_is_one_thread():
     with threads(1):
-        assert compiled.thread_count() == 1
+        assert parallel.thread_count() == 1
         assert {found["num_threads"] for found in threadpool_info()} <= {1}
 
 

@@ -6,10 +6,12 @@ from benchmarks.inputs import flat_skin, stroked_skin
 from benchmarks.tables import growth_exponent
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from anisomap.numerics import counting, scaling, shortest_paths
-from anisomap.numerics.binning import maximum_entropy_codes
-from anisomap.numerics.graph import metricise
-from anisomap.numerics.scaling import smacof, torgerson
+from anisomap.numerics.graph import shortest_paths
+from anisomap.numerics.graph.metric import metricise
+from anisomap.numerics.scaling import mds
+from anisomap.numerics.scaling.mds import smacof, torgerson
+from anisomap.numerics.similarity import counting
+from anisomap.numerics.similarity.binning import maximum_entropy_codes
 
 SIZES = (400, 700, 1000)
 
@@ -62,7 +64,7 @@ def test_torgerson_takes_a_number_of_products_that_hardly_grows(metrics, monkeyp
 
         return eigsh(LinearOperator(operator.shape, multiply, dtype=operator.dtype), **options)
 
-    monkeypatch.setattr(scaling, "eigsh", counted)
+    monkeypatch.setattr(mds, "eigsh", counted)
     for metric in metrics.values():
         products.append(0)
         torgerson(metric, 3)

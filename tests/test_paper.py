@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from anisomap import formats
+from anisomap import io
 from anisomap.cli.app import main
 from anisomap.errors import FileError, InputError, MissingExtraError
 from anisomap.paper import (
@@ -22,13 +22,13 @@ from anisomap.paper import (
     Outcome,
     Settings,
     Table,
-    evidence,
-    keeping,
+    claim_evidence,
     measures,
     numbers,
     reproduce,
-    stimuli,
+    result_cache,
 )
+from anisomap.paper.experiments import stimuli
 from anisomap.paper.runs import BOMBARDED
 from anisomap.simulation import find_body
 
@@ -54,7 +54,7 @@ def test_every_experiment_leaves_what_its_record_tells(quick):
     for experiment in EXPERIMENTS.values():
         if experiment.files:
             continue
-        kept = keeping.load(quick, experiment.name)
+        kept = result_cache.load(quick, experiment.name)
         assert kept is not None, experiment.name
         assert kept.pictures or kept.tables or kept.documents
         for table in kept.tables:
@@ -64,7 +64,7 @@ def test_every_experiment_leaves_what_its_record_tells(quick):
             assert all(table.columns.values()), "every column is explained"
             assert table.rows
         for picture in kept.pictures:
-            for kind in keeping.KINDS:
+            for kind in result_cache.KINDS:
                 assert (quick / experiment.name / f"{picture['name']}.{kind}").stat().st_size > 5000
 
 
@@ -89,19 +89,21 @@ def test_what_is_finished_is_not_run_again(quick):
 
 
 def test_every_claim_gets_a_verdict(quick):
-    rows = keeping.load(quick, "claims").tables[0].records()
+    rows = result_cache.load(quick, "claims").tables[0].records()
     for row in rows:
-        assert row["verdict"].startswith((evidence.HOLDS, evidence.FAILS, evidence.PARTLY))
+        assert row["verdict"].startswith(
+            (claim_evidence.HOLDS, claim_evidence.FAILS, claim_evidence.PARTLY)
+        )
         held, of = map(int, row["cases"].split(" of "))
-        assert (row["verdict"] == evidence.HOLDS) == (held == of)
-        assert (row["verdict"] == evidence.FAILS) == (held == 0)
+        assert (row["verdict"] == claim_evidence.HOLDS) == (held == of)
+        assert (row["verdict"] == claim_evidence.FAILS) == (held == 0)
 
 
 def test_sample_data_can_be_read_and_says_how_it_was_made(quick):
     path = quick / "data-s1-s6" / "data-s2.txt"
     case = next(case for case in BOMBARDED if case.body == "sphere")
     recording = case.record(QUICK, QUICK.picked_seed(case.name))
-    found = formats.read(path)
+    found = io.read(path)
     assert found.names == recording.names
     np.testing.assert_allclose(found.readings, recording.readings, rtol=1e-4)
     text = path.read_text()
@@ -117,7 +119,7 @@ def test_sample_data_can_be_read_and_says_how_it_was_made(quick):
 
 
 def test_the_patch_fails_as_the_papers_did(quick):
-    early, late = (formats.read(quick / "data-s7-s11" / f"data-s{n}.txt") for n in (9, 11))
+    early, late = (io.read(quick / "data-s7-s11" / f"data-s{n}.txt") for n in (9, 11))
     for recording in (early, late):
         silent = np.array([name.startswith("t5") for name in recording.names])
         assert (recording.varying() == ~silent).all()
@@ -129,7 +131,7 @@ def test_the_patch_fails_as_the_papers_did(quick):
 def test_real_skin_is_mapped_where_it_is_given(recordings_folder, tmp_path):
     settings = replace(QUICK, recordings=recordings_folder)
     reproduce(tmp_path, settings, only=["real-skin"], workers=1)
-    (table,) = keeping.load(tmp_path, "real-skin").tables
+    (table,) = result_cache.load(tmp_path, "real-skin").tables
     best = {row["method"]: row["mantel_r"] for row in table.records() if row["dimensions"] == 2}
     assert best["r-anisomap"] > 0.98
     assert "was not given" not in (tmp_path / "index.html").read_text()
@@ -168,7 +170,7 @@ def made(folder, settings=QUICK, experiments=ALL, **options):
 
 def test_needs_come_first_and_nothing_is_run_twice(tmp_path):
     assert made(tmp_path) == {"first", "second", "text"}
-    assert keeping.load(tmp_path, "second").tables[0].rows == ((2,),)
+    assert result_cache.load(tmp_path, "second").tables[0].rows == ((2,),)
     assert made(tmp_path) == set()
     assert made(tmp_path, only=["second"]) == set()
 
@@ -176,7 +178,7 @@ def test_needs_come_first_and_nothing_is_run_twice(tmp_path):
 def test_another_seed_runs_all_again(tmp_path):
     made(tmp_path)
     assert made(tmp_path, replace(QUICK, seed=5)) == {"first", "second", "text"}
-    assert keeping.load(tmp_path, "second").tables[0].rows == ((10,),)
+    assert result_cache.load(tmp_path, "second").tables[0].rows == ((10,),)
 
 
 @pytest.mark.parametrize("damage", ["text.txt", "done.json"])
@@ -200,7 +202,7 @@ def test_a_record_damaged_anywhere_is_never_taken_for_another(tmp_path_factory, 
     whole = path.read_bytes()
     place %= len(whole)
     path.write_bytes(whole[:place] + junk + whole[place + len(junk) :])
-    kept = keeping.load(folder, "first", json.loads(whole)["key"])
+    kept = result_cache.load(folder, "first", json.loads(whole)["key"])
     assert kept is None or kept.tables[0].rows == ((1,),)
 
 
@@ -305,7 +307,7 @@ def test_neighbouring_pixels_and_bands_are_most_alike():
 
 def test_a_verdict_says_for_which_cases_it_holds():
     def verdict(**held):
-        return evidence.Evidence("", held).verdict
+        return claim_evidence.Evidence("", held).verdict
 
     assert verdict(a=True, b=True) == "holds"
     assert verdict(a=False, b=False) == "does not hold"

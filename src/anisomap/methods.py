@@ -20,26 +20,31 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anisomap.errors import InputError
-from anisomap.numerics.binning import DEFAULT_BINS
-from anisomap.numerics.chance import without_chance
 from anisomap.numerics.contacts import ContactOptions
-from anisomap.numerics.covariogram_objective import CovariogramOptions
-from anisomap.numerics.dissimilarity import (
+from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.numerics.graph.dissimilarity import (
     direct_dissimilarity,
     information_distance,
     regularised_reciprocal,
     symmetric,
 )
-from anisomap.numerics.evidence import blended_correlation, sampling_variance
-from anisomap.numerics.graph import (
+from anisomap.numerics.graph.metric import (
     check_semi_metric,
     metricise,
     neighbour_graph,
     smallest_connected_neighbour_graph,
 )
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.scaling import SmacofOptions
-from anisomap.numerics.similarity import co_activation, mutual_information, pearson, spearman
+from anisomap.numerics.reliability.correlation import blended_correlation, sampling_variance
+from anisomap.numerics.reliability.significance import without_chance
+from anisomap.numerics.scaling.mds import SmacofOptions
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.numerics.similarity.statistics import (
+    co_activation,
+    mutual_information,
+    pearson,
+    spearman,
+)
 from anisomap.refinement import Evidence, Refined, refine_by_contacts, refine_by_covariogram
 
 logger = logging.getLogger(__name__)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from anisomap.methods import MethodOptions, Refine
-from anisomap.numerics.graph import components
+from anisomap.numerics.graph.metric import components
 from anisomap.numerics.precision import Reals, rows_at_a_time
-from anisomap.numerics.scaling import Scaling, SmacofOptions, smacof
+from anisomap.numerics.scaling.mds import Scaling, SmacofOptions, smacof
 from anisomap.recording import Scalar
 from anisomap.refinement import Evidence
 

@@ -11,7 +11,6 @@ from dataclasses import asdict, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap._listing import listing
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.confidence import (
@@ -21,6 +20,7 @@ from anisomap.evaluation.confidence import (
     expected_mantel_r,
 )
 from anisomap.health import SensorHealth, assess, weaknesses
+from anisomap.memory import check_room_for_pairs
 from anisomap.methods import (
     DEFAULT_METHOD,
     MethodOptions,
@@ -28,13 +28,13 @@ from anisomap.methods import (
     compute_stages,
     find_method,
 )
-from anisomap.numerics.covariogram_objective import CovariogramOptions
-from anisomap.numerics.dissimilarity import symmetric
+from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.numerics.graph.dissimilarity import symmetric
 from anisomap.numerics.precision import Reals, held_as
-from anisomap.numerics.room import check_room_for_pairs
 from anisomap.pieces import Pieces, refine_pieces, scale_pieces
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap
+from anisomap.wording import listing
 
 logger = logging.getLogger(__name__)
 

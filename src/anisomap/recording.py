@@ -11,9 +11,9 @@ from typing import Any, Literal, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap._listing import counted
 from anisomap.errors import InputError
 from anisomap.numerics.gaps import filled
+from anisomap.wording import counted
 
 Scalar: TypeAlias = str | int | float | bool
 """What provenance is made of: values that every file format can hold."""

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
-from anisomap.numerics.covariogram import fit_covariogram
-from anisomap.numerics.covariogram_objective import CovariogramOptions
-from anisomap.numerics.evidence import typical_noise
-from anisomap.numerics.neighbours import direct_neighbours, unevenness
+from anisomap.numerics.covariogram.fit import fit_covariogram
+from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.numerics.geodesic.neighbours import direct_neighbours, unevenness
+from anisomap.numerics.geodesic.refinement import UnrollingOptions, contact_passes, even_spacing
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.unrolling import UnrollingOptions, contact_passes, even_spacing
+from anisomap.numerics.reliability.correlation import typical_noise
 from anisomap.recording import Scalar
 
 logger = logging.getLogger(__name__)
@@ -137,8 +137,8 @@ def refine_by_covariogram(
     -------
     Refined
         With ``"passes"`` or ``"even_spacing"`` among its facts where lengths come from
-        `anisomap.numerics.unrolling.contact_passes` or `even_spacing`, and ``"uneven"`` where they
-        should but cannot. Fewer than 8 sensors are left where they are.
+        `anisomap.numerics.geodesic.refinement.contact_passes` or `even_spacing`, and
+        ``"uneven"`` where they should but cannot. Fewer than 8 sensors are left where they are.
     """
     unused = Refined(positions)
     if evenly_spaced:

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap._listing import counted
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, assess
 from anisomap.methods import (
@@ -23,10 +22,11 @@ from anisomap.methods import (
     check_priors,
     find_method,
 )
-from anisomap.numerics.evidence import sampling_variance
+from anisomap.numerics.reliability.correlation import sampling_variance
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording, default_names
 from anisomap.sensor_map import SensorMap
+from anisomap.wording import counted
 
 _SILENT = ("dead", "stuck", "isolated")
 _SAME_RATE = 0.02

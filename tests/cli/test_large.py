@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap import chunks
 from anisomap.cli import streams
+from anisomap.large import chunks
 from skins import flat_skin
 
 
@@ -38,7 +38,7 @@ def all_is_large(monkeypatch):
     monkeypatch.setattr(streams, "PROBED_BYTES", 0)
     monkeypatch.setattr(chunks, "CHUNK_READINGS", 42 * 170)
     monkeypatch.setattr(chunks, "CHUNK_FRAMES", 1)
-    monkeypatch.setattr(anisomap.formats, "read", None)  # nothing is read as a whole any more
+    monkeypatch.setattr(anisomap.io, "read", None)  # nothing is read as a whole any more
 
 
 def positions(path: str) -> np.ndarray:
@@ -127,7 +127,7 @@ def test_what_blocks_do_not_allow_is_refused(run, parts, robots, monkeypatch):
 
 @pytest.mark.usefixtures("all_is_large")
 def test_large_recordings_must_have_the_same_sensors(run, parts):
-    few = anisomap.formats.registry.read(parts[1]).select(np.arange(30))
+    few = anisomap.io.registry.read(parts[1]).select(np.arange(30))
     anisomap.write(few, "few.npz")
     made = run("map", parts[0], "few.npz")
     assert made.code != 0

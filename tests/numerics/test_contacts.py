@@ -9,10 +9,10 @@ from scipy.spatial.distance import pdist
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
-from anisomap.numerics.contacts.adjusting import Reduced
-from anisomap.numerics.contacts.finding import Contacts, find_contacts
+from anisomap.numerics.contacts.bundle_adjustment import Reduced
+from anisomap.numerics.contacts.detection import Contacts, find_contacts
 from anisomap.numerics.contacts.levels import sort_into_levels
-from anisomap.numerics.contacts.locating import evaluate, left_out, locate
+from anisomap.numerics.contacts.localisation import evaluate, left_out, locate
 from anisomap.numerics.contacts.profile import Profile, _loss, learn_profile, level_terms
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording

@@ -10,13 +10,14 @@ from scipy.optimize import check_grad
 from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
-from anisomap.numerics import compiled, covariogram_objective
-from anisomap.numerics.blocks import overlapping_blocks
-from anisomap.numerics.covariogram import fit_covariogram
-from anisomap.numerics.covariogram_objective import CovariogramOptions
-from anisomap.numerics.dissimilarity import direct_dissimilarity
-from anisomap.numerics.graph import metricise
-from anisomap.numerics.scaling import smacof
+from anisomap.numerics.compiled import parallel
+from anisomap.numerics.covariogram import objective
+from anisomap.numerics.covariogram.blocks import overlapping_blocks
+from anisomap.numerics.covariogram.fit import fit_covariogram
+from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
+from anisomap.numerics.graph.metric import metricise
+from anisomap.numerics.scaling.mds import smacof
 
 
 def mantel_r(x, y):
@@ -53,16 +54,16 @@ def test_the_gradient_is_that_of_finite_differences(most, unknown):
     metric = metric + metric.T
     known = rng.uniform(size=(14, 14)) >= unknown
     known &= known.T & ~np.eye(14, dtype=bool)
-    problem = covariogram_objective.Problem(similarity, metric, known, 0.3, CovariogramOptions())
-    blocks = [covariogram_objective.Block(b, problem) for b in overlapping_blocks(places, most)]
+    problem = objective.Problem(similarity, metric, known, 0.3, CovariogramOptions())
+    blocks = [objective.Block(b, problem) for b in overlapping_blocks(places, most)]
 
-    def objective(p):
-        return covariogram_objective.objective(blocks, p[:-1].reshape(14, 3), p[-1])
+    def value(p):
+        return objective.objective(blocks, p[:-1].reshape(14, 3), p[-1])
 
     for _ in range(3):
         at = np.append(places.ravel() + 0.3 * rng.standard_normal(42), rng.uniform(-0.5, 0.7))
-        slope = objective(at)[1]
-        error = check_grad(lambda p: objective(p)[0], lambda p: objective(p)[1], at)
+        slope = value(at)[1]
+        error = check_grad(lambda p: value(p)[0], lambda p: value(p)[1], at)
         assert error < 1e-5 * np.linalg.norm(slope)
 
 
@@ -187,8 +188,8 @@ def test_threads_change_nothing(n_threads, monkeypatch):
         return found.positions.tobytes()
 
     alone = fitted()
-    monkeypatch.setattr(compiled, "SPREAD_FROM", 1)
-    monkeypatch.setattr(compiled, "thread_count", lambda: n_threads)
+    monkeypatch.setattr(parallel, "SPREAD_FROM", 1)
+    monkeypatch.setattr(parallel, "thread_count", lambda: n_threads)
     assert fitted() == alone
 
 

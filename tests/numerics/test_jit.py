@@ -3,7 +3,7 @@
 import numpy as np
 from numba.core import caching
 
-from anisomap.numerics.jit import loop
+from anisomap.numerics.compiled.jit import loop
 
 
 def double(values):

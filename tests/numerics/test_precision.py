@@ -9,19 +9,25 @@ from scipy.spatial.distance import pdist, squareform
 from anisomap import Recording, reconstruct
 from anisomap.errors import InputError
 from anisomap.evaluation import mantel
-from anisomap.numerics import precision, shortest_paths
-from anisomap.numerics.chance import related_pieces
-from anisomap.numerics.dissimilarity import (
+from anisomap.numerics import precision
+from anisomap.numerics.graph import shortest_paths
+from anisomap.numerics.graph.dissimilarity import (
     direct_dissimilarity,
     information_distance,
     partial_correlation,
     regularised_reciprocal,
     symmetric,
 )
-from anisomap.numerics.graph import metricise
+from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.precision import equals_transpose, mirror
-from anisomap.numerics.scaling import smacof, torgerson
-from anisomap.numerics.similarity import co_activation, mutual_information, pearson, spearman
+from anisomap.numerics.reliability.significance import related_pieces
+from anisomap.numerics.scaling.mds import smacof, torgerson
+from anisomap.numerics.similarity.statistics import (
+    co_activation,
+    mutual_information,
+    pearson,
+    spearman,
+)
 from anisomap.simulation import simulate
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anisomap.simulation.bodies import Body, sphere
-from anisomap.simulation.bombardment import BombardmentOptions, Flight, fly
+from anisomap.simulation.physics.bombardment import BombardmentOptions, Flight, fly
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.simulation import solids
 from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bodies.paper import sphere
+from anisomap.simulation.geometry import solids
 
 
 @pytest.mark.parametrize("name", BODIES)

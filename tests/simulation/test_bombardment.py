@@ -9,8 +9,8 @@ from scipy.spatial.distance import pdist
 
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.simulation.bodies import sphere
-from anisomap.simulation.bombardment import BombardmentOptions, Flight, bombardment, fly
-from anisomap.simulation.elastic import ElasticContact
+from anisomap.simulation.physics.bombardment import BombardmentOptions, Flight, bombardment, fly
+from anisomap.simulation.physics.elastic import ElasticContact
 from anisomap.simulation.sensing import read_balls
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")

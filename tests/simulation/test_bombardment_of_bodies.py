@@ -6,8 +6,8 @@ import pytest
 from anisomap.errors import InputError
 from anisomap.simulation import simulate
 from anisomap.simulation.bodies import BODIES
-from anisomap.simulation.bombardment import BombardmentOptions, fly
 from anisomap.simulation.options import fitted
+from anisomap.simulation.physics.bombardment import BombardmentOptions, fly
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 

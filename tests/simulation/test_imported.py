@@ -7,11 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.simulation import simulate, solids
+from anisomap.simulation import simulate
 from anisomap.simulation.bodies import body_from_mesh, body_from_points, load_body
 from anisomap.simulation.bodies.further import hand
+from anisomap.simulation.bodies.geodesics import surface_distances
 from anisomap.simulation.bodies.paper import sphere
-from anisomap.simulation.geodesics import surface_distances
+from anisomap.simulation.geometry import solids
 
 trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")

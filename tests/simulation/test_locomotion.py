@@ -9,9 +9,9 @@ import pytest
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.bodies.paper import cylinder, sphere
-from anisomap.simulation.driving import LocomotionOptions
-from anisomap.simulation.locomotion import Journey, locomotion, roll
 from anisomap.simulation.options import fitted
+from anisomap.simulation.physics.driving import LocomotionOptions
+from anisomap.simulation.physics.locomotion import Journey, locomotion, roll
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 

@@ -13,15 +13,15 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import InputError
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.bodies.paper import plane, sphere, y_shape
-from anisomap.simulation.options import fitted
-from anisomap.simulation.paths import (
+from anisomap.simulation.kinematic.paths import (
     StrokeOptions,
     Wandering,
     find_skin,
     wander,
     wandering_values,
 )
-from anisomap.simulation.settling import Cluster, settle, support
+from anisomap.simulation.kinematic.settling import Cluster, settle, support
+from anisomap.simulation.options import fitted
 
 seeds = st.integers(0, 2**32 - 1)
 

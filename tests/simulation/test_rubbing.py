@@ -17,20 +17,20 @@ from anisomap.reconstruction import reconstruct
 from anisomap.scene import Prop
 from anisomap.simulation import BODIES, SCENARIOS, simulate
 from anisomap.simulation.bodies.paper import plane, sphere, y_shape
-from anisomap.simulation.options import fitted
-from anisomap.simulation.paths import find_skin
-from anisomap.simulation.pressing import PressingOptions, draw_presses
-from anisomap.simulation.pulses import PulsesOptions, draw_pulses, read_pulses
-from anisomap.simulation.rolling import RollerOptions
-from anisomap.simulation.rubbing import RubbingOptions, rub, rubbing
-from anisomap.simulation.sensing import read_balls, read_capsules, read_half_spaces
-from anisomap.simulation.settling import support
-from anisomap.simulation.touching_oneself import (
+from anisomap.simulation.kinematic.paths import find_skin
+from anisomap.simulation.kinematic.pressing import PressingOptions, draw_presses
+from anisomap.simulation.kinematic.pulses import PulsesOptions, draw_pulses, read_pulses
+from anisomap.simulation.kinematic.rolling import RollerOptions
+from anisomap.simulation.kinematic.rubbing import RubbingOptions, rub, rubbing
+from anisomap.simulation.kinematic.self_touch import (
     SelfTouchOptions,
     fingertip,
     touch,
     with_fingertip,
 )
+from anisomap.simulation.kinematic.settling import support
+from anisomap.simulation.options import fitted
+from anisomap.simulation.sensing import read_balls, read_capsules, read_half_spaces
 
 KINEMATIC = ("rubbing", "roller", "pressing", "self-touch", "pulses")
 OF_TOUCH = KINEMATIC[:4]

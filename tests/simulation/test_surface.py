@@ -8,12 +8,12 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
-from anisomap.simulation import solids
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.bodies.further import DENSEST, covered, uneven_sphere
+from anisomap.simulation.bodies.geodesics import surface_distances
 from anisomap.simulation.bodies.paper import cylinder, great_circles, plane, sphere
-from anisomap.simulation.geodesics import surface_distances
-from anisomap.simulation.spreading import sample_surface, spread
+from anisomap.simulation.geometry import solids
+from anisomap.simulation.geometry.spreading import sample_surface, spread
 
 
 def test_points_are_drawn_uniformly_from_the_surface_that_shows() -> None:

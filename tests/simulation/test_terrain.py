@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from anisomap.simulation.terrain import Terrain, bumpy_terrain
-from anisomap.simulation.triangles import nearest_on_triangles
+from anisomap.simulation.geometry.triangles import nearest_on_triangles
+from anisomap.simulation.physics.terrain import Terrain, bumpy_terrain
 
 
 def ground(seed: int = 0, roughness: float = 0.3) -> Terrain:

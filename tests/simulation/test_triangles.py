@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anisomap.scene import Mesh
-from anisomap.simulation.triangles import TriangleSearch, nearest_on_triangles
+from anisomap.simulation.geometry.triangles import TriangleSearch, nearest_on_triangles
 
 
 @settings(max_examples=30)

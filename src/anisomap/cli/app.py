@@ -28,23 +28,23 @@ app = App(
 
 # Commands are named, not imported: only the one that runs costs its imports.
 for name, target, summary in (
-    ("map", "mapping:map_recording", "Make a map from a recording."),
+    ("map", "map:map_recording", "Make a map from a recording."),
     ("info", "info:info", "Say what is in a recording, before anyone spends time on it."),
-    ("score", "scoring:score_map", "Compare a map with the true positions of its sensors."),
-    ("convert", "converting:convert", "Write a map in another format, or in metres."),
-    ("compare", "comparing:compare", "Score several methods on recordings with known positions."),
+    ("score", "score:score_map", "Compare a map with the true positions of its sensors."),
+    ("convert", "convert:convert", "Write a map in another format, or in metres."),
+    ("compare", "compare:compare", "Score several methods on recordings with known positions."),
     ("methods", "listing:methods", "List the methods and the similarities."),
     ("formats", "listing:formats", "List the file formats."),
     ("demo", "demo:demo", "Simulate a skin, map it, and score the map."),
-    ("simulate", "simulating:simulate_body", "Make a recording whose truth is known."),
-    ("paper", "reproducing:paper", "Make every figure and table of the paper again."),
-    ("coverage", "covering:coverage", "Tell how long a skin must be stimulated."),
-    ("spoil", "spoiling:spoil", "Break sensors of a recording, on the record."),
+    ("simulate", "simulate:simulate_body", "Make a recording whose truth is known."),
+    ("paper", "paper:paper", "Make every figure and table of the paper again."),
+    ("coverage", "coverage:coverage", "Tell how long a skin must be stimulated."),
+    ("spoil", "spoil:spoil", "Break sensors of a recording, on the record."),
     ("bodies", "listing:bodies", "List the bodies that can be simulated."),
     ("scenarios", "listing:scenarios", "List what can happen to a body, and its parameters."),
     ("faults", "listing:faults", "List what can go wrong with a recording."),
 ):
-    app.command(f"anisomap.cli.{target}", name=name, help=summary)
+    app.command(f"anisomap.cli.commands.{target}", name=name, help=summary)
 
 
 def main(arguments: Iterable[str] | None = None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from anisomap import formats
+from anisomap import io
 from anisomap.errors import InputError
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import BODIES, Body, body_from_points, find_body, load_body
@@ -68,7 +68,7 @@ def _holds_only_points(path: Path) -> bool:
 
 
 def _positions(path: Path) -> SensorMap:
-    found = formats.read_map(path)
+    found = io.read_map(path)
     if found.dimensions != 3:
         raise InputError(f"{path} holds positions in {found.dimensions} dimensions; give them in 3")
     return found

@@ -10,9 +10,9 @@ from typing import Annotated, Literal, TypeAlias
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
-from anisomap import formats
+from anisomap import io
 from anisomap.errors import InputError
-from anisomap.formats import ReadOptions
+from anisomap.io import ReadOptions
 from anisomap.placement import METRES, mirrored, parse_length, scaled_to_spacing
 from anisomap.sensor_map import SensorMap
 
@@ -85,7 +85,7 @@ class PlacingOptions:
             parse_length(self.spacing)
             return
         for path in outputs:
-            if formats.needs_scale(path) and units not in METRES:
+            if io.needs_scale(path) and units not in METRES:
                 raise InputError(
                     f"{path} is in metres, but the map will have no scale; say how far apart "
                     "neighbouring sensors are, such as --spacing 6.5mm"

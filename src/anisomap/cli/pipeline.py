@@ -9,17 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from anisomap import figures, formats, report
-from anisomap._files import check_distinct
-from anisomap.approximation import Related, approximate_map_of
+from anisomap import io
 from anisomap.cli.console import console, number, percent, progress, show_facts, show_table
+from anisomap.drawing import figures, report
 from anisomap.evaluation import Score, confidence_in_words, score
+from anisomap.files import check_distinct
 from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
+from anisomap.large.approximation import Related, approximate_map_of
+from anisomap.large.streaming import Gathered, map_of
 from anisomap.methods import MethodOptions
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import assess_runs, join_runs, reconstruct_runs
 from anisomap.sensor_map import SensorMap
-from anisomap.streaming import Gathered, map_of
 
 _MOST_SHOWN = 100  # sensors with a fault
 
@@ -45,7 +46,7 @@ class Outputs:
         """
         check_distinct([path for path in (*self.maps, self.picture, self.report) if path], inputs)
         for path in self.maps:
-            formats.check_writable(path)
+            io.check_writable(path)
         if self.picture:
             figures.check_writable(self.picture)
         if self.report:
@@ -62,16 +63,14 @@ class Evidence:
     runs: Sequence[Recording] = ()
 
 
-def read(path: Path, how: formats.ReadOptions | None = None) -> Recording:
+def read(path: Path, how: io.ReadOptions | None = None) -> Recording:
     """Read a recording, with progress; one that does not say where it came from is of its file."""
     with progress(f"reading {path.name}") as tell:
-        recording = formats.read(path, options=how, progress=tell)
+        recording = io.read(path, options=how, progress=tell)
         return replace(recording, source=recording.source or path.name)
 
 
-def read_runs(
-    paths: Sequence[Path], how: formats.ReadOptions, nan: MissingPolicy
-) -> list[Recording]:
+def read_runs(paths: Sequence[Path], how: io.ReadOptions, nan: MissingPolicy) -> list[Recording]:
     """Read one recording, or several of one skin.
 
     What a preset calls absent must be silent in all of them, so it is applied to all as one.
@@ -79,12 +78,12 @@ def read_runs(
     if len(paths) == 1 or not how.preset:
         return [read(path, how).complete(nan) for path in paths]
     runs = [read(path, replace(how, preset="")).complete(nan) for path in paths]
-    return [formats.apply_preset(join_runs(runs), how.preset)]
+    return [io.apply_preset(join_runs(runs), how.preset)]
 
 
-def show_contents(path: Path, how: formats.ReadOptions) -> None:
+def show_contents(path: Path, how: io.ReadOptions) -> None:
     """Print what a file holds, if it is of a kind that can hold several recordings."""
-    held = formats.contents(path, options=how)
+    held = io.contents(path, options=how)
     if held:
         rows = [(c.name, c.summary, "yes" if c.usable else "no") for c in held]
         show_table(f"In {path.name}", ("name", "what it is", "a recording"), rows)
@@ -260,7 +259,7 @@ def _write(
 ) -> None:
     with progress("writing"):
         for path in outputs.maps:
-            formats.write(sensor_map, path)
+            io.write(sensor_map, path)
         figure = (
             figures.map_figure(sensor_map, result) if outputs.picture or outputs.report else None
         )

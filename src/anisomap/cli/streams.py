@@ -15,20 +15,20 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 from numpy.typing import NDArray
 
-from anisomap import formats
-from anisomap.approximation import APPROXIMATED, Related, relate
-from anisomap.chunks import chunk_frames, completed
+from anisomap import io
 from anisomap.cli.console import progress
 from anisomap.cli.parameters import sensors
 from anisomap.cli.pipeline import Evidence
 from anisomap.errors import InputError
-from anisomap.formats.grids import with_grid
 from anisomap.health import summarise
+from anisomap.io.parsing.grids import with_grid
+from anisomap.large.approximation import APPROXIMATED, Related, relate
+from anisomap.large.chunks import chunk_frames, completed
+from anisomap.large.landmarks.options import ApproximateOptions
+from anisomap.large.map_reduce import Crew
+from anisomap.large.streaming import Gathered, gather_similarity
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors
-from anisomap.numerics.approximate.options import ApproximateOptions
-from anisomap.numerics.gathering import Crew
 from anisomap.recording import MissingPolicy, Recording, default_names
-from anisomap.streaming import Gathered, gather_similarity
 
 LARGE_BYTES = 1 << 29
 """Readings, as float32, that are not read as a whole any more."""
@@ -95,7 +95,7 @@ class LargeOptions:
 AS_EVER = LargeOptions()
 
 
-def too_large(paths: Sequence[Path], how: formats.ReadOptions) -> bool:
+def too_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
     """Tell from their first blocks whether recordings are too large to be read as a whole."""
     if sum(map(_on_disk, paths)) < PROBED_BYTES:
         return False
@@ -103,7 +103,7 @@ def too_large(paths: Sequence[Path], how: formats.ReadOptions) -> bool:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # whatever there is to say will be said in reading
         for path in paths:
-            with formats.open_stream(path, options=how) as stream:
+            with io.open_stream(path, options=how) as stream:
                 for block in stream.blocks:
                     total += 4 * block.readings.size / max(block.share, 1e-9)
                     break
@@ -112,7 +112,7 @@ def too_large(paths: Sequence[Path], how: formats.ReadOptions) -> bool:
 
 def examine(
     paths: Sequence[Path],
-    how: formats.ReadOptions,
+    how: io.ReadOptions,
     *,
     nan: MissingPolicy,
     method: str,
@@ -165,7 +165,7 @@ def examine(
     return Evidence(found.excerpt, found.health, summary), found
 
 
-def _like(paths: Sequence[Path], how: formats.ReadOptions) -> Recording:
+def _like(paths: Sequence[Path], how: io.ReadOptions) -> Recording:
     """Give a frame of the recordings, with all that is known of their sensors."""
     known = [_first_frame(path, how) for path in paths]
     first = known[0]
@@ -178,10 +178,10 @@ def _like(paths: Sequence[Path], how: formats.ReadOptions) -> Recording:
     return replace(first, source=" + ".join(recording.source for recording in known))
 
 
-def _first_frame(path: Path, how: formats.ReadOptions) -> Recording:
+def _first_frame(path: Path, how: io.ReadOptions) -> Recording:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        with formats.open_stream(path, frames=1, options=how) as stream:
+        with io.open_stream(path, frames=1, options=how) as stream:
             readings = next((block.readings for block in stream.blocks), None)
             if readings is None:
                 raise InputError(f"{path} holds no frame")
@@ -208,7 +208,7 @@ class _Files:
     """
 
     paths: tuple[Path, ...]
-    how: formats.ReadOptions
+    how: io.ReadOptions
     names: tuple[str, ...]
     nan: MissingPolicy
     tell: Callable[[float], None]
@@ -224,7 +224,7 @@ class _Files:
     def raw(self, number: int, kept: NDArray[np.intp] | None = None) -> Iterator[NDArray[Any]]:
         """Give the readings of a file, sensors in the order of `names`."""
         path, n_frames = self.paths[number], chunk_frames(len(self.names))
-        with formats.open_stream(path, frames=n_frames, options=self.how) as stream:
+        with io.open_stream(path, frames=n_frames, options=self.how) as stream:
             own = {name: i for i, name in enumerate(stream.names or self.names)}
             order = np.array([own[name] for name in self.names])
             order = order if kept is None else order[kept]
@@ -244,11 +244,11 @@ def _named(files: _Files, like: Recording, preset: str) -> tuple[Recording, NDAr
         first, low, high = frames or (chunk[0], lowest, highest)
         frames = [first, np.minimum(low, lowest), np.maximum(high, highest)]
     probe = replace(like, readings=np.array(frames))
-    kept = np.array(list(formats.numbering(probe, preset)))
-    return formats.apply_preset(probe, preset), kept
+    kept = np.array(list(io.numbering(probe, preset)))
+    return io.apply_preset(probe, preset), kept
 
 
-def _described(paths: Sequence[Path], how: formats.ReadOptions, nan: MissingPolicy) -> str:
+def _described(paths: Sequence[Path], how: io.ReadOptions, nan: MissingPolicy) -> str:
     """Say what is counted, so that nobody goes on with what was counted of something else."""
     of = " + ".join(f"{path.name} ({_on_disk(path)} bytes)" for path in paths)
     told = {"select": how.select, "preset": how.preset, "nan": "" if nan == "error" else nan}

@@ -11,14 +11,14 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from anisomap.errors import AnisomapWarning
+from anisomap.large.chunked_similarity import CHUNKED
 from anisomap.methods import MethodOptions, find_method
-from anisomap.numerics.accumulators import Moments
-from anisomap.numerics.activity import Rest, estimate_rest
-from anisomap.numerics.binning import DEFAULT_BINS
-from anisomap.numerics.chunked import CHUNKED
-from anisomap.numerics.joint_values import JointValues
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.scaling import SmacofOptions
+from anisomap.numerics.scaling.mds import SmacofOptions
+from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.activity import Rest, estimate_rest
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.numerics.similarity.joint_values import JointValues
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
 
@@ -39,7 +39,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
     mu, bins : float, int
         See `anisomap.methods.MethodOptions`.
     tol, max_iter : float, int
-        When to stop scaling: see `anisomap.numerics.scaling.SmacofOptions`.
+        When to stop scaling: see `anisomap.numerics.scaling.mds.SmacofOptions`.
     missing : {"error", "drop-frames", "interpolate"}, default="error"
         What to do about NaN in X: see `anisomap.Recording.complete`. With ``"error"`` and
         ``"drop-frames"``, `transform` leaves missing readings out of a frame's centre.
@@ -141,11 +141,11 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         Frames are not kept: memory does not grow with their number. The map is that of `fit` on
         all of them, up to rounding, but sensor health is not assessed, gaps are settled within
         each part, and ``"covariogram"`` and ``"contact-fit"`` make their maps of Pearson's r alone,
-        as in `anisomap.streaming.reconstruct_chunks`. What other methods than
+        as in `anisomap.large.streaming.reconstruct_chunks`. What other methods than
         those on Pearson's r make of a reading is known only once all frames are; so the joint
         counts of values are kept, and a warning says so if a sensor reads too many values to keep
-        them apart (`anisomap.numerics.joint_values.MOST_SERIES` of all sensors together).
-        `anisomap.streaming.reconstruct_chunks`, which goes through the frames twice, keeps more.
+        them apart (`anisomap.numerics.similarity.joint_values.MOST_SERIES` in all).
+        `anisomap.large.streaming.reconstruct_chunks` reads the frames twice and keeps more.
 
         Warns
         -----

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.activity import Rest, estimate_rest
-from anisomap.numerics.approximate.candidates import NOBODY, most_alike
-from anisomap.numerics.similarity import pearson
+from anisomap.numerics.similarity.activity import Rest, estimate_rest
+from anisomap.numerics.similarity.nearest import NOBODY, most_alike
+from anisomap.numerics.similarity.statistics import pearson
 
 _MATCHES = 4  # neighbours that are asked whether they felt a contact, too
 _CLEAR_RELATION = 0.6  # no sensor with such a match is suspected of having none

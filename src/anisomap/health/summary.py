@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisomap._listing import listing
 from anisomap.health.assessment import FEWEST_CONTACTS, SensorHealth, assess
 from anisomap.recording import Recording
+from anisomap.wording import listing
 
 FEWEST_FRAMES = 500
 """The paper's shortest run has 1,054 frames; below half of that its correlations are unsteady."""

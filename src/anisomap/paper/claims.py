@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from anisomap.numerics.binning import DEFAULT_BINS
-from anisomap.paper import evidence
-from anisomap.paper.evidence import (
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.paper import claim_evidence
+from anisomap.paper.claim_evidence import (
     ALIKE,
     AMONG_BEST,
     EXCELLENT,
@@ -18,7 +18,7 @@ from anisomap.paper.evidence import (
     Rows,
 )
 from anisomap.paper.experiment import Experiment, Outcome, Row, Settings, Table, Tables
-from anisomap.paper.quality import SCORES, all_scores
+from anisomap.paper.experiments.quality import SCORES, all_scores
 
 _COLUMNS = {
     "claim": "what the paper says",
@@ -56,82 +56,82 @@ CLAIMS = (
         "The r-ANISOMAP algorithm performed reasonably or excellently in all cases",
         "Discussion",
         f"mean Mantel r of at least {REASONABLE} (reasonable; {EXCELLENT} is excellent)",
-        evidence.reasonable,
+        claim_evidence.reasonable,
     ),
     Claim(
         "The best 3D reconstruction was invariably one of the ANISOMAP variants",
         "Discussion",
         "in every run, the greatest Mantel r in 3D is r- or I-ANISOMAP's",
-        evidence.best_is_anisomap,
+        claim_evidence.best_is_anisomap,
     ),
     Claim(
         "r-ANISOMAP was consistently among the best performing",
         "Results",
         f"mean Mantel r at most {AMONG_BEST} behind the best method's",
-        evidence.r_among_best,
+        claim_evidence.r_among_best,
     ),
     Claim(
         "Cylinder, locomotion: correlations relatively poor for all reconstruction methods",
         "Discussion",
         "mean Mantel r below that of the method on all other runs",
-        evidence.rolling_is_poor,
+        claim_evidence.rolling_is_poor,
     ),
     Claim(
         "Reconstructions of the rolling cylinder were compressed in the axial direction",
         "Discussion, Fig. 4",
         "neighbours along the axis too close, against those around it: local axial scale below 1",
-        evidence.axial,
+        claim_evidence.axial,
     ),
     Claim(
         "3D reconstructions by information distance are notably worse than 2D ones; not so for "
         "the other methods",
         "Methods, Fig. 3",
         f"flat skins: r in 2D less that in 3D above {AMONG_BEST} for information distance only",
-        evidence.flat_is_better,
+        claim_evidence.flat_is_better,
     ),
     Claim(
         "All algorithms perform far better than random guessing",
         "Results, Fig. 3",
         "Mantel r above the greatest of all random relabellings, in every map",
-        evidence.above_null,
+        claim_evidence.above_null,
     ),
     Claim(
         "The faulty sensor 30 is isolated from the others by r-ANISOMAP",
         "Results, Fig. 2",
         f"2D: at least {ISOLATED:g} times as far from its nearest as others are, in runs 4 and 5, "
         "and not in runs 1 to 3",
-        evidence.isolated,
+        claim_evidence.isolated,
     ),
     Claim(
         "The reconstruction is robust to unanticipated hardware failure",
         "Abstract",
         f"r-ANISOMAP in 2D: Mantel r of runs 4 and 5 at most {ALIKE} below runs 1 to 3",
-        evidence.robust,
+        claim_evidence.robust,
     ),
     Claim(
         "Information distance has a tendency to spherise reconstructions",
         "Methods, Fig. 7",
         f"spread of radii below {SPHERICAL} of the truth's, and below r-ANISOMAP's",
-        evidence.spherises,
+        claim_evidence.spherises,
     ),
     Claim(
         "6 and 8 bins produced qualitatively similar results",
         "Methods",
         f"mean Mantel r within {ALIKE} of that with 4 bins",
-        evidence.bins_do_not_matter,
+        claim_evidence.bins_do_not_matter,
     ),
     Claim(
         "High distance-correlation corresponds to a map that respects the topology",
         "Results",
         "over maps of a scenario, r and the share of true neighbours kept go together (rank "
         "correlation above 0.5)",
-        evidence.r_means_topology,
+        claim_evidence.r_means_topology,
     ),
     Claim(
         "Visual and auditory surfaces can be learned from their data, too",
         "Abstract, Introduction",
         f"Mantel r of at least {REASONABLE} for retina and cochlea, in the better dimension",
-        evidence.senses,
+        claim_evidence.senses,
     ),
 )
 

@@ -22,8 +22,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from anisomap._files import replacing
 from anisomap.errors import FileError
+from anisomap.files import replacing
 
 _PLACE = re.compile(
     r"(?P<opening><!-- numbers: (?P<table>[\w-]+)(?:: (?P<columns>[^\n]*?))? -->\n)"

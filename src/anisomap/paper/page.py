@@ -11,10 +11,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from anisomap._files import replacing
 from anisomap._version import __version__
 from anisomap.errors import MissingExtraError
-from anisomap.paper import keeping
+from anisomap.files import replacing
+from anisomap.paper import result_cache as results
 from anisomap.paper.experiment import Cell, Experiment, Settings, Table
 
 _MOST_ROWS = 60
@@ -26,7 +26,7 @@ class Section:
     """An experiment as the page shows it; `kept` is None if it was left out."""
 
     experiment: Experiment
-    kept: keeping.Kept | None
+    kept: cache.Kept | None
 
 
 def write_page(
@@ -59,7 +59,7 @@ def write_page(
     """
     template = _environment().get_template("page.html")
     sections = [
-        Section(one, keeping.load(folder, one.name, keys[one.name]) if one.name in keys else None)
+        Section(one, results.load(folder, one.name, keys[one.name]) if one.name in keys else None)
         for one in experiments.values()
         if one.title and (one.name in keys or one.files)
     ]

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from anisomap.paper import (
-    claims,
-    failing,
+from anisomap.paper import claims
+from anisomap.paper.experiment import Experiment
+from anisomap.paper.experiments import (
+    failing_sensor,
     hardware,
+    modalities,
     quality,
     reconstructions,
     scenes,
-    senses,
     sensitivity,
     shapes,
     supplement,
 )
-from anisomap.paper.experiment import Experiment
 
 _IN_ORDER = (
     claims.EXPERIMENT,
@@ -32,9 +32,9 @@ _IN_ORDER = (
     *hardware.SUPPLEMENTARY,
     *supplement.EXPERIMENTS,
     quality.BINS,
-    failing.EXPERIMENT,
+    failing_sensor.EXPERIMENT,
     *sensitivity.EXPERIMENTS,
-    *senses.EXPERIMENTS,
+    *modalities.EXPERIMENTS,
 )
 
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({one.name: one for one in _IN_ORDER})

@@ -16,7 +16,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import AnisomapWarning, FileError, InputError, MissingExtraError
-from anisomap.paper import keeping
+from anisomap.paper import result_cache as results
 from anisomap.paper.experiment import Experiment, Settings, Table
 from anisomap.paper.page import write_page
 from anisomap.paper.registry import EXPERIMENTS
@@ -93,12 +93,12 @@ def reproduce(
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileError(f"cannot make the folder {target}: {error.strerror}") from error
-    keeping.sweep(target, experiments)
+    results.sweep(target, experiments)
     can_run = [one for one in wanted if one.can_run(chosen)]
     keys: dict[str, str] = {}
     for one in can_run:
-        keys[one.name] = keeping.key_of(one, chosen, keys)
-    pending = [one for one in can_run if keeping.load(target, one.name, keys[one.name]) is None]
+        keys[one.name] = results.key_of(one, chosen, keys)
+    pending = [one for one in can_run if results.load(target, one.name, keys[one.name]) is None]
     tell = tell or (lambda _done, _share: None)
     for done, one in enumerate(one for one in can_run if one not in pending):
         tell(_finished(target, one, "kept"), (done + 1) / len(can_run))
@@ -156,7 +156,7 @@ class _Run:
                 self.tell(_finished(self.folder, one, "made"), share)
 
     def _tables(self, one: Experiment) -> dict[str, Table]:
-        kept = [keeping.load(self.folder, name) for name in one.needs]
+        kept = [results.load(self.folder, name) for name in one.needs]
         return {table.name: table for each in kept if each for table in each.tables}
 
 
@@ -181,11 +181,11 @@ def _make(
         # One doubt would be told for hundreds of maps; the tables show what there is to doubt.
         warnings.simplefilter("ignore", AnisomapWarning)
         outcome = experiment.make(settings, tables)
-        keeping.save(folder, experiment, outcome, keys[experiment.name], started)
+        results.save(folder, experiment, outcome, keys[experiment.name], started)
 
 
 def _finished(folder: Path, one: Experiment, how: str) -> Done:
-    kept = keeping.load(folder, one.name)
+    kept = results.load(folder, one.name)
     return Done(one.name, kept.seconds if kept else 0.0, how)
 
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.drawing.figures.charts import METHOD_LOOKS, NullBox
 from anisomap.evaluation import Mantel, Score, score
-from anisomap.figures.charts import METHOD_LOOKS, NullBox
 from anisomap.health import SensorHealth, assess
 from anisomap.methods import MethodOptions
-from anisomap.numerics.binning import DEFAULT_BINS
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.experiment import Row, Settings
 from anisomap.paper.measures import axial_scale, spread_of_radii
 from anisomap.reconstruction import reconstruct

@@ -11,9 +11,7 @@ from anisomap.simulation.bodies import (
     body_from_points,
     load_body,
 )
-from anisomap.simulation.bombardment import BombardmentOptions
 from anisomap.simulation.coverage import CoverageCurve, coverage_curve
-from anisomap.simulation.driving import LocomotionOptions
 from anisomap.simulation.faults import (
     FAULTS,
     FRAME_FAULTS,
@@ -26,10 +24,13 @@ from anisomap.simulation.faults import (
     parse_fault,
     saturating,
 )
-from anisomap.simulation.pressing import PressingOptions
-from anisomap.simulation.pulses import PulsesOptions
-from anisomap.simulation.rolling import RollerOptions
-from anisomap.simulation.rubbing import RubbingOptions
+from anisomap.simulation.kinematic.pressing import PressingOptions
+from anisomap.simulation.kinematic.pulses import PulsesOptions
+from anisomap.simulation.kinematic.rolling import RollerOptions
+from anisomap.simulation.kinematic.rubbing import RubbingOptions
+from anisomap.simulation.kinematic.self_touch import SelfTouchOptions
+from anisomap.simulation.physics.bombardment import BombardmentOptions
+from anisomap.simulation.physics.driving import LocomotionOptions
 from anisomap.simulation.scenarios import (
     SCENARIOS,
     Simulation,
@@ -39,7 +40,6 @@ from anisomap.simulation.scenarios import (
     simulate,
     simulate_runs,
 )
-from anisomap.simulation.touching_oneself import SelfTouchOptions
 
 __all__ = [
     "BODIES",

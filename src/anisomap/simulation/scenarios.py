@@ -20,18 +20,18 @@ from anisomap.errors import InputError
 from anisomap.recording import Recording, Scalar
 from anisomap.scene import Scene
 from anisomap.simulation.bodies import BODIES, Body
-from anisomap.simulation.bombardment import BombardmentOptions, bombardment
+from anisomap.simulation.bodies.geodesics import surface_distances
 from anisomap.simulation.checks import check_count
-from anisomap.simulation.driving import LocomotionOptions
 from anisomap.simulation.engine import load_mujoco
-from anisomap.simulation.geodesics import surface_distances
-from anisomap.simulation.locomotion import locomotion, rolls
+from anisomap.simulation.kinematic.pressing import PressingOptions, pressing
+from anisomap.simulation.kinematic.pulses import PulsesOptions, pulses
+from anisomap.simulation.kinematic.rolling import RollerOptions, roller
+from anisomap.simulation.kinematic.rubbing import RubbingOptions, rubbing
+from anisomap.simulation.kinematic.self_touch import SelfTouchOptions, self_touch
 from anisomap.simulation.options import fitted
-from anisomap.simulation.pressing import PressingOptions, pressing
-from anisomap.simulation.pulses import PulsesOptions, pulses
-from anisomap.simulation.rolling import RollerOptions, roller
-from anisomap.simulation.rubbing import RubbingOptions, rubbing
-from anisomap.simulation.touching_oneself import SelfTouchOptions, self_touch
+from anisomap.simulation.physics.bombardment import BombardmentOptions, bombardment
+from anisomap.simulation.physics.driving import LocomotionOptions
+from anisomap.simulation.physics.locomotion import locomotion, rolls
 from anisomap.simulation.world import Progress, Run
 
 Entry = TypeVar("Entry")

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from anisomap.recording import Scalar
 from anisomap.scene import Prop
 from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.solids import Solid
+from anisomap.simulation.geometry.solids import Solid
 
 Progress: TypeAlias = Callable[[float], None]
 """Told the share done, from 0 to 1."""

@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.numerics.contacts.adjusting import Reduced
-from anisomap.numerics.contacts.finding import Contacts, find_contacts
+from anisomap.numerics.contacts.bundle_adjustment import Reduced
+from anisomap.numerics.contacts.detection import Contacts, find_contacts
 from anisomap.numerics.contacts.levels import Levels, sort_into_levels
-from anisomap.numerics.contacts.locating import choose, evaluate, left_out, locate
+from anisomap.numerics.contacts.localisation import choose, evaluate, left_out, locate
 from anisomap.numerics.contacts.profile import Profile, learn_profile, level_terms
 
 Matrix = NDArray[np.float64]
@@ -141,8 +141,8 @@ def fit_contacts(
     readings : array_like of shape (T, N)
         Finite readings, of any unit.
     positions : array_like of shape (N, k)
-        A map that is nearly right, such as `anisomap.numerics.covariogram.fit_covariogram` gives,
-        in any unit.
+        A nearly correct map in any unit, for example from
+        `anisomap.numerics.covariogram.fit.fit_covariogram`.
     options : ContactOptions, optional
 
     Returns

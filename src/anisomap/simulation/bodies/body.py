@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from anisomap.errors import InputError
 from anisomap.recording import default_names
 from anisomap.scene import frozen
-from anisomap.simulation.solids import Points, Solid, distance_to_all, outward, projected
+from anisomap.simulation.geometry.solids import Points, Solid, distance_to_all, outward, projected
 
 UNITS = "m"
 """Unit of every length in a simulation, unless a body that a user brings has another."""
@@ -47,7 +47,7 @@ class Body:
         Whether the solids' surface is the body's between the sensors, too.
     geodesic : callable, optional
         Takes positions; gives their (N, N) distances along the surface, where there is a closed
-        form. Others are found by `anisomap.simulation.geodesics.surface_distances`.
+        form. Others are found by `anisomap.simulation.bodies.geodesics.surface_distances`.
 
     Raises
     ------

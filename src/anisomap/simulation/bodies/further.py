@@ -11,7 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body
 from anisomap.simulation.bodies.paper import (
     CYLINDER_LENGTH,
@@ -20,8 +19,9 @@ from anisomap.simulation.bodies.paper import (
     great_circles,
 )
 from anisomap.simulation.checks import check_count
-from anisomap.simulation.solids import Solid
-from anisomap.simulation.spreading import Density, spread
+from anisomap.simulation.geometry import solids
+from anisomap.simulation.geometry.solids import Solid
+from anisomap.simulation.geometry.spreading import Density, spread
 
 TORUS_RADIUS, TORUS_TUBE = 0.75, 0.3
 CUBE_EDGE = 1.4
@@ -180,7 +180,7 @@ def covered(
     parts : sequence of Solid
     n_sensors : int
     density : callable, optional
-        See `anisomap.simulation.spreading.spread`; no sensor is put where it is 0 or False.
+        See `anisomap.simulation.geometry.spreading.spread`; 0 or False: no sensor.
     rng : numpy.random.Generator or int
         Or its seed.
 

@@ -14,12 +14,12 @@ from scipy.spatial import ConvexHull
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.numerics.normals import estimate_normals
 from anisomap.recording import default_names
-from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body, nearest_neighbours
 from anisomap.simulation.checks import check_count
 from anisomap.simulation.engine import load_mujoco
-from anisomap.simulation.solids import Points, Solid
-from anisomap.simulation.spreading import spread
+from anisomap.simulation.geometry import solids
+from anisomap.simulation.geometry.solids import Points, Solid
+from anisomap.simulation.geometry.spreading import spread
 
 MESH_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
 MODEL_SUFFIXES = (".mjcf", ".xml")

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
-from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body, straight_lines
 from anisomap.simulation.checks import check_count
+from anisomap.simulation.geometry import solids
 
 SPHERE_RADIUS = 1.0
 """Metres: the unit of all other lengths."""

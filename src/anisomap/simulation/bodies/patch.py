@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
-from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body, straight_lines
+from anisomap.simulation.geometry import solids
 
 TRIANGLES = 6
 

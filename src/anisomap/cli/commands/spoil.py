@@ -1,0 +1,63 @@
+"""``anisomap spoil``: break sensors of a recording, on the record."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from anisomap import io
+from anisomap.cli import parameters as options
+from anisomap.cli import pipeline
+from anisomap.cli.console import show_table
+from anisomap.errors import InputError
+from anisomap.files import check_distinct
+from anisomap.simulation import inflict, inflicted_faults, parse_fault
+from anisomap.simulation.faults import EVERY
+from anisomap.wording import listing
+
+
+def spoil(
+    recording: options.RecordingFile,
+    /,
+    *,
+    fault: Annotated[list[str], Parameter(alias="-f", negative=())],
+    output: Annotated[Path, Parameter(alias="-o")],
+    seed: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
+) -> None:
+    """Break sensors of a recording, and write down which.
+
+    The NPZ names every sensor and frame that was touched, so that whatever looks for faults can be
+    scored.
+
+    Parameters
+    ----------
+    fault
+        KIND:SENSORS,NAME=VALUE, such as dead:s3,s7 or saturating:10%,level=1 or dropped-frames;
+        may be repeated, and is done in that order. `anisomap faults` lists them.
+    output
+        NPZ file to write.
+    seed
+        Same seed, same faults.
+    """
+    requests = [parse_fault(text) for text in fault]
+    check_distinct([output], [recording])
+    io.check_writable(output)
+    if output.suffix.lower() != ".npz":
+        raise InputError(f"a recording is written as NPZ, so {output} must end in .npz")
+    spoilt = inflict(pipeline.read(recording), requests, seed)
+    io.write(spoilt, output)
+    sensors: defaultdict[str, list[str]] = defaultdict(list)
+    frames: defaultdict[str, int] = defaultdict(int)
+    for done in inflicted_faults(spoilt):
+        sensors[done.kind].append({EVERY: "all", "": "-"}.get(done.sensor, done.sensor))
+        frames[done.kind] += sum(stop - start for start, stop in done.spans)
+    show_table(
+        "Faults on the record",
+        ("fault", "sensors", "readings or frames"),
+        [(kind, listing(names), str(frames[kind])) for kind, names in sensors.items()],
+    )
+    show_table("Files", ("what", "where"), [("recording", str(output))])

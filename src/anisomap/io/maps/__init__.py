@@ -1,0 +1,1 @@
+"""Readers and writers of maps: one file a format."""

@@ -1,0 +1,206 @@
+"""NumPy archives: recordings and maps.
+
+A recording has ``readings`` (T, N), and may have ``positions``, ``normals``,
+``surface_distances``, ``names``, ``times``, ``rate_hz``, ``units``, ``source``; single values of
+any other name are its metadata, other arrays are passed over. A map has ``positions`` instead of
+``readings``. Nothing is ever unpickled.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import FileError
+from anisomap.io.parsing.archive import NUMBERS, SUFFIX, Archive, open_archive
+from anisomap.io.parsing.comments import python_scalar
+from anisomap.io.parsing.frames import increasing
+from anisomap.io.stream import Block, ReadOptions, Stream
+from anisomap.recording import Recording, Scalar
+from anisomap.sensor_map import SensorMap
+
+_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
+_BLOCK_BYTES = 1 << 22
+_RECORDING_KEYS = {
+    *("readings", "positions", "normals", "surface_distances"),
+    *("names", "times", "rate_hz", "units", "source", "metadata"),
+}
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Tell a zip archive by its first bytes."""
+    return head.startswith(_MAGICS)
+
+
+@contextmanager
+def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open a recording in an NPZ archive.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The archive.
+    options : ReadOptions
+        None of them matters here.
+
+    Yields
+    ------
+    Stream
+
+    Raises
+    ------
+    FileError
+        If `readings` is missing, or an array is damaged, of the wrong shape, or not of numbers.
+    """
+    with open_archive(path) as archive:
+        archive.require("readings", "recording")
+        shape = archive.shape("readings", NUMBERS)
+        if len(shape) != 2:
+            raise FileError(
+                f"{path}: readings have {len(shape)} dimensions; "
+                "they must be frames x sensors, shape (T, N)"
+            )
+        times = archive.array("times", NUMBERS)
+        yield Stream(
+            path,
+            shape[1],
+            _blocks(archive, shape, None if times is None else increasing(times, path)),
+            names=archive.texts("names"),
+            rate_hz=archive.number("rate_hz"),
+            positions=archive.array("positions", NUMBERS),
+            normals=archive.array("normals", NUMBERS),
+            surface_distances=archive.array("surface_distances", NUMBERS),
+            units=archive.text("units"),
+            source=archive.text("source", path.name),
+            metadata={**archive.scalars(but=_RECORDING_KEYS), **archive.mapping("metadata")},
+        )
+
+
+def _blocks(
+    archive: Archive, shape: tuple[int, ...], times: NDArray[np.float64] | None
+) -> Iterator[Block]:
+    if 0 in shape:
+        raise FileError(f"{archive.path}: readings have shape {shape}: there is nothing in them")
+    if times is not None and len(times) != shape[0]:
+        raise FileError(
+            f"{archive.path}: times have shape {times.shape}; {shape[0]} frames need ({shape[0]},)"
+        )
+    done = 0
+    for rows in archive.rows("readings", NUMBERS, _BLOCK_BYTES):
+        start, done = done, done + len(rows)
+        yield Block(rows, done / shape[0], None if times is None else times[start:done])
+
+
+def read_map(path: Path) -> SensorMap:
+    """Read a map, or the true positions in a recording, from an NPZ archive.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The archive. Readings in it are not read.
+
+    Returns
+    -------
+    SensorMap
+
+    Raises
+    ------
+    FileError
+        If `positions` is missing, or an array is damaged or of the wrong shape or kind.
+    """
+    with open_archive(path) as archive:
+        archive.require("positions", "positions")
+        positions = archive.required("positions", NUMBERS)
+        names, units = archive.texts("names"), archive.text("units")
+        if "readings" in archive.names:
+            return SensorMap(positions, names=names, units=units)
+        stress, confidence = archive.number("stress"), archive.number("confidence")
+        return SensorMap(
+            positions,
+            names=names,
+            component=archive.list_of("component", np.dtype(np.intp)),
+            health=archive.texts("health"),
+            excluded=archive.list_of("excluded", np.dtype(np.bool_)),
+            units=units,
+            method=archive.text("method"),
+            stress=math.nan if stress is None else stress,
+            confidence=math.nan if confidence is None else confidence,
+            notes=archive.texts("notes"),
+            provenance=archive.mapping("provenance"),
+        )
+
+
+def write_recording(recording: Recording, path: Path) -> None:
+    """Write a recording as an NPZ archive; the same recording gives the same bytes.
+
+    Parameters
+    ----------
+    recording : Recording
+        What to write; all of it reads back equal.
+    path : pathlib.Path
+        Where.
+    """
+    arrays: dict[str, Any] = {
+        "readings": recording.readings,
+        "names": np.array(recording.names, dtype=str),
+        "positions": recording.positions,
+        "normals": recording.normals,
+        "surface_distances": recording.surface_distances,
+        "times": recording.times,
+        "rate_hz": recording.rate_hz,
+        "units": recording.units,
+        "source": recording.source,
+        "metadata": _packed(recording.metadata),
+    }
+    _write(arrays, path)
+
+
+def write_map(sensor_map: SensorMap, path: Path) -> None:
+    """Write a map as an NPZ archive; the same map gives the same bytes.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        What to write; all of it reads back equal.
+    path : pathlib.Path
+        Where.
+    """
+    arrays: dict[str, Any] = {
+        "positions": sensor_map.positions,
+        "names": np.array(sensor_map.names, dtype=str),
+        "component": sensor_map.component.astype(np.int64),
+        "health": np.array(sensor_map.health, dtype=str),
+        "excluded": sensor_map.excluded,
+        "units": sensor_map.units,
+        **sensor_map.reference,
+        "method": sensor_map.method,
+        "stress": sensor_map.stress,
+        "confidence": sensor_map.confidence,
+        "notes": np.array(sensor_map.notes, dtype=str),
+        "provenance": _packed(sensor_map.provenance),
+    }
+    _write(arrays, path)
+
+
+def _packed(mapping: Mapping[str, Scalar]) -> str:
+    return json.dumps({key: python_scalar(value) for key, value in mapping.items()})
+
+
+def _write(arrays: Mapping[str, Any], path: Path) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in arrays.items():
+            if array is None:
+                continue
+            # A ZipInfo of its own carries neither the clock nor the system that it was made on.
+            info = zipfile.ZipInfo(name + SUFFIX)
+            info.compress_type, info.create_system = zipfile.ZIP_DEFLATED, 0
+            with archive.open(info, "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)

@@ -1,0 +1,282 @@
+"""Pressure mats, as their programs export them: a header, and a block of rows x columns a frame.
+
+Such as::
+
+    ROWS 3
+    COLS 2
+    ROW_SPACING 8.4 mm
+    SECONDS_PER_FRAME 0.01
+    Frame 1
+    0,12
+    3,40
+    B,B
+
+    Frame 2
+    ...
+
+Cells that are marked ``B`` lie outside of the sensor.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import AnisomapWarning, FileError
+from anisomap.io.parsing.frames import narrowed
+from anisomap.io.parsing.grids import UNITS, grid_names, grid_positions
+from anisomap.io.parsing.source import DAMAGED_GZIP, Text, opened_with_share, quoted
+from anisomap.io.stream import Block, ReadOptions, Stream, salvaged
+
+_FRAME = re.compile(r'^\s*"?frame"?[\s:,;#]*"?\d+"?[\s,;]*(of\s+\d+)?[\s,;]*$', re.IGNORECASE)
+_ENTRY = re.compile(
+    r'^\s*"?([A-Za-z][A-Za-z _]*?)"?\s*[:,;=\t ]+\s*"?([-+]?\d[\d.,]*)"?\s*([A-Za-z]*)'
+)
+_CLOCK = re.compile(r'^\s*"?time[^\d"]*"?[\s:,;]*"?(\d+):(\d+):(\d+(?:[.,]\d+)?)', re.IGNORECASE)
+_SIZES = {"rows": "rows", "cols": "columns", "columns": "columns"}
+_OUTSIDE = re.compile(r"\b[Bb]\b")
+_LENGTHS = {"mm": "mm", "millimeters": "mm", "cm": "cm", "centimeters": "cm", "m": "m"}
+_LONGEST_HEADER, _MOST_CELLS = 1000, 1 << 22
+_BLOCK_BYTES = 1 << 20
+_DAY_S = 86400.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Header:
+    """What stands above the first frame, in lower case, and what the first frame looks like."""
+
+    entries: dict[str, tuple[float, str]]
+    rows: int
+    columns: int
+    delimiter: str | None
+    outside: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """One frame, and what o'clock its header said it was."""
+
+    cells: NDArray[np.float64]
+    clock: float | None
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Tell an export by lines that number frames, and by the size that its header gives."""
+    if b"\0" in head:
+        return False
+    lines = head.decode("utf-8", "replace").splitlines()
+    n_frames = sum(1 for line in lines if _FRAME.match(line))
+    sizes = {_SIZES.get(match[1].lower()) for line in lines if (match := _ENTRY.match(line))}
+    return n_frames > 1 or (n_frames == 1 and {"rows", "columns"} <= sizes)
+
+
+@contextmanager
+def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open a recording of a pressure mat.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    options : ReadOptions
+        None of them matters here.
+
+    Yields
+    ------
+    Stream
+        Sensors row after row, without cells outside of the sensor; positions are those of the
+        grid, in the unit of the spacing that the header gives, or in spacings.
+
+    Raises
+    ------
+    FileError
+        With the line of a frame that is not like the first.
+    """
+    header = _read_header(path)
+    inside = ~header.outside
+    names = grid_names(header.rows, header.columns)
+    positions, units = _positions(header)
+    period, _ = header.entries.get("seconds per frame", (0.0, ""))
+    yield Stream(
+        path,
+        int(np.count_nonzero(inside)),
+        salvaged(_blocks(path, header), path, DAMAGED_GZIP),
+        names=tuple(name for name, kept in zip(names, inside, strict=True) if kept),
+        rate_hz=1 / period if period > 0 else None,
+        positions=positions[inside],
+        units=units,
+        source=path.name,
+        metadata={"format": "pressure mat", "rows": header.rows, "columns": header.columns},
+        from_zero=True,
+    )
+
+
+def _read_header(path: Path) -> _Header:
+    with opened_with_share(path) as text:
+        entries = _read_entries(path, text.lines)
+        rows, columns = (int(entries.get(key, (0, ""))[0]) for key in ("rows", "columns"))
+        if rows * columns > _MOST_CELLS:
+            raise FileError(f"{path}: {rows} x {columns} cells are more than any mat has")
+        first = _first_frame(text.lines, rows)
+    if not first:
+        raise FileError(f"{path} holds no frame")
+    delimiter = _delimiter(first[0])
+    table = _parsed(path, first, delimiter)
+    rows, columns = rows or table.shape[0], columns or table.shape[1]
+    if table.shape != (rows, columns):
+        raise FileError(
+            f"{path}: the first frame has {table.shape[0]} x {table.shape[1]} cells, "
+            f"but the header says {rows} x {columns}"
+        )
+    outside = np.isnan(table.ravel())
+    if outside.all():
+        raise FileError(f"{path}: all cells of the first frame are outside of the sensor")
+    return _Header(entries, rows, columns, delimiter, outside)
+
+
+def _read_entries(path: Path, lines: Iterable[str]) -> dict[str, tuple[float, str]]:
+    """Read numbers with their names and units, up to the line that begins the first frame."""
+    entries: dict[str, tuple[float, str]] = {}
+    for number, line in enumerate(lines, start=1):
+        if _FRAME.match(line):
+            return entries
+        if number > _LONGEST_HEADER:
+            break
+        if match := _ENTRY.match(line):
+            key = match[1].strip().lower().replace("_", " ")
+            entries[_SIZES.get(key, key)] = (_number(match[2]), match[3].lower())
+    raise FileError(f"{path}: no frame begins in the first {_LONGEST_HEADER} lines")
+
+
+def _first_frame(lines: Iterable[str], rows: int) -> list[str]:
+    """Give the lines of the first frame; without a number of rows, up to what is no number."""
+    first: list[str] = []
+    for line in lines:
+        if _FRAME.match(line) or (first and not line.strip(" \t\r\n,;")):
+            break
+        if _is_data(line):
+            first.append(line)
+        if first and len(first) in (rows, _MOST_CELLS):
+            break
+    return first
+
+
+def _blocks(path: Path, header: _Header) -> Iterator[Block]:
+    inside = ~header.outside
+    at_once = max(1, _BLOCK_BYTES // (8 * header.outside.size))
+    with opened_with_share(path) as text:
+        frames: list[_Frame] = []
+        damage: Exception | None = None
+        try:
+            for frame in _frames(path, text, header):
+                frames.append(frame)
+                if len(frames) == at_once:
+                    yield _block(frames, inside, text.share())
+                    frames = []
+        except DAMAGED_GZIP as error:
+            damage = error
+        if frames:
+            yield _block(frames, inside, text.share())
+        if damage:
+            raise damage
+
+
+def _block(frames: list[_Frame], inside: NDArray[np.bool_], share: float) -> Block:
+    cells = np.array([frame.cells for frame in frames])[:, inside]
+    clocks = [frame.clock for frame in frames if frame.clock is not None]
+    times = np.array(clocks) if len(clocks) == len(frames) else None
+    return Block(narrowed(cells), share, times)
+
+
+def _frames(path: Path, text: Text, header: _Header) -> Iterator[_Frame]:
+    lines: list[str] = []
+    clock: float | None = None
+    before, started, done = 0.0, 0, 0
+    for number, line in enumerate(text.lines, start=1):
+        if _FRAME.match(line):
+            if started and lines:
+                raise _short(path, started, lines, header)
+            started, lines, clock = number, [], None
+        elif started and (match := _CLOCK.match(line)):
+            clock = 3600.0 * int(match[1]) + 60.0 * int(match[2]) + _number(match[3])
+            clock += _DAY_S * (clock < before - _DAY_S / 2)  # past midnight
+            before = clock
+        elif started and _is_data(line):
+            lines.append(line)
+            if len(lines) == header.rows:
+                cells = _parsed(path, lines, header.delimiter, first_line=number - header.rows + 1)
+                if cells.shape[1] != header.columns:
+                    raise _short(path, started, lines, header)
+                yield _Frame(cells.ravel(), clock)
+                lines, done = [], done + 1
+    if lines:
+        if not done:
+            raise _short(path, started, lines, header)
+        warnings.warn(
+            f"{path}: the last frame was cut off in row {len(lines)} of {header.rows}; it is "
+            f"lost, the {done} frames before it are whole",
+            AnisomapWarning,
+            stacklevel=2,
+        )
+
+
+def _short(path: Path, line: int, lines: list[str], header: _Header) -> FileError:
+    return FileError(
+        f"{path}: the frame that begins in line {line} has {len(lines)} rows that can be read; "
+        f"every frame needs {header.rows} rows of {header.columns} numbers"
+    )
+
+
+def _is_data(line: str) -> bool:
+    """Tell a row of numbers from words, by its first field."""
+    field = re.split(r"[,;\s]", line.strip().lstrip('"'), maxsplit=1)[0].strip('"')
+    return bool(field) and (field in "Bb" or field.replace(".", "").lstrip("+-").isdecimal())
+
+
+def _delimiter(line: str) -> str | None:
+    return next((mark for mark in (";", "\t", ",") if mark in _plain(line)), None)
+
+
+def _plain(line: str) -> str:
+    """Take quotation marks away; numbers in them may have decimal commas."""
+    if '"' not in line:
+        return line
+    return line.strip().strip('",;').replace('","', ";").replace(",", ".").replace('"', "")
+
+
+def _parsed(
+    path: Path, lines: list[str], delimiter: str | None, *, first_line: int = 0
+) -> NDArray[np.float64]:
+    cleaned = [_OUTSIDE.sub("nan", _plain(line)).strip().rstrip(delimiter or "") for line in lines]
+    try:
+        return np.loadtxt(
+            io.StringIO("\n".join(cleaned)), np.float64, delimiter=delimiter, comments=None, ndmin=2
+        )
+    except ValueError as error:
+        where = f" of lines {first_line} to {first_line + len(lines) - 1}" if first_line else ""
+        raise FileError(
+            f"{path}: the frame{where} is no table of numbers: {quoted(lines[0].strip())} ..."
+        ) from error
+
+
+def _positions(header: _Header) -> tuple[NDArray[np.float64], str]:
+    grid = grid_positions(header.rows, header.columns)
+    down, unit = header.entries.get("row spacing", (0.0, ""))
+    across, _ = header.entries.get("col spacing", (down, unit))
+    if down <= 0 or across <= 0 or unit not in _LENGTHS:
+        return grid, UNITS
+    return grid * [across, down], _LENGTHS[unit]
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text.rstrip(".,").replace(",", "."))
+    except ValueError:
+        return 0.0

@@ -1,0 +1,347 @@
+"""ROS 1 and ROS 2 bags and MCAP files: topics of tactile sensors."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import FileError
+from anisomap.io.choice import Content, choose
+from anisomap.io.joining import joined
+from anisomap.io.parsing.foreign import foreign, guarded, imported
+from anisomap.io.ros import messages
+from anisomap.io.ros.files import (
+    MAGICS,
+    check_chunks,
+    disguised,
+    warn_of_missing_end,
+    with_definitions,
+)
+from anisomap.io.ros.messages import Kind, kind_of
+from anisomap.io.ros.repair import EXTRA
+from anisomap.io.stream import Block, ReadOptions, Stream, salvaged
+from anisomap.recording import Scalar
+
+_METADATA = "metadata.yaml"
+_BLOCK_BYTES, _BLOCK_MESSAGES = 1 << 22, 1024
+_NUMBERS = {
+    *("bool", "byte", "char", "float32", "float64"),
+    *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
+}
+_DEEPEST = 4
+_NANOSECONDS = 1e9
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Tell a bag by its mark; a folder by the description that ROS 2 leaves in it."""
+    return (path / _METADATA).is_file() if path.is_dir() else head.startswith(tuple(MAGICS))
+
+
+def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
+    """List the topics of a bag."""
+    with _opened(path, options) as bag:
+        return bag.contents()
+
+
+@contextmanager
+def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open a recording in a bag.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        A ``.bag``, ``.mcap`` or ``.db3`` file, or the folder of a ROS 2 bag.
+    options : ReadOptions
+        `select` names the topic, and behind a colon the field, if it is not the usual one:
+        ``/xela:sensors.taxels.x``. Several topics, between commas or by a pattern
+        (``/range/*``), become one recording on the clock of the first. `definitions` are message
+        definitions for a bag that holds none.
+
+    Yields
+    ------
+    Stream
+        Times are the stamps of the messages, or when they were received where those do not
+        increase, from 0 on.
+
+    Raises
+    ------
+    FileError
+        If the bag is damaged, or it is not clear which topic is the recording.
+    MissingExtraError
+        If rosbags is not installed.
+    """
+    warn_of_missing_end(path)
+    with _opened(path, options) as bag:
+        streams = {topic: bag.stream(topic, field) for topic, field in bag.chosen(options.select)}
+        one = next(iter(streams.values()))
+        stream = joined(streams) if len(streams) > 1 else one
+        yield replace(stream, source=f"{path.name}:{', '.join(streams)}")
+
+
+@contextmanager
+def _opened(path: Path, options: ReadOptions) -> Iterator[_Bag]:
+    highlevel = imported("rosbags.highlevel", "reading bags", EXTRA)
+    typesys = imported("rosbags.typesys", "reading bags", EXTRA)
+    with foreign(path):
+        store = with_definitions(typesys.get_typestore(typesys.Stores.LATEST), options.definitions)
+        reader = highlevel.AnyReader([disguised(path)], default_typestore=store)
+        reader.open()
+    try:
+        with foreign(path):
+            check_chunks(path, reader)
+            with_definitions(reader.typestore, options.definitions)
+        yield _Bag(path, reader)
+    finally:
+        with foreign(path):
+            reader.close()
+
+
+@dataclass(frozen=True)
+class _Bag:
+    """An open bag."""
+
+    path: Path
+    reader: Any
+
+    def contents(self) -> tuple[Content, ...]:
+        """List the topics; those of tactile sensors come into question before any others."""
+        with foreign(self.path):
+            topics = dict(self.reader.topics)
+        tactile = any(messages.is_tactile(info.msgtype or "") for info in topics.values())
+        return tuple(
+            Content(
+                str(topic),
+                f"{info.msgtype}, {info.msgcount} messages",
+                self._usable(info, tactile),
+            )
+            for topic, info in topics.items()
+        )
+
+    def _usable(self, info: Any, tactile: bool) -> bool:
+        name = info.msgtype or ""
+        fits = messages.is_tactile(name) if tactile else bool(self._fields(name))
+        return bool(fits and info.msgcount)
+
+    def chosen(self, select: str) -> list[tuple[str, str]]:
+        """Give topics, each with the field asked for, which may be empty."""
+        held = self.contents()
+        found = []
+        for wanted in select.split(","):
+            topic, _, field = wanted.strip().partition(":")
+            named = [each.name for each in held if fnmatch.fnmatchcase(each.name, topic)]
+            if not ("*" in topic and named):
+                named = [choose(self.path, held, topic, "topic").name]
+            found += [(name, field) for name in named]
+        return found
+
+    def stream(self, topic: str, field: str) -> Stream:
+        """Make a stream of a topic."""
+        message_type = str(self.reader.topics[topic].msgtype)
+        fields = self._fields(message_type)
+        if message_type not in self.reader.typestore.fielddefs:
+            raise FileError(
+                f"{self.path} does not define the messages {message_type} of {topic}; "
+                "give their definition (--msg FILE)"
+            )
+        kind = kind_of(message_type, fields)
+        field = field or (kind.field if kind else "")
+        if kind is None or not field:
+            held = f": it has {', '.join(fields)}" if fields else ", and no array of numbers in it"
+            raise FileError(
+                f"{self.path}: choose a field of {topic} ({message_type}){held}; "
+                "as in --select TOPIC:FIELD"
+            )
+        rows = _CellRows if kind.cell else _Rows
+        return rows(self, topic, field, kind).stream()
+
+    def messages(self, topic: str) -> Iterator[tuple[Any, int]]:
+        """Give the messages of a topic, and when they were received, in nanoseconds."""
+        connections = [each for each in self.reader.connections if each.topic == topic]
+        for connection, stamp, raw in guarded(self.reader.messages(connections), self.path):
+            with foreign(self.path):
+                message = self.reader.deserialize(raw, connection.msgtype)
+            yield message, stamp
+
+    def _fields(self, message_type: str, depth: int = 0) -> list[str]:
+        """List the paths of all arrays of numbers in a kind of message."""
+        if depth > _DEEPEST or message_type not in self.reader.typestore.fielddefs:
+            return []
+        found = []
+        for name, (node, description) in self.reader.typestore.fielddefs[message_type][1]:
+            listed = node.name in ("ARRAY", "SEQUENCE")
+            inner, what = description[0] if listed else (node, description)
+            if inner.name == "NAME":
+                found += [f"{name}.{rest}" for rest in self._fields(str(what), depth + 1)]
+            elif listed and what[0] in _NUMBERS:
+                found.append(name)
+        return found
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The messages of a topic, each a frame."""
+
+    bag: _Bag
+    topic: str
+    field: str
+    kind: Kind
+
+    def stream(self) -> Stream:
+        """Make a stream; the first message tells how many sensors there are."""
+        first = self._first()
+        values, names, positions = self._describe(first)
+        return Stream(
+            self.bag.path,
+            values.size,
+            salvaged(self._blocks(self._frames(values)), self.bag.path),
+            names=names if len(names) == values.size else (),
+            positions=positions,
+            units="" if positions is None else "m" if positions.shape[1] == 3 else "pixels",
+            metadata=self._metadata(),
+            from_zero=True,
+        )
+
+    def _first(self) -> Any:
+        for message, _ in self.bag.messages(self.topic):
+            if self._values(message).size:
+                return message
+        raise FileError(f"{self.bag.path}: no message of {self.topic} holds a reading")
+
+    def _describe(
+        self, first: Any
+    ) -> tuple[NDArray[Any], tuple[str, ...], NDArray[np.float64] | None]:
+        values = self._values(first)
+        with foreign(self.bag.path):
+            names = self.kind.names(first, self.field)
+            positions = self.kind.positions(first) if self.kind.positions else None
+        fits = positions is not None and len(positions) == values.size
+        return values, names, positions if fits else None
+
+    def _values(self, message: Any) -> NDArray[Any]:
+        try:
+            values = self.kind.values(message, self.field)
+        except (AttributeError, ValueError) as error:
+            raise FileError(f"{self.bag.path}: {self.topic}: {error}") from error
+        if values.dtype.kind not in "biuf":
+            raise FileError(f"{self.bag.path}: the field {self.field} of {self.topic} is no number")
+        return values
+
+    def _frames(self, first: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int, int]]:
+        """Give readings with the stamps of sender and receiver, in nanoseconds."""
+        convert = partial(messages.unwrapped, first=first) if self.kind.wraps else np.asarray
+        for number, (message, received) in enumerate(self.bag.messages(self.topic)):
+            values = self._values(message)
+            if not values.size:
+                continue
+            if values.size != first.size:
+                raise FileError(
+                    f"{self.bag.path}: message {number} of {self.topic} has {values.size} "
+                    f"readings, but the first has {first.size}"
+                )
+            yield convert(values), _sent(message, received), received
+
+    def _blocks(self, frames: Iterator[tuple[NDArray[Any], int, int]]) -> Iterator[Block]:
+        total = max(int(self.bag.reader.topics[self.topic].msgcount), 1)
+        start = int(self.bag.reader.start_time)
+        done = 0
+        for batch in _batches(frames):
+            done += len(batch)
+            rows, sent, received = zip(*batch, strict=True)
+            yield Block(
+                np.array(rows),
+                min(done / total, 1.0),
+                (np.array(sent, dtype=np.int64) - start) / _NANOSECONDS,
+                (np.array(received, dtype=np.int64) - start) / _NANOSECONDS,
+            )
+
+    def _metadata(self) -> dict[str, Scalar]:
+        kind = str(self.bag.reader.topics[self.topic].msgtype)
+        return {"format": "ROS bag", "topic": self.topic, "message": kind, "field": self.field}
+
+
+@dataclass(frozen=True)
+class _CellRows(_Rows):
+    """The messages of a topic, each of one cell: a frame is once around all cells."""
+
+    def stream(self) -> Stream:
+        """Make a stream; all messages are gone through before, to learn which cells there are."""
+        sizes: dict[str, int] = {}
+        counts = Counter[str]()
+        try:
+            for message, _ in self.bag.messages(self.topic):
+                cell = messages.cell_of(message)
+                sizes.setdefault(cell, self._values(message).size)
+                counts[cell] += 1
+        except FileError:
+            if not sizes:
+                raise
+        names = tuple(f"{cell}.{i}" for cell, size in sizes.items() for i in range(size))
+        if not names:
+            raise FileError(f"{self.bag.path}: no message of {self.topic} holds a reading")
+        return Stream(
+            self.bag.path,
+            len(names),
+            salvaged(
+                self._blocks(self._rounds(sizes, max(sizes, key=counts.__getitem__))), self.bag.path
+            ),
+            names=names,
+            metadata=self._metadata(),
+            from_zero=True,
+        )
+
+    def _rounds(
+        self, sizes: dict[str, int], leader: str
+    ) -> Iterator[tuple[NDArray[Any], int, int]]:
+        """Give what every cell read last, each time before the leading cell reads anew."""
+        starts = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
+        state = np.full(sum(sizes.values()), np.nan)
+        known: set[str] = set()
+        stamps = (0, 0)
+        for message, received in self.bag.messages(self.topic):
+            cell = messages.cell_of(message)
+            if cell == leader and len(known) == len(sizes):
+                yield state.copy(), *stamps
+            values = self._values(message)
+            if values.size != sizes[cell]:
+                raise FileError(
+                    f"{self.bag.path}: cell {cell} of {self.topic} has {values.size} readings, "
+                    f"but {sizes[cell]} before"
+                )
+            state[starts[cell] : starts[cell] + values.size] = values
+            stamps = (_sent(message, received), received)
+            known.add(cell)
+        if len(known) == len(sizes):
+            yield state.copy(), *stamps
+
+
+def _sent(message: Any, received: int) -> int:
+    """Tell when a message was stamped, in nanoseconds; when it was received if it is not."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    sent = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+    return sent or received
+
+
+def _batches(frames: Iterator[Any]) -> Iterator[Sequence[Any]]:
+    batch: list[Any] = []
+    try:
+        for frame in frames:
+            batch.append(frame)
+            if len(batch) == _BLOCK_MESSAGES or len(batch) * frame[0].nbytes > _BLOCK_BYTES:
+                yield batch
+                batch = []
+    except FileError:
+        # What came before damage is whole, and must not be lost with it.
+        if batch:
+            yield batch
+        raise
+    if batch:
+        yield batch

@@ -1,0 +1,186 @@
+"""What messages of tactile sensors hold: readings, names and sometimes positions.
+
+A message is a tree of fields; a reading is found by its path, and every list of messages on the way
+gives a part of the sensor's name. So a new kind of message is mostly one line in `KINDS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.io.parsing.grids import grid_names, grid_positions
+
+_LABELS = ("name", "sensor_pos", "cellId", "cell_id")
+_CHANNELS = {"mono": 1, "rgb": 3, "bgr": 3, "rgba": 4, "bgra": 4}
+_DEPTHS = {"U": "u", "S": "i", "F": "f"}
+_WRAP = 1 << 16
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How the readings of a kind of message are found.
+
+    Parameters
+    ----------
+    field : str
+        Path of the readings, unless another is asked for: ``"sensors.taxels.z"``.
+    values : callable
+        Given a message and the path, gives the readings.
+    names : callable
+        Given a message and the path, names the sensors.
+    positions : callable, optional
+        Given a message, gives the positions in metres, or None.
+    wraps : bool
+        Whether readings are counters of 16 bits, which run over.
+    cell : bool
+        Whether each message is of one part of the skin only.
+    """
+
+    field: str
+    values: Callable[[Any, str], NDArray[Any]]
+    names: Callable[[Any, str], tuple[str, ...]]
+    positions: Callable[[Any], NDArray[np.float64] | None] | None = None
+    wraps: bool = False
+    cell: bool = False
+
+
+def values_at(message: Any, path: str) -> NDArray[Any]:
+    """Gather all numbers at a path, in order."""
+    parts = [np.atleast_1d(np.asarray(value)).ravel() for _, value in _walk(message, path)]
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def names_at(message: Any, path: str) -> tuple[str, ...]:
+    """Name the numbers at a path by the parts of the message that hold them; empty if none do."""
+    names = []
+    for label, value in _walk(message, path):
+        size = np.size(value)
+        if np.ndim(value):
+            names += [f"{label}.{i}" if label else str(i) for i in range(size)]
+        else:
+            names.append(label)
+    labelled = any("." in name for name in names) or all(names)
+    return tuple(names) if labelled and len(set(names)) == len(names) else ()
+
+
+def unwrapped(values: NDArray[Any], first: NDArray[Any]) -> NDArray[np.float64]:
+    """Give counters of 16 bits, signed or not, as differences from the first: they run over."""
+    steps = values.astype(np.int64) - first.astype(np.int64)
+    return np.asarray((steps + _WRAP // 2) % _WRAP - _WRAP // 2, dtype=np.float64)
+
+
+def cell_of(message: Any) -> str:
+    """Tell which part of the skin a message is of."""
+    return next(str(getattr(message, name)) for name in _LABELS[2:] if hasattr(message, name))
+
+
+def kind_of(message_type: str, fields: list[str]) -> Kind | None:
+    """Tell how to read a message.
+
+    Parameters
+    ----------
+    message_type : str
+        As ``"package/msg/Name"``.
+    fields : list of str
+        Paths of all arrays of numbers in it.
+
+    Returns
+    -------
+    Kind or None
+        None if it holds no array of numbers.
+    """
+    package, _, name = message_type.partition("/msg/")
+    known = KINDS.get(f"{package}/{name}") or KINDS.get(name)
+    if known or not fields:
+        return known
+    only = fields[0] if len(fields) == 1 else ""
+    return Kind("data" if "data" in fields and "Array" in name else only, values_at, names_at)
+
+
+def is_tactile(message_type: str) -> bool:
+    """Tell whether a kind of message is made for what we look for."""
+    package, _, name = message_type.partition("/msg/")
+    return f"{package}/{name}" in KINDS or name in KINDS or name.endswith("MultiArray")
+
+
+def _walk(value: Any, path: str, label: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            own = next((getattr(item, name) for name in _LABELS if hasattr(item, name)), index)
+            yield from _walk(item, path, f"{label}.{own}" if label else str(own))
+    elif path:
+        field, _, rest = path.partition(".")
+        yield from _walk(getattr(value, field), rest, label)
+    else:
+        yield label, value
+
+
+def _pixels(message: Any, _: str) -> NDArray[Any]:
+    """Read an image, row after row; colours are averaged."""
+    height, width, encoding = message.height, message.width, message.encoding
+    kind, channels = _encoding(encoding)
+    if message.is_bigendian:
+        kind = kind.newbyteorder(">")
+    used = width * channels * kind.itemsize
+    if message.step < used or len(message.data) < height * message.step:
+        raise ValueError(f"an image of {height} x {width} ({encoding}) is cut short")
+    rows = np.asarray(message.data)[: height * message.step].reshape(height, message.step)
+    pixels = np.ascontiguousarray(rows[:, :used]).view(kind).reshape(height * width, channels)
+    return pixels[:, 0] if channels == 1 else pixels[:, :3].mean(axis=1)
+
+
+def _encoding(encoding: str) -> tuple[np.dtype[Any], int]:
+    """Read what a pixel is: mono8, bgr8, 16UC1, 32FC3 ..."""
+    colours = encoding.rstrip("0123456789")
+    if colours in _CHANNELS:
+        return np.dtype(f"u{int(encoding[len(colours) :] or 8) // 8}"), _CHANNELS[colours]
+    bits, _, channels = encoding.partition("C")
+    if bits[-1:] not in _DEPTHS or not bits[:-1].isdecimal() or not (channels or "1").isdecimal():
+        raise ValueError(f"images of the encoding {encoding!r} cannot be used as pads")
+    return np.dtype(f"{_DEPTHS[bits[-1]]}{int(bits[:-1]) // 8}"), int(channels or 1)
+
+
+def _pixel_names(message: Any, _: str) -> tuple[str, ...]:
+    return grid_names(message.height, message.width)
+
+
+def _pixel_positions(message: Any) -> NDArray[np.float64]:
+    return grid_positions(message.height, message.width)
+
+
+def _lengths(message: Any, path: str) -> NDArray[np.float64]:
+    """Read how long vectors are whose components stand in fields of their own."""
+    if path != "values":
+        return values_at(message, path)
+    parts = [np.asarray(getattr(message, f"values_{axis}"), np.float64) for axis in "xyz"]
+    return np.asarray(np.sqrt(sum(part**2 for part in parts)))
+
+
+def _no_names(message: Any, path: str) -> tuple[str, ...]:
+    return ()
+
+
+def _centres(message: Any) -> NDArray[np.float64] | None:
+    parts = [np.asarray(getattr(message, f"centers_{axis}"), np.float64) for axis in "xyz"]
+    return np.column_stack(parts) if len({part.size for part in parts}) == 1 else None
+
+
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "TactileState": Kind("sensors.values", values_at, names_at),
+        "SensStream": Kind("sensors.taxels.z", values_at, names_at, wraps=True),
+        "BiotacAll": Kind("tactiles.electrodes", values_at, names_at),
+        "SkinCellData": Kind("force", values_at, names_at, cell=True),
+        "SkinCellDataArray": Kind("data.force", values_at, names_at),
+        "TaxelArray": Kind("values", _lengths, _no_names, positions=_centres),
+        "sensor_msgs/Range": Kind("range", values_at, lambda *_: ("range",)),
+        "sensor_msgs/Image": Kind("data", _pixels, _pixel_names, positions=_pixel_positions),
+    }
+)
+"""Messages that we know, by their name, or with the package where the name alone says little."""

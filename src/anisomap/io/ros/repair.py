@@ -1,0 +1,294 @@
+"""Bags without an end, as a recorder leaves them that was killed: as far as they are whole.
+
+rosbags reads a file by the index at its end. Where that is missing, one is made and put behind the
+last whole record, in memory: the file stays as it is.
+
+The layouts are those of the MCAP specification and of "Bag File Format, version 2.0" (ROS 1).
+"""
+
+from __future__ import annotations
+
+import bz2
+import io
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from anisomap.io.parsing.foreign import imported
+from anisomap.io.parsing.source import check_unpacked, most_unpacked
+
+EXTRA = "ros"
+
+_MCAP, _ROS1 = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
+_MCAP_FOOTER = b"\x02\x14" + bytes(7) + bytes(20) + _MCAP
+_MCAP_HEAD = 9
+_INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 4, 5, 6, 7
+_LONGEST_HEADER = 1 << 16
+
+
+@dataclass(frozen=True)
+class Repair:
+    """What a file lacks: it is whole up to `end`, begins with `start`, and ends on `tail`."""
+
+    start: bytes
+    end: int
+    tail: bytes
+
+
+def repair_of(path: Path, suffix: str) -> Repair | None:
+    """Tell what a bag lacks, if it lacks anything.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    suffix : str
+        ``".mcap"`` or ``".bag"``.
+    """
+    with path.open("rb") as file:
+        return _of_mcap(file) if suffix == ".mcap" else _of_ros1(path, file)
+
+
+def unpacked(path: Path, packed: bytes, compression: str) -> bytes:
+    """Unpack a chunk of a ROS 1 bag, unless it is made to fill memory.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file to name.
+    packed : bytes
+    compression : {"none", "bz2", "lz4"}
+
+    Raises
+    ------
+    FileError
+        If it unpacks to far more than any recording does.
+    """
+    most = most_unpacked(len(packed))
+    if compression == "bz2":
+        content = bz2.BZ2Decompressor().decompress(packed, max_length=most + 1)
+    elif compression == "lz4":
+        lz4 = imported("lz4.frame", "reading bags", EXTRA)
+        content = lz4.LZ4FrameDecompressor().decompress(packed, max_length=most + 1)
+    else:
+        content = packed
+    check_unpacked(path, "a chunk", len(packed), len(content))
+    return content
+
+
+class BagFile(io.BufferedReader):
+    """A file, repaired, that is never asked for more than it has.
+
+    Python sets aside as much memory as is asked for before it looks how much there is, and a
+    damaged length may ask for anything.
+    """
+
+    def __init__(self, path: Path, repair: Repair | None) -> None:
+        super().__init__(io.FileIO(path, "r") if repair is None else _Repaired(path, repair))
+        self._size = self.seek(0, io.SEEK_END)
+        self.seek(0)
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read so many bytes, or as many as there are."""
+        left = max(self._size - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
+
+
+class _Repaired(io.RawIOBase):
+    def __init__(self, path: Path, repair: Repair) -> None:
+        super().__init__()
+        self._file = path.open("rb")
+        self._repair = repair
+        self._at = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        size = self._repair.end + len(self._repair.tail)
+        self._at = max({io.SEEK_SET: 0, io.SEEK_CUR: self._at}.get(whence, size) + offset, 0)
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        start, end = self._repair.start, self._repair.end
+        if self._at < len(start):
+            content = start[self._at : self._at + len(buffer)]
+        elif self._at < end:
+            self._file.seek(self._at)
+            content = self._file.read(min(len(buffer), end - self._at))
+        else:
+            content = self._repair.tail[self._at - end : self._at - end + len(buffer)]
+        buffer[: len(content)] = content
+        self._at += len(content)
+        return len(content)
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+
+def _size(file: BinaryIO) -> int:
+    return file.seek(0, io.SEEK_END)
+
+
+def _of_mcap(file: BinaryIO) -> Repair | None:
+    size = _size(file)
+    file.seek(max(size - len(_MCAP), 0))
+    if file.read() == _MCAP:
+        return None
+    end = len(_MCAP)
+    while True:
+        file.seek(end)
+        head = file.read(_MCAP_HEAD)
+        length = int.from_bytes(head[1:], "little")
+        if len(head) < _MCAP_HEAD or end + _MCAP_HEAD + length > size:
+            return Repair(b"", end, _MCAP_FOOTER)
+        end += _MCAP_HEAD + length
+
+
+@dataclass(frozen=True)
+class _Record:
+    """A record of a ROS 1 bag: where it begins and ends, its header, where its data begin."""
+
+    start: int
+    fields: dict[bytes, bytes]
+    data: int
+    end: int
+
+    @property
+    def kind(self) -> int:
+        return self.number(b"op")
+
+    def number(self, name: bytes) -> int:
+        return int.from_bytes(self.fields.get(name, b""), "little")
+
+
+@dataclass
+class _Chunk:
+    """A chunk of messages, and what is indexed of it: a connection's count and times."""
+
+    record: _Record
+    counts: dict[int, int]
+    times: list[int]
+
+
+def _of_ros1(path: Path, file: BinaryIO) -> Repair | None:
+    size = _size(file)
+    head = _record(file, len(_ROS1), size)
+    if head is None or not head.fields.keys() >= {b"index_pos", b"conn_count", b"chunk_count"}:
+        return None  # there is no beginning either
+    wanted = head.number(b"conn_count") + head.number(b"chunk_count")
+    index = head.number(b"index_pos")
+    if index and sum(1 for _ in _records(file, index, size)) >= wanted:
+        return None
+    chunks, connections, end = _scan(path, file, head.end, size)
+    tail = b"".join(connections.values()) + b"".join(map(_chunk_info, chunks))
+    file.seek(0)
+    start = file.read(head.data)
+    for name, value, width in (
+        (b"index_pos=", end, 8),
+        (b"conn_count=", len(connections), 4),
+        (b"chunk_count=", len(chunks), 4),
+    ):
+        at = start.index(name) + len(name)
+        start = start[:at] + value.to_bytes(width, "little") + start[at + width :]
+    return Repair(start, end, tail)
+
+
+def _scan(
+    path: Path, file: BinaryIO, start: int, size: int
+) -> tuple[list[_Chunk], dict[int, bytes], int]:
+    """Gather chunks that are indexed, the connections of their messages, and where they end."""
+    chunks: list[_Chunk] = []
+    connections: dict[int, bytes] = {}
+    end = start
+    for record in _records(file, start, size):
+        if record.kind == _CHUNK:
+            chunks.append(_Chunk(record, {}, []))
+        elif record.kind == _INDEX and chunks:
+            _take_index(file, record, chunks[-1])
+            end = record.end
+        else:
+            break  # connections and chunks are listed anew
+    whole = [chunk for chunk in chunks if chunk.counts]
+    for chunk in whole:
+        if not connections.keys() >= chunk.counts.keys():
+            connections |= _connections(path, file, chunk.record)
+    return whole, connections, end
+
+
+def _take_index(file: BinaryIO, record: _Record, chunk: _Chunk) -> None:
+    count = record.number(b"count")
+    file.seek(record.data + 4)
+    entries = file.read(min(12 * count, record.end - record.data - 4))
+    chunk.counts[record.number(b"conn")] = count
+    # A stamp is seconds and nanoseconds; to compare two, seconds count first.
+    stamps = [struct.unpack_from("<II", entries, at) for at in range(0, len(entries) - 7, 12)]
+    chunk.times += [seconds << 32 | nanoseconds for seconds, nanoseconds in stamps]
+
+
+def _connections(path: Path, file: BinaryIO, chunk: _Record) -> dict[int, bytes]:
+    file.seek(chunk.data + 4)
+    packed = file.read(chunk.end - chunk.data - 4)
+    content = unpacked(path, packed, chunk.fields.get(b"compression", b"none").decode("latin-1"))
+    inner = io.BytesIO(content)
+    return {
+        record.number(b"conn"): content[record.start : record.end]
+        for record in _records(inner, 0, len(content))
+        if record.kind == _CONNECTION
+    }
+
+
+def _chunk_info(chunk: _Chunk) -> bytes:
+    first, last = (
+        struct.pack("<II", time >> 32, time & 0xFFFFFFFF)
+        for time in (min(chunk.times, default=0), max(chunk.times, default=0))
+    )
+    fields = {
+        b"op": bytes([_CHUNK_INFO]),
+        b"ver": struct.pack("<I", 1),
+        b"chunk_pos": struct.pack("<Q", chunk.record.start),
+        b"start_time": first,
+        b"end_time": last,
+        b"count": struct.pack("<I", len(chunk.counts)),
+    }
+    parts = [name + b"=" + value for name, value in fields.items()]
+    header = b"".join(struct.pack("<I", len(part)) + part for part in parts)
+    data = b"".join(struct.pack("<II", *pair) for pair in chunk.counts.items())
+    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+
+
+def _records(file: BinaryIO, start: int, size: int) -> Iterator[_Record]:
+    """Give records as long as they are whole."""
+    while (record := _record(file, start, size)) is not None:
+        yield record
+        start = record.end
+
+
+def _record(file: BinaryIO, start: int, size: int) -> _Record | None:
+    if start >= size:
+        return None
+    file.seek(start)
+    length = int.from_bytes(file.read(4), "little")
+    if not 0 < length <= min(_LONGEST_HEADER, size - start - 8):
+        return None
+    header = file.read(length)
+    data = start + 4 + length
+    end = data + 4 + int.from_bytes(file.read(4), "little")
+    if end > size:
+        return None
+    fields: dict[bytes, bytes] = {}
+    at = 0
+    while at + 4 < len(header):
+        width = int.from_bytes(header[at : at + 4], "little")
+        name, _, value = header[at + 4 : at + 4 + width].partition(b"=")
+        fields[name] = value
+        at += 4 + width
+    return _Record(start, fields, data, end)

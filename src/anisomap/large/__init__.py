@@ -1,0 +1,1 @@
+"""Recordings and maps that are larger than memory."""

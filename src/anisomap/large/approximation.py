@@ -1,0 +1,355 @@
+"""Maps of very many sensors: approximately, from a few of all pairs, and labelled as such."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap._version import __version__
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.health import Matches, SensorHealth, assess, weaknesses
+from anisomap.large.chunks import CHUNK_READINGS, Chunks, Excerpt, completed, cut
+from anisomap.large.landmarks.bridging import bridge
+from anisomap.large.landmarks.correlations import Links, correlations, pairs_of
+from anisomap.large.landmarks.links import Joined, as_graph, join, lengths_of
+from anisomap.large.landmarks.options import ApproximateOptions
+from anisomap.large.landmarks.placing import Placed, place
+from anisomap.large.landmarks.sketch import Sketch, sketch
+from anisomap.methods import MethodOptions
+from anisomap.numerics.similarity.nearest import most_alike
+from anisomap.recording import MissingPolicy, Recording, Scalar
+from anisomap.sensor_map import UNPLACED, SensorMap
+from anisomap.wording import listing
+
+logger = logging.getLogger(__name__)
+
+APPROXIMATED = "r-anisomap"
+"""The method that there is an approximate way of."""
+
+EXCERPT_READINGS = 1 << 27
+"""Readings that sensor health is judged from: of many sensors, few are touched in few frames."""
+
+_KIN = 4
+_FEWEST_CONTACTS = 20  # in the excerpt, to be judged by it
+
+
+@dataclass(frozen=True, eq=False)
+class Related:
+    """What an approximate map is made from, once all frames were gone through twice.
+
+    Attributes
+    ----------
+    known : Sketch
+    links : Links
+        All pairs that r was worked out for.
+    joined : Joined
+        Those that are edges.
+    excerpt : Recording
+        Pieces of frames from all over the recording; all frames, if they are few.
+    health : tuple of SensorHealth
+    dropped : ndarray of bool, shape (N,)
+        Which sensors were left out.
+    options : ApproximateOptions
+    """
+
+    known: Sketch
+    links: Links
+    joined: Joined
+    excerpt: Recording
+    health: tuple[SensorHealth, ...]
+    dropped: NDArray[np.bool_]
+    options: ApproximateOptions
+
+    @property
+    def n_frames(self) -> int:
+        """How many frames there were."""
+        return self.known.n_frames
+
+    @property
+    def varying(self) -> NDArray[np.bool_]:
+        """Which sensors ever varied and were not dropped, shape (N,)."""
+        return self.known.varying
+
+
+def reconstruct_approximately(
+    readings: NDArray[Any] | Chunks,
+    dimensions: int = 3,
+    *,
+    options: MethodOptions | None = None,
+    approximate: ApproximateOptions | None = None,
+    names: Sequence[str] = (),
+    missing: MissingPolicy = "error",
+    exclude: Iterable[str | int] = (),
+    drop: Iterable[str | int] = (),
+) -> SensorMap:
+    """Make an r-ANISOMAP map of too many sensors to compare all pairs: approximately.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N), or callable
+        A memory-mapped array, or a function that opens the recording anew each time and gives its
+        chunks, arrays of shape (t, N). It is gone through twice or more.
+    dimensions : int
+        Of the space to map into.
+    options : MethodOptions, optional
+        Of which `mu`, `smacof` and `fewest_sensors` are used.
+    approximate : ApproximateOptions, optional
+        How much is looked at, and the seed.
+    names : sequence of str, optional
+        Names of the sensors.
+    missing : {"error", "drop-frames", "interpolate"}
+        As for `reconstruct_chunks`.
+    exclude, drop : iterable of str or int
+        As for `anisomap.reconstruct`.
+
+    Returns
+    -------
+    SensorMap
+        Of the method "r-anisomap"; its provenance says ``approximate``, and so does a note. The
+        same seed gives the same map, whatever the number of threads. Stress-1 is that of the pairs
+        with landmarks.
+
+    Raises
+    ------
+    InputError
+        If too few sensors vary or are related, chunks do not fit, or a sensor is unknown.
+
+    Warns
+    -----
+    AnisomapWarning
+        Once for each of the notes.
+
+    Notes
+    -----
+    See `anisomap.large.landmarks` for the steps, and ``docs/large-recordings.md`` for what is
+    lost. Sensors that nothing beyond chance relates come out as separate pieces, whatever `mu` is.
+    """
+    chunks = readings if callable(readings) else cut(np.asanyarray(readings))
+    found = relate(chunks, like=names, missing=missing, drop=drop, options=approximate)
+    return approximate_map_of(found, dimensions, options=options, exclude=exclude)
+
+
+def relate(
+    chunks: Chunks,
+    *,
+    like: Recording | Sequence[str] = (),
+    missing: MissingPolicy = "error",
+    drop: Iterable[str | int] = (),
+    options: ApproximateOptions | None = None,
+) -> Related:
+    """Go through all frames, twice or more, for which sensors are most like which.
+
+    Parameters
+    ----------
+    chunks, missing, drop, options
+        As for `reconstruct_approximately`.
+    like : Recording or sequence of str
+        One with the sensors' names, positions and whatever else is known, or just the names.
+
+    Returns
+    -------
+    Related
+    """
+    chosen = options or ApproximateOptions()
+    pieces, whole = Excerpt(EXCERPT_READINGS), completed(chunks, missing)
+
+    def opened() -> Iterator[NDArray[Any]]:
+        for chunk in whole():
+            n_frames = max(1, CHUNK_READINGS // chunk.shape[1])
+            yield from (chunk[i : i + n_frames] for i in range(0, len(chunk), n_frames))
+
+    def watched() -> Iterator[NDArray[Any]]:
+        for chunk in opened():
+            pieces.add(chunk)
+            yield chunk
+
+    logger.info("sketching what every sensor read")
+    known = sketch(watched(), chosen.sketch, np.random.default_rng(chosen.seed))
+    excerpt = pieces.recording(like)
+    dropped = _mask(excerpt, drop)
+    known = _without(known, dropped)
+    logger.info("looking for those most like each sensor")
+    links = correlations(opened(), known, _candidates(known, chosen))
+    joined, further = bridge(join(links, known, chosen.neighbours), known, opened)
+    links = links.joined(further)
+    health = assess(excerpt, matches=_matches(links, len(known.mean)))
+    return Related(
+        known=known,
+        links=links,
+        joined=joined,
+        excerpt=excerpt,
+        health=tuple(_revised(health, known, joined, excerpt.n_frames)),
+        dropped=dropped,
+        options=chosen,
+    )
+
+
+def approximate_map_of(
+    found: Related,
+    dimensions: int = 3,
+    *,
+    options: MethodOptions | None = None,
+    exclude: Iterable[str | int] = (),
+) -> SensorMap:
+    """Make an approximate map of sensors that were related.
+
+    Parameters
+    ----------
+    found : Related
+    dimensions, options, exclude
+        As for `reconstruct_approximately`.
+
+    Returns
+    -------
+    SensorMap
+    """
+    chosen = options or MethodOptions()
+    if dimensions < 1:
+        raise InputError(f"{dimensions} dimensions hold no map; use 2 or 3")
+    n_sensors = len(found.varying)
+    component = np.full(n_sensors, UNPLACED)
+    component[found.varying] = np.unique(found.joined.pieces[found.varying], return_inverse=True)[1]
+    if np.count_nonzero(component == 0) < chosen.fewest_sensors:
+        raise InputError(
+            f"no {chosen.fewest_sensors} sensors are related to one another beyond chance, so "
+            "there is nothing to map; was the skin touched during the recording?"
+        )
+    lengths = lengths_of(found.links, found.joined.links, chosen.mu)
+    graph = as_graph(found.joined.links, lengths, n_sensors)
+    positions = np.full((n_sensors, dimensions), np.nan)
+    rng = np.random.default_rng(found.options.seed)
+    placed: list[Placed] = []
+    for members in _members(component):
+        placed.append(
+            place(
+                graph[members][:, members],
+                dimensions,
+                landmarks=found.options.landmarks,
+                options=chosen.smacof,
+                rng=rng,
+            )
+        )
+        positions[members] = placed[-1].positions
+    kept = [sensor for sensor, out in zip(found.health, found.dropped, strict=True) if not out]
+    notes = (
+        *weaknesses(found.excerpt, kept),
+        *_notes(found, component, converged=all(piece.converged for piece in placed)),
+    )
+    for note in notes:
+        warnings.warn(note, AnisomapWarning, stacklevel=2)
+    spread = sum(piece.spread for piece in placed)
+    return SensorMap(
+        positions,
+        names=found.excerpt.names,
+        component=component,
+        health=tuple(sensor.status for sensor in found.health),
+        excluded=_mask(found.excerpt, exclude),
+        method=APPROXIMATED,
+        stress=np.sqrt(sum(piece.raw_stress for piece in placed) / spread) if spread > 0 else 0.0,
+        notes=notes,
+        provenance=_provenance(found, chosen)
+        | {"iterations": max(piece.iterations for piece in placed)},
+    )
+
+
+def _mask(recording: Recording, sensors: Iterable[str | int]) -> NDArray[np.bool_]:
+    mask = np.zeros(recording.n_sensors, dtype=bool)
+    mask[recording.indices(sensors)] = True
+    return mask
+
+
+def _without(known: Sketch, dropped: NDArray[np.bool_]) -> Sketch:
+    """Treat sensors as if they never varied."""
+    projections = np.where(dropped[:, None], np.float32(0), known.projections)
+    return replace(known, varying=known.varying & ~dropped, projections=projections)
+
+
+def _candidates(
+    known: Sketch, options: ApproximateOptions
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    sensors = np.flatnonzero(known.varying)
+    if sensors.size < 2:
+        raise InputError(f"only {sensors.size} of {len(known.mean)} sensors ever vary")
+    count = min(options.candidates, len(sensors) - 1)
+    found, _ = most_alike(known.projections[sensors], count)
+    firsts, seconds = pairs_of(found)
+    return sensors[firsts], sensors[seconds]
+
+
+def _matches(links: Links, n_sensors: int) -> Matches:
+    """Give the sensors most like each, and the highest r."""
+    whose = np.concatenate([links.firsts, links.seconds])
+    others = np.concatenate([links.seconds, links.firsts])
+    r = np.tile(links.r, 2)
+    order = np.lexsort((-r, whose))
+    begins = np.searchsorted(whose[order], np.arange(n_sensors + 1))
+    places = begins[:-1, None] + np.arange(_KIN)
+    there = places < begins[1:, None]
+    places = np.minimum(places, len(order) - 1)
+    best = np.where(there[:, 0], r[order][places[:, 0]], np.nan)
+    return Matches(kin=np.where(there, others[order][places], -1), best=best)
+
+
+def _revised(
+    health: Sequence[SensorHealth], known: Sketch, joined: Joined, judged: int
+) -> Iterator[SensorHealth]:
+    """Make of judgements of the excerpt those of all frames."""
+    alone = np.bincount(joined.pieces)[joined.pieces] == 1
+    for i, sensor in enumerate(health):
+        revised = sensor
+        if judged < known.n_frames:
+            revised = replace(sensor, contacts=int(known.contacts[i]))
+            if known.varying[i] and sensor.contacts < _FEWEST_CONTACTS:
+                revised = replace(revised, status="ok", reason="")
+        if known.varying[i] and alone[i] and revised.status == "ok":
+            reason = "related to no other sensor beyond chance"
+            revised = replace(revised, status="isolated", reason=reason)
+        yield revised
+
+
+def _members(component: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """List the sensors of each piece, the largest piece first."""
+    order = np.argsort(component, kind="stable")
+    order = order[component[order] != UNPLACED]
+    return np.split(order, np.flatnonzero(np.diff(component[order])) + 1)
+
+
+def _notes(found: Related, component: NDArray[np.intp], *, converged: bool) -> Iterator[str]:
+    options = found.options
+    yield (
+        "this map is approximate: of all pairs of sensors, r was worked out for each sensor and "
+        f"the {options.candidates} most like it by a sketch of {options.sketch} numbers; paths "
+        f"lead over the best {options.neighbours} of these, and to {options.landmarks} landmarks "
+        "only"
+    )
+    if found.excerpt.n_frames < found.n_frames:
+        yield (f"sensor health was judged from {found.excerpt.n_frames} of {found.n_frames} frames")
+    sizes = np.bincount(component[component != UNPLACED])
+    if sizes.size > 1:
+        lost = [found.excerpt.names[i] for i in np.flatnonzero(component > 0)]
+        yield (
+            f"the sensors fall into {sizes.size} separate pieces (of {listing(sizes.tolist())} "
+            "sensors), and how these lie to one another is not known; "
+            f"outside the largest: {listing(lost)}"
+        )
+    if not converged:
+        yield "scaling stopped before it converged: allow it more iterations"
+
+
+def _provenance(found: Related, options: MethodOptions) -> dict[str, Scalar]:
+    return {
+        "source": found.excerpt.source,
+        "frames": found.n_frames,
+        "anisomap": __version__,
+        "similarity": "pearson",
+        "mu": options.mu,
+        "approximate": True,
+        **{f"approximate_{name}": value for name, value in asdict(found.options).items()},
+        **asdict(options.smacof),
+    }

@@ -1,0 +1,163 @@
+"""The compiled inner loops of approximate maps, and only those.
+
+Imported on first use, like `anisomap.numerics.compiled.kernels`. Arguments are not
+checked. All loops run without the interpreter's lock.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.numerics.compiled.jit import loop
+from anisomap.numerics.compiled.kernels import sweep_nodes
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Ints = NDArray[np.int64]
+Range = tuple[int, int]  # from the first to before the last
+
+# Sums may be taken in any order, which vector units need; infinities keep their meaning.
+REORDERED = {"reassoc", "contract", "nsz", "arcp"}
+
+
+@loop(fastmath=REORDERED)
+def add_products(
+    series: Singles, still: NDArray[np.bool_], pairs: tuple[Ints, Ints], totals: Floats, part: Range
+) -> None:
+    """Add to `totals` the inner products of pairs of rows of `series`.
+
+    Most sensors of a skin are `still` for a while: their row is one number throughout.
+    """
+    firsts, seconds = pairs
+    n_frames = series.shape[1]
+    for pair in range(part[0], part[1]):
+        i, j = firsts[pair], seconds[pair]
+        if still[i] and still[j]:
+            totals[pair] += n_frames * np.float64(series[i, 0]) * series[j, 0]
+            continue
+        if still[i]:
+            i, j = j, i
+        left, right = series[i], series[j]
+        total = np.float32(0)
+        if still[j]:
+            for t in range(n_frames):
+                total += left[t]
+            total *= right[0]
+        else:
+            for t in range(n_frames):
+                total += left[t] * right[t]
+        totals[pair] += total
+
+
+@loop()
+def count_shared(offsets: Ints, ends: Ints, starts: Ints, shared: Ints) -> None:
+    """Count, for each edge of a graph, the neighbours that its two ends have in common.
+
+    The edges of node u lead to ``ends[offsets[u]:offsets[u + 1]]``, in increasing order.
+    """
+    for edge in range(len(ends)):
+        i, j = starts[edge], ends[edge]
+        a, b = offsets[i], offsets[j]
+        while a < offsets[i + 1] and b < offsets[j + 1]:
+            if ends[a] == ends[b]:
+                shared[edge] += 1
+                a += 1
+                b += 1
+            elif ends[a] < ends[b]:
+                a += 1
+            else:
+                b += 1
+
+
+@loop()
+def relax_from(
+    tile: Singles, sources: Ints, order: Ints, edges: tuple[Ints, Ints, Singles]
+) -> None:
+    """Fill ``tile[u, s]`` with the length of the shortest path to node u from ``sources[s]``.
+
+    Bellman and Ford, many sources at once: nodes are swept in `order` and back again until no
+    path becomes shorter.
+    """
+    tile[:] = np.inf
+    stamps = np.zeros((len(tile), 2), np.int64)
+    for place in range(len(sources)):
+        tile[sources[place], place] = 0
+        stamps[sources[place], 0] = 1
+    backwards = order[::-1].copy()
+    sweep, clock = 0, 1
+    while sweep_nodes(tile, order if sweep % 2 == 0 else backwards, edges, stamps, clock):
+        sweep += 1
+        clock += len(tile)
+
+
+@loop(fastmath=REORDERED, error_model="numpy")
+def add_rows_stress(
+    points: Singles, anchors: Singles, targets: Singles, rows: Range, slopes: tuple[Floats, Floats]
+) -> float:
+    """Sum the raw stress of points i in `rows` with all anchors.
+
+    `points` is (k, N), `anchors` (k, L), a row a coordinate; `targets` is (N, L). Half the gradient
+    is added to `slopes`, of the points (k, N) and of the anchors (k, L). Points that coincide pull
+    each other nowhere: their difference is 0, and the tiny number keeps its factor finite.
+    """
+    slope, pulled = slopes
+    dimensions, n_anchors = anchors.shape
+    factors = np.empty(n_anchors, np.float32)
+    pulls = np.zeros((dimensions, n_anchors), np.float32)
+    one, tiny = np.float32(1), np.float32(1e-30)
+    total = 0.0
+    for i in range(rows[0], rows[1]):
+        target = targets[i]
+        factors[:] = tiny
+        for axis in range(dimensions):
+            mine, theirs = points[axis, i], anchors[axis]
+            for j in range(n_anchors):
+                factors[j] += (mine - theirs[j]) * (mine - theirs[j])
+        partial = np.float32(0)
+        for j in range(n_anchors):
+            inverse = one / np.sqrt(factors[j])
+            excess = factors[j] * inverse - target[j]
+            partial += excess * excess
+            factors[j] = excess * inverse
+        total += float(partial)
+        for axis in range(dimensions):
+            mine, theirs, back = points[axis, i], anchors[axis], pulls[axis]
+            pull = np.float32(0)
+            for j in range(n_anchors):
+                share = factors[j] * (mine - theirs[j])
+                pull += share
+                back[j] -= share
+            slope[axis, i] += pull
+        if i % 256 == 255 or i == rows[1] - 1:  # single precision holds no long sums
+            pulled += pulls
+            pulls[:] = 0
+    return total
+
+
+@loop()
+def add_edges_stress(
+    points: Floats, edges: tuple[Ints, Ints, Singles], weight: float, slope: Floats, rows: Range
+) -> float:
+    """Sum the weighted raw stress along the edges of some nodes, each edge from either end.
+
+    `points` and `slope` are (k, N). Half the gradient of the sum over all nodes, in which every
+    edge occurs twice and counts half, is added to `slope`.
+    """
+    offsets, ends, lengths = edges
+    dimensions = len(points)
+    total = 0.0
+    for i in range(rows[0], rows[1]):
+        for edge in range(offsets[i], offsets[i + 1]):
+            j = ends[edge]
+            square = 0.0
+            for axis in range(dimensions):
+                square += (points[axis, i] - points[axis, j]) ** 2
+            distance = np.sqrt(square)
+            excess = distance - lengths[edge]
+            total += weight * excess * excess / 2
+            if distance > 1e-150:
+                for axis in range(dimensions):
+                    away = points[axis, i] - points[axis, j]
+                    slope[axis, i] += weight * excess / distance * away
+    return total

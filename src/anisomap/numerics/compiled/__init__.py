@@ -1,0 +1,1 @@
+"""Inner loops compiled with numba, and how they run in parallel."""

@@ -1,0 +1,211 @@
+"""The compiled inner loops of metricising and SMACOF, and only those.
+
+Numba takes its time to start and to compile, so this module is loaded by `compiled.kernels`, when a
+matrix is large enough to be worth it, and by the loops of approximate maps. Nothing is checked
+here. All loops run without the interpreter's lock: threads that work on separate rows or columns
+run at the same time.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.numerics.compiled.jit import loop
+
+Reals = NDArray[np.floating[Any]]
+Ints = NDArray[np.int64]
+Range = tuple[int, int]  # from the first to before the last
+
+WIDTH = 512  # so many columns at a time stay in the first-level cache
+# Sums may be taken in any order, which vector units need; infinities keep their meaning.
+REORDERED = {"reassoc", "contract", "nsz", "arcp"}
+
+
+@loop()
+def shorten(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Range) -> None:
+    """Lower ``paths[i, j]`` to the least ``left[i, k] + right[k, j]``: a product of (min, +).
+
+    Only those `rows` and `columns` of `paths` are looked at and changed.
+    """
+    (first, last), (begin, end) = rows, columns
+    n_middles = len(right)
+    for start in range(begin, end, WIDTH):
+        stop = min(start + WIDTH, end)
+        for i in range(first, last, 2):
+            # Two rows and four middles a pass: eight results for six loads. Where the numbers are
+            # not even the last is taken twice, which changes nothing.
+            upper, lower = paths[i, start:stop], paths[min(i + 1, last - 1), start:stop]
+            from_upper, from_lower = left[i], left[min(i + 1, last - 1)]
+            for k in range(0, n_middles, 4):
+                k1, k2 = min(k + 1, n_middles - 1), min(k + 2, n_middles - 1)
+                k3 = min(k + 3, n_middles - 1)
+                u0, u1, u2, u3 = from_upper[k], from_upper[k1], from_upper[k2], from_upper[k3]
+                l0, l1, l2, l3 = from_lower[k], from_lower[k1], from_lower[k2], from_lower[k3]
+                right0, right1 = right[k, start:stop], right[k1, start:stop]
+                right2, right3 = right[k2, start:stop], right[k3, start:stop]
+                for j in range(stop - start):
+                    r0, r1, r2, r3 = right0[j], right1[j], right2[j], right3[j]
+                    upper[j] = min(upper[j], u0 + r0, u1 + r1, u2 + r2, u3 + r3)
+                    lower[j] = min(lower[j], l0 + r0, l1 + r1, l2 + r2, l3 + r3)
+
+
+@loop()
+def close(paths: Reals) -> None:
+    """Replace a small matrix of lengths by that of its shortest paths: Floyd and Warshall."""
+    for k in range(len(paths)):
+        for i in range(len(paths)):
+            for j in range(len(paths)):
+                paths[i, j] = min(paths[i, j], paths[i, k] + paths[k, j])
+
+
+@loop()
+def nearest(lengths: Reals, count: int) -> Ints:
+    """Give, for each node, the ends of its `count` shortest edges; itself where it has fewer."""
+    n_nodes = len(lengths)
+    ends = np.empty((n_nodes, count), np.int64)
+    shortest = np.empty(count)
+    for i in range(n_nodes):
+        shortest[:] = np.inf
+        ends[i] = i
+        for j in range(n_nodes):
+            length = lengths[i, j]
+            if length < shortest[-1] and j != i:
+                place = count - 1
+                while place > 0 and shortest[place - 1] > length:
+                    shortest[place] = shortest[place - 1]
+                    ends[i, place] = ends[i, place - 1]
+                    place -= 1
+                shortest[place] = length
+                ends[i, place] = j
+    return ends
+
+
+@loop()
+def sweep_nodes(
+    tile: Reals, order: Ints, edges: tuple[Ints, Ints, Reals], stamps: Ints, clock: int
+) -> bool:
+    """Lower the paths to each node by those to its neighbours; tell whether any became shorter.
+
+    Row u of `tile` holds the paths to node u. ``stamps[u]`` tells when they last became shorter and
+    when they were last looked at: of a neighbour that is as it was then there is nothing to gain.
+    """
+    offsets, ends, lengths = edges
+    any_shorter = False
+    for node in order:
+        clock += 1
+        mine = tile[node]
+        shorter = 0
+        for edge in range(offsets[node], offsets[node + 1]):
+            if stamps[ends[edge], 0] > stamps[node, 1]:
+                theirs, length = tile[ends[edge]], lengths[edge]
+                for source in range(len(mine)):
+                    through = theirs[source] + length
+                    shorter |= through < mine[source]
+                    mine[source] = min(mine[source], through)
+        stamps[node, 1] = clock
+        if shorter:
+            stamps[node, 0] = clock
+            any_shorter = True
+    return any_shorter
+
+
+@loop()
+def relax(
+    paths: Reals,
+    sources: Ints,
+    order: Ints,
+    edges: tuple[Ints, Ints, Reals],
+    most_sweeps: int,
+) -> None:
+    """Lower paths along edges until no edge helps any more: Bellman and Ford, many sources at once.
+
+    Row s of `paths` holds the paths from source s to every node; those of `sources` are changed. Of
+    `edges` (offsets, ends, lengths) those of node u stand from ``offsets[u]`` to
+    ``offsets[u + 1]``. Nodes are swept in `order` and back again.
+    """
+    n_nodes = len(paths)
+    tile = np.empty((n_nodes, len(sources)), paths.dtype)
+    for node in range(n_nodes):
+        for place in range(len(sources)):
+            tile[node, place] = paths[sources[place], node]
+    stamps = np.zeros((n_nodes, 2), np.int64)
+    stamps[:, 0] = 1
+    backwards = order[::-1].copy()
+    for sweep in range(most_sweeps):
+        towards = order if sweep % 2 == 0 else backwards
+        if not sweep_nodes(tile, towards, edges, stamps, 1 + sweep * n_nodes):
+            break
+    for node in range(n_nodes):
+        for place in range(len(sources)):
+            paths[sources[place], node] = tile[node, place]
+
+
+@loop(fastmath=REORDERED, error_model="numpy")
+def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope: Reals) -> float:
+    """Sum the raw stress over the pairs i < j with i in those `rows`.
+
+    `points` is (k, N), a row a coordinate. `weights` is (N, N), or (1, N) if one row serves all.
+    Half the gradient is added to `slope`, shaped like `points`. Points that coincide pull each
+    other nowhere: their difference is 0, and the tiny number keeps its factor finite.
+    """
+    dimensions, n_points = points.shape
+    tiny, one = np.finfo(points.dtype).tiny, points.dtype.type(1)
+    room = np.empty(WIDTH, points.dtype)
+    total = 0.0
+    for i in range(rows[0], rows[1]):
+        weighted = i if len(weights) > 1 else 0
+        for start in range(i + 1, n_points, WIDTH):
+            stop = min(start + WIDTH, n_points)
+            size = stop - start
+            factors = room[:size]
+            factors[:] = tiny
+            for axis in range(dimensions):
+                mine, theirs = points[axis, i], points[axis, start:stop]
+                for j in range(size):
+                    apart = mine - theirs[j]
+                    factors[j] += apart * apart
+            target, weight = targets[i, start:stop], weights[weighted, start:stop]
+            partial = points.dtype.type(0)
+            for j in range(size):
+                inverse = one / np.sqrt(factors[j])
+                excess = factors[j] * inverse - target[j]
+                weighted_excess = weight[j] * excess
+                partial += weighted_excess * excess
+                factors[j] = weighted_excess * inverse
+            total += float(partial)
+            for axis in range(dimensions):
+                mine, theirs = points[axis, i], points[axis, start:stop]
+                pulled = slope[axis, start:stop]
+                pull = points.dtype.type(0)
+                for j in range(size):
+                    share = factors[j] * (mine - theirs[j])
+                    pull += share
+                    pulled[j] -= share
+                slope[axis, i] += pull
+    return total
+
+
+@loop()
+def add_products(panel: Reals, first: int, sensors: Ints, values: Reals, begins: Ints) -> None:
+    """Add products of values of the same frame to ``panel[i - first, j]`` for all j >= i.
+
+    The values of frame f, by increasing sensor, stand from ``begins[f]`` to ``begins[f + 1]``.
+    """
+    last = first + len(panel)
+    for frame in range(len(begins) - 1):
+        entry, end = begins[frame], begins[frame + 1]
+        beyond = end
+        while entry < beyond:  # halve it until `entry` is the first from `first` on
+            middle = (entry + beyond) // 2
+            if sensors[middle] < first:
+                entry = middle + 1
+            else:
+                beyond = middle
+        while entry < end and sensors[entry] < last:
+            row, value = panel[sensors[entry] - first], values[entry]
+            for other in range(entry, end):
+                row[sensors[other]] += value * values[other]
+            entry += 1

@@ -1,0 +1,1 @@
+"""Positions at which one function of distance explains all correlations."""

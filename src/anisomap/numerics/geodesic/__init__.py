@@ -1,0 +1,1 @@
+"""Map lengths taken from a graph of neighbours."""

@@ -1,0 +1,1 @@
+"""Dissimilarities as edges of a graph: shortest paths, components, neighbour graphs."""

@@ -1,0 +1,1 @@
+"""How reliable a correlation is: its sampling noise and its significance."""

@@ -1,0 +1,1 @@
+"""Pairwise statistics of readings: correlations and mutual information."""

@@ -1,0 +1,1 @@
+"""Solids, triangle meshes, points and distances on surfaces."""

@@ -1,0 +1,1 @@
+"""Scenarios whose contacts follow prescribed paths."""

@@ -1,0 +1,125 @@
+"""Pictures and animations of simulated scenes."""
+
+import warnings
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from anisomap.drawing.figures import figure_bytes, stage
+from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.scene import Mesh, Prop, Scene
+from anisomap.simulation import BODIES, SCENARIOS, run_simulation, viewing
+
+pytest.importorskip("matplotlib", reason="needs the extra 'report'")
+
+
+def small_scene(n_frames: int = 6) -> Scene:
+    triangle = Mesh(np.eye(3), [[0, 1, 2]])
+    ways = np.linspace(0, 3, n_frames)[:, None, None] * np.ones((1, 2, 3))
+    readings = np.zeros((n_frames, 3), dtype=np.float32)
+    readings[4, :2] = 1
+    return Scene(
+        "a small scene",
+        (
+            Prop("body", triangle, np.zeros((1, 1, 3))),
+            Prop("stimulus", triangle, ways, scales=np.array([1.0, 2.0])),
+        ),
+        np.eye(3)[None],
+        readings,
+        np.arange(n_frames) / 20,
+        "m",
+    )
+
+
+def test_things_are_drawn_where_they_are_as_large_and_turned_as_they_are():
+    quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    turned = Prop(
+        "stimulus",
+        Mesh(np.eye(3), [[0, 1, 2]]),
+        np.array([[[0, 0, 0]], [[5, 0, 0]]]),
+        rotations=np.array([[np.eye(3)], [quarter]]),
+        scales=[2.0],
+    )
+    np.testing.assert_allclose(turned.surfaces(0)[0], 2 * np.eye(3))
+    np.testing.assert_allclose(turned.surfaces(1)[0], [[5, 2, 0], [3, 0, 0], [5, 0, 2]])
+
+
+def test_the_picture_shows_the_busiest_frame_with_axes_in_units():
+    figure = stage.scene_figure(small_scene())
+    space, body, raster = figure.axes[:3]
+    assert space.get_title() == "frame 4 of 6, 0.20 s"
+    assert (space.get_xlabel(), space.get_zlabel()) == ("x (m)", "z (m)")
+    assert (raster.get_xlabel(), raster.get_ylabel()) == ("time (s)", "sensor")
+    assert "reading (m)" in {axes.get_ylabel() for axes in figure.axes}
+    shape = np.array([np.ptp(getattr(body, f"get_{name}lim")()) for name in "xyz"])
+    np.testing.assert_allclose(body._box_aspect / body._box_aspect.max(), shape / shape.max())
+    first, again = (figure_bytes(stage.scene_figure(small_scene())) for _ in range(2))
+    assert first == again
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_every_scenario_can_be_drawn(scenario):
+    pytest.importorskip("mujoco")
+    body = next(name for name in BODIES if SCENARIOS[scenario].suits(BODIES[name]()))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)  # so short a run may miss sensors
+        scene = run_simulation(body, scenario, n_frames=30).scene
+    assert scene.n_frames == 30
+    assert scene.sensors.shape[1:] == (scene.readings.shape[1], 3)
+    assert {prop.role for prop in scene.props} >= {"body"}
+    assert len(figure_bytes(stage.scene_figure(scene, 29))) > 10_000
+
+
+def test_a_frame_that_is_not_there_is_refused():
+    for frame in (-1, 6):
+        with pytest.raises(InputError, match=f"there is no frame {frame}; the scene has 6"):
+            stage.scene_figure(small_scene(), frame)
+
+
+def test_an_animation_has_a_picture_a_frame(tmp_path):
+    path, told = tmp_path / "run.gif", []
+    stage.save_animation(small_scene(), path, n_frames=4, progress=told.append)
+    with Image.open(path) as moving:
+        assert moving.n_frames == 4
+    assert told[-1] == 1
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.gif"]
+
+
+def test_rendered_pixels_are_saved_as_picture_or_animation(tmp_path):
+    rng = np.random.default_rng(0)
+    images = [rng.integers(0, 255, (40, 60, 3), dtype=np.uint8) for _ in range(3)]
+    stage.save_pixels(tmp_path / "one.png", images[:1])
+    with Image.open(tmp_path / "one.png") as picture:
+        np.testing.assert_array_equal(np.asarray(picture), images[0])
+    stage.save_pixels(tmp_path / "more.gif", images)
+    with Image.open(tmp_path / "more.gif") as moving:
+        assert moving.n_frames == 3
+    with pytest.raises(FileError, match=r"end it with \.gif"):
+        stage.save_pixels(tmp_path / "more.png", images)
+
+
+def test_mp4_without_ffmpeg_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(FileError, match=r"needs the program ffmpeg.*\.gif needs nothing"):
+        stage.check_animation(tmp_path / "run.mp4")
+    with pytest.raises(FileError, match="is no name for an animation"):
+        stage.check_animation(tmp_path / "run.webm")
+
+
+def test_mujoco_renders_what_there_is_to_see():
+    pytest.importorskip("mujoco")
+    scene = run_simulation("hexagon", n_frames=3).scene
+    try:
+        images = viewing.render(scene, [0, 2], width=120, height=90)
+    except viewing.NoScreenError as error:
+        pytest.skip(str(error))
+    assert [image.shape for image in images] == [(90, 120, 3)] * 2
+    assert all(len(np.unique(image.reshape(-1, 3), axis=0)) > 20 for image in images)
+    assert not np.array_equal(*images)
+
+
+def test_without_a_screen_the_window_says_so(monkeypatch):
+    monkeypatch.setattr(viewing, "has_screen", lambda: False)
+    with pytest.raises(viewing.NoScreenError, match="there is no screen"):
+        viewing.show(small_scene())

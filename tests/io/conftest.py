@@ -1,0 +1,270 @@
+"""An example file of every format, written by hand where a foreign program would have made it."""
+
+import gzip
+import shutil
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+
+N_FRAMES, N_SENSORS = 24, 5
+NAMES = ("a", "b,c", 'd"e', "f\ng", "#h")
+
+
+def _readings() -> np.ndarray:
+    rng = np.random.default_rng(20)
+    values = rng.random((N_FRAMES, N_SENSORS)).round(3)
+    return np.where(values < 0.4, 0, values)
+
+
+@pytest.fixture
+def recording() -> Recording:
+    return Recording(
+        _readings(),
+        names=NAMES,
+        times=np.arange(N_FRAMES) / 10,
+        units="mm",
+        source="by hand",
+        metadata={"seed": 3, "licence": "BSD-3-Clause"},
+    )
+
+
+@pytest.fixture
+def sensor_map() -> SensorMap:
+    positions = np.random.default_rng(21).standard_normal((N_SENSORS, 3))
+    positions[3] = np.nan
+    return SensorMap(
+        positions,
+        names=NAMES,
+        component=[0, 0, 1, -1, 0],
+        health=("ok", "noisy", "ok", "dead", "ok"),
+        excluded=[False, True, False, False, False],
+        method="r-anisomap",
+        stress=0.0625,
+        confidence=0.96875,
+        notes=("one sensor never varies",),
+        provenance={"seed": 3, "mu": 1.0, "weighted": False, "source": "skin.csv"},
+    )
+
+
+def _lines(row: Callable[[int, list[float]], str], end: str = "\n") -> str:
+    return "".join(row(i, values) + end for i, values in enumerate(_readings().tolist()))
+
+
+def _foreign(path: Path) -> None:
+    """A semicolon file with decimal commas, as a German spreadsheet leaves it."""
+    header = "time [ms];frame;" + ";".join(f"s{i}" for i in range(N_SENSORS)) + ";\r\n"
+    rows = _lines(lambda i, v: f"{10 * i};{i};" + ";".join(map(str, v)) + ";", "\r\n")
+    path.write_text(header + rows.replace(".", ","), encoding="utf-8-sig", newline="")
+
+
+def _gzipped(path: Path) -> None:
+    rows = _lines(lambda i, v: f"{i / 50:.2f} " + " ".join(map(str, v)))
+    path.write_bytes(gzip.compress(rows.encode(), mtime=0))
+
+
+def _one_stamp(path: Path) -> None:
+    path.write_text(
+        _lines(lambda i, v: f"{7 + i} {1.3e9 + i / 50:.6f} (" + " ".join(map(str, v)) + ")")
+    )
+
+
+def _two_stamps(path: Path) -> None:
+    path.write_text(
+        _lines(
+            lambda i, v: (
+                f"{i} {1.3e9 + i / 50:.6f} {1.3e9 + 0.001 + i / 50:.6f} " + " ".join(map(str, v))
+            )
+        )
+    )
+
+
+def _archive(path: Path) -> None:
+    """As numpy itself writes it, not packed, so that damage gets to the arrays."""
+    with path.open("wb") as stream:
+        np.savez(
+            stream,
+            readings=_readings(),
+            names=np.array(NAMES),
+            times=np.arange(N_FRAMES) / 10,
+            positions=_readings()[:N_SENSORS, :3],
+            units="mm",
+            licence="MIT",
+            triangle=np.arange(N_SENSORS),
+        )
+
+
+def _tables(path: Path, transposed: bool = False) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w", userblock_size=512 if transposed else 0) as file:
+        readings, times = _readings(), np.arange(N_FRAMES) / 50
+        if transposed:
+            readings, times = np.ascontiguousarray(readings.T), times[None]
+        else:
+            file["skin/names"] = np.array(NAMES, dtype="S")
+        file.create_dataset("skin/readings", data=readings, chunks=True, compression="gzip")
+        file["skin/time"] = times
+    if transposed:
+        with path.open("r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512))
+
+
+def _matlab(path: Path) -> None:
+    contents = {"readings": _readings(), "time": np.arange(N_FRAMES) / 50}
+    scipy.io.savemat(path, contents, do_compression=True)
+
+
+def _robot_learning(path: Path, *, feather: bool = False) -> None:
+    arrow = pytest.importorskip("pyarrow")
+    values = arrow.array(_readings().ravel())
+    columns = {
+        "observation.tactile": arrow.FixedSizeListArray.from_arrays(values, N_SENSORS),
+        "timestamp": np.arange(N_FRAMES) / 50,
+        "frame_index": np.arange(N_FRAMES),
+    }
+    if feather:
+        pytest.importorskip("pyarrow.feather").write_feather(arrow.table(columns), path)
+    else:
+        parquet = pytest.importorskip("pyarrow.parquet")
+        parquet.write_table(arrow.table(columns), path, row_group_size=9)
+
+
+def _bag(path: Path) -> None:
+    bags = pytest.importorskip("bags")
+    bag = bags.Bag(path.suffix[1:])
+    for i, row in enumerate(_readings()):
+        bag.add("/skin", bag.array(row), i)
+    bag.messages = [
+        (topic, message, bags.START + 20_000_000 * i)
+        for i, (topic, message, _) in enumerate(bag.messages)
+    ]
+    bag.write(path)
+    shutil.rmtree(path.with_suffix(""), ignore_errors=True)
+
+
+def _mat_export(path: Path) -> None:
+    frames = _lines(lambda i, v: f"Frame {i + 1}\n" + ",".join(map(str, v)) + "\n")
+    path.write_text(
+        "DATA_TYPE MOVIE\nROWS 1\nCOLS 5\nROW_SPACING 8.4 mm\nCOL_SPACING 5.1 mm\n"
+        f"SECONDS_PER_FRAME 0.02\nASCII_DATA @@\n\n{frames}@@\n"
+    )
+
+
+def _images(path: Path) -> None:
+    """Floating-point pixels, a page a frame."""
+    pillow = pytest.importorskip("PIL.Image")
+    pages = [pillow.fromarray(row[None].astype(np.float32)) for row in _readings()]
+    pages[0].save(path, save_all=True, append_images=pages[1:], compression=None)
+
+
+RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
+    "skin.npz": ("npz", None),
+    "numpy.npz": ("npz", _archive),
+    "skin.csv": ("text", None),
+    "skin.tsv": ("text", None),
+    "foreign.csv": ("text", _foreign),
+    "blanks.txt.gz": ("text", _gzipped),
+    "data.log": ("yarp", _two_stamps),
+    "dumped.log": ("yarp", _one_stamp),
+    "run.bag": ("ros", _bag),
+    "run.mcap": ("ros", _bag),
+    "run.db3": ("ros", _bag),
+    "mat.asf": ("mat-export", _mat_export),
+    "film.tif": ("images", _images),
+    "skin.h5": ("hdf5", _tables),
+    "skin.mat": ("mat", _matlab),
+    "v73.mat": ("mat", lambda path: _tables(path, transposed=True)),
+    "skin.parquet": ("parquet", _robot_learning),
+    "skin.feather": ("parquet", lambda path: _robot_learning(path, feather=True)),
+}
+MAPS = {
+    "map.npz": "npz",
+    "map.csv": "text",
+    "map.tsv": "text",
+    "map.json": "json",
+    "map.ply": "ply",
+    "map.pcd": "pcd",
+    "map.urdf": "urdf",
+    "map.mjcf": "mjcf",
+    "map.icub.txt": "icub",
+}
+
+
+@pytest.fixture(params=RECORDINGS)
+def recording_file(request: pytest.FixtureRequest, tmp_path: Path, recording: Recording) -> Path:
+    path = tmp_path / request.param
+    make = RECORDINGS[request.param][1]
+    if make:
+        make(path)
+    else:
+        io.write(recording, path)
+    return path
+
+
+@pytest.fixture(params=MAPS)
+def map_file(request: pytest.FixtureRequest, tmp_path: Path, sensor_map: SensorMap) -> Path:
+    path = tmp_path / request.param
+    io.write(writable(sensor_map, path), path)
+    return path
+
+
+def writable(sensor_map: SensorMap, path: Path) -> SensorMap:
+    """Give a map what a format asks for: a scale, and one piece."""
+    if not io.needs_scale(path):
+        return sensor_map
+    pieces = np.minimum(sensor_map.component, 0)
+    return replace(sensor_map, units="m", component=pieces)
+
+
+@pytest.fixture
+def read_back(sensor_map: SensorMap, map_file: Path) -> SensorMap:
+    """What a file of a map is to be read as."""
+    written = writable(sensor_map, map_file)
+    if map_file.suffix in (".npz", ".csv", ".tsv", ".json"):
+        return written
+    points = written.select(written.placed)
+    if map_file.suffix == ".txt":
+        return replace(points, names=[f"taxel{i}" for i in np.flatnonzero(written.placed)])
+    return replace(points, component=[0] * 4) if map_file.suffix == ".pcd" else points
+
+
+@pytest.fixture
+def exemplified() -> dict[str, set[str]]:
+    """Names of the formats that have an example of a recording, and of a map."""
+    return {
+        "recordings": {name for name, _ in RECORDINGS.values()},
+        "maps": set(MAPS.values()),
+    }
+
+
+@pytest.fixture
+def put(tmp_path: Path) -> Callable[[str, str | bytes], Path]:
+    """Write a file by name, as text or bytes, and give its path."""
+
+    def write(name: str, content: str | bytes) -> Path:
+        path = tmp_path / name
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def tolerantly() -> Callable[[Callable[[Path], object], Path], object]:
+    """Call a reader so that weak evidence is no failure, and any other warning is."""
+
+    def call(reader: Callable[[Path], object], path: Path) -> object:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AnisomapWarning)
+            return reader(path)
+
+    return call

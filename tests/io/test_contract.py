@@ -1,0 +1,235 @@
+"""What every reader and writer keeps to, whatever its format: one test for the whole registry."""
+
+import logging
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap import io
+from anisomap.errors import FileError, InputError
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+
+TIMELESS = {"mat.asf": 50, "film.tif": None}
+"""Files that do not say when a frame was read, and the rate that they give instead."""
+
+
+def test_every_format_has_an_example(exemplified: dict[str, set[str]]) -> None:
+    assert exemplified["recordings"] == {f.name for f in io.FORMATS if f.open_recording}
+    assert exemplified["maps"] == {f.name for f in io.FORMATS if f.read_map}
+
+
+def test_registry_tells_formats_apart() -> None:
+    names = [form.name for form in io.FORMATS]
+    suffixes = [suffix for form in io.FORMATS for suffix in form.suffixes]
+    assert len(set(names)) == len(names)
+    assert len(set(suffixes)) == len(suffixes)
+    assert all(suffix.startswith(".") and suffix == suffix.lower() for suffix in suffixes)
+
+
+def test_recordings_keep_the_contract(recording_file: Path, recording: Recording) -> None:
+    found = io.read(recording_file)
+    assert found.readings.shape == recording.readings.shape
+    assert found.readings.dtype in (np.float32, np.float64)
+    assert not found.readings.flags.writeable
+    precise = found.readings.dtype == np.float64
+    expected = recording.readings if precise else recording.readings.astype(np.float32)
+    np.testing.assert_array_equal(found.readings, expected)
+    assert len(set(found.names)) == found.n_sensors
+    assert str(recording_file.parent) not in found.source, "a file must not tell where it lay"
+    if recording_file.name in TIMELESS:
+        assert found.times is None
+        assert found.rate_hz == TIMELESS[recording_file.name]
+        return
+    assert found.times is not None
+    assert (np.diff(found.times) > 0).all()
+    assert found.times[0] == 0
+    assert found.rate_hz in (pytest.approx(10), pytest.approx(50), pytest.approx(100))
+
+
+def test_maps_keep_the_contract(map_file: Path, read_back: SensorMap) -> None:
+    found = io.read_map(map_file)
+    np.testing.assert_array_equal(found.positions, read_back.positions)
+    np.testing.assert_array_equal(found.component, read_back.component)
+    assert found.names == read_back.names
+    assert found.units == read_back.units
+    assert not found.positions.flags.writeable
+
+
+def test_content_decides_whatever_the_suffix(recording_file: Path) -> None:
+    expected = io.read(recording_file)
+    disguised = recording_file.rename(recording_file.with_name("data.bin"))
+    np.testing.assert_array_equal(io.read(disguised).readings, expected.readings)
+
+
+def test_content_decides_for_maps_too(map_file: Path) -> None:
+    expected = io.read_map(map_file)
+    disguised = map_file.rename(map_file.with_name("data.bin"))
+    np.testing.assert_array_equal(io.read_map(disguised).positions, expected.positions)
+
+
+def test_same_thing_same_bytes(
+    tmp_path: Path,
+    sensor_map: SensorMap,
+    recording: Recording,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scaled = replace(sensor_map, units="m", component=np.minimum(sensor_map.component, 0))
+    files = [
+        (scaled if form.in_metres else thing, suffix)
+        for form in io.FORMATS
+        for thing, writer in ((sensor_map, form.write_map), (recording, form.write_recording))
+        if writer
+        for suffix in form.suffixes
+    ]
+    before = []
+    for thing, suffix in files:
+        io.write(thing, tmp_path / f"file{suffix}")
+        before.append((tmp_path / f"file{suffix}").read_bytes())
+    a_year_on = time.time() + 366 * 86400
+    monkeypatch.setattr(time, "time", lambda: a_year_on)
+    (tmp_path / "elsewhere").mkdir()
+    for (thing, suffix), expected in zip(files, before, strict=True):
+        io.write(thing, tmp_path / "elsewhere" / f"other{suffix}")
+        assert (tmp_path / "elsewhere" / f"other{suffix}").read_bytes() == expected
+
+
+@given(head=st.binary(max_size=200), name=st.sampled_from(["data.log", "x.csv", "x"]))
+def test_recognising_never_fails(head: bytes, name: str) -> None:
+    for form in io.FORMATS:
+        assert form.recognises(Path(name), head) in (True, False)
+
+
+@pytest.mark.parametrize("name", ["map.xyz", "map", "map.csv.gz", "data.log.bak"])
+def test_unknown_suffix_lists_the_known(tmp_path: Path, sensor_map: SensorMap, name: str) -> None:
+    with pytest.raises(FileError, match=r"known are .*\.npz.*\.json.*\.ply.*\.csv"):
+        io.write(sensor_map, tmp_path / name)
+    with pytest.raises(FileError, match=r"\.npz.*\.csv"):
+        io.check_writable(tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_is_not_written_as_a_map(tmp_path: Path, recording: Recording) -> None:
+    with pytest.raises(FileError, match=r"'\.json' is unknown; known are \.npz, \.csv"):
+        io.write(recording, tmp_path / "skin.json")
+
+
+def test_only_maps_and_recordings_are_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a list cannot be written"):
+        io.write([1, 2], tmp_path / "x.npz")
+
+
+def test_no_half_written_file(
+    tmp_path: Path, sensor_map: SensorMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "map.csv"
+    target.write_text("what was there before")
+
+    def full(*_: object) -> str:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("anisomap.io.parsing.comments.write_comments", full)
+    with pytest.raises(FileError, match="No space left"):
+        io.write(sensor_map, target)
+    assert target.read_text() == "what was there before"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".json", ".ply"])
+@pytest.mark.parametrize("name", ["a\0", "\ud800"])
+def test_names_that_are_no_text_are_refused(tmp_path: Path, suffix: str, name: str) -> None:
+    with pytest.raises(FileError, match="no text"):
+        io.write(SensorMap([[0.0, 1.0]], names=[name]), tmp_path / f"map{suffix}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    for reader in (io.read, io.read_map):
+        with pytest.raises(FileError, match=r"there is no file .*nowhere\.csv"):
+            reader(tmp_path / "nowhere.csv")
+
+
+def test_folder(tmp_path: Path) -> None:
+    for reader in (io.read, io.read_map):
+        with pytest.raises(FileError, match=r"is a folder of no known kind.*; give a file"):
+            reader(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.npz", "x.json", "x.ply", "data.log", "x"])
+def test_empty_file(put, name: str) -> None:
+    for reader in (io.read, io.read_map):
+        with pytest.raises(FileError, match=f"{name} is empty"):
+            reader(put(name, b""))
+
+
+def test_file_that_may_not_be_read(put, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = put("x.csv", "1,2\n")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(FileError, match=r"cannot read .*x\.csv: Permission denied"):
+        io.read(path)
+
+
+def test_no_ordinary_file(tmp_path: Path) -> None:
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("named pipes are a matter of POSIX")
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(FileError, match="not an ordinary file"):
+        io.read(tmp_path / "pipe.csv")
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.txt", "data.log", "x.tsv"])
+def test_binary_file_with_the_name_of_a_text(put, name: str) -> None:
+    picture = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(range(256))
+    for reader in (io.read, io.read_map):
+        with pytest.raises(FileError, match=rf"{name} is binary, not text"):
+            reader(put(name, picture))
+
+
+def test_binary_file_of_no_known_name_lists_the_formats(put) -> None:
+    with pytest.raises(FileError, match=r"no known kind.*\.npz.*YARP data\.log.*\.csv"):
+        io.read(put("skin.xyz", b"\0\1\2\3"))
+
+
+@pytest.mark.parametrize("name", ["map.csv", "map.json", "map.ply", "map.npz", "map.tsv"])
+def test_a_map_is_no_recording(tmp_path: Path, sensor_map: SensorMap, name: str) -> None:
+    io.write(sensor_map, tmp_path / name)
+    with pytest.raises(FileError, match=rf"{name} (is|holds).* no"):
+        io.read(tmp_path / name)
+
+
+def test_a_recording_without_positions_is_no_map(recording_file: Path) -> None:
+    if io.read(recording_file).positions is not None and recording_file.suffix == ".npz":
+        pytest.skip("that one has positions")
+    with pytest.raises(FileError, match=r"positions|columns x and y"):
+        io.read_map(recording_file)
+
+
+def test_library_stays_silent(recording_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    io.read(recording_file)
+    assert capfd.readouterr() == ("", "")
+    assert not logging.getLogger("anisomap").handlers
+
+
+def test_real_recordings(recordings_folder: Path, tmp_path: Path) -> None:
+    for path in sorted(recordings_folder.glob("*.npz")):
+        found = io.read(path)
+        assert found.positions is not None
+        assert found.units in ("mm", "pixel")
+        assert found.metadata["licence"] == "GPL-3.0"
+        truth = io.read_map(path)
+        np.testing.assert_array_equal(truth.positions, found.positions)
+        assert (truth.names, truth.units) == (found.names, found.units)
+        io.write(found, tmp_path / "copy.npz")
+        copy = io.read(tmp_path / "copy.npz")
+        np.testing.assert_array_equal(copy.readings, found.readings)
+        assert (copy.source, copy.rate_hz) == (found.source, found.rate_hz)

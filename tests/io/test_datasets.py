@@ -1,0 +1,216 @@
+"""Files of named arrays and columns: which is the recording, and what belongs to it."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError, MissingExtraError
+
+h5py = pytest.importorskip("h5py")
+arrow = pytest.importorskip("pyarrow")
+parquet = pytest.importorskip("pyarrow.parquet")
+
+READINGS = np.random.default_rng(3).integers(0, 9, (300, 6)).astype(np.float64)
+OTHER = np.random.default_rng(4).integers(0, 9, (200, 4))
+
+
+def select(name: str) -> io.ReadOptions:
+    return io.ReadOptions(select=name)
+
+
+@pytest.fixture
+def h5(tmp_path: Path):
+    def make(**arrays: object) -> Path:
+        with h5py.File(tmp_path / "skin.h5", "w") as file:
+            for name, values in arrays.items():
+                file[name.replace("__", "/")] = values
+        return tmp_path / "skin.h5"
+
+    return make
+
+
+def test_all_that_belongs_to_a_recording_lies_beside_it(h5) -> None:
+    path = h5(
+        left__readings=READINGS,
+        left__time_ms=np.arange(300) * 20,
+        left__names=np.array(list("abcdef"), "S"),
+        left__positions=np.eye(6)[:, :3],
+        times=np.arange(300),
+        positions=np.ones((6, 3)),
+    )
+    found = io.read(path)
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == tuple("abcdef")
+    assert found.rate_hz == pytest.approx(50)
+    np.testing.assert_array_equal(found.positions, np.eye(6)[:, :3])
+    assert found.source == "skin.h5:left/readings"
+
+
+def test_several_datasets_are_listed_and_one_is_chosen(h5) -> None:
+    path = h5(left__skin=READINGS, right__skin=OTHER, note="rubbed by hand", one=np.arange(5))
+    with pytest.raises(io.ChoiceError, match=r"2 datasets.*left/skin.*300 x 6.*--select"):
+        io.read(path)
+    usable = {content.name: content.usable for content in io.contents(path)}
+    assert usable == {"left/skin": True, "right/skin": True, "note": False, "one": False}
+    np.testing.assert_array_equal(io.read(path, options=select("right")).readings, OTHER)
+
+
+def test_what_is_chosen_must_be_there_and_be_a_recording(h5) -> None:
+    path = h5(left__skin=READINGS, right__skin=OTHER, one=np.arange(5))
+    np.testing.assert_array_equal(io.read(path, options=select("left/skin")).readings, READINGS)
+    with pytest.raises(FileError, match=r"several things go by 'skin'"):
+        io.read(path, options=select("skin"))
+    with pytest.raises(FileError, match=r"no dataset 'middle'; it holds left/skin"):
+        io.read(path, options=select("middle"))
+    with pytest.raises(FileError, match=r"no dataset that could be a recording; it holds one"):
+        io.read(path, options=select("one"))
+
+
+def test_frames_of_a_grid_are_laid_out_in_a_row(h5) -> None:
+    found = io.read(h5(film=READINGS.reshape(300, 2, 3)))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == ("0.0", "0.1", "0.2", "1.0", "1.1", "1.2")
+
+
+def test_names_of_variable_length_are_left_where_they_are(h5) -> None:
+    names = np.array(list("abcdef"), h5py.string_dtype())
+    with pytest.warns(AnisomapWarning, match="variable length"):
+        assert io.read(h5(readings=READINGS, names=names)).names[0] == "s0"
+
+
+def test_datasets_that_unpack_to_far_more_than_they_take_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with h5py.File(tmp_path / "bomb.h5", "w") as file:
+        file.create_dataset("a", (1 << 20, 64), "f8", chunks=(1 << 12, 64))
+    with pytest.raises(FileError, match="made to fill memory"):
+        io.read(tmp_path / "bomb.h5")
+    monkeypatch.setattr("anisomap.io.parsing.source._SUSPICIOUS_BYTES", 1 << 20)
+    with h5py.File(tmp_path / "bomb.h5", "w") as file:
+        file.create_dataset("a", data=np.zeros((1 << 17, 64)), chunks=(1 << 17, 64), compression=9)
+    with pytest.raises(FileError, match="made to fill memory"):
+        io.read(tmp_path / "bomb.h5")
+
+
+def test_datasets_in_other_files_are_not_opened(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes(bytes(48))
+    with h5py.File(tmp_path / "skin.h5", "w") as file:
+        file.create_dataset("a", (3, 2), "f8", external=[(str(tmp_path / "secret"), 0, 48)])
+        file["b"] = h5py.ExternalLink("other.h5", "/b")
+    with pytest.raises(FileError, match="lies in other files"):
+        io.read(tmp_path / "skin.h5")
+
+
+@pytest.mark.parametrize("kind", ["f8", "f4", "u1", "i4", "?"])
+def test_kinds_of_numbers_in_matlab(tmp_path: Path, kind: str) -> None:
+    readings = READINGS.astype(kind)
+    scipy.io.savemat(tmp_path / "skin.mat", {"skin": readings, "fs": 50.0, "note": "by hand"})
+    found = io.read(tmp_path / "skin.mat")
+    np.testing.assert_array_equal(found.readings, readings)
+    assert found.rate_hz == 50
+
+
+def test_matlab_4(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "skin.mat", {"skin": READINGS}, format="4")
+    np.testing.assert_array_equal(io.read(tmp_path / "skin.mat").readings, READINGS)
+
+
+def table(**columns: object) -> object:
+    return arrow.table({name.replace("__", "."): values for name, values in columns.items()})
+
+
+def fixed(values: np.ndarray) -> object:
+    return arrow.FixedSizeListArray.from_arrays(arrow.array(values.ravel()), values.shape[1])
+
+
+def test_episodes_have_a_rate_but_no_common_time(tmp_path: Path) -> None:
+    columns = table(
+        observation__tactile=fixed(READINGS),
+        observation__state=fixed(READINGS[:, :2]),
+        action=[[1.0]] * 300,
+        timestamp=np.arange(300) % 100 / 30,
+        episode_index=np.arange(300) // 100,
+    )
+    parquet.write_table(columns, tmp_path / "file-000.parquet", row_group_size=70)
+    with pytest.raises(io.ChoiceError, match="3 columns"):
+        io.read(tmp_path / "file-000.parquet")
+    found = io.read(tmp_path / "file-000.parquet", options=select("observation.tactile"))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.times is None
+    assert found.rate_hz == pytest.approx(30)
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "feather", "arrows"])
+def test_a_column_a_sensor(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"skin.{suffix}"
+    columns = table(
+        frame=np.arange(300),
+        time=np.arange(300) / 25,
+        **{f"pad {i}": READINGS[:, i] for i in range(6)},
+        who=["me"] * 300,
+    )
+    if suffix == "parquet":
+        parquet.write_table(columns, path)
+    else:
+        writer = arrow.ipc.new_file if suffix == "feather" else arrow.ipc.new_stream
+        with arrow.OSFile(str(path), "wb") as sink, writer(sink, columns.schema) as out:
+            out.write_table(columns, max_chunksize=64)
+    found = io.read(path)
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == tuple(f"pad {i}" for i in range(6))
+    assert found.rate_hz == pytest.approx(25)
+
+
+def test_nested_and_ragged_lists(tmp_path: Path) -> None:
+    path = tmp_path / "skin.parquet"
+    parquet.write_table(table(a=READINGS.reshape(300, 3, 2).tolist()), path)
+    np.testing.assert_array_equal(io.read(path).readings, READINGS)
+    parquet.write_table(table(a=[[1.0, 2.0], [3.0], [4.0, 5.0]]), path)
+    with pytest.raises(FileError, match="differ in length"):
+        io.read(path)
+    parquet.write_table(table(a=[[1.0, 2.0], None, [4.0, 5.0]]), path)
+    with pytest.raises(FileError, match="misses whole frames"):
+        io.read(path)
+    parquet.write_table(table(a=[[1.0, 2.0], [None, 3.0], [4.0, 5.0]]), path)
+    np.testing.assert_array_equal(io.read(path).readings[1], [np.nan, 3])
+    parquet.write_table(table(a=["x", "y"]), path)
+    with pytest.raises(FileError, match=r"no column that could be a recording; it holds a"):
+        io.read(path)
+
+
+def test_parquet_bombs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("anisomap.io.parsing.source._SUSPICIOUS_BYTES", 1 << 20)
+    constant = arrow.chunked_array([fixed(np.zeros((1 << 16, 64)))] * 4)
+    parquet.write_table(table(a=constant), tmp_path / "bomb.parquet")
+    with pytest.raises(FileError, match="made to fill memory"):
+        io.read(tmp_path / "bomb.parquet")
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "name"),
+    [
+        ("h5py", "hdf5", "skin.h5"),
+        ("h5py", "mat", "v73.mat"),
+        ("pyarrow", "parquet", "a.feather"),
+        ("rosbags.highlevel", "ros", "run.bag"),
+        ("PIL.Image", "images", "film.gif"),
+    ],
+)
+def test_a_missing_library_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, extra: str, name: str
+) -> None:
+    marks = {
+        "h5": b"\x89HDF\r\n\x1a\n",
+        "mat": b"MATLAB 7.3 MAT-file",
+        "feather": b"ARROW1\0\0",
+        "bag": b"#ROSBAG V2.0\n",
+        "gif": b"GIF89a",
+    }
+    (tmp_path / name).write_bytes(marks[name.rpartition(".")[2]])
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=rf"pip install 'anisomap\[{extra}\]'"):
+        io.read(tmp_path / name)

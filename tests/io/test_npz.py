@@ -1,0 +1,245 @@
+"""NumPy archives: what they may hold, and what is refused before it is unpacked."""
+
+import pickle
+import zipfile
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError
+
+READINGS = np.arange(12.0).reshape(4, 3)
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Callable[..., Path]:
+    def save(**arrays: object) -> Path:
+        np.savez(tmp_path / "skin.npz", **arrays)
+        return tmp_path / "skin.npz"
+
+    return save
+
+
+class Trap:
+    """Its pickle would make a folder, were it ever loaded."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __reduce__(self) -> tuple[Callable[[str], None], tuple[str]]:
+        return __import__("os").mkdir, (str(self.folder),)
+
+
+def error(path: Path, reader: Callable[[Path], object] = io.read) -> str:
+    with pytest.raises(FileError) as caught:
+        reader(path)
+    assert "skin.npz" in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("dtype", ["f2", "f4", "f8", ">f8", "u1", "i2", "<i8", "?"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_kinds_of_numbers(saved, dtype: str, order: str) -> None:
+    readings = np.array(READINGS, dtype=dtype, order=order)
+    found = io.read(saved(readings=readings)).readings
+    np.testing.assert_array_equal(found, readings)
+    assert found.dtype == (
+        np.float32 if readings.dtype.itemsize <= 2 or dtype == "f4" else np.float64
+    )
+
+
+def test_all_that_is_known(saved) -> None:
+    found = io.read(
+        saved(
+            readings=READINGS,
+            names=np.array([b"a", b"b", b"c"]),
+            times=np.array([1, 2, 4, 8]),
+            positions=np.zeros((3, 2), "f4"),
+            units=np.array(["mm"]),
+            licence="MIT",
+            seed=7,
+            gain=0.5,
+            dry=True,
+            triangle=np.arange(3),
+            objects=np.array([{}, None]),
+        )
+    )
+    assert found.names == ("a", "b", "c")
+    assert found.times.tolist() == [1, 2, 4, 8]
+    assert found.units == "mm"
+    assert found.source == "skin.npz"
+    assert dict(found.metadata) == {"licence": "MIT", "seed": 7, "gain": 0.5, "dry": True}
+    assert [type(value) for value in found.metadata.values()] == [str, int, float, bool]
+
+
+def test_times_that_do_not_increase(saved) -> None:
+    with pytest.warns(AnisomapWarning, match=r"skin\.npz.*frame 2"):
+        found = io.read(saved(readings=READINGS, times=[0, 1, 1, 2]))
+    assert found.times is None
+
+
+def test_missing_readings_says_what_there_is(saved) -> None:
+    message = error(saved(data=READINGS, labels=np.arange(3)))
+    assert "needs an array readings, and has data, labels" in message
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"readings": np.arange(3.0)}, "1 dimensions"),
+        ({"readings": np.zeros((2, 3, 4))}, "3 dimensions"),
+        ({"readings": np.zeros((0, 3))}, "nothing in them"),
+        ({"readings": READINGS * 1j}, "complex128; it must be numbers"),
+        ({"readings": READINGS.astype(str)}, "it must be numbers"),
+        ({"readings": READINGS.astype(object)}, "readings is pickled objects"),
+        ({"readings": np.zeros(3, [("a", "f8"), ("b", "i4")])}, "it must be numbers"),
+        ({"readings": np.zeros((2, 2), "M8[s]")}, "it must be numbers"),
+        ({"readings": READINGS, "names": ["a", "b"]}, "2 names for 3 sensors"),
+        ({"readings": READINGS, "names": ["a", "b", "a"]}, "unique"),
+        ({"readings": READINGS, "names": [["a", "b", "c"]]}, "names has shape"),
+        ({"readings": READINGS, "names": np.array(["a", 1, None])}, "names is pickled objects"),
+        ({"readings": READINGS, "names": [0.5, 1.5, 2.5]}, "it must be text"),
+        ({"readings": READINGS, "positions": np.zeros((2, 2))}, "positions have shape"),
+        ({"readings": READINGS, "positions": np.zeros((3, 4))}, "positions have shape"),
+        ({"readings": READINGS, "positions": np.zeros((3, 2), complex)}, "it must be numbers"),
+        ({"readings": READINGS, "times": [0.0, 1.0]}, "times have shape"),
+        ({"readings": READINGS, "times": np.zeros((4, 1))}, "times have shape"),
+        ({"readings": READINGS, "rate_hz": -1.0}, "rate_hz is -1"),
+        ({"readings": READINGS, "rate_hz": [1.0, 2.0]}, "one value"),
+        ({"readings": READINGS, "rate_hz": "fast"}, "it must be numbers"),
+        ({"readings": READINGS, "units": 3}, "it must be text"),
+    ],
+)
+def test_wrong_arrays(saved, arrays: dict[str, object], message: str) -> None:
+    assert message in error(saved(**arrays))
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"component": [0, 0]}, "2 entries"),
+        ({"component": [[0, 0, 0]]}, "component has shape"),
+        ({"component": [0, 0, 3]}, "count from 0"),
+        ({"component": [0, 0, -2]}, "count from 0"),
+        ({"component": [0.0, 0.0, 0.0]}, "component is of type"),
+        ({"component": [0, 0, -1]}, "finite position"),
+        ({"health": ["ok"]}, "health has 1 entries"),
+        ({"stress": "low"}, "it must be numbers"),
+        ({"positions": np.zeros(3)}, "must be (N, k)"),
+        ({"positions": np.array([[None, 1]])}, "positions is pickled objects"),
+    ],
+)
+def test_wrong_maps(saved, arrays: dict[str, object], message: str) -> None:
+    found = error(saved(**{"positions": np.zeros((3, 2)), **arrays}), io.read_map)
+    assert message in found
+
+
+def test_nothing_is_ever_unpickled(saved, tmp_path: Path) -> None:
+    folder = tmp_path / "sprung"
+    trap = np.array([[Trap(folder)]], dtype=object)
+    assert "pickled objects" in error(saved(readings=trap))
+    assert "pickled objects" in error(saved(positions=trap), io.read_map)
+    io.read(saved(readings=READINGS, extra=trap, single=trap[0, 0]))
+    path = tmp_path / "skin.npz"
+    path.write_bytes(pickle.dumps(Trap(folder)))
+    error(path)
+    assert not folder.exists()
+    pickle.loads(path.read_bytes())
+    assert folder.exists(), "the trap would have sprung"
+
+
+def packed(
+    header: str, content: bytes, path: Path, *, compression: int = zipfile.ZIP_DEFLATED
+) -> Path:
+    """An archive whose array says of itself what it likes."""
+    head = header.encode().ljust(117) + b"\n"
+    array = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + content
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        archive.writestr("readings.npy", array)
+    return path
+
+
+@pytest.mark.parametrize(
+    "shape", ["(1000000000, 1000000)", "(2, 2)", "(4, 1)", "(-1, 4)", "(0, 9)", "()"]
+)
+def test_header_that_does_not_match_its_content(tmp_path: Path, shape: str) -> None:
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}"
+    assert "readings is damaged" in error(packed(header, bytes(24), tmp_path / "skin.npz"))
+
+
+@pytest.mark.parametrize(
+    "descr", ["'<U0'", "'|V0'", "'|O'", "'<f99'", "[('a', '<f8')]", "__import__"]
+)
+def test_headers_of_no_use(tmp_path: Path, descr: str) -> None:
+    header = f"{{'descr': {descr}, 'fortran_order': False, 'shape': (1000000000000, 3)}}"
+    error(packed(header, bytes(24), tmp_path / "skin.npz"))
+
+
+def declare(path: Path, size: int) -> Path:
+    """Have the directory of an archive say that its member unpacks to so many bytes."""
+    content = bytearray(path.read_bytes())
+    at = content.index(b"PK\x01\x02") + 24
+    content[at : at + 4] = size.to_bytes(4, "little")
+    path.write_bytes(content)
+    return path
+
+
+def test_bombs_are_not_unpacked(tmp_path: Path) -> None:
+    n_frames = 500_000_000
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({n_frames}, 1)}}"
+    path = declare(packed(header, bytes(1 << 20), tmp_path / "skin.npz"), 8 * n_frames + 128)
+    assert "unpacks to 4000000128 bytes" in error(path)
+
+
+def test_stored_arrays_are_as_large_as_they_are(tmp_path: Path) -> None:
+    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (4, 1)}"
+    path = packed(header, bytes(32), tmp_path / "skin.npz", compression=zipfile.ZIP_STORED)
+    assert io.read(path).n_frames == 4
+    assert "unpacks to" in error(declare(path, 1 << 16))
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_numpy_packs_in_one_way_only(tmp_path: Path, compression: int) -> None:
+    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (4, 1)}"
+    path = packed(header, bytes(32), tmp_path / "skin.npz", compression=compression)
+    assert "NumPy never uses" in error(path)
+
+
+def test_characters_that_do_not_exist(tmp_path: Path) -> None:
+    path = tmp_path / "skin.npz"
+    names = np.array(["a", "b", "c"]).view(np.uint32) + 0x110000
+    np.savez(path, readings=READINGS, names=names.view("<U1"))
+    assert "characters that do not exist" in error(path)
+
+
+def test_cut_off(saved) -> None:
+    path = saved(readings=READINGS)
+    path.write_bytes(path.read_bytes()[:-30])
+    assert "no NumPy archive, or damaged" in error(path)
+
+
+def test_text_in_disguise(tmp_path: Path) -> None:
+    path = tmp_path / "skin.npz"
+    path.write_text("<html>not found</html>")
+    assert "no NumPy archive" in error(path)
+
+
+def test_other_archives(tmp_path: Path) -> None:
+    path = tmp_path / "skin.npz"
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("readme.txt", "hello")
+    path.write_bytes(buffer.getvalue())
+    assert "has no array at all" in error(path)
+
+
+def test_reading_a_truth_leaves_the_readings_alone(tmp_path: Path) -> None:
+    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000, 3)}"
+    path = packed(header, bytes(24), tmp_path / "skin.npz")
+    with zipfile.ZipFile(path, "a") as archive, archive.open("positions.npy", "w") as member:
+        np.lib.format.write_array(member, np.eye(3))
+    assert io.read_map(path).n_sensors == 3

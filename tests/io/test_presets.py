@@ -1,0 +1,77 @@
+"""Robots whose numbering is known: what is kept, and what it is called."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap import Recording, io
+from anisomap.errors import InputError
+from anisomap.io.recordings.presets import apply_preset
+
+
+def skin(n_boards: int = 2, *, rest: float = 0.0, source: str = "") -> Recording:
+    """Every value varies but those of triangle 3 of board 1."""
+    readings = rest + np.random.default_rng(0).integers(-9, 1, (50, 192 * n_boards))
+    if n_boards > 1:
+        readings[:, 192 + 36 : 192 + 48] = 255
+    return Recording(readings, source=source)
+
+
+def test_names_say_board_triangle_and_pad() -> None:
+    recording = skin()
+    found = apply_preset(recording, "icub")
+    assert found.n_sensors == (2 * 16 - 1) * 10
+    for name, column in zip(found.names, found.readings.T, strict=True):
+        board, triangle, k = (int(part[1:]) for part in name.split("."))
+        np.testing.assert_array_equal(
+            column, recording.readings[:, 192 * board + 12 * triangle + k]
+        )
+        assert k not in (6, 10)
+        assert (board, triangle) != (1, 3)
+
+
+@pytest.mark.parametrize(("rest", "state"), [(240.0, "raw"), (0.0, "compensated")])
+def test_what_rest_says(rest: float, state: str) -> None:
+    assert apply_preset(skin(rest=rest), "icub").metadata["skin"].startswith(state)
+
+
+@pytest.mark.parametrize("source", ["left_hand", "run/right_hand_comp"])
+def test_a_hand_is_told_by_its_port(source: str) -> None:
+    found = apply_preset(skin(1, source=source), "icub")
+    assert found.names == apply_preset(skin(1), "icub-hand").names
+    assert found.n_sensors == 60 + 44
+    assert {f"palm.{k}" for k in (11, 23, 35, 43)}.isdisjoint(found.names)
+    assert {"thumb.0", "thumb.6", "palm.6", "palm.47"} <= set(found.names)
+    np.testing.assert_array_equal(found.readings[:, -1], skin(1).readings[:, 143])
+
+
+def test_joined_ports_are_numbered_each_by_itself() -> None:
+    arm, hand = skin(2), skin(1)
+    names = [f"left_arm/s{i}" for i in range(384)] + [f"left_hand/s{i}" for i in range(192)]
+    found = apply_preset(Recording(np.hstack([arm.readings, hand.readings]), names=names), "icub")
+    assert found.n_sensors == (2 * 16 - 1) * 10 + 60 + 44
+    assert found.names[0] == "left_arm/b0.t0.k0"
+    assert found.names[-1] == "left_hand/palm.47"
+    np.testing.assert_array_equal(found.readings[:, -1], hand.readings[:, 143])
+
+
+def test_what_does_not_fit() -> None:
+    with pytest.raises(InputError, match="no whole triangles of 12"):
+        apply_preset(Recording(np.eye(13)), "icub")
+    with pytest.raises(InputError, match="192 values, not 24"):
+        apply_preset(Recording(np.eye(24)), "icub-hand")
+    with pytest.raises(InputError, match="known are icub, icub-hand"):
+        apply_preset(Recording(np.eye(24)), "nao")
+    with pytest.raises(InputError, match="ever varies"):
+        apply_preset(Recording(np.ones((3, 24))), "icub")
+
+
+def test_grids(tmp_path: Path) -> None:
+    readings = np.random.default_rng(0).integers(0, 9, (20, 6))
+    np.savetxt(tmp_path / "mat.csv", readings, "%d", ",")
+    found = io.read(tmp_path / "mat.csv", options=io.ReadOptions(grid=(2, 3)))
+    assert found.names == ("r0c0", "r0c1", "r0c2", "r1c0", "r1c1", "r1c2")
+    assert found.positions.tolist() == [[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]]
+    with pytest.raises(InputError, match="4 x 4 has 16 sensors, but the recording has 6"):
+        io.read(tmp_path / "mat.csv", options=io.ReadOptions(grid=(4, 4)))

@@ -1,0 +1,298 @@
+"""What robots' software reads: checked by that software where it can be had."""
+
+import shlex
+import warnings
+from contextlib import suppress
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.spatial.transform import Rotation
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.placement import normals_of
+from anisomap.sensor_map import SensorMap
+
+IN_METRES = (".urdf", ".xacro", ".mjcf", ".xml", ".launch.xml", ".icub.txt")
+READ_BACK = (".urdf", ".mjcf", ".pcd", ".icub.txt")
+NAMES = st.text(
+    st.characters(exclude_categories=["Cs", "Cc"], exclude_characters="\ufffe\uffff"), max_size=8
+)
+
+
+@st.composite
+def skins(draw: st.DrawFn) -> SensorMap:
+    count = draw(st.integers(1, 8))
+    coordinates = st.floats(-10, 10, allow_subnormal=False)
+    positions = draw(hnp.arrays(np.float64, (count, 3), elements=coordinates))
+    names = draw(st.lists(NAMES, min_size=count, max_size=count, unique=True))
+    return SensorMap(positions, names=tuple(names), units="m")
+
+
+def dome(n_sensors: int = 60) -> SensorMap:
+    turn = np.arange(n_sensors)
+    height = 1 - (turn + 0.5) / n_sensors
+    ring, angle = np.sqrt(1 - height**2), np.pi * (3 - np.sqrt(5)) * turn
+    points = np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
+    return SensorMap(
+        40 * points,
+        names=tuple(f"taxel{3 * i + 1}" for i in turn),
+        units="mm",
+        provenance={"frame": "l_hand"},
+    )
+
+
+@pytest.mark.parametrize("suffix", READ_BACK)
+@given(skin=skins())
+@settings(max_examples=25, deadline=None)
+def test_what_is_written_is_read_back_equal(
+    suffix: str, skin: SensorMap, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("robot") / f"skin{suffix}"
+    io.write(skin, path)
+    found = io.read_map(path)
+    assert found.units == "m"
+    if suffix == ".icub.txt":
+        # A sensor in the origin is no taxel there, and names are the port's.
+        np.testing.assert_array_equal(np.sort(found.positions, 0), np.sort(skin.positions, 0))
+        return
+    np.testing.assert_array_equal(found.positions, skin.positions)
+    assert found.names == skin.names
+
+
+@pytest.mark.parametrize("suffix", IN_METRES)
+def test_millimetres_become_metres(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"skin{suffix}"
+    io.write(dome(), path)
+    if suffix in (".xacro", ".launch.xml"):
+        assert "0.0" in path.read_text()
+        return
+    found = io.read_map(path)
+    assert found.units == "m"
+    assert found.names == dome().names
+    np.testing.assert_allclose(found.positions, dome().positions / 1000)
+
+
+def test_mujoco_compiles_the_model_and_finds_the_sites_where_they_are(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    path = tmp_path / "skin.xml"
+    io.write(dome(), path)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    names = tuple(model.site(i).name for i in range(model.nsite))
+    assert names == dome().names
+    np.testing.assert_allclose(data.site_xpos, dome().positions / 1000, atol=1e-9)
+    z = data.site_xmat.reshape(-1, 3, 3)[:, :, 2]
+    np.testing.assert_allclose(z, normals_of(dome()), atol=1e-9)
+
+
+def test_mujoco_reads_the_robot_description(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    path = tmp_path / "skin.urdf"
+    io.write(dome(), path)
+    assert mujoco.MjModel.from_xml_path(str(path)).nbody >= 1
+
+
+def test_a_urdf_parser_finds_the_frames_where_they_are(tmp_path: Path) -> None:
+    yourdfpy = pytest.importorskip("yourdfpy", reason="an independent URDF parser")
+    path = tmp_path / "skin.urdf"
+    io.write(dome(), path)
+    robot = yourdfpy.URDF.load(str(path), build_scene_graph=True, load_meshes=False)
+    assert robot.base_link == "l_hand"
+    for name, place, normal in zip(
+        dome().names, dome().positions / 1000, normals_of(dome()), strict=True
+    ):
+        pose = robot.get_transform(name, "l_hand")
+        np.testing.assert_allclose(pose[:3, 3], place, atol=1e-9)
+        np.testing.assert_allclose(pose[:3, 2], normal, atol=1e-9)
+
+
+def test_the_tactile_element_has_all_that_is_mandatory(tmp_path: Path) -> None:
+    path = tmp_path / "skin.urdf"
+    io.write(dome(), path)
+    root = ET.fromstring(path.read_text())  # noqa: S314
+    (sensor,) = root.findall("sensor")
+    assert sensor.find("parent").get("link") == "l_hand"
+    tactile = sensor.find("tactile")
+    assert tactile.get("channel")
+    taxels = tactile.findall("taxel")
+    assert [int(taxel.get("idx")) for taxel in taxels] == list(range(60))
+    turns = [[float(v) for v in taxel.get("rpy").split()] for taxel in taxels]
+    z = Rotation.from_euler("xyz", turns).as_matrix()[:, :, 2]
+    np.testing.assert_allclose(z, normals_of(dome()), atol=1e-9)
+    assert all(taxel.find("geometry/sphere").get("radius") for taxel in taxels)
+    names = [link.get("name") for link in root.iter("link")]
+    assert len(set(names)) == len(names)
+
+
+def test_many_frames_are_warned_of(tmp_path: Path) -> None:
+    with pytest.warns(AnisomapWarning, match="101 sensors make as many frames"):
+        io.write(dome(101), tmp_path / "skin.urdf")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        io.write(dome(100), tmp_path / "skin.urdf")
+
+
+def test_a_macro_takes_its_parent(tmp_path: Path) -> None:
+    path = tmp_path / "skin.xacro"
+    io.write(dome(), path)
+    root = ET.fromstring(path.read_text())  # noqa: S314
+    (macro,) = root
+    assert macro.get("params") == "parent"
+    assert {parent.get("link") for parent in macro.iter("parent")} == {"${parent}"}
+
+
+@given(skin=skins())
+@settings(max_examples=20, deadline=None)
+def test_static_transforms_are_what_a_shell_takes_apart(
+    skin: SensorMap, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("launch") / "skin.launch.xml"
+    io.write(skin, path)
+    root = ET.fromstring(path.read_text(encoding="utf-8"))  # noqa: S314
+    found = []
+    for node in root.findall("node"):
+        assert (node.get("pkg"), node.get("exec")) == ("tf2_ros", "static_transform_publisher")
+        words = shlex.split(node.get("args"))
+        options = dict(zip(words[::2], words[1::2], strict=True))
+        assert options["--frame-id"] == "skin"
+        found.append((options["--child-frame-id"], [float(options[f"--{a}"]) for a in "xyz"]))
+    assert [name for name, _ in found] == list(skin.names)
+    np.testing.assert_array_equal([place for _, place in found], skin.positions)
+
+
+def test_the_icub_finds_every_taxel_on_its_line_and_zeros_elsewhere(tmp_path: Path) -> None:
+    path = tmp_path / "l_hand.icub.txt"
+    io.write(dome(), path)
+    lines = path.read_text().splitlines()
+    assert lines[0] == "name l_hand"
+    assert lines[1] == "spatial_sampling taxel"
+    assert lines[2].startswith("taxel2Repr ( ")
+    assert lines[2].endswith(" )")
+    assert lines[3] == "[calibration]"
+    rows = np.array([[float(v) for v in line.split()] for line in lines[4:]])
+    assert all(line == line.lstrip() for line in lines)
+    ports = 3 * np.arange(60) + 1
+    stands_for = np.array(lines[2].split()[2:-1], dtype=int)
+    assert len(stands_for) == len(rows)
+    np.testing.assert_array_equal(np.flatnonzero(stands_for >= 0), ports)
+    np.testing.assert_allclose(rows[ports, :3], dome().positions / 1000)
+    np.testing.assert_allclose(np.linalg.norm(rows[ports, 3:], axis=1), 1)
+    assert not np.delete(rows, ports, axis=0).any()
+    assert not rows[-1].any()
+    unnumbered = SensorMap(dome().positions, names=[f"s{i}x" for i in range(60)], units="mm")
+    io.write(unnumbered, path)
+    assert io.read_map(path).names == tuple(f"taxel{i}" for i in range(60))
+
+
+def test_viewers_of_clouds_read_points_and_normals(tmp_path: Path) -> None:
+    io.write(dome(), tmp_path / "skin.pcd")
+    lines = (tmp_path / "skin.pcd").read_text().splitlines()
+    header = {line.split()[0]: line.split()[1:] for line in lines if line[0].isupper()}
+    assert header["POINTS"] == header["WIDTH"] == ["60"]
+    assert header["FIELDS"] == ["x", "y", "z", "normal_x", "normal_y", "normal_z"]
+    rows = np.array([line.split() for line in lines[lines.index("DATA ascii") + 1 :]], dtype=float)
+    np.testing.assert_array_equal(rows[:, :3], dome().positions)
+    np.testing.assert_array_equal(rows[:, 3:], normals_of(dome()))
+    io.write(dome(), tmp_path / "skin.ply")
+    meshio = pytest.importorskip("meshio", reason="an independent reader of PLY")
+    cloud = meshio.read(tmp_path / "skin.ply")
+    np.testing.assert_array_equal(cloud.points, dome().positions)
+    trimesh = pytest.importorskip("trimesh", reason="another one")
+    np.testing.assert_allclose(trimesh.load(tmp_path / "skin.ply").vertices, dome().positions)
+
+
+@pytest.mark.parametrize("suffix", IN_METRES)
+def test_a_map_without_scale_or_in_pieces_is_refused_and_nothing_is_written(
+    suffix: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"skin{suffix}"
+    assert io.needs_scale(path)
+    with pytest.raises(InputError, match="the map has no scale"):
+        io.write(SensorMap(np.eye(3)), path)
+    with pytest.raises(InputError, match="is in 2 pieces"):
+        io.write(SensorMap(np.eye(3), component=[0, 0, 1], units="m"), path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", [".urdf", ".mjcf", ".launch.xml"])
+def test_names_that_xml_cannot_hold_are_refused(suffix: str, tmp_path: Path) -> None:
+    skin = SensorMap(np.eye(3), names=["a", "b\x07", "c"], units="m")
+    with pytest.raises(FileError, match="XML cannot hold the name"):
+        io.write(skin, tmp_path / f"skin{suffix}")
+
+
+ROBOT = '<robot name="r"><link name="a"/>{}</robot>'
+JOINT = '<joint name="{0}j" type="fixed"><parent link="{1}"/><child link="{0}"/>{2}</joint>'
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.urdf", ROBOT.format(""), "holds no fixed frames"),
+        (
+            "a.urdf",
+            ROBOT.format(JOINT.format("b", "a", '<origin xyz="1 2"/>')),
+            "must be 3 numbers",
+        ),
+        ("a.urdf", ROBOT.format(JOINT.format("b", "a", '<origin xyz="1 2 nan"/>')), "3 numbers"),
+        (
+            "a.urdf",
+            ROBOT.format(JOINT.format("b", "a", "") + JOINT.format("c", "b", "")),
+            "its fixed frames have 2 parents",
+        ),
+        ("a.urdf", "<robot><link", "damaged or cut short"),
+        ("a.xml", "<mujoco><worldbody/></mujoco>", "holds no sites"),
+        (
+            "a.xml",
+            '<mujoco><body><site/></body><body name="b"><site/></body></mujoco>',
+            "its sites belong to 2 bodies",
+        ),
+        (
+            "a.xml",
+            '<!DOCTYPE m [<!ENTITY a "aaaa">]><mujoco><site name="&a;"/></mujoco>',
+            "damaged or cut short",
+        ),
+        ("a.pcd", "VERSION 0.7\nFIELDS x y z\nPOINTS 1\nDATA binary\n", "save it as ASCII"),
+        ("a.pcd", "VERSION 0.7\nFIELDS x y z\nPOINTS 2\nDATA ascii\n0 0 0\n", "announces 2 points"),
+        ("a.pcd", "VERSION 0.7\nFIELDS x y\nPOINTS 1\nDATA ascii\n0 0\n", "without points that"),
+        ("a.pcd", "VERSION 0.7\nFIELDS x y z\nPOINTS 1\nDATA ascii\n0 0 w\n", "line 5, column 3"),
+        ("a.pcd", "VERSION 0.7\nFIELDS x y z\n", "ends before the data"),
+        ("a.txt", "taxel2Repr ( 0 )\n", "has no line .calibration."),
+        ("a.txt", "taxel2Repr ( 0 )\n[calibration]\n0 0 0 0 0 0\n", "holds no taxel"),
+        ("a.txt", "taxel2Repr ( 0 )\n[calibration]\n1 0 0\n", "line 3 has 3 numbers"),
+        ("a.txt", "taxel2Repr ( 0 )\n[calibration]\n1 0 0 0 0 z\n", "line 3"),
+        ("a.txt", "taxel2Repr\n[calibration]\n1 0 0 0 0 0\n", "between brackets"),
+    ],
+)
+def test_what_is_no_skin_is_refused(put, name: str, content: str, message: str) -> None:
+    with pytest.raises(FileError, match=message):
+        io.read_map(put(name, content))
+
+
+@pytest.mark.parametrize("suffix", READ_BACK)
+def test_damage_in_quantity_gives_a_result_or_one_sentence(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"skin{suffix}"
+    io.write(dome(30), path)
+    whole, rng = path.read_bytes(), np.random.default_rng(3)
+    for i in range(400):
+        broken = bytearray(whole[: rng.integers(len(whole))] if i % 2 else whole)
+        if not i % 2:
+            broken[int(rng.integers(len(broken)))] = int(rng.integers(256))
+        path.write_bytes(bytes(broken))
+        with suppress(FileError):
+            assert io.read_map(path).n_sensors <= 60
+
+
+def test_points_of_a_mesh_viewer_have_the_normals_of_the_map(tmp_path: Path) -> None:
+    meshio = pytest.importorskip("meshio", reason="an independent reader of PLY")
+    io.write(dome(), tmp_path / "skin.ply")
+    cloud = meshio.read(tmp_path / "skin.ply")
+    normals = np.column_stack([cloud.point_data[name] for name in ("nx", "ny", "nz")])
+    np.testing.assert_array_equal(normals, normals_of(dome()))

@@ -1,0 +1,309 @@
+"""Bags of ROS 1, ROS 2 and MCAP: every kind of message of a tactile sensor."""
+
+import sqlite3
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError
+from bags import DEFINITIONS, Bag
+
+READINGS = np.random.default_rng(8).integers(0, 9, (60, 6)).astype(np.float64)
+KINDS = ["bag", "mcap", "db3"]
+
+
+def select(name: str, *definitions: Path) -> io.ReadOptions:
+    return io.ReadOptions(select=name, definitions=definitions)
+
+
+@pytest.fixture(params=KINDS)
+def bag(request: pytest.FixtureRequest) -> Bag:
+    return Bag(request.param)
+
+
+def test_arrays(bag: Bag, tmp_path: Path) -> None:
+    for i, row in enumerate(READINGS):
+        bag.add("/skin", bag.array(row), i)
+        bag.add("/log", bag.make("std_msgs/String", data="all is well"), i)
+    found = io.read(bag.write(tmp_path / f"run.{bag.kind}"))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.source == f"run.{bag.kind}:/skin"
+    # Without a stamp of its own, a message counts from when it was received.
+    expected = np.arange(60) / 50 + 1e-3 * (np.arange(60) % 3)
+    np.testing.assert_allclose(found.times, expected, atol=1e-8)
+
+
+def tactile_state(bag: Bag) -> None:
+    for i, row in enumerate(READINGS):
+        parts = [
+            bag.make("sensor_msgs/ChannelFloat32", name=name, values=values.astype(np.float32))
+            for name, values in (("palm", row[:4]), ("thumb", row[4:]))
+        ]
+        message = bag.make("tactile_msgs/TactileState", header=bag.header(i), sensors=parts)
+        bag.add("/tactile", message, i)
+
+
+def test_tactile_state(bag: Bag, tmp_path: Path) -> None:
+    tactile_state(bag)
+    found = io.read(bag.write(tmp_path / f"run.{bag.kind}"))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == ("palm.0", "palm.1", "palm.2", "palm.3", "thumb.0", "thumb.1")
+    np.testing.assert_allclose(found.times, np.arange(60) / 50, atol=1e-8)
+
+
+@pytest.mark.parametrize("start", [0, 10, 32_765, 65_500])
+def test_xela_counters_run_over(bag: Bag, tmp_path: Path, start: int) -> None:
+    """The server counts from 0 to 65535; the message declares signed numbers."""
+    counters = (start + 40 * READINGS).astype(np.int64).astype(np.uint16).view(np.int16)
+    for i, row in enumerate(counters.tolist()):
+        taxels = [bag.make("xela_server_ros2/Taxel", x=0, y=1, z=value) for value in row]
+        sensors = [
+            bag.make("xela_server_ros2/SensorFull", sensor_pos=n + 1, taxels=part)
+            for n, part in enumerate((taxels[:4], taxels[4:]))
+        ]
+        bag.add("/xServTopic", bag.make("xela_server_ros2/SensStream", sensors=sensors), i)
+    path = bag.write(tmp_path / f"run.{bag.kind}")
+    found = io.read(path)
+    np.testing.assert_array_equal(found.readings, 40 * (READINGS - READINGS[0]))
+    assert found.names == ("1.0", "1.1", "1.2", "1.3", "2.0", "2.1")
+    other = io.read(path, options=select("/xServTopic:sensors.taxels.y"))
+    assert not other.readings.any()
+
+
+def test_biotac(bag: Bag, tmp_path: Path) -> None:
+    electrodes = np.random.default_rng(0).integers(0, 4096, (40, 5, 19)).astype(np.int16)
+    for i, hand in enumerate(electrodes):
+        tips = [bag.make("sr_robot_msgs/Biotac", pdc=7, electrodes=tip) for tip in hand]
+        message = bag.make("sr_robot_msgs/BiotacAll", header=bag.header(i), tactiles=tips)
+        bag.add("/rh/tactile", message, i)
+    path = bag.write(tmp_path / f"run.{bag.kind}")
+    found = io.read(path)
+    np.testing.assert_array_equal(found.readings, electrodes.reshape(40, 95))
+    assert found.names[:2] == ("0.0", "0.1")
+    assert found.names[-1] == "4.18"
+    assert (io.read(path, options=select("/rh/tactile:tactiles.pdc")).readings == 7).all()
+
+
+def test_skin_cells_come_one_a_message(bag: Bag, tmp_path: Path) -> None:
+    cells = {7: slice(0, 3), 2: slice(3, 6)}
+    for i, row in enumerate(READINGS):
+        for cell, part in cells.items():
+            if (i, cell) in {(0, 2), (31, 7)}:
+                continue  # one cell starts late, another leaves a message out
+            message = bag.make(
+                "tum_ics_skin_msgs/SkinCellData",
+                cellId=cell,
+                prox=np.zeros(1, np.float32),
+                force=row[part].astype(np.float32),
+            )
+            bag.add("/patch1", message, 2 * i + (cell == 2), rate=100.0)
+    found = io.read(bag.write(tmp_path / f"run.{bag.kind}"))
+    assert found.names == ("7.0", "7.1", "7.2", "2.0", "2.1", "2.2")
+    held = READINGS.copy()
+    held[31, cells[7]] = held[30, cells[7]]
+    assert 57 <= found.n_frames <= 60
+    rows = {tuple(row) for row in held.tolist()}
+    mixed = [tuple(row) not in rows for row in found.readings.tolist()]
+    assert sum(mixed) <= 2, "but where a message is missing, a round is an instant"
+
+
+def test_taxel_arrays_know_where_they_are(bag: Bag, tmp_path: Path) -> None:
+    centres = np.random.default_rng(0).normal(size=(3, 6))
+    normals = centres / np.linalg.norm(centres, axis=0)
+    for i, row in enumerate(READINGS):
+        fields = {f"centers_{axis}": centres[n] for n, axis in enumerate("xyz")}
+        fields |= {f"values_{axis}": row * normals[n] for n, axis in enumerate("xyz")}
+        bag.add("/skin", bag.make("m3skin_ros/TaxelArray", header=bag.header(i), **fields), i)
+    found = io.read(bag.write(tmp_path / f"run.{bag.kind}"))
+    np.testing.assert_allclose(found.readings, READINGS, atol=1e-12)
+    np.testing.assert_array_equal(found.positions, centres.T)
+    assert found.units == "m"
+
+
+@pytest.mark.parametrize(
+    "encoded", [("mono8", "u1", 1), ("16UC1", "<u2", 1), ("32FC1", "<f4", 1), ("bgr8", "u1", 3)]
+)
+@pytest.mark.parametrize("padding", [0, 5])
+def test_images_are_pads(
+    bag: Bag, tmp_path: Path, encoded: tuple[str, str, int], padding: int
+) -> None:
+    encoding, dtype, channels = encoded
+    for i, row in enumerate(READINGS):
+        pixels = np.repeat(row.astype(dtype).reshape(2, 3, 1), channels, axis=2)
+        lines = pixels.reshape(2, -1).view(np.uint8)
+        data = np.pad(lines, ((0, 0), (0, padding)))
+        image = bag.make(
+            "sensor_msgs/Image",
+            header=bag.header(i),
+            height=2,
+            width=3,
+            encoding=encoding,
+            is_bigendian=0,
+            step=data.shape[1],
+            data=data.ravel(),
+        )
+        bag.add("/camera", image, i)
+    found = io.read(bag.write(tmp_path / f"run.{bag.kind}"))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names[:4] == ("r0c0", "r0c1", "r0c2", "r1c0")
+    assert found.positions.tolist()[3] == [0, 1]
+
+
+def test_ranges_of_several_topics_are_joined(bag: Bag, tmp_path: Path) -> None:
+    for i, row in enumerate(READINGS):
+        for n, value in enumerate(row):
+            fields = dict.fromkeys(("field_of_view", "min_range", "max_range"), 1.0)
+            message = bag.make(
+                "sensor_msgs/Range",
+                header=bag.header(i),
+                radiation_type=0,
+                range=float(value),
+                **fields,
+                **({"variance": 0.0} if "variance" in _fields(bag, "Range") else {}),
+            )
+            bag.add(f"/range/{n}", message, i)
+    path = bag.write(tmp_path / f"run.{bag.kind}")
+    with pytest.raises(io.ChoiceError, match="6 topics"):
+        io.read(path)
+    found = io.read(path, options=select("/range/*"))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == tuple(f"/range/{n}/range" for n in range(6))
+    some = io.read(path, options=select("/range/4,/range/1"))
+    np.testing.assert_array_equal(some.readings, READINGS[:, [4, 1]])
+
+
+def _fields(bag: Bag, name: str) -> set[str]:
+    return {field for field, _ in bag.store.fielddefs[f"sensor_msgs/msg/{name}"][1]}
+
+
+def test_fields_of_unknown_messages(bag: Bag, tmp_path: Path) -> None:
+    for i, row in enumerate(READINGS.astype(np.float32)):
+        message = bag.make("lab_msgs/Mixed", skin=row, joints=row[:2], temperature=30.0)
+        bag.add("/lab", message, i)
+    path = bag.write(tmp_path / f"run.{bag.kind}")
+    with pytest.raises(FileError, match=r"choose a field of /lab .*it has skin, joints"):
+        io.read(path)
+    found = io.read(path, options=select("/lab:skin"))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    with pytest.raises(FileError, match="no attribute 'palm'"):
+        io.read(path, options=select("/lab:palm"))
+    with pytest.raises(FileError, match=r"no topic '/nothing'; it holds /lab \(lab_msgs"):
+        io.read(path, options=select("/nothing"))
+
+
+def test_topics_are_listed(bag: Bag, tmp_path: Path) -> None:
+    tactile_state(bag)
+    for i in range(3):
+        bag.add("/other", bag.make("lab_msgs/Mixed", np.zeros(2, "f4"), np.zeros(3, "f4"), 1.0), i)
+    held = io.contents(bag.write(tmp_path / f"run.{bag.kind}"))
+    assert {(each.name, each.usable) for each in held} == {("/tactile", True), ("/other", False)}
+    assert "tactile_msgs/msg/TactileState, 60 messages" in {each.summary for each in held}
+
+
+def test_width_that_changes(bag: Bag, tmp_path: Path) -> None:
+    for i, row in enumerate(READINGS):
+        bag.add("/skin", bag.array(row[: 6 - (i == 40)]), i)
+    path = bag.write(tmp_path / f"run.{bag.kind}")
+    with pytest.raises(FileError, match="message 40 of /skin has 5 readings, but the first has 6"):
+        io.read(path)
+
+
+def test_the_folder_of_a_bag(tmp_path: Path) -> None:
+    bag = Bag("mcap")
+    for i, row in enumerate(READINGS):
+        bag.add("/skin", bag.array(row), i)
+    bag.write(tmp_path / "run.mcap")
+    (tmp_path / "run.mcap").rename(tmp_path / "run" / "run.mcap")
+    found = io.read(tmp_path / "run")
+    np.testing.assert_array_equal(found.readings, READINGS)
+
+
+def test_definitions_by_hand(tmp_path: Path) -> None:
+    """Bags of older ROS 2 hold no definitions."""
+    bag = Bag("db3")
+    tactile_state(bag)
+    path = bag.write(tmp_path / "run.db3")
+    forget_definitions(path)
+    with pytest.raises(FileError, match=r"does not define .*TactileState.*--msg"):
+        io.read(path, options=select("/tactile"))
+    file = tmp_path / "tactile_msgs" / "msg" / "TactileState.msg"
+    file.parent.mkdir(parents=True)
+    file.write_text(DEFINITIONS["tactile_msgs/msg/TactileState"])
+    loose = tmp_path / "tactile_msgs.TactileState.msg"
+    loose.write_text(file.read_text())
+    for definition in (file, loose):
+        found = io.read(path, options=select("/tactile", definition))
+        np.testing.assert_array_equal(found.readings, READINGS)
+    (tmp_path / "State.msg").write_text(file.read_text())
+    with pytest.raises(FileError, match="does not say which package"):
+        io.read(path, options=select("/tactile", tmp_path / "State.msg"))
+
+
+def forget_definitions(path: Path) -> None:
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM message_definitions")
+    database.close()
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag", "bag LZ4", "bag BZ2"])
+def test_a_bag_without_an_end_gives_what_is_whole(tmp_path: Path, kind: str) -> None:
+    """As a recorder leaves it that was killed: no index, no footer, half a record."""
+    kind, _, packed = kind.partition(" ")
+    bag = Bag(kind)
+    rows = np.random.default_rng(0).random((4000, 100))
+    rows[:, 0] = np.arange(4000)
+    for i, row in enumerate(rows):
+        bag.add("/skin" if i else "/first", bag.array(row), i)
+    path = bag.write(tmp_path / f"run.{kind}", packed)
+    whole = path.read_bytes()
+    n_whole = io.read(path, options=select("/skin")).n_frames
+    assert n_whole == 3999
+    read = []
+    for share in (0.4, 0.7, 0.999):
+        path.write_bytes(whole[: int(share * len(whole))])
+        with pytest.warns(AnisomapWarning, match=r"cut off or never closed: its last \d+ of \d+"):
+            found = io.read(path, options=select("/skin"))
+        np.testing.assert_array_equal(found.readings, rows[1 : found.n_frames + 1])
+        read.append(found.n_frames)
+    assert read == sorted(read)
+    assert 0 < read[0] < read[1]
+    assert read[-1] > 0.5 * n_whole
+
+
+def test_a_bag_that_was_never_closed(tmp_path: Path) -> None:
+    bag = Bag("bag")
+    for i, row in enumerate(READINGS):
+        bag.add("/skin", bag.array(row), i)
+    path = bag.write(tmp_path / "run.bag")
+    whole = path.read_bytes()
+    at = whole.index(b"index_pos=") + len("index_pos=")
+    end = int.from_bytes(whole[at : at + 8], "little")
+    path.write_bytes(whole[:at] + bytes(8) + whole[at + 8 : end])
+    with pytest.warns(AnisomapWarning, match="never closed: its last 0 of"):
+        np.testing.assert_array_equal(io.read(path).readings, READINGS)
+
+
+@pytest.mark.parametrize("kind", ["bag LZ4", "bag BZ2", "mcap"])
+@pytest.mark.parametrize("cut", [False, True])
+def test_chunks_made_to_fill_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, cut: bool
+) -> None:
+    kind, _, packed = kind.partition(" ")
+    bag = Bag(kind)
+    for i in range(20):
+        bag.add("/skin", bag.array(np.zeros(20_000)), i)
+    path = bag.write(tmp_path / f"run.{kind}", packed)
+    monkeypatch.setattr("anisomap.io.parsing.source._SUSPICIOUS_BYTES", 1 << 18)
+    monkeypatch.setattr("anisomap.io.parsing.source._SUSPICIOUS_RATIO", 20)
+    if kind == "mcap":
+        assert io.read(path).n_frames == 20, "what is not packed is no bomb"
+        return
+    if cut:
+        path.write_bytes(path.read_bytes()[:-100])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)
+        with pytest.raises(FileError, match="made to fill memory"):
+            io.read(path)

@@ -1,0 +1,241 @@
+"""What is written reads back equal, to the last bit, whatever the names and notes say."""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.recording import Recording, Scalar
+from anisomap.sensor_map import SensorMap
+
+TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
+TRICKY = st.sampled_from(
+    [
+        *("", " ", "3", "1e5", "NaN", "true", "null", "[1]", "{}", "provenance", "'", "\\"),
+        *('"', '"a"', "a,b", "a;b", "a\tb", "a,", "#", "# x: y", "a: b"),
+        *("x\ny", "\r", "\r\n#", "\u2028", "\ufeff"),
+    ]
+)
+WORDS = TEXTS | TRICKY
+FLOATS = st.floats(allow_nan=True, allow_infinity=True)
+SCALARS = WORDS | st.booleans() | st.integers(-(10**30), 10**30) | FLOATS
+
+
+@st.composite
+def maps(draw: st.DrawFn, least: int = 1, most: int = 4) -> SensorMap:
+    n_sensors, k = draw(st.integers(1, 6)), draw(st.integers(least, most))
+    positions = draw(hnp.arrays(np.float64, (n_sensors, k), elements=FLOATS))
+    placed = np.isfinite(positions).all(axis=1)
+    pieces = draw(hnp.arrays(np.intp, int(placed.sum()), elements=st.integers(0, 3)))
+    component = np.full(n_sensors, -1)
+    component[placed] = np.unique(pieces, return_inverse=True)[1]
+    return SensorMap(
+        positions,
+        names=draw(st.lists(WORDS, min_size=n_sensors, max_size=n_sensors, unique=True)),
+        component=component,
+        health=draw(st.lists(WORDS, min_size=n_sensors, max_size=n_sensors)),
+        excluded=draw(st.lists(st.booleans(), min_size=n_sensors, max_size=n_sensors)),
+        units=draw(WORDS),
+        method=draw(WORDS),
+        stress=draw(FLOATS),
+        notes=draw(st.lists(WORDS, max_size=3)),
+        provenance=draw(st.dictionaries(WORDS, SCALARS, max_size=4)),
+    )
+
+
+@st.composite
+def recordings(draw: st.DrawFn) -> Recording:
+    shape = draw(st.tuples(st.integers(1, 12), st.integers(1, 4)))
+    width = draw(st.sampled_from([32, 64]))
+    elements = st.floats(width=width) | st.integers(0, 255).map(float)
+    n_frames, n_sensors = shape
+    steps = st.lists(
+        st.integers(-(10**12), 10**12), min_size=n_frames, max_size=n_frames, unique=True
+    )
+    return Recording(
+        draw(hnp.arrays(f"f{width // 8}", shape, elements=elements)),
+        names=draw(st.lists(WORDS, min_size=n_sensors, max_size=n_sensors, unique=True)),
+        times=draw(st.none() | steps.map(lambda ticks: np.sort(ticks) / 1000)),
+        rate_hz=draw(st.none() | st.floats(1e-3, 1e6)),
+        source=draw(WORDS),
+        metadata=draw(st.dictionaries(WORDS, SCALARS, max_size=4)),
+    )
+
+
+def assert_same_bits(found: np.ndarray, expected: np.ndarray) -> None:
+    np.testing.assert_array_equal(found, expected, strict=True)
+    known = ~np.isnan(expected)
+    np.testing.assert_array_equal(np.signbit(found[known]), np.signbit(expected[known]))
+
+
+def assert_same_mapping(found: Mapping[str, Scalar], expected: Mapping[str, Scalar]) -> None:
+    assert list(found) == list(expected)
+    for key, value in expected.items():
+        assert type(found[key]) is type(value)
+        np.testing.assert_equal(found[key], value)
+
+
+def assert_same_map(found: SensorMap, expected: SensorMap) -> None:
+    assert_same_bits(found.positions, expected.positions)
+    np.testing.assert_array_equal(found.component, expected.component)
+    np.testing.assert_array_equal(found.excluded, expected.excluded)
+    assert found.names == expected.names
+    assert found.health == expected.health
+    assert (found.units, found.method, found.notes) == (
+        expected.units,
+        expected.method,
+        expected.notes,
+    )
+    np.testing.assert_equal(found.stress, expected.stress)
+    np.testing.assert_equal(found.confidence, expected.confidence)
+    assert_same_mapping(found.provenance, expected.provenance)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("round-trips")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".json", ".npz"])
+@given(sensor_map=maps())
+def test_maps(folder: Path, suffix: str, sensor_map: SensorMap) -> None:
+    path = folder / f"map{suffix}"
+    io.write(sensor_map, path)
+    assert_same_map(io.read_map(path), sensor_map)
+
+
+@given(sensor_map=maps(2, 3))
+def test_point_clouds(folder: Path, sensor_map: SensorMap) -> None:
+    path = folder / "map.ply"
+    io.write(sensor_map, path)
+    if not sensor_map.placed.any():
+        with pytest.raises(InputError, match="without vertices"):
+            io.read_map(path)
+        return
+    found = io.read_map(path)
+    assert_same_bits(found.positions, sensor_map.positions[sensor_map.placed])
+    np.testing.assert_array_equal(found.component, sensor_map.component[sensor_map.placed])
+    assert found.names == sensor_map.select(sensor_map.placed).names
+    assert found.units == sensor_map.units
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".npz"])
+@given(recording=recordings())
+def test_recordings(folder: Path, suffix: str, recording: Recording) -> None:
+    path = folder / f"skin{suffix}"
+    io.write(recording, path)
+    found = io.read(path)
+    assert_same_bits(found.readings.astype(np.float64), recording.readings.astype(np.float64))
+    assert found.readings.dtype <= recording.readings.dtype
+    assert found.names == recording.names
+    assert (found.times is None) == (recording.times is None)
+    if recording.times is not None and found.times is not None:
+        assert_same_bits(found.times, recording.times)
+    assert found.rate_hz == recording.rate_hz
+    assert found.source == recording.source
+    assert_same_mapping(found.metadata, recording.metadata)
+
+
+@pytest.mark.parametrize("k", [2, 3])
+def test_true_positions_stay_in_archives(tmp_path: Path, k: int) -> None:
+    positions = np.random.default_rng(k).random((4, k))
+    recording = Recording(np.eye(4), positions=positions, units="mm")
+    io.write(recording, tmp_path / "skin.npz")
+    found = io.read(tmp_path / "skin.npz")
+    assert_same_bits(found.positions, positions)
+    truth = io.read_map(tmp_path / "skin.npz")
+    assert_same_bits(truth.positions, positions)
+    assert found.units == truth.units == "mm"
+
+
+def test_text_says_that_it_loses_the_true_positions(tmp_path: Path) -> None:
+    recording = Recording(np.eye(3), positions=np.eye(3))
+    with pytest.warns(AnisomapWarning, match=r"no positions.*\.npz"):
+        io.write(recording, tmp_path / "skin.csv")
+    assert io.read(tmp_path / "skin.csv").positions is None
+
+
+@given(sensor_map=maps())
+def test_json_is_strict(folder: Path, sensor_map: SensorMap) -> None:
+    path = folder / "strict.json"
+    io.write(sensor_map, path)
+
+    def refuse(constant: str) -> float:
+        raise AssertionError(f"{constant} is no JSON")
+
+    document = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+    unknown = [None in sensor["position"] for sensor in document["sensors"]]
+    np.testing.assert_array_equal(unknown, np.isnan(sensor_map.positions).any(axis=1))
+
+
+def test_point_clouds_are_of_space(tmp_path: Path) -> None:
+    flat = SensorMap([[1.5, -2.5]], names=["a"])
+    io.write(flat, tmp_path / "flat.ply")
+    assert (tmp_path / "flat.ply").read_text().splitlines()[-1] == "1.5 -2.5 0.0 0.0 0.0 1.0 0 0"
+    with pytest.raises(InputError, match="4 axes"):
+        io.write(SensorMap(np.eye(4)), tmp_path / "x.ply")
+
+
+def test_numpy_scalars_are_provenance_too(tmp_path: Path) -> None:
+    provenance = {"seed": np.int64(3), "mu": np.float64(0.1), "on": np.bool_(True)}
+    for suffix in (".csv", ".json", ".npz"):
+        io.write(SensorMap(np.eye(2), provenance=provenance), tmp_path / f"map{suffix}")
+        found = io.read_map(tmp_path / f"map{suffix}").provenance
+        assert dict(found) == {"seed": 3, "mu": 0.1, "on": True}
+
+
+def test_provenance_is_of_scalars(tmp_path: Path) -> None:
+    for suffix in (".csv", ".json", ".npz"):
+        with pytest.raises(InputError, match="not list"):
+            io.write(SensorMap(np.eye(2), provenance={"a": [1]}), tmp_path / f"map{suffix}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_spreadsheet_may_pad_the_comments(tmp_path: Path, sensor_map: SensorMap) -> None:
+    path = tmp_path / "map.csv"
+    io.write(sensor_map, path)
+    path.write_text(re.sub("^(#.*)$", r"\1,,,,", path.read_text(), flags=re.MULTILINE))
+    assert_same_map(io.read_map(path), sensor_map)
+
+
+def test_the_head_of_a_map_can_be_read_by_eye(tmp_path: Path, sensor_map: SensorMap) -> None:
+    io.write(sensor_map, tmp_path / "map.csv")
+    head = (tmp_path / "map.csv").read_text().split("\n")[:13]
+    assert "known up to rotation, translation, scale and mirror image" in head[0]
+    facts = {
+        "# method: r-anisomap",
+        "# units: arbitrary",
+        "# stress: 0.0625",
+        "# confidence: 0.96875",
+    }
+    assert facts <= set(head)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".ply", ".pcd"])
+def test_what_coordinates_are_relative_to_is_always_written(
+    tmp_path: Path, sensor_map: SensorMap, suffix: str
+) -> None:
+    path = tmp_path / f"map{suffix}"
+    placed = replace(sensor_map, units="mm", provenance={"frame": "left_palm"})
+    for written, scale in ((sensor_map, "unknown"), (placed, "in mm")):
+        io.write(written, path)
+        if suffix == ".npz":
+            with np.load(path, allow_pickle=False) as stored:
+                said = {key: str(stored[key]) for key in ("scale", "handedness", "frame")}
+        else:
+            lines = [line.strip('# ,"') for line in path.read_text().splitlines()]
+            pairs = (line.removeprefix("comment ").partition(":") for line in lines)
+            said = {key.strip('"'): value.strip(' "') for key, _, value in pairs}
+        assert said["scale"] == scale
+        assert said["frame"] == written.provenance.get("frame", "skin")
+        assert said["handedness"].startswith("right-handed")
+    assert "scale" not in placed.known_up_to

@@ -1,0 +1,159 @@
+"""Recordings block by block: the same in any size of block, and never in memory twice."""
+
+import gzip
+import itertools
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError, InputError
+
+MIB = 1 << 20
+
+
+def blocks_of(path: Path, frames: int) -> tuple[io.Stream, list[io.Block]]:
+    with io.open_stream(path, frames=frames) as stream:
+        return stream, list(stream.blocks)
+
+
+@pytest.mark.parametrize("frames", [1, 7, 8, 1000])
+def test_blocks_of_any_size_make_the_same_recording(recording_file: Path, frames: int) -> None:
+    whole = io.read(recording_file)
+    stream, blocks = blocks_of(recording_file, frames)
+    assert [len(block.readings) for block in blocks[:-1]] == [frames] * (len(blocks) - 1)
+    assert 0 < len(blocks[-1].readings) <= frames
+    np.testing.assert_array_equal(np.vstack([b.readings for b in blocks]), whole.readings)
+    assert stream.n_sensors == whole.n_sensors
+    assert stream.names in ((), whole.names)
+    if whole.times is not None:
+        times = np.concatenate([block.times for block in blocks])
+        np.testing.assert_allclose(times - times[0], whole.times - whole.times[0], atol=1e-6)
+
+
+def test_progress_only_goes_on_and_ends_at_all(recording_file: Path) -> None:
+    told: list[float] = []
+    io.read(recording_file, progress=told.append)
+    assert told
+    assert all(a <= b for a, b in itertools.pairwise(told))
+    assert all(0 <= share <= 1 for share in told)
+    assert told[-1] == pytest.approx(1, abs=0.01)
+
+
+def test_blocks_hold_something(recording_file: Path) -> None:
+    with (
+        pytest.raises(InputError, match="blocks of 0 frames"),
+        io.open_stream(recording_file, frames=0),
+    ):
+        pass
+
+
+def test_an_error_of_the_caller_stays_one(recording_file: Path) -> None:
+    def use() -> None:
+        with io.open_stream(recording_file) as stream:
+            for _ in stream.blocks:
+                raise OSError("mine")
+
+    with pytest.raises(OSError, match=r"^mine$"):
+        use()
+
+
+def peak(call) -> int:
+    tracemalloc.start()
+    try:
+        call()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def exhaust(path: Path) -> None:
+    with io.open_stream(path, frames=100) as stream:
+        for _ in stream.blocks:
+            pass
+
+
+def _text(readings: np.ndarray, path: Path, *, stamps: bool = False, packed: bool = False) -> None:
+    before = [f"{i} {1.3e9 + i / 50:.2f} " if stamps else "" for i in range(len(readings))]
+    lines = (b" ".join(row) for row in readings.astype("u1").astype("S1").tolist())
+    text = b"".join(b.encode() + row + b"\n" for b, row in zip(before, lines, strict=True))
+    path.write_bytes(gzip.compress(text, 1) if packed else text)
+
+
+def _npz(readings: np.ndarray, path: Path, kind: type = np.float32) -> None:
+    with path.open("wb") as stream:
+        np.savez(stream, readings=readings.astype(kind))
+
+
+def _hdf5(readings: np.ndarray, path: Path) -> None:
+    with pytest.importorskip("h5py").File(path, "w") as file:
+        file.create_dataset("readings", data=readings, chunks=(64, 200), compression=1)
+
+
+def _parquet(readings: np.ndarray, path: Path) -> None:
+    arrow = pytest.importorskip("pyarrow")
+    lists = arrow.FixedSizeListArray.from_arrays(arrow.array(readings.ravel()), 200)
+    pytest.importorskip("pyarrow.parquet").write_table(
+        arrow.table({"a": lists}), path, row_group_size=512
+    )
+
+
+def _mcap(readings: np.ndarray, path: Path) -> None:
+    bags = pytest.importorskip("bags")
+    bag = bags.Bag("mcap")
+    for i, row in enumerate(readings.astype(np.float64)):
+        bag.add("/skin", bag.array(row), i)
+    bag.write(path)
+
+
+def _mat_export(readings: np.ndarray, path: Path) -> None:
+    with path.open("w") as stream:
+        stream.write("ROWS 10\nCOLS 20\n")
+        for i, row in enumerate(readings.astype("u1").astype("S1").reshape(-1, 10, 20).tolist()):
+            rows = (b",".join(cells).decode() for cells in row)
+            stream.write(f"Frame {i}\n" + "\n".join(rows) + "\n\n")
+
+
+LARGE = {
+    "skin.csv": _text,
+    "skin.csv.gz": lambda readings, path: _text(readings, path, packed=True),
+    "data.log": lambda readings, path: _text(readings, path, stamps=True),
+    "skin.npz": _npz,
+    "float64.npz": lambda readings, path: _npz(readings, path, np.float64),
+    "skin.h5": _hdf5,
+    "skin.parquet": _parquet,
+    "skin.mcap": _mcap,
+    "skin.asf": _mat_export,
+}
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_memory(tmp_path: Path, name: str) -> None:
+    few = 3000 if name.endswith(("mcap", "asf")) else 12_000  # what is slow is tried with less
+    readings = np.random.default_rng(0).integers(0, 10, (few, 200)).astype(np.float32)
+    path = tmp_path / name
+    LARGE[name](readings, path)
+    result = io.read(path).readings.nbytes
+    assert peak(lambda: io.read(path)) < 1.3 * result + 8 * MIB
+    assert peak(lambda: exhaust(path)) < 0.1 * result + 12 * MIB
+
+
+@pytest.mark.parametrize("name", ["x.csv", "data.log"])
+def test_gzip_bombs_are_not_unpacked(tmp_path: Path, monkeypatch, name: str) -> None:
+    monkeypatch.setattr("anisomap.io.parsing.source._SUSPICIOUS_BYTES", 1 << 20)
+    start = "0,0,0\n" if name == "x.csv" else "0 1300000000.5 0 0\n"
+    packed = gzip.compress(start.encode() + b"\n" * (1 << 22))
+    (tmp_path / name).write_bytes(packed)
+    with pytest.raises(FileError, match="made to fill memory"):
+        io.read(tmp_path / name)
+
+
+def test_damage_behind_the_first_rows_is_told_once(tmp_path: Path) -> None:
+    path = tmp_path / "data.log"
+    lines = "".join(f"{i} {1.3e9 + i / 50:.2f} 1 2 3\n" for i in range(3000))
+    path.write_text(lines + "3000 13")
+    with pytest.warns(AnisomapWarning) as caught:
+        assert io.read(path).n_frames == 3000
+    assert len(caught) == 1

@@ -1,0 +1,368 @@
+"""Delimited text: one table in many dialects, and the place of everything that is wrong."""
+
+import gzip
+import logging
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError
+from anisomap.io.parsing.table import parse_number
+
+Put = Callable[[str, str | bytes], Path]
+
+READINGS = np.where(np.random.default_rng(4).random((30, 4)) < 0.5, 0, 12.25)
+READINGS[:3] = [[0.5, 0, 1, 0], [0, 2.75, 0, 0], [0, 0, 0, 3]]
+
+
+def table(values: np.ndarray, delimiter: str = ",", end: str = "\n", decimal: str = ".") -> str:
+    rows = [delimiter.join(f"{value:g}" for value in row) for row in values]
+    return "".join(row.replace(".", decimal) + end for row in rows)
+
+
+@pytest.mark.parametrize("header", ["", "a{0}b{0}c{0}d", '"a"{0}"b"{0}"c"{0}"d"'])
+@pytest.mark.parametrize(
+    "dialect",
+    [
+        (",", "."),
+        (", ", "."),
+        (";", "."),
+        (";", ","),
+        ("\t", "."),
+        ("\t", ","),
+        (" ", "."),
+        ("  ", "."),
+    ],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "gzip"])
+def test_dialects(put: Put, header: str, dialect: tuple[str, str], end: str, encoding: str) -> None:
+    delimiter, decimal = dialect
+    head = f"# made by hand{end}{end}" + (header.format(delimiter) + end if header else "")
+    text = head + table(READINGS, delimiter, end, decimal)
+    content = gzip.compress(text.encode()) if encoding == "gzip" else text.encode(encoding)
+    found = io.read(put("skin.csv", content))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == (("a", "b", "c", "d") if header else ("s0", "s1", "s2", "s3"))
+    assert found.times is None
+    assert found.source == "skin.csv"
+
+
+@pytest.mark.parametrize("suffix", ["csv", "tsv", "txt", "dat", "log", "CSV", "unheard-of", ""])
+def test_suffix_does_not_matter(put: Put, suffix: str) -> None:
+    found = io.read(put(f"skin.{suffix}", table(READINGS)))
+    np.testing.assert_array_equal(found.readings, READINGS)
+
+
+@pytest.mark.parametrize("tail", [",", ",,,", " , "])
+@pytest.mark.parametrize(
+    ("header", "header_tail"), [("", False), ("a,b,c,d", False), ("a,b,c,d", True)]
+)
+def test_trailing_delimiters(put: Put, header: str, header_tail: bool, tail: str) -> None:
+    first = header + tail * header_tail + "\n" if header else ""
+    found = io.read(put("skin.csv", first + table(READINGS, end=f"{tail}\n")))
+    np.testing.assert_array_equal(found.readings, READINGS)
+
+
+def test_comments_and_blank_lines_may_stand_anywhere(put: Put) -> None:
+    text = "# one\n\na,b\n# two\n1,2\n\n   \n3,4 # three\n# 5,6\n7,8"
+    found = io.read(put("skin.csv", text))
+    assert found.names == ("a", "b")
+    np.testing.assert_array_equal(found.readings, [[1, 2], [3, 4], [7, 8]])
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("missing", ["", "  ", "nan", "NaN", "NAN", "-nan"])
+def test_missing_readings(put: Put, delimiter: str, missing: str) -> None:
+    rows = [["1", missing, "3"], ["4", "5", "6"], [missing] * 3, ["inf", "-inf", "1e3"]]
+    text = "".join(delimiter.join(row) + "\n" for row in [["a", "b", "c"], *rows])
+    found = io.read(put("skin.csv", text)).readings
+    nan, inf = math.nan, math.inf
+    expected = [[1, nan, 3], [4, 5, 6], [nan, nan, nan], [inf, -inf, 1000]]
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_one_sensor_and_one_frame(put: Put) -> None:
+    assert io.read(put("x.csv", "5\n6\n")).readings.tolist() == [[5], [6]]
+    assert io.read(put("x.csv", "5,6")).readings.tolist() == [[5, 6]]
+    assert io.read(put("x.csv", "force\n5\n")).names == ("force",)
+    assert io.read(put("x.txt", "5")).readings.tolist() == [[5]]
+
+
+def test_names_may_hold_anything_in_quotes(put: Put) -> None:
+    found = io.read(put("x.csv", '"a, b", "say ""hi""","two\nlines",#4\n1,2,3,4\n5,6,7,8\n'))
+    assert found.names == ("a, b", 'say "hi"', "two\nlines", "#4")
+    found = io.read(put("x.txt", '"pad 1" "pad 2"\n1 2\n3 4\n'))
+    assert found.names == ("pad 1", "pad 2")
+
+
+def test_columns_of_a_data_frame_are_a_header(put: Put) -> None:
+    labels = "0,1,2,3\n"
+    found = io.read(put("x.csv", labels + table(READINGS)))
+    assert found.n_frames == len(READINGS)
+    rows = "".join(f"{i},{line}\n" for i, line in enumerate(table(READINGS).splitlines()))
+    with_index = io.read(put("x.csv", "," + labels + rows))
+    np.testing.assert_array_equal(with_index.readings, READINGS)
+    assert with_index.metadata["counter_column"] == "column 1 ()"
+    counting_on = io.read(put("x.csv", labels + "4,5,6,7\n8,9,10,11\n"))
+    assert counting_on.n_frames == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "per_second"),
+    [
+        *(("time", 1), ("t", 1), ("Time [s]", 1), ("TIME_S", 1), ("timestamp", 1), ("stamp", 1)),
+        *(("seconds", 1), ("time_stamp", 1), ("t [ms]", 1e3), ("time (ms)", 1e3), ("time_ms", 1e3)),
+        *(("ms", 1e3), ("millis", 1e3), ("stamp_us", 1e6), ("time [\u00b5s]", 1e6), ("t_ns", 1e9)),
+    ],
+)
+def test_time_column_by_name(put: Put, name: str, per_second: float, caplog) -> None:
+    times = np.arange(30) * 0.02
+    text = f"a,{name},b\n" + table(
+        np.column_stack([READINGS[:, 0], times * per_second, READINGS[:, 1]])
+    )
+    with caplog.at_level(logging.INFO, logger="anisomap"):
+        found = io.read(put("skin.csv", text))
+    assert found.names == ("a", "b")
+    np.testing.assert_allclose(found.times, times, atol=1e-12)
+    assert found.rate_hz == pytest.approx(50)
+    assert found.metadata["time_column"] == f"column 2 ({name})"
+    assert "column 2" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["t1", "s", "us", "tip", "sensor", "mst", "timer", "thumb", "ts0"])
+def test_sensors_whose_names_only_look_like_time(put: Put, name: str) -> None:
+    rising = np.column_stack([np.arange(30.0), READINGS[:, 0]])
+    found = io.read(put("skin.csv", f"{name},b\n" + table(rising)))
+    assert found.names == (name, "b")
+    assert found.times is None
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
+def test_unit_of_seconds_since_1970_is_told_by_size(put: Put, unit: float) -> None:
+    stamps = (1_700_000_000 + np.arange(30) * 0.25) * unit
+    text = "timestamp,a\n" + "".join(f"{stamp:.3f},{i % 3}\n" for i, stamp in enumerate(stamps))
+    assert io.read(put("skin.csv", text)).rate_hz == pytest.approx(4)
+
+
+@pytest.mark.parametrize("name", ["frame", "Frame", "index", "seq", "frame_id", "", "Unnamed: 0"])
+def test_counter_column_by_name(put: Put, name: str) -> None:
+    counted = np.column_stack([np.arange(30), READINGS])
+    found = io.read(put("skin.csv", f"{name},a,b,c,d\n" + table(counted)))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.metadata["counter_column"] == f"column 1 ({name})"
+    assert found.times is None
+
+
+def test_a_finger_called_index_stays(put: Put) -> None:
+    found = io.read(put("hand.csv", "index,thumb,middle,ring\n" + table(READINGS)))
+    assert found.names == ("index", "thumb", "middle", "ring")
+
+
+def test_counter_and_time_together(put: Put) -> None:
+    both = np.column_stack([np.arange(30), np.arange(30) * 0.125, READINGS])
+    for header in ("seq,time,a,b,c,d\n", ""):
+        found = io.read(put("skin.csv", header + table(both)))
+        np.testing.assert_array_equal(found.readings, READINGS)
+        np.testing.assert_array_equal(found.times, both[:, 1])
+
+
+def test_time_without_header(put: Put, caplog) -> None:
+    jitter = np.random.default_rng(1).uniform(-0.002, 0.002, 30)
+    timed = np.column_stack([np.arange(30) * 0.02 + jitter.round(4), READINGS])
+    with caplog.at_level(logging.INFO, logger="anisomap"):
+        found = io.read(put("skin.csv", table(timed)))
+    np.testing.assert_allclose(found.times, timed[:, 0], rtol=1e-5)
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.metadata["time_column"] == "column 1 (no header)"
+    assert "column 1" in caplog.text
+
+
+def test_counter_without_header_is_no_time(put: Put) -> None:
+    found = io.read(put("skin.csv", table(np.column_stack([np.arange(5, 35), READINGS]))))
+    assert found.times is None
+    np.testing.assert_array_equal(found.readings, READINGS)
+
+
+@pytest.mark.parametrize(
+    "first",
+    [
+        np.arange(30.0) ** 2,  # rises, but not steadily
+        np.minimum(np.arange(30.0), 20),  # saturates
+        np.where(np.arange(30) % 10 == 9, 0, np.arange(30.0)),  # falls back
+        np.where(np.arange(30) == 0, np.nan, np.arange(30.0)),
+    ],
+)
+def test_in_doubt_the_first_column_is_a_sensor(put: Put, first: np.ndarray) -> None:
+    values = np.column_stack([first, READINGS])
+    found = io.read(put("skin.csv", table(values)))
+    np.testing.assert_array_equal(found.readings, values)
+
+
+def test_ramps_are_no_time(put: Put) -> None:
+    ramps = np.arange(120.0).reshape(30, 4)
+    np.testing.assert_array_equal(io.read(put("x.csv", table(ramps))).readings, ramps)
+    few = np.column_stack([np.arange(5) / 10, READINGS[:5]])
+    np.testing.assert_array_equal(io.read(put("x.csv", table(few))).readings, few)
+
+
+@given(hnp.arrays(np.float64, (20, 3), elements=st.sampled_from([0.0, 1.0, 2.5])))
+def test_readings_that_rest_are_never_time(tmp_path_factory, values: np.ndarray) -> None:
+    path = tmp_path_factory.getbasetemp() / "resting.csv"
+    path.write_text(table(values))
+    found = io.read(path)
+    np.testing.assert_array_equal(found.readings, values)
+    assert found.times is None
+
+
+@pytest.mark.parametrize(("bad", "line"), [("0.04", 8), ("", 8), ("0.01", 8), ("inf", 8)])
+def test_times_that_do_not_increase_are_not_kept(put: Put, bad: str, line: int) -> None:
+    stamps = [f"{i / 50:g}" for i in range(30)]
+    stamps[3] = bad
+    rows = "".join(f"{stamp},{i % 2}\n" for i, stamp in enumerate(stamps))
+    rows = rows.replace("\n", "\n# a comment\n\n", 1)
+    with pytest.warns(AnisomapWarning, match=rf"skin\.csv.*frame 3 \(line {line - 1}\)"):
+        found = io.read(put("skin.csv", "time,a\n" + rows))
+    assert found.times is None
+    assert found.rate_hz is None
+    assert found.readings[:, 0].tolist() == [i % 2 for i in range(30)]
+
+
+def read_error(path: Path) -> str:
+    with pytest.raises(FileError) as caught:
+        io.read(path)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("far", [2, 511, 512, 513, 1700])
+def test_where_a_line_is_ragged(put: Put, far: int) -> None:
+    lines = ["a,b,c", *["1,2,3"] * 2000]
+    for wrong, count in (("1,2", 2), ("1,2,3,4", 4), ("7", 1), ("1,2,3,", 4)):
+        lines[far - 1] = wrong
+        message = read_error(put("skin.csv", "\n".join(lines)))
+        assert f"skin.csv, line {far} has {count} field" in message
+        assert "the header names 3" in message
+
+
+def test_where_a_line_is_ragged_without_header(put: Put) -> None:
+    message = read_error(put("skin.csv", "# comment\n\n1 2 3\n4 5 6\n7 8\n"))
+    assert "line 5 has 2 fields, but line 3 has 3" in message
+
+
+def test_a_file_that_changes_its_width_for_good(put: Put) -> None:
+    message = read_error(put("skin.csv", "1,2,3\n" * 600 + "1,2\n" * 600))
+    assert "line 601 has 2 fields, but line 1 has 3" in message
+
+
+@pytest.mark.parametrize("far", [2, 512, 513, 1700])
+@pytest.mark.parametrize("word", ["abc", "1.2.3", "0x1F", "1_000", "12:30", "--", "\u0661", "1 2"])
+def test_where_text_stands_for_a_number(put: Put, far: int, word: str) -> None:
+    lines = ["a,b,c", *["1,2,3"] * 2000]
+    lines[far - 1] = f"1,{word},3"
+    message = read_error(put("skin.csv", "\r\n".join(lines)))
+    assert f"skin.csv, line {far}, column 2 (b): '{word}' is not a number" in message
+
+
+def test_where_text_stands_in_other_dialects(put: Put) -> None:
+    assert "line 2, column 1: 'x,5' is not" in read_error(put("x.csv", "1,5;2,5\nx,5;3\n"))
+    assert "line 3, column 2: 'four' is not" in read_error(put("x.txt", "1 2\n\n3 four\n5 6\n"))
+    assert "line 2, column 2: 'x' is not" in read_error(put("x.csv", '"1","2"\n"3","x"\n'))
+
+
+def test_long_text_is_quoted_in_short(put: Put) -> None:
+    message = read_error(put("x.csv", "a,b\n1," + "x" * 10_000 + "\n"))
+    assert "xxx..." in message
+    assert len(message) < 400
+
+
+def test_header_only(put: Put) -> None:
+    assert "holds a header and nothing below it" in read_error(put("x.csv", "a,b,c\n"))
+    assert "no line of numbers" in read_error(put("x.csv", "# a comment\n\n"))
+
+
+def test_time_only(put: Put) -> None:
+    assert "no sensor" in read_error(put("x.csv", "time\n1\n2\n3\n"))
+
+
+def test_header_of_another_width(put: Put) -> None:
+    assert "line 2 has 3 fields, but the header names 2" in read_error(put("x.csv", "a,b\n1,2,3\n"))
+    assert "line 2 has 2 fields, but the header names 3" in read_error(put("x.csv", "a,b,c\n1,2\n"))
+
+
+def test_duplicated_names(put: Put) -> None:
+    message = read_error(put("x.csv", "a,b,a\n1,2,3\n"))
+    assert "x.csv" in message
+    assert "unique" in message
+    assert "name a" in message
+
+
+def test_other_encodings(put: Put) -> None:
+    message = read_error(put("x.csv", "a,b\n1,2\n3,4\n# \u00b5\n".encode("latin-1")))
+    assert "x.csv is not UTF-8 text (line 4, byte 0xb5)" in message
+    assert "is UTF-16 text" in read_error(put("x.csv", "a,b\n1,2\n".encode("utf-16")))
+
+
+def test_zeros_in_the_middle(put: Put) -> None:
+    far = b"1,2\n" * 20_000 + b"3,\0\0\n"
+    assert "line 20001, column 2: '\\x00\\x00' is not a number" in read_error(put("x.csv", far))
+
+
+def test_of_a_gzip_that_ends_early_all_that_is_whole_is_read(put: Put) -> None:
+    values = np.random.default_rng(0).integers(0, 256, (9000, 5))
+    packed = gzip.compress(table(values).encode())
+    for end in (len(packed) - 9, len(packed) // 2, 4000):
+        with pytest.warns(AnisomapWarning, match=r"x\.csv.*damaged or cut short.* frames before"):
+            found = io.read(put("x.csv", packed[:end]))
+        np.testing.assert_array_equal(found.readings, values[: found.n_frames])
+        assert found.n_frames > 0.9 * len(values) * end / len(packed) - 700
+    assert "damaged or cut short" in read_error(put("x.csv", packed[:20]))
+
+
+def test_a_last_line_that_was_cut_off(put: Put) -> None:
+    with pytest.warns(AnisomapWarning, match=r"last line \(4\) was cut off in field 2 of 3"):
+        found = io.read(put("x.csv", "a,b,c\n1,2,3\n4,5,6\n7,8"))
+    assert found.readings.tolist() == [[1, 2, 3], [4, 5, 6]]
+    with pytest.warns(AnisomapWarning, match="field 3 of 3"):
+        assert io.read(put("x.csv", "1,2,3\n4,5,6\n7,8,-")).n_frames == 2
+    assert "line 4 has 2 fields" in read_error(put("x.csv", "a,b,c\n1,2,3\n4,5,6\n7,8\n"))
+    assert "line 3 has 4 fields" in read_error(put("x.csv", "a,b,c\n1,2,3\n4,5,6,7"))
+    assert "line 2 has 2 fields" in read_error(put("x.csv", "a,b,c\n1,2"))
+
+
+def test_quotation_marks_that_never_end(put: Put) -> None:
+    assert "quotation marks" in read_error(put("x.csv", 'a,"b\n' + "1,2\n" * 10))
+
+
+@given(st.floats(allow_nan=False) | st.integers(-(10**6), 10**6))
+def test_numbers_are_those_of_python(value: float) -> None:
+    assert parse_number(f" {value!r} ") == value
+
+
+@given(st.text(max_size=6))
+def test_fast_and_careful_reading_agree(text: str) -> None:
+    """What numpy refuses is looked at again, so neither may take what the other would not."""
+    try:
+        by_numpy = np.loadtxt([text], np.float64, comments=None, delimiter=",", ndmin=2)
+    except (ValueError, UserWarning):
+        return
+    np.testing.assert_array_equal(by_numpy, [[parse_number(text)]])
+
+
+def test_wide_and_long_files(put: Put) -> None:
+    wide = np.random.default_rng(5).integers(0, 256, (60, 3000))
+    np.testing.assert_array_equal(io.read(put("wide.csv", table(wide))).readings, wide)
+    long = np.random.default_rng(6).integers(0, 256, (20_000, 2))
+    np.testing.assert_array_equal(io.read(put("long.csv", table(long))).readings, long)
+
+
+def test_small_numbers_are_stored_small(put: Put) -> None:
+    assert io.read(put("x.csv", "0,0.5\n1,0\n")).readings.dtype == np.float32
+    assert io.read(put("x.csv", "0,0.1\n1,0\n")).readings.dtype == np.float64
+    assert io.read(put("x.csv", "0,1e300\n1,0\n")).readings.dtype == np.float64

@@ -1,0 +1,208 @@
+"""Positions that others wrote: tables with names and without, JSON, point clouds."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap import io
+from anisomap.errors import FileError
+
+Put = Callable[[str, str | bytes], Path]
+POINTS = np.array([[0.5, 1.25, -2], [3, 4, 5], [6, 7.75, 8], [-0.001, 1e-9, 12345]])
+
+
+def rows(points: np.ndarray, delimiter: str = ",", names: tuple[str, ...] = ()) -> str:
+    lines = [delimiter.join(map(str, point)) for point in points.tolist()]
+    if names:
+        lines = [delimiter.join(pair) for pair in zip(names, lines, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("k", [2, 3])
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " "])
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize("headed", [False, True])
+def test_tables(put: Put, k: int, delimiter: str, named: bool, headed: bool) -> None:
+    names = ("pad1", "pad2", "pad3", "pad4") if named else ()
+    header = delimiter.join((*(("name",) if named else ()), *"xyz"[:k])) + "\n" if headed else ""
+    found = io.read_map(put("truth.csv", header + rows(POINTS[:, :k], delimiter, names)))
+    np.testing.assert_array_equal(found.positions, POINTS[:, :k])
+    assert found.names == (names or ("s0", "s1", "s2", "s3"))
+    assert found.units == ""
+
+
+@pytest.mark.parametrize(
+    ("header", "units"),
+    [
+        ("x,y,z", ""),
+        ("X [mm],Y [mm],Z [mm]", "mm"),
+        ("x_m,y_m,z_m", "m"),
+        ("x(cm),y(cm),z(cm)", "cm"),
+    ],
+)
+def test_units_in_the_header(put: Put, header: str, units: str) -> None:
+    assert io.read_map(put("truth.csv", f"{header}\n{rows(POINTS)}")).units == units
+
+
+def test_columns_in_any_order_among_others(put: Put) -> None:
+    text = "id,nx,z,y,x,note\n7,0.1,3,2,1,left\n8,0.2,6,5,4,\n"
+    found = io.read_map(put("truth.csv", text))
+    np.testing.assert_array_equal(found.positions, [[1, 2, 3], [4, 5, 6]])
+    assert found.names == ("7", "8")
+
+
+def test_decimal_commas(put: Put) -> None:
+    found = io.read_map(put("truth.csv", "name;x;y\na;0,5;1\nb;2;3,25\n"))
+    np.testing.assert_array_equal(found.positions, [[0.5, 1], [2, 3.25]])
+
+
+def test_unknown_positions(put: Put) -> None:
+    found = io.read_map(
+        put("truth.csv", "# by hand\nname,x,y\na,1,2\nb,,\n# not found\nc,nan,nan\n")
+    )
+    assert found.placed.tolist() == [True, False, False]
+    assert found.names == ("a", "b", "c")
+
+
+def test_trailing_delimiters(put: Put) -> None:
+    found = io.read_map(put("truth.csv", "x,y,\n1,2,\n3,4,\n"))
+    np.testing.assert_array_equal(found.positions, [[1, 2], [3, 4]])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name,x,y\na,1,2\nb,one,2\n", "line 3, column 2: 'one' is not a number"),
+        ("x,y\n1,2\n3,4\n5\n", "line 4 has 1 fields, but line 1 has 2"),
+        ("1,2\n3,4\n5,6,7\n", "line 3 has 3 fields, but line 1 has 2"),
+        ("x,y,z\n", "a header and nothing below it"),
+        ("# nothing\n", "no line of positions"),
+        ("a,b,c,d\n1,2,3,4\n", "no columns x and y"),
+        ("1,2,3,4\n5,6,7,8\n", "no columns x and y"),
+        ("name,x,y\na,1,2\na,3,4\n", "unique"),
+        (
+            "name,x,y,component,health,excluded\na,1,2,zero,ok,0\n",
+            "column 4: 'zero' is not a whole",
+        ),
+        (
+            "name,x,y,component,health,excluded\na,1,2,0,ok,maybe\n",
+            "column 6: 'maybe' is not 0 or 1",
+        ),
+        ("name,x,y,component,health,excluded\na,1,2,5,ok,0\n", "components must count from 0"),
+        ("name,x,y,component,health,excluded\na,1,2,-1,ok,0\n", "finite position"),
+        (f"name,x,y,component,health,excluded\na,1,2,{10**30},ok,0\n", "too large"),
+        ('name,x,y\n"a,1,2\n', "quotation marks"),
+    ],
+)
+def test_bad_tables(put: Put, text: str, message: str) -> None:
+    with pytest.raises(FileError) as caught:
+        io.read_map(put("truth.csv", text))
+    assert "truth.csv" in str(caught.value)
+    assert message in str(caught.value)
+
+
+def sensor(**changes: object) -> dict[str, object]:
+    return {"name": "a", "position": [1.0, 2.0], **changes}
+
+
+def test_json_needs_no_more_than_positions(put: Put) -> None:
+    found = io.read_map(put("map.json", json.dumps({"sensors": [{"position": [1, None]}]})))
+    assert found.names == ("s0",)
+    np.testing.assert_array_equal(found.positions, [[1, np.nan]])
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ({}, "no list of sensors"),
+        ({"sensors": []}, "no list of sensors"),
+        ({"sensors": {"a": 1}}, "no list of sensors"),
+        ({"sensors": [1]}, "sensor 0: must be an object"),
+        ({"sensors": [{"name": "a"}]}, "sensor 0: position is 'None'; it must be a list"),
+        ({"sensors": [sensor(), sensor(name="b", position=[1])]}, "sensor 1: position has 1"),
+        ({"sensors": [sensor(position=[1, "2"])]}, "sensor 0: position"),
+        ({"sensors": [sensor(position=[1, True])]}, "sensor 0: position"),
+        ({"sensors": [sensor(name=3)]}, "sensor 0: name is '3'; it must be a str"),
+        ({"sensors": [sensor(component=0.5)]}, "sensor 0: component is '0.5'"),
+        ({"sensors": [sensor(component=True)]}, "sensor 0: component is 'True'"),
+        ({"sensors": [sensor(component=10**30)]}, "too large"),
+        ({"sensors": [sensor(position=[10**400, 0])]}, "too large"),
+        ({"sensors": [sensor(excluded="no")]}, "sensor 0: excluded"),
+        ({"sensors": [sensor(), sensor()]}, "unique"),
+        ({"sensors": [sensor()], "stress": "low"}, "stress must be a number"),
+        ({"sensors": [sensor()], "notes": 3}, "notes a list"),
+        ({"sensors": [sensor()], "provenance": [1]}, "provenance an object"),
+        ({"sensors": [sensor()], "provenance": {"a": [1]}}, "provenance an object"),
+    ],
+)
+def test_bad_json(put: Put, document: dict[str, object], message: str) -> None:
+    with pytest.raises(FileError) as caught:
+        io.read_map(put("map.json", json.dumps(document)))
+    assert "map.json" in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_where_json_is_broken(put: Put) -> None:
+    with pytest.raises(FileError, match=r"map\.json, line 3, column 3: not valid JSON"):
+        io.read_map(put("map.json", '{\n "sensors": [\n  }\n'))
+
+
+CLOUD = """ply
+format ascii 1.0
+comment made by a scanner
+element vertex 3
+property float x
+property float y
+property float z
+property uchar red
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0 255
+1.5 0 0 128
+0 2.5 1e-3 0
+3 0 1 2
+"""
+
+
+def test_point_clouds_of_others(put: Put) -> None:
+    found = io.read_map(put("scan.ply", CLOUD))
+    np.testing.assert_array_equal(found.positions, [[0, 0, 0], [1.5, 0, 0], [0, 2.5, 1e-3]])
+    assert found.names == ("s0", "s1", "s2")
+
+
+def test_vertices_need_not_come_first(put: Put) -> None:
+    lines = CLOUD.splitlines()
+    swapped = [*lines[:3], *lines[8:10], *lines[3:8], lines[10], lines[14], *lines[11:14]]
+    found = io.read_map(put("scan.ply", "\r\n".join(swapped)))
+    assert found.positions[2].tolist() == [0, 2.5, 1e-3]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("format ascii", "format binary_little_endian", "line 2: this PLY is binary_little_endian"),
+        ("end_header\n", "", "does not belong into a PLY header"),
+        ("0 0 0 255\n1.5 0 0 128\n0 2.5 1e-3 0\n3 0 1 2\n", "", "0 of 3 vertices"),
+        ("1.5 0 0 128", "1.5 0 zero 128", r"line 13, column 3 (z): 'zero' is not a number"),
+        ("1.5 0 0 128", "1.5 0 0", "line 13 has 3 numbers, but the header announces 4"),
+        ("property float z", "property float w", "without vertices that have x, y and z"),
+        ("vertex 3", "vertex 0", "without vertices"),
+        ("vertex 3", "vertex 99999999999999999999", "does not belong into a PLY header"),
+        ("vertex 3", "vertex -3", "does not belong into a PLY header"),
+        ("property uchar red", "property int sensor", "unique"),
+        ("255\n1.5 0 0 128", "0\n1.5 0 0 0.5", None),
+    ],
+)
+def test_bad_point_clouds(put: Put, old: str, new: str, message: str | None) -> None:
+    path = put("scan.ply", CLOUD.replace(old, new).replace("255", "0"))
+    if message is None:
+        assert io.read_map(path).n_sensors == 3
+        return
+    with pytest.raises(FileError) as caught:
+        io.read_map(path)
+    assert "scan.ply" in str(caught.value)
+    assert message in str(caught.value)

@@ -1,0 +1,191 @@
+"""What yarpdatadumper leaves: one stamp or two, brackets or none, and lines cut off."""
+
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError
+
+READINGS = np.random.default_rng(7).integers(0, 256, (40, 6)).astype(float)
+SENT = 1_379_926_523.125 + np.arange(40) / 64
+Put = Callable[[str, str | bytes], Path]
+
+
+def log(*stamps: np.ndarray, brackets: bool = False, end: str = "\n", first: int = 0) -> str:
+    lines = []
+    for i, values in enumerate(READINGS):
+        shown = " ".join(f"{value:.1f}" for value in values)
+        stamped = " ".join(f"{stamp[i]:.6f}" for stamp in stamps)
+        lines.append(f"{first + i} {stamped} {f'({shown})' if brackets else shown}{end}")
+    return "".join(lines)
+
+
+@pytest.mark.parametrize("brackets", [False, True])
+@pytest.mark.parametrize("stamps", [(SENT,), (SENT, SENT + 0.001), (SENT, SENT - 3e8)])
+@pytest.mark.parametrize("end", ["\n", " \n", "\r\n"])
+@pytest.mark.parametrize("first", [0, 4711])
+def test_stamps_and_brackets(put: Put, brackets: bool, stamps, end: str, first: int) -> None:
+    text = log(*stamps, brackets=brackets, end=end, first=first)
+    for name in ("data.log", "left_hand.txt"):
+        found = io.read(put(name, text))
+        np.testing.assert_array_equal(found.readings, READINGS)
+        np.testing.assert_array_equal(found.times, np.arange(40) / 64)
+        assert found.rate_hz == 64
+        assert found.metadata["stamps"] == len(stamps)
+
+
+@pytest.mark.parametrize("n_stamps", [1, 2])
+def test_stamps_of_a_simulator(put: Put, n_stamps: int) -> None:
+    clock = np.arange(40) / 64
+    found = io.read(put("data.log", log(*(clock, clock + 0.002)[:n_stamps])))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    np.testing.assert_array_equal(found.times, clock)
+    assert found.metadata["stamps"] == n_stamps
+
+
+def test_folder(put: Put, tmp_path: Path) -> None:
+    (tmp_path / "skin_left").mkdir()
+    put("skin_left/data.log", log(SENT))
+    put("skin_left/info.log", "Type: Bottle;\n")
+    found = io.read(tmp_path / "skin_left")
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.source == "skin_left/data.log"
+
+
+def test_gzipped(put: Put) -> None:
+    found = io.read(put("data.log.gz", gzip.compress(log(SENT).encode())))
+    np.testing.assert_array_equal(found.readings, READINGS)
+
+
+def test_the_receiver_steps_in_where_the_sender_has_no_clock(put: Put) -> None:
+    found = io.read(put("data.log", log(np.full(40, SENT[0]), SENT)))
+    np.testing.assert_array_equal(found.times, np.arange(40) / 64)
+
+
+def test_stamps_that_do_not_increase(put: Put) -> None:
+    stamps = SENT.copy()
+    stamps[7] = stamps[6]
+    with pytest.warns(AnisomapWarning, match=r"data\.log.*frame 7 \(line 8\)"):
+        found = io.read(put("data.log", log(stamps)))
+    assert found.times is None
+    np.testing.assert_array_equal(found.readings, READINGS)
+
+
+def test_values_as_large_as_they_get_are_no_stamps(put: Put) -> None:
+    text = "".join(f"{i} {stamp:.6f} {1e6 + i} {i}\n" for i, stamp in enumerate(SENT))
+    assert io.read(put("data.log", text)).n_sensors == 2
+
+
+def test_a_table_called_data_log(put: Put) -> None:
+    found = io.read(put("data.log", "time,a,b\n0.1,1,2\n0.2,3,4\n"))
+    assert found.names == ("a", "b")
+    assert "format" not in found.metadata
+
+
+def test_last_line_cut_off(put: Put) -> None:
+    whole = log(SENT)
+    cut = whole[: whole.rindex(" ") - 3]
+    with pytest.warns(AnisomapWarning, match=r"line \(40\) was cut off in field 7 of 8.*39 frames"):
+        found = io.read(put("data.log", cut))
+    np.testing.assert_array_equal(found.readings, READINGS[:-1])
+    assert found.times is not None
+    assert len(found.times) == 39
+
+
+def test_last_line_cut_inside_brackets(put: Put) -> None:
+    with pytest.warns(AnisomapWarning, match=r"line \(40\) was cut off"):
+        found = io.read(put("data.log", log(SENT, brackets=True).rstrip("\n)")))
+    np.testing.assert_array_equal(found.readings, READINGS[:-1])
+
+
+def test_a_missing_newline_is_no_damage(put: Put) -> None:
+    assert io.read(put("data.log", log(SENT).rstrip("\n"))).n_frames == 40
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda line: line[: len(line) // 2], r"line 20 has \d fields?, but line 1 has 8"),
+        (lambda line: line.replace(".0", ".o", 1), r"line 20, column 3: '[\d.]+o' is not a number"),
+        (lambda line: line + " 7", "line 20 has 9 fields"),
+        (lambda line: "[ok] " + line, "line 20 has 9 fields"),
+    ],
+)
+def test_damage_elsewhere_is_an_error(put: Put, damage, message: str) -> None:
+    lines = log(SENT).splitlines()
+    lines[19] = damage(lines[19])
+    with pytest.raises(FileError, match=rf"data\.log, {message}"):
+        io.read(put("data.log", "\n".join(lines)))
+
+
+def test_stamps_and_nothing_else(put: Put) -> None:
+    text = "".join(f"{i} {stamp:.6f} {stamp:.6f}\n" for i, stamp in enumerate(SENT))
+    assert io.read(put("data.log", text)).n_sensors == 1, "one value as large as a stamp"
+    with pytest.raises(FileError, match="stamps, but no values"):
+        io.read(put("data.log", "".join(f"{i} {s:.6f} ()\n" for i, s in enumerate(SENT))))
+
+
+def session(put: Put, tmp_path: Path, **ports: str) -> Path:
+    for port, text in ports.items():
+        (tmp_path / "run" / port).mkdir(parents=True)
+        put(f"run/{port}/data.log", text)
+        put(f"run/{port}/info.log", f"Type: Bottle;\n[1.5] /icub/skin/{port} [connected]\n")
+    return tmp_path / "run"
+
+
+def test_a_session_with_one_port_is_that_port(put: Put, tmp_path: Path) -> None:
+    found = io.read(session(put, tmp_path, left_hand=log(SENT)))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.metadata["port"] == "/icub/skin/left_hand"
+    assert found.source == "run/left_hand"
+
+
+@pytest.mark.parametrize("select", ["left_arm", "/icub/skin/left_arm"])
+def test_a_session_with_several_ports(put: Put, tmp_path: Path, select: str) -> None:
+    late = log(SENT).replace(" ", " ", 1)
+    folder = session(put, tmp_path, left_arm=log(SENT), left_hand=late)
+    with pytest.raises(io.ChoiceError, match=r"2 ports.*left_arm \(/icub/skin/left_arm\)"):
+        io.read(folder)
+    assert [content.name for content in io.contents(folder)] == ["left_arm", "left_hand"]
+    found = io.read(folder, options=io.ReadOptions(select=select))
+    assert found.metadata["port"] == "/icub/skin/left_arm"
+    with pytest.raises(FileError, match=r"there is no port 'torso'; it holds left_arm"):
+        io.read(folder, options=io.ReadOptions(select="torso"))
+
+
+@pytest.mark.parametrize("late", [-0.5, -0.004, 0.0, 0.004, 0.31])
+def test_ports_are_joined_by_what_was_read_last(put: Put, tmp_path: Path, late: float) -> None:
+    folder = session(put, tmp_path, torso=log(SENT), arm=log(SENT + late))
+    options = io.ReadOptions(select="torso, arm")
+    found = io.read(folder, options=options)
+    assert found.names == tuple(f"{port}/s{i}" for port in ("torso", "arm") for i in range(6))
+    pairs = [
+        (i, max(j for j in range(40) if SENT[j] + late <= SENT[i]))
+        for i in range(40)
+        if SENT[0] + late <= SENT[i] <= SENT[-1] + late
+    ]
+    expected = [np.hstack([READINGS[i], READINGS[j]]) for i, j in pairs]
+    np.testing.assert_array_equal(found.readings, expected)
+    with io.open_stream(folder, frames=3, options=options) as stream:
+        in_blocks = np.vstack([block.readings for block in stream.blocks])
+    np.testing.assert_array_equal(in_blocks, expected)
+
+
+def test_ports_that_never_ran_together(put: Put, tmp_path: Path) -> None:
+    folder = session(put, tmp_path, torso=log(SENT), arm=log(SENT + 100))
+    with pytest.raises(FileError, match="torso, arm never ran at the same time"):
+        io.read(folder, options=io.ReadOptions(select="torso,arm"))
+
+
+def test_the_receiver_steps_in_where_the_sender_falls_back_late(put: Put) -> None:
+    """The stamps are all right in all that is looked at before reading."""
+    lines = [
+        f"{i} {1.3e9 + t - (i == 1500):.2f} {1.3e9 + t + 0.01:.2f} {i % 9} 2\n"
+        for i, t in enumerate(np.arange(2000) / 50)
+    ]
+    found = io.read(put("data.log", "".join(lines)))
+    np.testing.assert_allclose(found.times, np.arange(2000) / 50, atol=1e-5)

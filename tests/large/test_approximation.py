@@ -1,0 +1,198 @@
+"""Approximate maps as users make them: like the exact ones, repeatable, and labelled."""
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap import Recording, mantel, reconstruct, reconstruct_approximately
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.health import Matches, behaviour
+from anisomap.large.approximation import relate
+from anisomap.large.landmarks.options import ApproximateOptions
+from skins import lattice, rubbed
+
+PLACES = lattice(15, 16)
+READINGS = np.round(rubbed(PLACES, 6000) * 40).astype(np.uint8)
+FEW = ApproximateOptions(candidates=30, landmarks=60)
+
+pytestmark = pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+
+
+def made(readings=READINGS, dimensions=2, **options):
+    return reconstruct_approximately(readings, dimensions, **{"approximate": FEW, **options})
+
+
+@pytest.fixture(scope="module")
+def found():
+    with pytest.warns(AnisomapWarning, match="approximate"):
+        return made()
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_it_is_much_like_the_exact_map(dimensions):
+    exact = reconstruct(Recording(READINGS), "r-anisomap", dimensions)
+    approximate = made(dimensions=dimensions)
+    assert mantel(approximate, exact, permutations=0).r > 0.995
+    truth = [mantel(skin, PLACES, permutations=0).r for skin in (approximate, exact)]
+    assert truth[0] > truth[1] - 0.005
+
+
+def test_it_says_what_it_is(found):
+    assert found.method == "r-anisomap"
+    facts = dict(found.provenance)
+    assert facts["approximate"] is True
+    assert (facts["approximate_landmarks"], facts["approximate_seed"]) == (60, 0)
+    assert facts["frames"] == len(READINGS)
+    assert any("this map is approximate" in note and "60 landmarks" in note for note in found.notes)
+
+
+def test_the_same_seed_makes_the_same_map_and_another_seed_another(found):
+    np.testing.assert_array_equal(made().positions, found.positions)
+    other = made(approximate=ApproximateOptions(candidates=30, landmarks=60, seed=1))
+    assert not np.allclose(other.positions, found.positions)
+    assert mantel(other, found, permutations=0).r > 0.999
+
+
+def test_how_frames_are_cut_does_not_matter(found):
+    parts = made(lambda: np.array_split(READINGS, [5, 700, 701, 4000]))
+    assert mantel(parts, found, permutations=0).r > 0.9999
+
+
+def test_in_which_order_sensors_are_does_not_matter(found):
+    order = np.random.default_rng(0).permutation(len(PLACES))
+    shuffled = made(READINGS[:, order])
+    assert mantel(shuffled.positions, found.positions[order], permutations=0).r > 0.999
+
+
+def test_skins_that_were_touched_apart_are_pieces():
+    pause = np.zeros_like(READINGS)
+    both = np.vstack([np.hstack([READINGS, pause]), np.hstack([pause, READINGS])])
+    with pytest.warns(AnisomapWarning, match="2 separate pieces"):
+        pair = made(both)
+    np.testing.assert_array_equal(pair.component, np.repeat([0, 1], len(PLACES)))
+    for piece in pair.split():
+        assert mantel(piece, PLACES, permutations=0).r > 0.99
+
+
+def test_what_is_dead_or_dropped_has_no_place_and_a_broken_wire_none_with_the_others(monkeypatch):
+    monkeypatch.setattr("anisomap.large.approximation.EXCERPT_READINGS", 1)
+    readings = READINGS.copy()
+    readings[:, 7] = 3
+    rng = np.random.default_rng(0)
+    readings[:, 50] = np.repeat(rng.integers(0, 60, len(readings) // 60), 60)
+    names = [f"pad {i}" for i in range(len(PLACES))]
+    skin = made(readings, names=names, drop=["pad 9"], exclude=["pad 20"])
+    np.testing.assert_array_equal(np.flatnonzero(~skin.placed), [7, 9])
+    assert skin.health[7] == "dead"
+    assert skin.health[50] == "isolated"
+    assert skin.component[50] == 1
+    assert skin.n_components == 2
+    np.testing.assert_array_equal(np.flatnonzero(skin.excluded), [20])
+    assert skin.names == tuple(names)
+
+
+def test_missing_readings_are_dealt_with_as_everywhere():
+    readings = READINGS.astype(np.float32)
+    readings[100, 3] = np.nan
+    with pytest.raises(InputError, match="sensor 3 in frame 100"):
+        made(readings)
+    expected = made(np.delete(readings, 100, axis=0)).positions
+    np.testing.assert_array_equal(made(readings, missing="drop-frames").positions, expected)
+
+
+@pytest.mark.parametrize(
+    ("readings", "message"),
+    [
+        (np.zeros((50, 9), np.uint8), "only 0 of 9 sensors ever vary"),
+        (np.random.default_rng(0).integers(0, 9, (300, 9)), "no 3 sensors are related"),
+        (READINGS[0], "frames x sensors"),
+    ],
+)
+def test_where_there_is_nothing_to_map_it_says_so(readings, message):
+    with pytest.raises(InputError, match=message):
+        made(readings)
+
+
+def test_no_dimension_holds_no_map():
+    with pytest.raises(InputError, match="0 dimensions"):
+        made(dimensions=0)
+
+
+def test_health_of_many_sensors_is_judged_from_an_excerpt(monkeypatch):
+    monkeypatch.setattr("anisomap.large.approximation.EXCERPT_READINGS", 1)
+    found = relate(lambda: np.array_split(READINGS, 40), options=FEW)
+    whole = anisomap.assess(Recording(READINGS))
+    assert 500 <= found.excerpt.n_frames < len(READINGS)
+    assert {sensor.status for sensor in found.health} == {"ok"}
+    contacts = [[sensor.contacts for sensor in health] for health in (found.health, whole)]
+    at_rest = READINGS[0] == 0
+    np.testing.assert_array_equal(*np.array(contacts)[:, at_rest])
+
+
+def test_behaviour_in_blocks_is_the_same(monkeypatch):
+    readings = READINGS[:, :40].astype(float)
+    readings[:, 5] = np.random.default_rng(0).normal(size=len(readings))
+    whole = behaviour.observe(readings)
+    monkeypatch.setattr(behaviour, "_BLOCK_READINGS", 6000 * 7)
+    blocks = behaviour.observe(readings)
+    monkeypatch.setattr(behaviour, "_ALL_PAIRS", 39)
+    many = behaviour.observe(readings)
+    for name in ("active", "contacts", "at_ceiling", "unexplained", "lag_correlation"):
+        np.testing.assert_allclose(getattr(blocks, name), getattr(whole, name), rtol=1e-12)
+        np.testing.assert_allclose(getattr(many, name), getattr(whole, name), rtol=1e-12)
+    np.testing.assert_allclose(many.best_match, whole.best_match, atol=1e-5)
+    assert many.chance_match[5] >= many.best_match[5]
+
+
+def test_known_matches_are_believed():
+    readings = READINGS[:, :6].astype(float)
+    kin = np.array([[1, -1]] * 5 + [[-1, -1]])
+    known = behaviour.observe(readings, Matches(kin, np.full(6, 0.4)))
+    np.testing.assert_array_equal(known.best_match, 0.4)
+    np.testing.assert_array_equal(known.chance_match, -1)
+    active = readings > 0
+    expected = (active & ~active[:, [1]]).sum(axis=0) / active.sum(axis=0)
+    expected[5] = 0  # there is nobody to ask
+    np.testing.assert_allclose(known.unexplained, expected)
+    among = Matches(kin, np.full(6, 0.4)).among(np.array([True, False, True, True, False, False]))
+    np.testing.assert_array_equal(among.kin, np.full((3, 2), -1))
+    np.testing.assert_array_equal(Matches(kin, kin[:, 0]).among(np.arange(6) < 2).kin[:, 0], 1)
+
+
+def test_of_very_many_sensors_mantel_r_is_of_a_sample(found, monkeypatch):
+    everyone = anisomap.score(found, PLACES, permutations=0)
+    monkeypatch.setattr("anisomap.evaluation.scoring.ALL_PAIRS", 100)
+    monkeypatch.setattr("anisomap.evaluation.scoring.SAMPLED", 90)
+    sample = anisomap.score(found, PLACES, permutations=0)
+    assert sample.mantel.n_sensors == 90
+    assert sample.mantel.r == pytest.approx(everyone.mantel.r, abs=0.01)
+    assert sample.rms == everyone.rms
+    assert any("90 of the 240 sensors" in note for note in sample.notes)
+    assert anisomap.score(found, PLACES, permutations=0).mantel.r == sample.mantel.r
+
+
+def test_pictures_of_very_many_sensors_have_no_lines(found, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr("anisomap.drawing.view.MOST_JOINED", 100)
+    monkeypatch.setattr("anisomap.drawing.figures._layout.MOST_JOINED", 100)
+    monkeypatch.setattr("anisomap.drawing.figures._panels._FAR_TOO_MANY", 100)
+    figure = anisomap.drawing.figures.map_figure(found)
+    texts = " ".join(text.get_text() for text in figure.texts)
+    assert "Lines join" not in texts
+    assert "approximate" in texts
+    (axes,) = figure.axes
+    assert not any(len(line.get_xdata()) for line in axes.lines)
+    assert all(dots.get_rasterized() for dots in axes.collections)
+
+
+def test_reports_of_very_many_sensors_leave_some_out(found, monkeypatch):
+    pytest.importorskip("plotly")
+    monkeypatch.setattr("anisomap.drawing.report._scene._MOST_DOTS", 100)
+    monkeypatch.setattr("anisomap.drawing.report._words._MOST_ROWS", 50)
+    score = anisomap.score(found, PLACES, permutations=0)
+    page = anisomap.drawing.report.render_report(found, score=score)
+    assert "240 sensors, of which the view shows 100" in page
+    assert "The first 50 are listed, 190 are left out" in page
+    assert page.count("<tr") < 120
+    assert "This map is approximate" in page
+    assert "approximate_landmarks" in page

@@ -1,0 +1,247 @@
+"""Checkpoints: what was cut off goes on to the same map, and never to that of anything else."""
+
+import io
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from anisomap.errors import FileError
+from anisomap.large import checkpoints
+from anisomap.large.checkpoints import Checkpoint
+from anisomap.large.streaming import gather_similarity
+from anisomap.methods import MethodOptions
+from skins import flat_skin
+
+READINGS = np.round(flat_skin(n_frames=1200).readings * 20).astype(np.float32)
+PARTS = np.split(READINGS, 6)
+OPTIONS = MethodOptions()
+
+KILLED = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from anisomap.methods import MethodOptions
+from anisomap.numerics import checkpoints
+from anisomap.large.streaming import gather_similarity
+
+checkpoints.SECONDS = 0
+folder = sys.argv[1]
+parts = np.split(np.load(f"{folder}/readings.npy"), 60)
+def slowly():
+    for part in parts:
+        time.sleep(0.02)
+        yield part
+
+gather_similarity(slowly, "i-anisomap", MethodOptions(), checkpoint=Path(folder) / "counts.npz")
+"""
+
+
+class PowerCutError(Exception):
+    """The power is gone."""
+
+
+def failing(parts, n_chunks, passes=1):
+    """Open chunks of which some are never read, in the pass that is the last."""
+    opened = []
+
+    def chunks():
+        opened.append(True)
+        for i, part in enumerate(parts):
+            if len(opened) == passes and i == n_chunks:
+                raise PowerCutError
+            yield part
+
+    return chunks
+
+
+def similarity(parts, file=None, method="i-anisomap", options=OPTIONS, **more):
+    chunks = parts if callable(parts) else lambda: iter(parts)
+    return gather_similarity(chunks, method, options, checkpoint=file, **more).similarity
+
+
+def cut_off(file, n_chunks=4, passes=2, **more):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checkpoints, "SECONDS", 0)
+        with pytest.raises(PowerCutError):
+            similarity(failing(PARTS, n_chunks, passes), file, **more)
+
+
+def test_killed_at_any_moment_it_goes_on_to_the_same_to_the_last_bit(tmp_path):
+    np.save(tmp_path / "readings.npy", READINGS)
+    file, rng = tmp_path / "counts.npz", np.random.default_rng()
+    for _ in range(3):
+        program = [sys.executable, "-c", KILLED, str(tmp_path)]
+        with subprocess.Popen(program) as process:
+            before = file.stat().st_mtime_ns if file.exists() else 0
+            while process.poll() is None and (
+                not file.exists() or file.stat().st_mtime_ns == before
+            ):
+                time.sleep(0.005)
+            time.sleep(rng.uniform(0, 0.3))
+            process.kill()
+        assert process.returncode == -signal.SIGKILL
+    done = max(stage.n_chunks for stage in Checkpoint(file, _of(file))._stages.values())
+    assert done > 3
+    parts = np.split(READINGS, 60)
+    np.testing.assert_array_equal(similarity(parts, file), similarity(parts))
+
+
+def _of(file):
+    with np.load(file) as archive:
+        return str(archive["of"])
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+@pytest.mark.parametrize("n_chunks", [1, 4])
+def test_nothing_is_counted_twice(tmp_path, passes, n_chunks):
+    file = tmp_path / "counts.npz"
+    cut_off(file, n_chunks, passes)
+    np.testing.assert_array_equal(similarity(PARTS, file), similarity(PARTS))
+    np.testing.assert_array_equal(similarity(PARTS, file), similarity(PARTS))
+
+
+def changed(part, frame, sensor):
+    other = part.copy()
+    other[frame, sensor] += 1
+    return other
+
+
+OTHERS = {
+    "one reading of the first frames": [changed(PARTS[0], 7, 3), *PARTS[1:]],
+    "one reading of what was done last": [*PARTS[:3], changed(PARTS[3], 9, 0), *PARTS[4:]],
+    "sensors in another order": [part[:, ::-1] for part in PARTS],
+    "frames in another order": [part[::-1] for part in PARTS],
+    "other chunks": np.split(READINGS, 5),
+    "another type": [part.astype(np.float64) for part in PARTS],
+    "fewer frames": PARTS[:2],
+    "more frames than when values were counted": [*PARTS, PARTS[0]],
+    "values of late frames": [*PARTS[:5], changed(PARTS[5], 9, 0)],
+}
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_other_readings_are_refused(tmp_path, other):
+    file = tmp_path / "counts.npz"
+    cut_off(file)
+    with pytest.raises(FileError, match="something else"):
+        similarity(OTHERS[other], file)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"method": "r-anisomap"},
+        {"method": "spearman-anisomap"},
+        {"options": MethodOptions(bins=5)},
+        {"source": "another.npz"},
+    ],
+)
+def test_other_questions_are_refused(tmp_path, other):
+    file = tmp_path / "counts.npz"
+    cut_off(file)
+    with pytest.raises(FileError, match="something else"):
+        similarity(PARTS, file, **other)
+
+
+def test_gaps_settled_otherwise_are_refused(tmp_path):
+    file, holed = tmp_path / "counts.npz", [part.copy() for part in PARTS]
+    holed[0][10:20, 4] = np.nan
+    similarity(holed, file, missing="interpolate")
+    with pytest.raises(FileError, match="something else"):
+        similarity(holed, file, missing="drop-frames")
+
+
+SMALL = [part[:, :3] for part in np.split(READINGS[:60], 4)]
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory):
+    """A checkpoint of half of the frames, as bytes, and what is made of all."""
+    file = tmp_path_factory.mktemp("whole") / "counts.npz"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checkpoints, "SECONDS", 0)
+        with pytest.raises(PowerCutError):
+            similarity(failing(SMALL, 2, 2), file)
+    return file.read_bytes(), similarity(SMALL)
+
+
+@given(data=st.data())
+@settings(max_examples=100, deadline=None)
+def test_damage_is_refused_or_does_not_matter(held, tmp_path_factory, data):
+    content, expected = held
+    damaged = bytearray(content)
+    at = data.draw(st.integers(0, len(content) - 1))
+    if data.draw(st.booleans()):
+        del damaged[at:]
+    else:
+        for place in [at, *data.draw(st.lists(st.integers(0, len(content) - 1), max_size=5))]:
+            damaged[place] = data.draw(st.integers(0, 255))
+    file = tmp_path_factory.mktemp("damaged") / "counts.npz"
+    file.write_bytes(damaged)
+    with suppress(FileError):
+        np.testing.assert_array_equal(similarity(SMALL, file), expected)
+
+
+def rewritten(content, **changes):
+    """The same archive, whole, but with other arrays in it."""
+    with np.load(io.BytesIO(content)) as archive:
+        arrays = dict(archive)
+    for name, array in changes.items():
+        if array is None:
+            del arrays[name]
+        else:
+            arrays[name] = array
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"pairs/chunks": np.array(-1)},
+        {"pairs/chunks": np.array(1)},
+        {"pairs/chunks": None},
+        {"pairs/mark": np.array("")},
+        {"pairs/kind": np.array("Moments")},
+        {"pairs/kind": np.array("Checkpoint")},
+        {"pairs/counts": np.zeros((2, 2), np.uint32)},
+        {"pairs/counts": np.array(["a"])},
+        {"pairs/first": np.zeros(1, np.int64)},
+        {"pairs/n_frames": np.array([1, 2])},
+        {"values/sizes": np.array([1])},
+        {"values/counts": None},
+        {"values/more": np.array(1)},
+    ],
+    ids=lambda changes: "-".join(f"{k}={v}" for k, v in changes.items())[:40],
+)
+def test_archives_of_other_things_are_refused(held, tmp_path, changes):
+    file = tmp_path / "counts.npz"
+    file.write_bytes(rewritten(held[0], **changes))
+    with pytest.raises(FileError):
+        similarity(SMALL, file)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"no archive at all", b"PK\5\6" + bytes(18)])
+def test_files_of_other_kinds_are_refused(tmp_path, content):
+    file = tmp_path / "counts.npz"
+    file.write_bytes(content)
+    with pytest.raises(FileError, match="no checkpoint, or damaged"):
+        similarity(PARTS, file)
+    assert file.read_bytes() == content
+
+
+def test_pickles_are_never_unpacked(tmp_path):
+    file = tmp_path / "counts.npz"
+    with zipfile.ZipFile(file, "w") as archive, archive.open("of.npy", "w") as member:
+        np.lib.format.write_array(member, np.array([print], dtype=object), allow_pickle=True)
+    with pytest.raises(FileError, match="no checkpoint, or damaged"):
+        similarity(PARTS, file)

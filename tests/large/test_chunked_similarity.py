@@ -1,0 +1,101 @@
+"""Every similarity in chunks: whatever the chunks, in two passes or in one, it is the same."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from anisomap.large import chunked_similarity
+from anisomap.large.chunked_similarity import CHUNKED
+from anisomap.methods import SIMILARITIES, MethodOptions
+from anisomap.numerics.similarity import counting, joint_values, values
+from anisomap.numerics.similarity.accumulators import KeptCodes
+from anisomap.numerics.similarity.joint_values import JointValues
+from anisomap.numerics.similarity.values import ValueCounts
+
+OPTIONS = MethodOptions()
+rows = st.lists(st.integers(1, 299), max_size=4, unique=True).map(sorted)
+
+
+def readings_of(seed, n_values=9):
+    rng = np.random.default_rng(seed)
+    touch = np.cumsum(rng.normal(0, 0.5, 300))[:, None] % 6
+    depth = np.maximum(0, 1.5 - abs(touch - np.arange(6))) * rng.uniform(0.5, 2, 6)
+    levels = np.round(depth / depth.max() * (n_values - 1)) * rng.choice([-3.0, 0.25, 1.0], 6) + 7
+    levels[:, 5] = 7
+    return levels
+
+
+def in_chunks(name, parts):
+    recipe = CHUNKED[name]
+    known = None
+    if recipe.needs_values:
+        known = ValueCounts.of(parts[0])
+        for part in parts[1:]:
+            known = known.merged(ValueCounts.of(part))
+    take = recipe.prepare(known, OPTIONS.bins)
+    total = take(parts[0])
+    for part in parts[1:]:
+        total = total.merged(take(part))
+    return recipe.finish(total)
+
+
+def in_one_pass(name, parts):
+    total = JointValues.of(parts[0])
+    for part in parts[1:]:
+        total = total.merged(JointValues.of(part))
+    return CHUNKED[name].of_values(total, OPTIONS.bins)
+
+
+def test_every_similarity_has_its_way():
+    assert set(CHUNKED) == set(SIMILARITIES)
+
+
+@pytest.mark.parametrize("many", [1, 10**6], ids=["compiled", "numpy"])
+@pytest.mark.parametrize("name", SIMILARITIES)
+@given(seed=st.integers(0, 20), cuts=rows, data=st.data())
+@settings(max_examples=15, deadline=None)
+def test_chunks_make_what_the_whole_makes(name, many, seed, cuts, data):
+    readings = readings_of(seed)
+    of = "pearson" if name == "blended-correlation" else name
+    expected = SIMILARITIES[of].compute(readings, OPTIONS)
+    parts = data.draw(st.permutations(np.split(readings, cuts)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(counting, "MANY_SENSORS", many)
+        for found in [in_chunks(name, parts)] + [
+            in_one_pass(name, parts) for _ in range(CHUNKED[name].needs_values)
+        ]:
+            np.testing.assert_allclose(found, expected, atol=1e-12)
+            np.testing.assert_array_equal(found, found.T)
+            if name in ("co-activation", "mutual-information"):
+                np.testing.assert_array_equal(found, in_chunks(name, [readings]))
+
+
+@given(seed=st.integers(0, 20), cuts=rows)
+@settings(max_examples=15, deadline=None)
+def test_codes_are_kept_where_counts_would_take_more(seed, cuts):
+    readings = readings_of(seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(chunked_similarity, "_MUCH", 0)
+        patch.setattr(chunked_similarity, "_COUNTS", 10_000)
+        known = ValueCounts.of(readings)
+        take = CHUNKED["mutual-information"].prepare(known, OPTIONS.bins)
+        assert isinstance(take(readings), KeptCodes)
+        found = in_chunks("mutual-information", np.split(readings, cuts))
+    expected = SIMILARITIES["mutual-information"].compute(readings, OPTIONS)
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("name", ["spearman", "mutual-information"])
+def test_continuous_readings_are_rounded_by_as_little_as_keeps_the_bound(name, monkeypatch):
+    rng = np.random.default_rng(0)
+    common = rng.normal(size=(4000, 1))
+    readings = common + rng.normal(0, 0.7, size=(4000, 6))
+    monkeypatch.setattr(values, "MOST_VALUES", 6 * 500)
+    monkeypatch.setattr(joint_values, "MOST_SERIES", 6 * 60)
+    expected = SIMILARITIES[name].compute(readings, OPTIONS)
+    parts = np.array_split(readings, 7)
+    np.testing.assert_allclose(in_chunks(name, parts), expected, atol=0.01)
+    np.testing.assert_allclose(in_one_pass(name, parts), expected, atol=0.1)
+    once = in_one_pass(name, parts[::-1])
+    np.testing.assert_allclose(once, in_one_pass(name, parts), atol=1e-12)

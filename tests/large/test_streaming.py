@@ -1,0 +1,282 @@
+"""Recordings in chunks: the same map as of one array, whoever does the work, cut off or not."""
+
+import importlib
+
+import joblib
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+import anisomap
+from anisomap import Recording, SensorMapper, reconstruct
+from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.large import chunks
+from anisomap.large.map_reduce import Crew, gather
+from anisomap.large.streaming import reconstruct_chunks
+from anisomap.methods import METHODS, MethodOptions
+from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.joint_values import JointValues
+from dying import Dying, ThreadLimits
+from skins import flat_skin
+
+# Readings of so many levels as a sensor of 6 bits has.
+READINGS = np.round(flat_skin(n_frames=2500).readings * 20).astype(np.uint8)
+SKIN = Recording(READINGS)
+
+
+# In chunks, the covariogram is of r alone.
+EXACT = [name for name, method in METHODS.items() if method.refine is None]
+
+
+def cut_at(*cuts):
+    return lambda: iter(np.split(READINGS, cuts))
+
+
+@pytest.mark.parametrize("method", EXACT)
+@pytest.mark.parametrize("cuts", [(), (7, 400, 401, 1100), range(50, 2500, 50)])
+def test_chunks_make_the_map_of_one_array(method, cuts):
+    expected = reconstruct(SKIN, method, 2)
+    found = reconstruct_chunks(cut_at(*cuts), method, 2)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
+    assert found.health == expected.health
+    assert found.notes == expected.notes
+    assert found.provenance["frames"] == 2500
+
+
+@pytest.mark.parametrize("method", EXACT)
+@pytest.mark.parametrize("cuts", [[3, 900, 901], [2, *range(3, 23)]], ids=["few", "frame by frame"])
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def test_a_live_stream_makes_the_map_of_one_array(method, cuts):
+    parts, whole = (SensorMapper(n_components=2, method=method) for _ in range(2))
+    for part in np.split(READINGS, cuts):
+        parts.partial_fit(part)
+    np.testing.assert_allclose(parts.positions_, whole.fit(READINGS).positions_, atol=1e-10)
+    if isinstance(parts._pairs, JointValues):
+        counted = JointValues.of(READINGS)
+        np.testing.assert_array_equal(parts._pairs.counts, counted.counts)
+        assert parts._pairs.single.n_frames == len(READINGS)
+
+
+@pytest.mark.parametrize("method", sorted(set(METHODS) - set(EXACT)))
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def test_a_live_stream_makes_refined_maps_of_correlations_however_it_comes(method):
+    made = []
+    for cuts in ([3, 900, 901], [2000]):
+        parts = SensorMapper(n_components=2, method=method)
+        for part in np.split(READINGS, cuts):
+            parts.partial_fit(part)
+        made.append(parts.positions_)
+    np.testing.assert_allclose(made[0], made[1], atol=1e-6)
+    whole = reconstruct_chunks(cut_at(), method, 2)
+    assert anisomap.mantel(made[0], whole.positions, permutations=0).r > 0.999
+
+
+def test_how_chunks_are_cut_does_not_matter_to_the_covariogram():
+    whole = reconstruct(SKIN, "covariogram", 2)
+    found = [reconstruct_chunks(cut_at(*cuts), "covariogram", 2) for cuts in ((), (7, 400, 1100))]
+    np.testing.assert_allclose(found[0].positions, found[1].positions, atol=1e-6)
+    assert anisomap.mantel(found[0], whole, permutations=0).r > 0.999
+    assert found[0].provenance["similarity"] == "pearson"
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.uint8])
+def test_an_array_on_disk_is_gone_through_in_chunks(tmp_path, monkeypatch, dtype):
+    np.save(tmp_path / "skin.npy", READINGS.astype(dtype))
+    monkeypatch.setattr(chunks, "CHUNK_READINGS", 300 * 42)
+    monkeypatch.setattr(chunks, "CHUNK_FRAMES", 1)
+    mapped = np.load(tmp_path / "skin.npy", mmap_mode="r")
+    for part in (slice(None), slice(100, 2400)):
+        found = reconstruct_chunks(mapped[part] if part.start else mapped, "i-anisomap", 2)
+        expected = reconstruct(Recording(READINGS[part]), "i-anisomap", 2)
+        np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
+
+
+def test_an_array_on_disk_may_lie_column_after_column(tmp_path, monkeypatch):
+    np.save(tmp_path / "skin.npy", np.asfortranarray(READINGS))
+    monkeypatch.setattr(chunks, "CHUNK_READINGS", 300 * 42)
+    monkeypatch.setattr(chunks, "CHUNK_FRAMES", 1)
+    found = reconstruct_chunks(np.load(tmp_path / "skin.npy", mmap_mode="r"), "r-anisomap", 2)
+    expected = reconstruct(SKIN, "r-anisomap", 2)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
+
+
+class PowerCutError(Exception):
+    """The power is gone."""
+
+
+def failing_at(n_chunks, passes):
+    """Open chunks of which some are never read, in the pass that is the last."""
+    opened = []
+
+    def chunks():
+        opened.append(True)
+        for i, chunk in enumerate(np.split(READINGS, 10)):
+            if len(opened) == passes and i == n_chunks:
+                raise PowerCutError
+            yield chunk
+
+    return chunks
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+def test_what_was_cut_off_goes_on(tmp_path, monkeypatch, passes):
+    monkeypatch.setattr("anisomap.large.checkpoints.SECONDS", 0)
+    expected = reconstruct(SKIN, "i-anisomap", 2)
+    file = tmp_path / "counts.npz"
+    options = {"method": "i-anisomap", "dimensions": 2, "checkpoint": file}
+    with pytest.raises(PowerCutError):
+        reconstruct_chunks(failing_at(6, passes), **options)
+    read = []
+
+    def counted():
+        for chunk in np.split(READINGS, 10):
+            read.append(1)
+            yield chunk
+
+    for _ in range(2):
+        found = reconstruct_chunks(counted, **options)
+        np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
+    assert [f.name for f in tmp_path.iterdir()] == ["counts.npz"]
+    with pytest.raises(FileError, match="something else"):
+        reconstruct_chunks(counted, "r-anisomap", 2, checkpoint=file)
+    file.write_bytes(file.read_bytes()[:-200])
+    with pytest.raises(FileError, match="damaged"):
+        reconstruct_chunks(counted, **options)
+
+
+@pytest.mark.parametrize("method", ["r-anisomap", "i-anisomap"])
+def test_workers_make_the_same_map_to_the_last_bit(method):
+    alone = reconstruct_chunks(cut_at(700, 1500), method, 2)
+    many = reconstruct_chunks(cut_at(700, 1500), method, 2, crew=Crew(2))
+    np.testing.assert_array_equal(many.positions, alone.positions)
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky", "multiprocessing"])
+def test_any_backend_of_joblib_makes_the_same_map_to_the_last_bit(backend):
+    alone = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2)
+    with joblib.parallel_config(backend):
+        many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, crew=Crew(2))
+    np.testing.assert_array_equal(many.positions, alone.positions)
+
+
+def test_ray_makes_the_same_map_to_the_last_bit():
+    ray = pytest.importorskip("ray")
+    importlib.import_module("ray.util.joblib").register_ray()
+    alone = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2)
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        with joblib.parallel_config("ray"):
+            many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, crew=Crew(2))
+    finally:
+        ray.shutdown()
+    np.testing.assert_array_equal(many.positions, alone.positions)
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky"])
+def test_workers_do_not_fight_over_cores(backend):
+    with threadpool_limits(3), joblib.parallel_config(backend):
+        found = gather(cut_at(*range(100, 2500, 100)), ThreadLimits.of, crew=Crew(2))
+        assert found.limits == {1}
+        assert ThreadLimits.of(None).limits == {3}
+
+
+def test_a_worker_that_dies_is_done_without(tmp_path):
+    chunks = cut_at(700, 1500, 2000)
+    with joblib.parallel_config("loky"):
+        found = gather(chunks, Dying(tmp_path), crew=Crew(2))
+    expected = gather(chunks, Moments.of)
+    np.testing.assert_array_equal(found.comoment, expected.comoment)
+    assert (tmp_path / "dead").exists()
+
+
+def test_a_dask_cluster_makes_the_same(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    chunks = cut_at(*range(250, 2500, 250))
+    expected = gather(chunks, Moments.of)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        crew = Crew(scheduler=cluster.scheduler_address)
+        np.testing.assert_array_equal(gather(chunks, Moments.of, crew=crew).mean, expected.mean)
+        found = gather(chunks, Dying(tmp_path), crew=crew)
+    np.testing.assert_array_equal(found.comoment, expected.comoment)
+    assert (tmp_path / "dead").exists()
+
+
+def test_missing_readings():
+    readings = READINGS.astype(np.float32)
+    readings[1200, 3] = np.nan
+    chunks = np.split(readings, [1000])
+    with pytest.raises(InputError, match="sensor 3 in frame 1200"):
+        reconstruct_chunks(lambda: chunks)
+    found = reconstruct_chunks(lambda: chunks, "i-anisomap", 2, missing="drop-frames")
+    kept = Recording(np.delete(READINGS, 1200, axis=0))
+    expected = reconstruct(kept, "i-anisomap", 2)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("chunks", "message"),
+    [
+        ([], "no frame"),
+        ([READINGS, READINGS[:, :30]], "from frame 2500 on there are 30 sensors, but 42 before"),
+        ([np.array([["a", "b"]])], "real numbers"),
+        ([READINGS[0]], "frames x sensors"),
+    ],
+)
+def test_chunks_of_something_else_are_refused(chunks, message):
+    with pytest.raises(InputError, match=message):
+        reconstruct_chunks(lambda: chunks)
+
+
+def test_health_is_judged_from_an_excerpt_of_bounded_size(monkeypatch):
+    monkeypatch.setattr(chunks, "EXCERPT_READINGS", 42 * 800)
+    monkeypatch.setattr(chunks, "PIECE_FRAMES", 50)
+    late = READINGS.copy()
+    late[:-40, 7] = 0
+    with pytest.warns(AnisomapWarning, match=r"judged from \d+ of 2500 frames"):
+        found = reconstruct_chunks(lambda: np.split(late, 10), "r-anisomap", 2)
+    assert found.placed[7]
+    assert found.health[7] != "dead"
+
+
+def test_a_squeezed_map_of_chunks_says_so():
+    doubled = np.hstack([READINGS, READINGS + np.arange(42, dtype=np.uint8) % 2])
+    with pytest.warns(AnisomapWarning, match="heights of contacts.* were not looked at"):
+        reconstruct_chunks(lambda: iter(np.split(doubled, 5)), dimensions=2)
+
+
+def test_even_spacing_is_refused_before_all_frames_are_read():
+    def unread():
+        raise AssertionError
+
+    with pytest.raises(InputError, match="even spacing"):
+        reconstruct_chunks(unread, options=MethodOptions(even_spacing=True))
+
+
+@pytest.mark.parametrize("unit", [1e200, 1e-200])
+def test_readings_in_an_impossible_unit_are_refused(unit):
+    readings = READINGS.astype(np.float64)
+    readings[:, 3] *= unit
+    with pytest.raises(InputError, match=r"sensor 3 reads up to .* use another unit"):
+        reconstruct_chunks(readings, "r-anisomap", 2)
+
+
+def test_long_doubles_are_read_as_doubles():
+    found = reconstruct_chunks(READINGS.astype(np.longdouble), "r-anisomap", 2)
+    expected = reconstruct_chunks(READINGS, "r-anisomap", 2)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-9)
+
+
+def test_what_was_changed_in_memory_counts(tmp_path):
+    np.save(tmp_path / "skin.npy", READINGS)
+    mapped = np.load(tmp_path / "skin.npy", mmap_mode="c")
+    mapped[:, 3] = 0
+    with pytest.warns(AnisomapWarning, match="1 of 42 sensors never vary"):
+        found = reconstruct_chunks(mapped, "r-anisomap", 2)
+    assert not found.placed[3]
+
+
+def test_too_many_bins_are_refused():
+    with pytest.raises(InputError, match="70000 bins are more"):
+        reconstruct_chunks(READINGS, "i-anisomap", options=MethodOptions(bins=70_000))

@@ -1,0 +1,87 @@
+"""Lengths from the heights of contacts: known ground gives known lengths."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap.errors import InputError
+from anisomap.numerics.geodesic.contact_peaks import FEWEST_PASSES, contact_peaks, pass_lengths
+
+PULSE = np.array([0, 1, 3, 6, 3, 1, 0]) / 6
+
+
+def rolled_over(similar: np.ndarray, n_passes: int, seed: int = 0, delay: int = 0) -> np.ndarray:
+    """Contacts over a line of sensors; heights are autoregressive along it.
+
+    Neighbours i and i + 1 meet heights of correlation ``similar[i]``, `delay` frames later each.
+    """
+    rng = np.random.default_rng(seed)
+    heights = [rng.standard_normal(n_passes)]
+    for a in similar:
+        heights.append(a * heights[-1] + np.sqrt(1 - a * a) * rng.standard_normal(n_passes))
+    readings = np.zeros((40 * n_passes + 40, len(heights)))
+    for i, column in enumerate(heights):
+        pulses = 5 + column.clip(-4, 4)
+        for n in range(n_passes):
+            at = 10 + 40 * n + delay * i
+            readings[at : at + len(PULSE), i] = pulses[n] * PULSE
+    return readings
+
+
+def chain(n: int) -> np.ndarray:
+    return np.eye(n, k=1, dtype=bool) | np.eye(n, k=-1, dtype=bool)
+
+
+def test_peaks_are_the_highest_frames_of_contacts():
+    raised = np.array([0.0, 0, 5, 9, 5, 0, 0, 4, 4, 0, 8])
+    frames, heights = contact_peaks(raised)
+    assert frames.tolist() == [3, 7, 10]
+    assert heights.tolist() == [9, 4, 8]
+
+
+@given(st.lists(st.floats(-5, 5), min_size=1, max_size=60))
+def test_peaks_rise_in_time_and_are_readings(values):
+    raised = np.array(values)
+    frames, heights = contact_peaks(raised)
+    assert (np.diff(frames) > 1).all()
+    np.testing.assert_array_equal(heights, raised[frames])
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_lengths_of_autoregressive_ground_are_those_of_its_closed_form(delay):
+    similar = np.array([0.9, 0.7, 0.4, 0.0])
+    found = pass_lengths(rolled_over(similar, 4000, delay=delay), chain(5))
+    # Spearman's rho of two normal variables of correlation a is 6 / pi asin(a / 2).
+    expected = np.sqrt(1 - 6 / np.pi * np.arcsin(similar / 2))
+    np.testing.assert_allclose(np.diag(found, k=1), expected, atol=0.03)
+    assert np.array_equal(found, found.T, equal_nan=True)
+    assert np.array_equal(np.isfinite(found), chain(5))
+
+
+@given(st.integers(0, 50))
+def test_units_zeros_and_the_sense_of_sensors_do_not_matter(seed):
+    readings, rng = rolled_over(np.array([0.8, 0.5]), 30, seed), np.random.default_rng(seed)
+    gains = 2.0 ** rng.integers(-5, 6, 3) * rng.choice([-1, 1], 3)
+    found = pass_lengths(readings * gains + rng.integers(-9, 9, 3), chain(3))
+    np.testing.assert_allclose(found, pass_lengths(readings, chain(3)))
+
+
+def test_relabelling_the_sensors_relabels_their_lengths():
+    readings, order = rolled_over(np.array([0.9, 0.5, 0.7]), 60, delay=2), [2, 0, 3, 1]
+    found = pass_lengths(readings, chain(4))
+    again = pass_lengths(readings[:, order], chain(4)[np.ix_(order, order)])
+    np.testing.assert_array_equal(again, found[np.ix_(order, order)])
+
+
+def test_too_few_passes_and_thresholded_readings_tell_nothing():
+    few = rolled_over(np.array([0.9]), FEWEST_PASSES - 1)
+    assert np.isnan(pass_lengths(few, chain(2))).all()
+    enough = rolled_over(np.array([0.9]), FEWEST_PASSES)
+    assert np.isfinite(pass_lengths(enough, chain(2))).any()
+    assert np.isnan(pass_lengths(enough > 0, chain(2))).all()
+
+
+def test_neighbours_of_other_sensors_are_refused():
+    with pytest.raises(InputError, match="do not fit"):
+        pass_lengths(np.eye(9), chain(4))

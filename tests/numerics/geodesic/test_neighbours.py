@@ -1,0 +1,134 @@
+"""Who is whose neighbour, from readings: graphs that do not depend on labels, units or zeros."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
+
+from anisomap.errors import InputError
+from anisomap.numerics.geodesic.neighbours import (
+    NeighbourOptions,
+    agreement,
+    direct_neighbours,
+    edge_distances,
+    find_links,
+    unevenness,
+)
+from anisomap.numerics.graph.dissimilarity import partial_correlation
+from anisomap.numerics.reliability.correlation import blended_correlation
+from skins import flat_skin, lattice, rubbed
+
+
+def smooth_noise(n_frames: int, n_sensors: int, seed: int) -> np.ndarray:
+    """Readings that have no places at all, and still must give a graph."""
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((n_frames, 3)) @ rng.standard_normal(
+        (3, n_sensors)
+    ) + rng.standard_normal((n_frames, n_sensors))
+
+
+@given(st.integers(3, 200), st.integers(2, 12), st.integers(0, 99))
+def test_the_graph_is_symmetric_connected_and_without_loops(n_frames, n_sensors, seed):
+    readings = smooth_noise(n_frames, n_sensors, seed)
+    joined = direct_neighbours(readings, np.random.default_rng(seed).normal(size=(n_sensors, 2)))
+    assert np.array_equal(joined, joined.T)
+    assert not np.diag(joined).any()
+    assert connected_components(joined, directed=False)[0] == 1
+
+
+@given(st.integers(0, 99))
+def test_relabelling_the_sensors_relabels_the_graph(seed):
+    readings, rng = smooth_noise(120, 10, seed), np.random.default_rng(seed)
+    positions, order = rng.normal(size=(10, 3)), rng.permutation(10)
+    joined = direct_neighbours(readings, positions)
+    np.testing.assert_array_equal(
+        direct_neighbours(readings[:, order], positions[order]), joined[np.ix_(order, order)]
+    )
+
+
+@given(st.integers(0, 99))
+def test_units_and_zeros_of_sensors_do_not_matter(seed):
+    readings, rng = smooth_noise(120, 8, seed), np.random.default_rng(seed)
+    other = readings * rng.uniform(0.1, 10, 8) + rng.normal(size=8)
+    np.testing.assert_array_equal(direct_neighbours(other), direct_neighbours(readings))
+
+
+def test_a_rubbed_lattice_is_joined_as_it_lies():
+    positions = lattice()
+    readings = rubbed(positions, 3000)
+    near = cdist(positions, positions) < 1.01
+    np.fill_diagonal(near, val=False)
+    joined = direct_neighbours(readings, positions)
+    assert (joined & near).sum() > 0.98 * joined.sum(), "hardly a shortcut"
+    assert unevenness(positions, joined) < 0.1
+    assert agreement(readings, positions) > 0.95
+
+
+@pytest.mark.parametrize(("sign", "forced"), [(1, 0.0), (-1, 1.0)])
+def test_a_link_between_opposites_is_forced(sign, forced):
+    first = np.random.default_rng(0).standard_normal((300, 1))
+    links = find_links(np.hstack([first, sign * first + 0.1 * first[::-1]]))
+    assert links.joined.tolist() == [[False, True], [True, False]]
+    assert links.forced == forced
+
+
+def test_hardly_a_link_of_a_rubbed_lattice_is_forced():
+    assert find_links(rubbed(lattice(), 2000)).forced < 0.02
+
+
+def test_given_similarity_is_that_of_the_readings():
+    readings = flat_skin().readings
+    np.testing.assert_array_equal(
+        direct_neighbours(readings, similarity=blended_correlation(readings)),
+        direct_neighbours(readings),
+    )
+
+
+def test_no_edge_has_a_much_stronger_detour_unless_the_tree_needs_it():
+    readings = smooth_noise(400, 14, 3)
+    joined = direct_neighbours(readings, options=NeighbourOptions(reach=1e9))
+    partial = partial_correlation(blended_correlation(readings), 0.1)
+    weak = [
+        (i, j)
+        for i, j in np.argwhere(np.triu(joined))
+        if max(min(partial[i, k], partial[j, k]) for k in range(14) if k not in (i, j))
+        > 1.2 * partial[i, j]
+    ]
+    assert len(weak) <= 13, "no more than a tree has edges"
+    assert joined.sum() // 2 > 13
+
+
+@given(st.floats(1.1, 20), st.floats(1e-3, 1e3), st.integers(2, 9))
+def test_unevenness_is_the_spread_of_log_distances_in_any_unit(ratio, unit, n):
+    # A comb whose gaps are 1 and ratio by turns.
+    x = np.concatenate([[0], np.cumsum(np.tile([1, ratio], n))])[:, None]
+    joined = np.eye(len(x), k=1, dtype=bool) | np.eye(len(x), k=-1, dtype=bool)
+    assert unevenness(unit * x, joined) == pytest.approx(np.log(ratio) / 2)
+    np.testing.assert_allclose(edge_distances(unit * x, joined), unit * np.diff(x[:, 0]))
+    assert unevenness(np.zeros_like(x), joined) == pytest.approx(0, abs=1e-9)
+
+
+def test_halves_of_noise_or_of_too_little_do_not_agree():
+    noise = np.random.default_rng(0).standard_normal((2000, 30))
+    assert agreement(noise) < 0.3
+    assert agreement(noise[:4]) == 0
+    silent = np.zeros((400, 5))
+    silent[:20] = noise[:20, :5]
+    assert agreement(silent) == 0
+
+
+@pytest.mark.parametrize(
+    ("readings", "positions"),
+    [(np.ones((2, 5)), None), (np.ones((9, 1)), None), (np.eye(9), np.ones((3, 2)))],
+)
+def test_what_does_not_fit_is_refused(readings, positions):
+    with pytest.raises(InputError, match="shape"):
+        direct_neighbours(readings, positions)
+
+
+@pytest.mark.parametrize("change", [{"ridge": 0}, {"slack": 0.5}, {"reach": 0}])
+def test_nonsense_options_are_refused(change):
+    with pytest.raises(InputError, match=next(iter(change))):
+        NeighbourOptions(**change)

@@ -1,0 +1,126 @@
+"""Maps from a graph's lengths: exact where these are, and left alone where a map is even."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.distance import cdist, pdist
+
+from anisomap.errors import InputError
+from anisomap.numerics.geodesic.refinement import (
+    UnrollingOptions,
+    confirmation,
+    contact_passes,
+    even_spacing,
+    fit_paths,
+)
+from skins import lattice, rubbed
+
+
+def mantel_r(x, y):
+    return float(np.corrcoef(pdist(x), pdist(y))[0, 1])
+
+
+def grid(rows=6, columns=7):
+    """A square lattice: unlike a triangular one, it has no way round a step that is drawn long."""
+    return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) * 1.0
+
+
+def nearest(positions, reach=1.01):
+    distances = cdist(positions, positions)
+    return (distances < reach) & (distances > 0)
+
+
+def test_a_straight_chain_comes_out_with_its_lengths():
+    gaps = np.array([1.0, 0.5, 2.0, 1.0, 1.5])
+    lengths = np.diag(gaps, k=1) + np.diag(gaps, k=-1)
+    found = fit_paths(lengths, 2)
+    np.testing.assert_allclose(np.diag(cdist(found, found), k=1), gaps, rtol=1e-3)
+    assert mantel_r(found, np.cumsum(np.append(0, gaps))[:, None]) > 0.9999
+
+
+def test_hops_of_a_lattice_give_the_lattice():
+    positions = lattice()
+    assert mantel_r(fit_paths(nearest(positions).astype(float), 2), positions) > 0.98
+
+
+def test_a_guide_that_is_even_is_followed_and_an_uneven_one_is_not():
+    positions = grid()
+    links = nearest(positions).astype(float)
+    alone, squeezed = fit_paths(links, 2), positions * [1, 0.2]
+    followed = fit_paths(links, guide=7 * positions)
+    assert 1 - mantel_r(followed, positions) < 0.1 * (1 - mantel_r(alone, positions))
+    ignored = fit_paths(links, guide=squeezed)
+    np.testing.assert_array_equal(ignored, alone)
+    assert mantel_r(squeezed, positions) < 0.9 < mantel_r(ignored, positions)
+
+
+@given(st.integers(0, 20))
+def test_relabelling_sensors_relabels_what_is_fitted(seed):
+    positions, order = lattice(4, 4), np.random.default_rng(seed).permutation(16)
+    links = nearest(positions) * 1.0
+    straight = fit_paths(links, guide=positions)
+    other = fit_paths(links[np.ix_(order, order)], guide=positions[order])
+    np.testing.assert_allclose(cdist(other, other), cdist(straight[order], straight[order]),
+                               atol=1e-6)  # fmt: skip
+
+
+@given(st.floats(-1.5, 1.5), st.floats(1e-3, 1e3), st.integers(0, 9))
+def test_confirmation_is_the_power_that_lengths_follow_distances_by(power, unit, seed):
+    positions = np.random.default_rng(seed).normal(size=(12, 2))
+    links = nearest(positions, 1.5)
+    with np.errstate(divide="ignore"):
+        lengths = np.where(links, unit * cdist(positions, positions) ** power, np.nan)
+    assert confirmation(positions, lengths) == pytest.approx(power, abs=1e-9)
+    assert confirmation(np.zeros((12, 2)), lengths) == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_even_maps_come_back_to_the_bit(seed):
+    positions = lattice() @ np.array([[0.8, 0.6], [-0.6, 0.8]])
+    found = contact_passes(rubbed(positions, 800, seed=seed), positions)
+    assert not found.acted
+    assert found.positions.tobytes() == positions.tobytes()
+    assert found.unevenness < 0.5
+
+
+def test_declared_spacing_stretches_a_squeezed_map_and_keeps_its_unit():
+    positions = grid()
+    readings = rubbed(positions, 2000)
+    squeezed = 30 * positions * [1, 0.2]
+    found = even_spacing(readings, squeezed)
+    assert found.acted
+    assert mantel_r(squeezed, positions) < 0.9
+    assert mantel_r(found.positions, positions) > 0.97
+    links = nearest(positions)
+    before, after = (np.log(cdist(x, x)[links]).mean() for x in (squeezed, found.positions))
+    assert after == pytest.approx(before, abs=0.1)
+
+
+def test_where_the_graph_is_not_agreed_on_an_uneven_map_is_left_alone():
+    noise = np.random.default_rng(1).standard_normal((1000, 30))
+    places = np.random.default_rng(2).normal(size=(30, 2)) * [1, 0.01]
+    for unroll in (even_spacing, contact_passes):
+        found = unroll(noise, places)
+        assert found.unevenness > 0.5
+        assert not found.acted
+        np.testing.assert_array_equal(found.positions, places)
+
+
+def test_thresholded_readings_have_no_heights_and_are_not_taken_for_evenly_spaced():
+    positions = grid()
+    readings = rubbed(positions, 2000) > 0
+    found = contact_passes(readings, positions * [1, 0.05])
+    assert found.unevenness > 0.5
+    assert not found.acted
+
+
+@pytest.mark.parametrize("change", [{"power": -1}, {"trust": np.nan}, {"uneven": 0}])
+def test_nonsense_options_are_refused(change):
+    with pytest.raises(InputError, match=next(iter(change))):
+        UnrollingOptions(**change)
+
+
+def test_links_that_do_not_connect_are_refused():
+    with pytest.raises(InputError, match="separate"):
+        fit_paths(np.zeros((4, 4)), 2)

@@ -1,0 +1,159 @@
+"""Metricising and graphs: the theorems of the paper's Text S3, and scipy as an oracle."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.sparse.csgraph import floyd_warshall
+from scipy.spatial.distance import pdist, squareform
+
+from anisomap.errors import InputError
+from anisomap.numerics.graph.metric import (
+    components,
+    metricise,
+    minimax_paths,
+    neighbour_graph,
+    smallest_connected_neighbour_graph,
+)
+
+
+@st.composite
+def semi_metrics(draw, lengths=None):
+    n = draw(st.integers(1, 9))
+    if lengths is None:
+        lengths = st.one_of(st.floats(0.01, 100), st.just(np.inf), st.just(0.0))
+    pairs = draw(arrays(np.float64, n * (n - 1) // 2, elements=lengths))
+    return squareform(pairs) if n > 1 else np.zeros((1, 1))
+
+
+@given(semi_metrics())
+def test_the_triangle_inequality_holds_afterwards(dissimilarity):
+    metric = metricise(dissimilarity)
+    through = (metric[:, :, None] + metric[None, :, :]).min(axis=1)
+    assert (metric <= through * (1 + 1e-12)).all()
+
+
+@given(semi_metrics())
+def test_nothing_grows_and_symmetry_is_kept_to_the_last_bit(dissimilarity):
+    metric = metricise(dissimilarity)
+    assert (metric <= dissimilarity).all()
+    np.testing.assert_array_equal(metric, metric.T)
+    assert not np.diag(metric).any()
+
+
+@given(semi_metrics())
+def test_a_metric_is_left_as_it_is(dissimilarity):
+    metric = metricise(dissimilarity)
+    np.testing.assert_allclose(metricise(metric), metric, rtol=1e-12)
+
+
+@given(arrays(np.float64, (6, 3), elements=st.floats(-10, 10)))
+def test_euclidean_distances_are_left_as_they_are(points):
+    distances = squareform(pdist(points))
+    np.testing.assert_allclose(metricise(distances), distances, rtol=1e-12, atol=1e-300)
+
+
+@given(arrays(np.float64, (6, 3), elements=st.floats(-10, 10)), semi_metrics())
+def test_no_metric_lies_between_the_result_and_what_it_was_made_from(points, added):
+    n = len(added)
+    metric = squareform(pdist(points))[:n, :n]
+    added = added[: len(metric), : len(metric)]
+    assert (metric <= metricise(metric + added) * (1 + 1e-12)).all()
+
+
+@given(semi_metrics(), st.randoms(use_true_random=False))
+def test_relabelling_changes_nothing_but_order(dissimilarity, random):
+    order = list(range(len(dissimilarity)))
+    random.shuffle(order)
+    relabelled = np.ix_(order, order)
+    np.testing.assert_allclose(
+        metricise(dissimilarity[relabelled]), metricise(dissimilarity)[relabelled], rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_equal_to_scipy_where_scipy_can_be_asked(seed):
+    rng = np.random.default_rng(seed)
+    dissimilarity = squareform(rng.uniform(0.01, 1, size=60 * 59 // 2))
+    expected = floyd_warshall(dissimilarity, directed=False)
+    np.testing.assert_allclose(metricise(dissimilarity), expected, rtol=1e-12)
+
+
+def test_lengths_of_every_magnitude_count():
+    # Read densely, scipy would take a length below 1e-8 for "no edge".
+    dissimilarity = squareform(np.random.default_rng(0).exponential(size=45) ** 12)
+    expected = dissimilarity.copy()
+    for k in range(10):
+        expected = np.minimum(expected, expected[:, [k]] + expected[[k], :])
+    np.testing.assert_allclose(metricise(dissimilarity), expected, rtol=1e-12)
+
+
+def test_identical_sensors_stay_together():
+    # scipy reads a dense 0 as "no edge", and would put the twins 10 apart.
+    dissimilarity = np.array([[0.0, 0, 5], [0, 0, 7], [5, 7, 0]])
+    np.testing.assert_array_equal(metricise(dissimilarity), [[0, 0, 5], [0, 0, 5], [5, 5, 0]])
+
+
+def test_components_are_numbered_by_size():
+    dissimilarity = np.full((6, 6), np.inf)
+    for group in ([0], [1, 4], [2, 3, 5]):
+        dissimilarity[np.ix_(group, group)] = 1
+    np.fill_diagonal(dissimilarity, 0)
+    np.testing.assert_array_equal(components(dissimilarity), [2, 1, 0, 0, 1, 0])
+    metric = metricise(dissimilarity)
+    assert np.isinf(metric[0, 1])
+    assert metric[2, 5] == 1
+
+
+@given(st.integers(2, 12), st.integers(0, 10_000))
+@settings(deadline=None)
+def test_the_neighbour_graph_is_the_smallest_that_connects(n, seed):
+    similarity = squareform(np.random.default_rng(seed).uniform(size=n * (n - 1) // 2))
+    joined, k = smallest_connected_neighbour_graph(similarity)
+    reached = components(np.where(joined, 1.0, np.inf))
+    assert reached.max() == 0
+    if k > 1:
+        fewer = neighbour_graph(similarity, k - 1)
+        assert components(np.where(fewer, 1.0, np.inf)).max() > 0
+
+
+def test_everyone_has_its_neighbours_and_they_have_it():
+    similarity = squareform(np.random.default_rng(0).uniform(size=45))
+    joined = neighbour_graph(similarity, 3)
+    np.testing.assert_array_equal(joined, joined.T)
+    assert not np.diag(joined).any()
+    for i in range(10):
+        nearest = np.argsort(np.where(np.arange(10) == i, np.inf, -similarity[i]))[:3]
+        assert joined[i, nearest].all()
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        (np.zeros((2, 3)), "square"),
+        ([[0, -1], [-1, 0]], "must not be < 0"),
+        ([[0, 1], [2, 0]], "not symmetric"),
+        ([[0, np.nan], [np.nan, 0]], "0 and 1 is NaN"),
+        ([[1, 2], [2, 1]], "to itself"),
+    ],
+)
+def test_what_is_no_semi_metric_is_refused(matrix, message):
+    with pytest.raises(InputError, match=message):
+        metricise(matrix)
+
+
+@given(semi_metrics(st.floats(0.0, 100)))
+def test_minimax_paths_are_those_of_brute_force(dissimilarity):
+    # Floyd's algorithm with the longest step in place of the sum.
+    expected = dissimilarity.copy()
+    for k in range(len(expected)):
+        expected = np.minimum(expected, np.maximum.outer(expected[:, k], expected[k]))
+    found = minimax_paths(dissimilarity)
+    np.testing.assert_array_equal(found, expected)
+    assert (found <= dissimilarity).all()
+
+
+def test_minimax_paths_through_nothing_are_refused():
+    with pytest.raises(InputError, match="infinite"):
+        minimax_paths([[0, np.inf], [np.inf, 0]])

@@ -1,0 +1,129 @@
+"""How far correlations can be believed: noise, reliability, and what belongs together."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap.errors import InputError
+from anisomap.numerics.reliability.correlation import (
+    blended_correlation,
+    even_and_odd,
+    reliability,
+    sampling_variance,
+    typical_noise,
+)
+from anisomap.numerics.reliability.significance import related_pieces
+from anisomap.numerics.similarity.activity import estimate_rest
+from anisomap.numerics.similarity.statistics import pearson, spearman
+from skins import flat_skin
+
+
+def autoregressive(n_frames: int, n_sensors: int, memory: float, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal((n_frames, n_sensors))
+    for t in range(1, n_frames):
+        noise[t] += memory * noise[t - 1]
+    return noise
+
+
+@given(st.integers(2, 500))
+def test_the_halves_share_all_frames(n_frames):
+    even, odd = even_and_odd(n_frames)
+    np.testing.assert_array_equal(np.sort(np.concatenate([even, odd])), np.arange(n_frames))
+    assert abs(len(even) - len(odd)) <= max(1, n_frames // 20 + 1)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
+def test_the_variance_is_that_of_correlations_of_unrelated_series(memory):
+    n_frames = 3000
+    found = [autoregressive(n_frames, 40, memory, seed) for seed in range(3)]
+    observed = np.mean([pearson(x)[np.triu_indices(40, 1)].var() for x in found])
+    estimated = np.mean([typical_noise(sampling_variance(x)) for x in found])
+    assert estimated == pytest.approx(observed, rel=0.2)
+    # Closed form: (1 + a^2) / (1 - a^2) / T of two autoregressive series of memory a.
+    assert estimated == pytest.approx((1 + memory**2) / (1 - memory**2) / n_frames, rel=0.2)
+
+
+def test_the_variance_does_not_depend_on_the_frame_rate():
+    x = autoregressive(2000, 12, 0.8, 0)
+    slow, fast = (typical_noise(sampling_variance(y)) for y in (x, np.repeat(x, 4, axis=0)))
+    assert fast == pytest.approx(slow, rel=0.1)
+
+
+@given(st.integers(0, 99))
+def test_the_variance_is_symmetric_and_never_below_that_of_independent_frames(seed):
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((60, 5)) * rng.integers(0, 2, 5)
+    found = sampling_variance(x)
+    np.testing.assert_allclose(found, found.T)
+    assert (found >= 1 / 60 - 1e-15).all()
+    np.testing.assert_allclose(sampling_variance(7 - 3 * x), found, rtol=1e-6)
+
+
+def test_one_frame_has_no_variance():
+    with pytest.raises(InputError, match="2 or more"):
+        sampling_variance(np.ones((1, 4)))
+
+
+def test_too_little_to_tell_is_not_reliable():
+    readings = flat_skin(n_frames=300).readings
+    assert reliability(readings[:3]) == 0
+    assert reliability(readings[:, :2]) == 0
+    assert blended_correlation(readings[:1]).shape == (42, 42)
+    with pytest.raises(InputError, match="no halves"):
+        even_and_odd(1)
+
+
+def test_noise_is_not_reliable_and_a_long_recording_is():
+    noise = np.random.default_rng(0).standard_normal((2000, 30))
+    assert abs(reliability(noise)) < 0.2
+    assert reliability(flat_skin().readings) > 0.9
+    assert reliability(np.tile([[0.0], [1.0]], (50, 4))) == 0
+
+
+def test_the_blend_lies_between_linear_and_rank_correlation():
+    readings = flat_skin(n_frames=400).readings
+    depths = estimate_rest(readings).depth(readings)
+    linear, ranks, blend = pearson(readings), spearman(depths), blended_correlation(readings)
+    assert (blend <= np.maximum(linear, ranks) + 1e-12).all()
+    assert (blend >= np.minimum(linear, ranks) - 1e-12).all()
+    assert not np.allclose(blend, linear)
+    assert np.array_equal(blend, blend.T)
+    moved = blended_correlation(readings * np.linspace(0.1, 9, 42) - 4)
+    np.testing.assert_allclose(moved, blend, atol=1e-9)
+
+
+def test_noise_at_rest_does_not_spoil_the_blend():
+    readings = np.array(flat_skin().readings)
+    noisy = readings + np.random.default_rng(0).normal(0, 0.02 * np.ptp(readings), readings.shape)
+    pairs = np.triu_indices(readings.shape[1], 1)
+    clean = blended_correlation(readings)[pairs]
+    lost = {
+        how.__name__: np.abs(how(noisy)[pairs] - how(readings)[pairs]).mean()
+        for how in (blended_correlation, spearman)
+    }
+    assert lost["blended_correlation"] < 0.25 * lost["spearman"]
+    assert lost["blended_correlation"] < 0.1 * np.ptp(clean)
+
+
+def test_skins_touched_independently_are_mostly_pieces_and_one_skin_is_one():
+    parted = []
+    for seed in range(8):
+        first, second = (flat_skin(seed=s).readings for s in (seed, seed + 10))
+        both = np.hstack([first, second[:, :25]])
+        order = np.random.default_rng(seed).permutation(both.shape[1])
+        alone, together, shuffled = (
+            related_pieces(blended_correlation(readings), sampling_variance(readings))
+            for readings in (first, both, both[:, order])
+        )
+        assert not alone.any()
+        np.testing.assert_array_equal(shuffled, together[order])
+        parted.append(np.array_equal(together, np.repeat([0, 1], [42, 25])))
+    assert np.mean(parted) > 0.5
+
+
+def test_noise_alone_holds_nothing_together():
+    noise = np.random.default_rng(1).standard_normal((2000, 40))
+    found = related_pieces(blended_correlation(noise), sampling_variance(noise))
+    assert np.bincount(found).max() <= 6

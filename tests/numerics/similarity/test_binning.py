@@ -1,0 +1,77 @@
+"""Maximum-entropy binning: theorems about ties, order and equal shares."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from anisomap.errors import InputError
+from anisomap.numerics.similarity.binning import maximum_entropy_bins, maximum_entropy_codes
+
+counts = st.lists(st.integers(1, 1000), min_size=1, max_size=40)
+bins = st.integers(2, 9)
+
+
+@given(counts, bins)
+def test_no_bin_is_empty_and_none_is_too_many(counts, bins):
+    found = maximum_entropy_bins(counts, bins)
+    assert set(found) == set(range(found.max() + 1))
+    assert found.max() < bins
+
+
+@given(counts, bins)
+def test_few_distinct_values_each_get_a_bin(counts, bins):
+    found = maximum_entropy_bins(counts, bins)
+    if len(counts) <= bins:
+        assert len(set(found)) == len(counts)
+
+
+@given(counts, bins)
+def test_an_atom_shares_its_bin_with_nothing(counts, bins):
+    found = maximum_entropy_bins(counts, bins)
+    for value in np.flatnonzero(np.array(counts) * bins > sum(counts)):
+        assert np.count_nonzero(found == found[value]) == 1
+
+
+@given(st.integers(1, 60), bins)
+def test_values_without_ties_are_shared_out_equally(n, bins):
+    sizes = np.bincount(maximum_entropy_bins(np.ones(n), bins))
+    assert sizes.max() - sizes.min() <= 1
+
+
+@given(counts, bins)
+def test_the_rest_keeps_its_order(counts, bins):
+    found = maximum_entropy_bins(counts, bins)
+    shared = [b for b in found if np.count_nonzero(found == b) > 1]
+    assert shared == sorted(shared)
+
+
+def test_rest_of_a_skin_does_not_swallow_the_edges():
+    readings = np.concatenate([np.zeros(900), np.arange(1, 100 + 1)])[:, None]
+    codes = maximum_entropy_codes(readings, 4)[:, 0]
+    assert len(set(codes[:900])) == 1
+    assert sorted(np.bincount(codes)) == [33, 33, 34, 900]
+
+
+def test_a_raw_skin_rests_between_its_values():
+    values, counts = [238, 239, 240, 241], [5, 10, 80, 5]
+    found = maximum_entropy_bins(counts, 4)
+    assert len(set(found)) == len(values)
+
+
+@given(
+    arrays(np.float64, (50, 2), elements=st.integers(-20, 20).map(float)),
+    bins,
+)
+def test_codes_depend_only_on_order_and_ties(readings, bins):
+    stretched = 3 * np.sign(readings) * readings**2 + 7
+    np.testing.assert_array_equal(
+        maximum_entropy_codes(readings, bins), maximum_entropy_codes(stretched, bins)
+    )
+
+
+@pytest.mark.parametrize("bins", [1, 0, -3, 2**16 + 1])
+def test_an_absurd_number_of_bins_is_refused(bins):
+    with pytest.raises(InputError, match=str(bins)):
+        maximum_entropy_codes(np.eye(3), bins)

@@ -1,0 +1,137 @@
+"""Counting pairs of codes: every way of counting gives the same counts, and they are right."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from sklearn.metrics import mutual_info_score
+
+from anisomap.numerics.similarity import counting, statistics
+from anisomap.numerics.similarity.accumulators import SINGLE_SENSORS
+from anisomap.numerics.similarity.activity import estimate_rest
+from anisomap.numerics.similarity.binning import maximum_entropy_codes
+from anisomap.numerics.similarity.counting import (
+    MANY_SENSORS,
+    Layout,
+    co_occurrences,
+    code_counts,
+    joint_logarithms,
+    joint_logarithms_of_counts,
+)
+from anisomap.numerics.similarity.statistics import co_activation, information_of_codes, pearson
+
+WAYS = {"numpy": (10**6, 1), "bits": (0, 10**9), "entries": (0, 0)}
+
+tables = arrays(
+    np.uint8,
+    array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=140),
+    elements=st.integers(0, 5),
+    fill=st.just(np.uint8(0)),
+)
+
+
+@pytest.fixture(params=WAYS, scope="module")
+def way(request):
+    with pytest.MonkeyPatch.context() as patch:
+        many, increment = WAYS[request.param]
+        patch.setattr(counting, "MANY_SENSORS", many)
+        patch.setattr(counting, "_INCREMENT", increment)
+        yield request.param
+
+
+def skin_codes(seed, n_frames=700, n_sensors=MANY_SENSORS + 20, bins=5):
+    """Codes of a contact that wanders along a line of sensors; most of the time 2 is rest."""
+    rng = np.random.default_rng(seed)
+    touch = np.cumsum(rng.normal(0, 3, n_frames))[:, None] % n_sensors
+    depth = np.maximum(0, 20 - abs(touch - np.arange(n_sensors))) * rng.uniform(0.5, 2, n_sensors)
+    depth[:, 7] = 0
+    return (maximum_entropy_codes(depth, bins) + 2) % bins
+
+
+@given(codes=tables)
+@settings(deadline=None, max_examples=60)
+def test_counts_are_those_of_all_pairs_of_series(way, codes):
+    layout = Layout.of(code_counts(codes, 6))
+    series = [
+        (codes[:, sensor] == code)
+        for sensor in range(codes.shape[1])
+        for code in np.unique(codes[:, sensor])
+        if code != layout.reference[sensor]
+    ]
+    expected = [[np.count_nonzero(a & b) for a in series] for b in series]
+    found = co_occurrences(codes, layout)
+    np.testing.assert_array_equal(found, np.reshape(expected, found.shape))
+
+
+@given(codes=tables, cut=st.floats(0, 1))
+@settings(deadline=None, max_examples=30)
+def test_counts_of_parts_add(way, codes, cut):
+    layout, at = Layout.of(code_counts(codes, 6)), int(cut * len(codes))
+    parts = [co_occurrences(part, layout) for part in (codes[:at], codes[at:]) if len(part)]
+    np.testing.assert_array_equal(sum(parts), co_occurrences(codes, layout))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_logarithms_of_joint_counts_are_those_of_the_plain_version(way, seed):
+    codes = skin_codes(seed)
+    layout = Layout.of(code_counts(codes, 6))
+    plain = statistics._joint_logarithms(codes, 5)
+    found = joint_logarithms_of_counts(co_occurrences(codes, layout), layout.first, len(codes))
+    np.testing.assert_allclose(found, plain, rtol=1e-12)
+    np.testing.assert_array_equal(found, found.T)
+    if way != "numpy":
+        direct = joint_logarithms(codes, 5)
+        np.testing.assert_allclose(direct, plain, rtol=1e-12)
+        np.testing.assert_array_equal(direct, direct.T)
+
+
+@pytest.mark.parametrize("bins", [2, 4, 8])
+def test_information_of_many_sensors_is_that_of_scikit_learn(bins):
+    codes = skin_codes(3, bins=bins)
+    information = information_of_codes(codes)
+    rng = np.random.default_rng(bins)
+    for i, j in [*rng.integers(0, codes.shape[1], (20, 2)), (40, 41), (40, 40), (7, 30)]:
+        expected = mutual_info_score(codes[:, i], codes[:, j])
+        assert information[i, j] == pytest.approx(expected, abs=1e-12)
+
+
+def test_activity_of_many_sensors_is_correlated_as_that_of_few():
+    readings = (skin_codes(4) != 2).astype(float)
+    readings[:, 30:60] = 1 - readings[:, 30:60]
+    active = estimate_rest(readings).active(readings)
+    np.testing.assert_allclose(co_activation(readings), pearson(active), atol=1e-12)
+
+
+@pytest.mark.parametrize("offset", [0, 1e4, -1e7])
+@pytest.mark.parametrize("unit", [1, 1e-30])
+def test_many_sensors_are_correlated_right_to_a_hundred_thousandth(offset, unit):
+    rng = np.random.default_rng(5)
+    n_sensors = SINGLE_SENSORS + 8
+    common = rng.standard_t(2, (3000, 40))[:, rng.integers(0, 40, n_sensors)]
+    readings = (np.maximum(0, common + rng.normal(0, 0.3, common.shape)) ** 3 + offset) * unit
+    readings[:, 11] = 0.1
+    readings[:, 13] = readings[:, 12]
+    living = np.arange(n_sensors) != 11
+    exact = np.corrcoef((readings[:, living] - readings[:, living].mean(axis=0)).T / unit)
+    r = pearson(readings)
+    assert abs(r[np.ix_(living, living)] - exact).max() < 1e-5
+    np.testing.assert_array_equal(r, r.T)
+    np.testing.assert_array_equal(np.diag(r), 1)
+    np.testing.assert_array_equal(r[11], np.eye(n_sensors)[11])
+    assert r[12, 13] == pytest.approx(1, abs=1e-6)
+
+
+def test_few_sensors_need_nothing_compiled():
+    program = (
+        "import sys, numpy as np; from anisomap import Recording, reconstruct;"
+        "from anisomap.methods import METHODS;"
+        "touch = np.random.default_rng(0).uniform(size=(900, 1));"
+        "skin = Recording(np.maximum(0, 0.2 - abs(touch - np.linspace(0, 1, 30))));"
+        "[reconstruct(skin, method, 2) for method in METHODS];"
+        "assert 'numba' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -1,0 +1,157 @@
+"""Similarities against scipy and scikit-learn, and what must not change them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy import stats
+from sklearn.metrics import mutual_info_score
+
+from anisomap.methods import SIMILARITIES, MethodOptions
+from anisomap.numerics.similarity.accumulators import CHUNK_FRAMES, Moments
+from anisomap.numerics.similarity.activity import estimate_rest
+from anisomap.numerics.similarity.binning import maximum_entropy_codes
+from anisomap.numerics.similarity.statistics import (
+    co_activation,
+    information_of_codes,
+    mutual_information,
+    pearson,
+    spearman,
+)
+
+OPTIONS = MethodOptions()
+
+
+def skin_like(seed, n_frames=400, n_sensors=7):
+    """Sparse, heavy-tailed, correlated in space: a contact that wanders along a line."""
+    rng = np.random.default_rng(seed)
+    touch = np.cumsum(rng.normal(0, 0.5, n_frames))[:, None] % n_sensors
+    depth = np.maximum(0, 1.5 - abs(touch - np.arange(n_sensors)))
+    return np.round(depth**3 * rng.uniform(0.5, 2, n_sensors), 3)
+
+
+@pytest.fixture(params=range(3))
+def readings(request):
+    return skin_like(request.param)
+
+
+def test_pearson_equals_numpy(readings):
+    np.testing.assert_allclose(pearson(readings), np.corrcoef(readings.T), atol=1e-12)
+
+
+def test_spearman_equals_scipy(readings):
+    expected = stats.spearmanr(readings).statistic
+    np.testing.assert_allclose(spearman(readings), expected, atol=1e-12)
+
+
+def test_co_activation_is_phi_of_the_two_by_two_table(readings):
+    active = readings > 0
+    phi = co_activation(readings)
+    for i, j in [(0, 1), (2, 5), (3, 4)]:
+        table = stats.contingency.crosstab(active[:, i], active[:, j]).count
+        strength = stats.contingency.association(table, method="cramer")
+        assert abs(phi[i, j]) == pytest.approx(strength, abs=1e-12)
+
+
+@pytest.mark.parametrize("bins", [2, 4, 6, 8])
+def test_mutual_information_equals_scikit_learn(readings, bins):
+    codes = maximum_entropy_codes(readings, bins)
+    information = mutual_information(readings, bins)
+    for i in range(codes.shape[1]):
+        for j in range(codes.shape[1]):
+            expected = mutual_info_score(codes[:, i], codes[:, j])
+            assert information[i, j] == pytest.approx(expected, abs=1e-12)
+
+
+def test_information_of_known_distributions():
+    fair = np.array([[0, 0], [0, 1], [1, 0], [1, 1]] * 5)
+    np.testing.assert_allclose(information_of_codes(fair), np.log(2) * np.eye(2), atol=1e-15)
+    copied = fair[:, [0, 0]]
+    np.testing.assert_allclose(information_of_codes(copied), np.log(2), atol=1e-15)
+
+
+@pytest.mark.parametrize("name", SIMILARITIES)
+def test_every_similarity_is_symmetric_to_the_last_bit(name, readings):
+    similarity = SIMILARITIES[name].compute(readings, OPTIONS)
+    np.testing.assert_array_equal(similarity, similarity.T)
+
+
+@pytest.mark.parametrize("name", SIMILARITIES)
+def test_relabelling_the_sensors_only_relabels_the_similarity(name, readings):
+    order = np.random.default_rng(5).permutation(readings.shape[1])
+    similarity = SIMILARITIES[name].compute(readings, OPTIONS)
+    relabelled = SIMILARITIES[name].compute(readings[:, order], OPTIONS)
+    np.testing.assert_allclose(relabelled, similarity[np.ix_(order, order)], atol=1e-13)
+
+
+@pytest.mark.parametrize("name", SIMILARITIES)
+@given(
+    gain=st.sampled_from([0.25, 0.5, 2.0, 64.0]),
+    offset=st.sampled_from([0.0, -8.0, 240.0]),
+)
+@settings(max_examples=12, deadline=None)
+def test_units_and_offsets_of_a_sensor_do_not_matter(name, gain, offset):
+    readings = skin_like(9)
+    similarity = SIMILARITIES[name].compute(readings, OPTIONS)
+    changed = readings.copy()
+    changed[:, 2] = gain * np.round(readings[:, 2] * 8) + offset
+    readings[:, 2] = np.round(readings[:, 2] * 8)
+    similarity = SIMILARITIES[name].compute(readings, OPTIONS)
+    np.testing.assert_allclose(SIMILARITIES[name].compute(changed, OPTIONS), similarity, atol=1e-12)
+
+
+def test_a_skin_that_falls_when_pressed_is_as_active_as_one_that_rises(readings):
+    fallen = 240 - 16 * np.round(readings * 4)
+    risen = np.round(readings * 4)
+    np.testing.assert_array_equal(
+        estimate_rest(fallen).active(fallen), estimate_rest(risen).active(risen)
+    )
+
+
+def test_noise_at_rest_is_not_contact():
+    rng = np.random.default_rng(0)
+    readings = 240 + np.round(rng.normal(0, 0.8, size=(4000, 1))).clip(-2, 2)
+    touched = slice(1000, 1300)
+    readings[touched] -= 40
+    active = estimate_rest(readings).active(readings)[:, 0]
+    assert active[touched].all()
+    assert active.sum() == 300
+
+
+@given(
+    arrays(np.float64, (12, 3), elements=st.floats(-1e6, 1e6)),
+    st.integers(1, 11),
+)
+@settings(deadline=None)
+def test_moments_of_parts_merge_to_the_moments_of_the_whole(readings, cut):
+    whole = Moments.of(readings)
+    merged = Moments.of(readings[:cut]).merged(Moments.of(readings[cut:]))
+    scale = max(1.0, float(abs(readings).max()))
+    assert merged.n_frames == whole.n_frames
+    np.testing.assert_allclose(merged.mean, whole.mean, atol=1e-12 * scale)
+    np.testing.assert_allclose(merged.comoment, whole.comoment, atol=1e-11 * scale**2)
+
+
+def test_chunks_do_not_show():
+    rng = np.random.default_rng(1)
+    readings = rng.normal(1e4, 1, size=(2 * CHUNK_FRAMES + 17, 3)).astype(np.float32)
+    exact = np.corrcoef(readings.astype(np.float64).T)
+    np.testing.assert_allclose(pearson(readings), exact, atol=1e-10)
+    codes = maximum_entropy_codes(readings, 3)
+    expected = mutual_info_score(codes[:, 0], codes[:, 1])
+    assert information_of_codes(codes)[0, 1] == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("constant", [0.1, 1e9, -3.0])
+def test_a_sensor_that_never_varies_is_like_no_other(constant):
+    readings = skin_like(3)
+    readings[:, 1] = constant
+    r = pearson(readings)
+    np.testing.assert_array_equal(r[1], np.eye(7)[1])
+    assert mutual_information(readings)[1].max() == 0
+
+
+@pytest.mark.parametrize("unit", [2.0**1000, 2.0**-1000])
+def test_readings_of_absurd_magnitude_are_correlated_all_the_same(unit, readings):
+    np.testing.assert_array_equal(pearson(readings * unit), pearson(readings))
