@@ -139,7 +139,7 @@ def test_a_defect_of_ours_is_owned_up_to(run, skin_csv, monkeypatch):
         raise KeyError(message)
 
     monkeypatch.delenv("ANISOMAP_DEBUG")
-    monkeypatch.setattr("anisomap.cli.pipeline.formats.read", broken)
+    monkeypatch.setattr("anisomap.cli.pipeline.io.read", broken)
     found = run("map", skin_csv)
     assert found.code == 70
     assert "defect in anisomap" in found.err

@@ -26,7 +26,7 @@ class Section:
     """An experiment as the page shows it; `kept` is None if it was left out."""
 
     experiment: Experiment
-    kept: cache.Kept | None
+    kept: results.Kept | None
 
 
 def write_page(
