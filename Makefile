@@ -31,7 +31,7 @@ paper: $(READY)  ## every figure and table of the paper, in paper-out/ (RECORDIN
 	@$(BIN)/anisomap paper --output-dir $(OUT_PAPER) $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
 numbers: paper  ## the numbers in README and docs, from what make paper left
-	$(BIN)/python -m anisomap.paper.numbers $(OUT_PAPER) docs/results docs/paper.md README.md
+	$(BIN)/python -m anisomap.paper.numbers $(OUT_PAPER) docs/results docs/explanation/paper.md README.md
 
 test: $(READY)  ## every test
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile

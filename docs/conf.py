@@ -1,5 +1,14 @@
 """How the documentation is built: Sphinx, MyST Markdown, numpydoc."""
 
+import html
+
+from docutils import nodes
+from docutils.utils.math import MathError
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.application import Sphinx
+from sphinx.util import logging
+from sphinx.writers.html5 import HTML5Translator
+
 from anisomap import __version__
 
 project = "anisomap"
@@ -9,10 +18,9 @@ release = __version__
 
 extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc"]
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["_build", "*-table.md"]  # tables are parts of other pages
+exclude_patterns = ["_build", "*-table.md"]  # tables are included by other pages
 myst_enable_extensions = ["deflist", "dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 3
-
 
 autosummary_generate = False
 autodoc_typehints = "none"
@@ -21,4 +29,29 @@ numpydoc_class_members_toctree = False
 
 html_theme = "furo"
 html_title = "anisomap"
-html_static_path = []
+html_static_path = ["_static"]
+html_css_files = ["math.css"]
+html_math_renderer = "mathml"
+
+
+def setup(app: Sphinx) -> None:
+    """Render equations as MathML, which browsers display without scripts or a network."""
+    app.add_html_math_renderer("mathml", (_visit_inline, None), (_visit_block, None))
+
+
+def _visit_inline(translator: HTML5Translator, node: nodes.math) -> None:
+    translator.body.append(_mathml(node))
+    raise nodes.SkipNode
+
+
+def _visit_block(translator: HTML5Translator, node: nodes.math_block) -> None:
+    translator.body += ['<div class="math">', _mathml(node, as_block=True), "</div>\n"]
+    raise nodes.SkipNode
+
+
+def _mathml(node: nodes.Element, *, as_block: bool = False) -> str:
+    try:
+        return str(tex2mathml(node.astext(), as_block=as_block))
+    except MathError as error:
+        logging.getLogger(__name__).warning("equation: %s", error, location=node)
+        return html.escape(node.astext())
