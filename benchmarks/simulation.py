@@ -15,7 +15,7 @@ def main(n_frames: int = 2000) -> None:
     print("|---|---|---|---|")
     made = [find_body(name) for name in BODIES]
     for name, scenario in SCENARIOS.items():
-        suited = [body for body in made if scenario.suits(body)]
+        suited = [body for body in made if scenario.accepts(body)]
         hardest = max(suited, key=lambda body: (len(body.solids), body.solids[0].kind != "sphere"))
         for body in (suited[0], hardest):
             with warnings.catch_warnings():

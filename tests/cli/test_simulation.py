@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS, inflicted_faults
+from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS, injected_faults
 
 pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 
@@ -131,14 +131,14 @@ def test_nonsense_gets_one_sentence_and_writes_nothing(run, tmp_path, arguments,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_faults_are_inflicted_and_stay_on_the_record(run, tmp_path, skin_npz):
+def test_injected_faults_are_documented_in_the_file(run, tmp_path, skin_npz):
     outcome = run(
         *("spoil", skin_npz, "-o", "bad.npz", "--seed", "4"),
         *("-f", "dead:s1,s2", "-f", "saturating:10%,level=2", "-f", "dropped-frames:share=0.2"),
     )
     assert outcome.code == 0, outcome.err
     whole, spoilt = anisomap.read(skin_npz), anisomap.read(tmp_path / "bad.npz")
-    done = inflicted_faults(spoilt)
+    done = injected_faults(spoilt)
     assert [fault.sensor for fault in done if fault.kind == "dead"] == ["s1", "s2"]
     assert sum(fault.kind == "saturating" for fault in done) == round(0.1 * whole.n_sensors)
     assert 0.7 * whole.n_frames < spoilt.n_frames < 0.9 * whole.n_frames

@@ -9,7 +9,7 @@ from PIL import Image
 from anisomap.drawing.figures import figure_bytes, stage
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.scene import Mesh, Prop, Scene
-from anisomap.simulation import BODIES, SCENARIOS, run_simulation, viewing
+from anisomap.simulation import BODIES, SCENARIOS, mujoco_viewer, run_simulation
 
 pytest.importorskip("matplotlib", reason="needs the extra 'report'")
 
@@ -61,7 +61,7 @@ def test_the_picture_shows_the_busiest_frame_with_axes_in_units():
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_every_scenario_can_be_drawn(scenario):
     pytest.importorskip("mujoco")
-    body = next(name for name in BODIES if SCENARIOS[scenario].suits(BODIES[name]()))
+    body = next(name for name in BODIES if SCENARIOS[scenario].accepts(BODIES[name]()))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # so short a run may miss sensors
         scene = run_simulation(body, scenario, n_frames=30).scene
@@ -111,8 +111,8 @@ def test_mujoco_renders_what_there_is_to_see():
     pytest.importorskip("mujoco")
     scene = run_simulation("hexagon", n_frames=3).scene
     try:
-        images = viewing.render(scene, [0, 2], width=120, height=90)
-    except viewing.NoScreenError as error:
+        images = mujoco_viewer.render(scene, [0, 2], width=120, height=90)
+    except mujoco_viewer.NoScreenError as error:
         pytest.skip(str(error))
     assert [image.shape for image in images] == [(90, 120, 3)] * 2
     assert all(len(np.unique(image.reshape(-1, 3), axis=0)) > 20 for image in images)
@@ -120,6 +120,6 @@ def test_mujoco_renders_what_there_is_to_see():
 
 
 def test_without_a_screen_the_window_says_so(monkeypatch):
-    monkeypatch.setattr(viewing, "has_screen", lambda: False)
-    with pytest.raises(viewing.NoScreenError, match="there is no screen"):
-        viewing.show(small_scene())
+    monkeypatch.setattr(mujoco_viewer, "has_screen", lambda: False)
+    with pytest.raises(mujoco_viewer.NoScreenError, match="there is no screen"):
+        mujoco_viewer.show(small_scene())

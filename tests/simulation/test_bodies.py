@@ -6,7 +6,7 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.simulation.bodies import BODIES, Body
-from anisomap.simulation.bodies.paper import sphere
+from anisomap.simulation.bodies.lattice import sphere
 from anisomap.simulation.geometry import solids
 
 

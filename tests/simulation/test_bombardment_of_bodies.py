@@ -6,7 +6,7 @@ import pytest
 from anisomap.errors import InputError
 from anisomap.simulation import simulate
 from anisomap.simulation.bodies import BODIES
-from anisomap.simulation.options import fitted
+from anisomap.simulation.options import options_for
 from anisomap.simulation.physics.bombardment import BombardmentOptions, fly
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
@@ -33,7 +33,7 @@ def test_energy_and_rhythm_last_for_20_000_frames() -> None:
 def test_balls_bounce_off_every_body_and_keep_their_energy(name: str) -> None:
     body = BODIES[name]()
     unit = body.scaled(1 / body.reach)
-    options = fitted(BombardmentOptions, unit)
+    options = options_for(BombardmentOptions, unit)
     flight = fly(unit, 250, options, np.random.default_rng(5))
     assert flight.energy_drift < 0.02
     centres = flight.centres.reshape(-1, 3)

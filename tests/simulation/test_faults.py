@@ -21,8 +21,8 @@ from anisomap.simulation.faults import (
     fault_mask,
     gain_spread,
     hysteresis,
-    inflict,
-    inflicted_faults,
+    inject,
+    injected_faults,
     mirrored,
     nan_bursts,
     noisy,
@@ -58,7 +58,7 @@ def test_a_fault_touches_exactly_what_it_says(kind: str, seed: int, chosen: set[
     np.testing.assert_array_equal(spoilt.readings[~mask], before[~mask])
     assert spoilt.readings.dtype == before.dtype
     assert not mask[:, [i for i in range(6) if i not in sensors]].any()
-    done = inflicted_faults(spoilt)
+    done = injected_faults(spoilt)
     named = [f"s{i}" for i in sensors]
     if kind == "mirrored" and len(sensors) % 2:
         del named[len(sensors) // 2]  # the middle one stays what it was
@@ -67,7 +67,7 @@ def test_a_fault_touches_exactly_what_it_says(kind: str, seed: int, chosen: set[
     assert mask.sum() == sum(stop - start for fault in done for start, stop in fault.spans)
     assert spoilt.metadata["scenario"] == "made up"
     assert (spoilt.names, spoilt.rate_hz) == (whole.names, whole.rate_hz)
-    assert inflicted_faults(whole) == ()
+    assert injected_faults(whole) == ()
     assert not fault_mask(whole).any()
 
 
@@ -81,7 +81,7 @@ def test_a_fault_of_frames_leaves_right_what_it_does_not_name(
     times = np.arange(80) / 20 + np.linspace(0, 0.01, 80)
     whole = replace(whole, times=times)
     spoilt = FRAME_FAULTS[kind](whole, rng=seed, **strength)
-    (fault,) = inflicted_faults(spoilt)
+    (fault,) = injected_faults(spoilt)
     assert fault.kind == kind
     assert spoilt.times is not None
     assert (np.diff(spoilt.times) > 0).all()
@@ -175,7 +175,7 @@ def test_saturating_sensors_read_full_scale_in_their_spans(seed: int) -> None:
     whole = touched_now_and_then(seed)
     spoilt = saturating(whole, [0, 5], rng=seed)
     assert (spoilt.readings[fault_mask(spoilt)] == whole.readings.max()).all()
-    for fault in inflicted_faults(spoilt):
+    for fault in injected_faults(spoilt):
         edges = np.array(fault.spans).ravel()
         assert (np.diff(edges) > 0).all()
         assert ((edges >= 0) & (edges <= whole.n_frames)).all()
@@ -184,7 +184,7 @@ def test_saturating_sensors_read_full_scale_in_their_spans(seed: int) -> None:
 def test_saturation_comes_and_goes_at_random_as_often_and_as_long_as_asked_for() -> None:
     whole = Recording(np.zeros((200_000, 1)))
     spoilt = saturating(whole, [0], rng=1, level=5.0, mean_gap=60, mean_span=15)
-    (fault,) = inflicted_faults(spoilt)
+    (fault,) = injected_faults(spoilt)
     starts, stops = np.array(fault.spans).T
     spans, gaps = stops - starts, starts[1:] - stops[:-1]
     # Of geometric lengths, mean and standard deviation are nearly the same.
@@ -216,7 +216,7 @@ def test_noise_is_white_normal_and_as_strong_as_asked_for(level: float) -> None:
 def test_faults_compose_and_stay_on_the_record() -> None:
     whole = touched_now_and_then(4, n_frames=3000)
     spoilt = noisy(saturating(dead(whole, [1]), [2, 3], rng=1), [3], rng=1)
-    assert [(fault.kind, fault.sensor) for fault in inflicted_faults(spoilt)] == [
+    assert [(fault.kind, fault.sensor) for fault in injected_faults(spoilt)] == [
         ("dead", "s1"),
         ("saturating", "s2"),
         ("saturating", "s3"),
@@ -234,7 +234,7 @@ def test_faults_compose_and_stay_on_the_record() -> None:
 def test_names_that_would_upset_a_record_do_not() -> None:
     names = ('a "quoted" one', "commas, ; and\nbreaks", "Ω")
     spoilt = dead(Recording(np.eye(3), names=names), names)
-    assert inflicted_faults(spoilt) == tuple(
+    assert injected_faults(spoilt) == tuple(
         sorted(
             (Fault("dead", name, ((0, 3),)) for name in names), key=lambda f: names.index(f.sensor)
         )
@@ -245,7 +245,7 @@ def test_names_that_would_upset_a_record_do_not() -> None:
 def test_a_damaged_record_is_refused(record: str) -> None:
     recording = Recording(np.eye(3), metadata={"faults": record})
     with pytest.raises(InputError, match="do not say what was done"):
-        inflicted_faults(recording)
+        injected_faults(recording)
 
 
 @pytest.mark.parametrize("kind", FAULTS)
@@ -297,13 +297,13 @@ def test_faults_are_read_from_a_line_of_text() -> None:
         parse_fault(text)
         for text in ("dead:s0", "stuck: 1 , level=7", "noisy:50%,level=0.3", "dropped-frames")
     ]
-    spoilt = inflict(whole, requests, 5)
-    kinds = [fault.kind for fault in inflicted_faults(spoilt)]
+    spoilt = inject(whole, requests, 5)
+    kinds = [fault.kind for fault in injected_faults(spoilt)]
     assert kinds == ["dead", "stuck", "noisy", "noisy", "noisy", "dropped-frames"]
     assert spoilt.n_frames < whole.n_frames
-    everyone = parse_fault("thresholded:*").inflict(whole, 0)
-    assert len(inflicted_faults(everyone)) == 6
-    again = inflict(whole, requests, 5)
+    everyone = parse_fault("thresholded:*").inject(whole, 0)
+    assert len(injected_faults(everyone)) == 6
+    again = inject(whole, requests, 5)
     np.testing.assert_array_equal(again.readings, spoilt.readings)
 
 
@@ -324,7 +324,7 @@ def test_faults_are_read_from_a_line_of_text() -> None:
 )
 def test_what_cannot_be_understood_is_refused(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        parse_fault(text).inflict(touched_now_and_then(0), 0)
+        parse_fault(text).inject(touched_now_and_then(0), 0)
 
 
 def test_faults_say_what_they_miss() -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.simulation.bodies import BODIES
-from anisomap.simulation.bodies.paper import cylinder, sphere
-from anisomap.simulation.options import fitted
+from anisomap.simulation.bodies.lattice import cylinder, sphere
+from anisomap.simulation.options import options_for
 from anisomap.simulation.physics.driving import LocomotionOptions
 from anisomap.simulation.physics.locomotion import Journey, locomotion, roll
 
@@ -23,7 +23,7 @@ short_runs = pytest.mark.filterwarnings("ignore:the body did not roll well")
 def journey(request: pytest.FixtureRequest) -> tuple[Any, LocomotionOptions, Journey]:
     body = BODIES[request.param]()
     body = body.scaled(1 / body.reach)
-    options = fitted(LocomotionOptions, body)
+    options = options_for(LocomotionOptions, body)
     return body, options, roll(body, FRAMES, options, np.random.default_rng(7))
 
 
@@ -78,7 +78,7 @@ def test_it_lies_on_the_ground_and_not_in_it(journey: Any) -> None:
 @pytest.mark.parametrize("make", [sphere, cylinder])
 def test_all_of_it_touches_the_ground_over_a_run(make: Any, seed: int) -> None:
     body = make()
-    run = locomotion(body, 2000, fitted(LocomotionOptions, body), np.random.default_rng(seed))
+    run = locomotion(body, 2000, options_for(LocomotionOptions, body), np.random.default_rng(seed))
     assert run.facts["share_touched"] == 1
     assert (run.readings > 0).any(axis=0).all()
     assert 0.3 < (run.readings == 0).mean() < 0.95
@@ -120,7 +120,7 @@ def test_a_body_of_another_size_rolls_alike() -> None:
     large = sphere()
     small = large.scaled(0.05)
     runs = [
-        locomotion(body, 40, fitted(LocomotionOptions, body), np.random.default_rng(4))
+        locomotion(body, 40, options_for(LocomotionOptions, body), np.random.default_rng(4))
         for body in (large, small)
     ]
     np.testing.assert_allclose(runs[1].readings, 0.05 * runs[0].readings, atol=1e-6)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from anisomap.errors import InputError
 from anisomap.simulation.bodies import BODIES
-from anisomap.simulation.bodies.paper import plane, sphere, y_shape
+from anisomap.simulation.bodies.lattice import plane, sphere, y_shape
 from anisomap.simulation.kinematic.paths import (
     StrokeOptions,
     Wandering,
@@ -21,7 +21,7 @@ from anisomap.simulation.kinematic.paths import (
     wandering_values,
 )
 from anisomap.simulation.kinematic.settling import Cluster, settle, support
-from anisomap.simulation.options import fitted
+from anisomap.simulation.options import options_for
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -30,7 +30,7 @@ seeds = st.integers(0, 2**32 - 1)
 def wandered(name: str, n_frames: int = 2000, seed: int = 1, **given: float) -> Wandering:
     body = BODIES[name]()
     rng = np.random.default_rng(seed)
-    options = fitted(StrokeOptions, body, given)
+    options = options_for(StrokeOptions, body, given)
     return wander(body, find_skin(body, rng), n_frames, options, rng)
 
 
@@ -113,7 +113,7 @@ def test_a_ball_that_settles_reaches_as_deep_into_the_body_as_it_is_pressed(name
     body = BODIES[name]()
     rng = np.random.default_rng(4)
     skin = find_skin(body, rng)
-    path = wander(body, skin, 150, fitted(StrokeOptions, body), rng)
+    path = wander(body, skin, 150, options_for(StrokeOptions, body), rng)
     radius = 0.3 * body.reach
     depths = 0.1 * body.reach * path.presses
     cluster = Cluster(np.zeros((150, 1, 3)), np.array([radius]))

@@ -16,7 +16,7 @@ from anisomap.evaluation.scoring import score
 from anisomap.reconstruction import reconstruct
 from anisomap.scene import Prop
 from anisomap.simulation import BODIES, SCENARIOS, simulate
-from anisomap.simulation.bodies.paper import plane, sphere, y_shape
+from anisomap.simulation.bodies.lattice import plane, sphere, y_shape
 from anisomap.simulation.kinematic.paths import find_skin
 from anisomap.simulation.kinematic.pressing import PressingOptions, draw_presses
 from anisomap.simulation.kinematic.pulses import PulsesOptions, draw_pulses, read_pulses
@@ -29,7 +29,7 @@ from anisomap.simulation.kinematic.self_touch import (
     with_fingertip,
 )
 from anisomap.simulation.kinematic.settling import support
-from anisomap.simulation.options import fitted
+from anisomap.simulation.options import options_for
 from anisomap.simulation.sensing import read_balls, read_capsules, read_half_spaces
 
 KINEMATIC = ("rubbing", "roller", "pressing", "self-touch", "pulses")
@@ -125,7 +125,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(
 def test_a_default_run_touches_every_sensor_and_leaves_most_of_them_alone(
     body: str, scenario: str
 ) -> None:
-    options = fitted(SCENARIOS[scenario].options, BODIES[body]())
+    options = options_for(SCENARIOS[scenario].options, BODIES[body]())
     made = BODIES[body]()
     run = SCENARIOS[scenario].run(made, 2000, options, np.random.default_rng(2))
     touched = run.readings > 0
@@ -140,7 +140,7 @@ def test_a_default_run_touches_every_sensor_and_leaves_most_of_them_alone(
 def test_a_body_twice_as_large_is_touched_alike(scenario: str) -> None:
     chosen = SCENARIOS[scenario]
     runs = [
-        chosen.run(body, 50, fitted(chosen.options, body), np.random.default_rng(3))
+        chosen.run(body, 50, options_for(chosen.options, body), np.random.default_rng(3))
         for body in (y_shape(), y_shape().scaled(2))
     ]
     growth = 1 if scenario == "pulses" else 2
@@ -158,7 +158,7 @@ def test_pressing_deeper_never_lowers_a_reading(
     made = BODIES[body]()
     runs = []
     for depth in depths:
-        options = fitted(SCENARIOS[scenario].options, made, {"press_depth": depth})
+        options = options_for(SCENARIOS[scenario].options, made, {"press_depth": depth})
         runs.append(SCENARIOS[scenario].run(made, 200, options, np.random.default_rng(4)).readings)
     # Among the arms of the Y, a thing that is pressed harder may settle elsewhere.
     share = 0.97 if body == "y-shape" else 1.0
@@ -201,7 +201,7 @@ def test_two_hands_touch_at_once_and_each_reading_is_the_deeper_of_the_two() -> 
 
 def test_a_roller_touches_whole_lines_of_sensors() -> None:
     body = plane()
-    options = fitted(RollerOptions, body, {"detection_radius": 0.1})
+    options = options_for(RollerOptions, body, {"detection_radius": 0.1})
     run = SCENARIOS["roller"].run(body, 400, options, np.random.default_rng(7))
     elongated = []
     for row in run.readings:

@@ -30,7 +30,7 @@ def test_every_scenario_of_every_body_gives_a_recording_that_says_where_it_came_
 ) -> None:
     needs_mujoco()
     made = BODIES[body]()
-    if not SCENARIOS[scenario].suits(made):
+    if not SCENARIOS[scenario].accepts(made):
         with pytest.raises(InputError, match=f"the body {body} "):
             simulate(body, scenario, n_frames=40)
         return
@@ -54,7 +54,7 @@ def test_every_scenario_of_every_body_gives_a_recording_that_says_where_it_came_
     told = recording.metadata
     assert (told["body"], told["scenario"], told["seed"]) == (body, scenario, 3)
     assert told["anisomap"] == __version__
-    if SCENARIOS[scenario].on_mujoco:
+    if SCENARIOS[scenario].uses_mujoco:
         assert told["mujoco"] == sys.modules["mujoco"].__version__
     assert all(type(value) in (str, int, float, bool) for value in told.values())
     for name, default in vars(SCENARIOS[scenario].options()).items():

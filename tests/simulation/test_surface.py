@@ -9,9 +9,9 @@ from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
 from anisomap.simulation.bodies import BODIES
-from anisomap.simulation.bodies.further import DENSEST, covered, uneven_sphere
 from anisomap.simulation.bodies.geodesics import surface_distances
-from anisomap.simulation.bodies.paper import cylinder, great_circles, plane, sphere
+from anisomap.simulation.bodies.lattice import cylinder, great_circles, plane, sphere
+from anisomap.simulation.bodies.poisson_disc import DENSEST, covered, uneven_sphere
 from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.spreading import sample_surface, spread
 

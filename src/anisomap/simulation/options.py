@@ -13,7 +13,7 @@ from typing import Any
 
 from anisomap.errors import InputError
 from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.bodies.paper import sphere
+from anisomap.simulation.bodies.lattice import sphere
 
 REACH = "reach"
 SPACING = "spacing"
@@ -33,7 +33,7 @@ def parameter(default: float, unit: str, per: str) -> Any:
     return field(default=default, metadata={"unit": unit, "per": per})
 
 
-def fitted(kind: type[Any], body: Body, given: Mapping[str, Any] | None = None) -> Any:
+def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = None) -> Any:
     """Make options for a body.
 
     Parameters

@@ -28,7 +28,7 @@ from anisomap.simulation.kinematic.pulses import PulsesOptions, pulses
 from anisomap.simulation.kinematic.rolling import RollerOptions, roller
 from anisomap.simulation.kinematic.rubbing import RubbingOptions, rubbing
 from anisomap.simulation.kinematic.self_touch import SelfTouchOptions, self_touch
-from anisomap.simulation.options import fitted
+from anisomap.simulation.options import options_for
 from anisomap.simulation.physics.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.physics.driving import LocomotionOptions
 from anisomap.simulation.physics.locomotion import locomotion, rolls
@@ -55,17 +55,17 @@ class Scenario:
     run : callable
         Takes body, number of frames, options, a numpy Generator and a progress callable or None;
         gives a `Run`.
-    on_mujoco : bool
+    uses_mujoco : bool
         Whether it runs on the physics engine, whose version is then on the record.
-    suits : callable
+    accepts : callable
         Takes a body; tells whether this can happen to it. `run` refuses others.
     """
 
     summary: str
     options: type[Any]
     run: Callable[..., Run]
-    on_mujoco: bool = False
-    suits: Callable[[Body], bool] = lambda _: True
+    uses_mujoco: bool = False
+    accepts: Callable[[Body], bool] = lambda _: True
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +89,14 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
             "elastic balls fly about the body in a box without gravity",
             BombardmentOptions,
             bombardment,
-            on_mujoco=True,
+            uses_mujoco=True,
         ),
         "locomotion": Scenario(
             "a sphere or cylinder rolls over uneven ground under gravity",
             LocomotionOptions,
             locomotion,
-            on_mujoco=True,
-            suits=rolls,
+            uses_mujoco=True,
+            accepts=rolls,
         ),
         "rubbing": Scenario(
             "a palm rubs the skin along lines and circles, pressing more and less",
@@ -153,7 +153,7 @@ def simulate(
     progress : callable, optional
         Told the share done, from 0 to 1.
     **parameters
-        Those of the scenario, see its options; what is not given has a default that suits the
+        Those of the scenario, see its options; what is not given has a default that accepts the
         body.
 
     Returns
@@ -199,7 +199,7 @@ def run_simulation(
     check_count("n_frames", n_frames)
     chosen = find_scenario(scenario)
     skin = find_body(body, n_sensors)
-    used = fitted(chosen.options, skin, parameters)
+    used = options_for(chosen.options, skin, parameters)
     number = _seed_number(seed)
     run = chosen.run(skin, n_frames, used, np.random.default_rng(number), progress)
     facts = {
@@ -209,7 +209,7 @@ def run_simulation(
         **{name: _plain(value) for name, value in run.facts.items() if value is not None},
         "anisomap": __version__,
     }
-    if chosen.on_mujoco:
+    if chosen.uses_mujoco:
         facts["mujoco"] = load_mujoco().__version__
     carrier = run.body or skin
     recording = Recording(

@@ -16,7 +16,7 @@ from anisomap.drawing.figures import stage
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
 from anisomap.scene import Scene
-from anisomap.simulation import Body, Simulation, run_simulation, simulate_runs, viewing
+from anisomap.simulation import Body, Simulation, mujoco_viewer, run_simulation, simulate_runs
 
 _looks = Group("Looks", sort_key=1)
 
@@ -155,8 +155,8 @@ def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
     frames = range(min(stage.LONGEST_ANIMATION, scene.n_frames)) if video else range(0)
     try:
         with progress("rendering the scene"):
-            images = viewing.render(scene, [stage.busiest_frame(scene), *frames])
-    except viewing.NoScreenError as error:
+            images = mujoco_viewer.render(scene, [stage.busiest_frame(scene), *frames])
+    except mujoco_viewer.NoScreenError as error:
         warn(f"{error}; drawn instead")
         return False
     if picture:
@@ -168,6 +168,6 @@ def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
 
 def _view(scene: Scene) -> None:
     try:
-        viewing.show(scene)
-    except viewing.NoScreenError as error:
+        mujoco_viewer.show(scene)
+    except mujoco_viewer.NoScreenError as error:
         warn(f"{error}; --picture and --video need none")

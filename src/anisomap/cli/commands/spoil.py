@@ -15,8 +15,8 @@ from anisomap.cli import pipeline
 from anisomap.cli.console import show_table
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
-from anisomap.simulation import inflict, inflicted_faults, parse_fault
-from anisomap.simulation.faults import EVERY
+from anisomap.simulation import inject, injected_faults, parse_fault
+from anisomap.simulation.faults import ALL_SENSORS
 from anisomap.wording import listing
 
 
@@ -48,12 +48,12 @@ def spoil(
     io.check_writable(output)
     if output.suffix.lower() != ".npz":
         raise InputError(f"a recording is written as NPZ, so {output} must end in .npz")
-    spoilt = inflict(pipeline.read(recording), requests, seed)
+    spoilt = inject(pipeline.read(recording), requests, seed)
     io.write(spoilt, output)
     sensors: defaultdict[str, list[str]] = defaultdict(list)
     frames: defaultdict[str, int] = defaultdict(int)
-    for done in inflicted_faults(spoilt):
-        sensors[done.kind].append({EVERY: "all", "": "-"}.get(done.sensor, done.sensor))
+    for done in injected_faults(spoilt):
+        sensors[done.kind].append({ALL_SENSORS: "all", "": "-"}.get(done.sensor, done.sensor))
         frames[done.kind] += sum(stop - start for start, stop in done.spans)
     show_table(
         "Faults on the record",

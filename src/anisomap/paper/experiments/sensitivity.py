@@ -17,7 +17,7 @@ from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Setting
 from anisomap.paper.runs import BOMBARDED, CASES, METHODS, Case, make_map
 from anisomap.recording import Recording
 from anisomap.simulation import find_body, find_scenario
-from anisomap.simulation.options import fitted
+from anisomap.simulation.options import options_for
 
 _COLUMNS = {
     "run": "body and scenario",
@@ -102,7 +102,7 @@ def _bins(case: Case, settings: Settings, seed: int, values: tuple[float, ...]) 
 
 
 def _usual(case: Case) -> Mapping[str, Any]:
-    return dict(vars(fitted(find_scenario(case.scenario).options, find_body(case.body))))
+    return dict(vars(options_for(find_scenario(case.scenario).options, find_body(case.body))))
 
 
 def measure(sweep: Sweep, case: Case, settings: Settings, _: Tables) -> Outcome:

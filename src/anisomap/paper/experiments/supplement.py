@@ -16,7 +16,7 @@ from anisomap.paper.experiments.quality import PATCH_RUNS
 from anisomap.paper.runs import BOMBARDED, FAILING, ROLLED, SILENT, Case, patch_run
 from anisomap.recording import Recording
 from anisomap.simulation import find_body, find_scenario
-from anisomap.simulation.options import fitted
+from anisomap.simulation.options import options_for
 
 _WIDTH = 100
 _FILES = {
@@ -136,7 +136,7 @@ def _text_s1(cases: Iterable[Case]) -> str:
 def _words_on(case: Case) -> str:
     """Describe a body, a scenario and all its parameters."""
     entry, body = find_scenario(case.scenario), find_body(case.body)
-    options = fitted(entry.options, body)
+    options = options_for(entry.options, body)
     about = parse_docstring(inspect.cleandoc(inspect.getdoc(entry.run) or ""))
     lines = [
         f"{case.body}, {case.scenario}",

@@ -4,7 +4,15 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from anisomap.simulation.bodies.body import UNITS, Body
-from anisomap.simulation.bodies.further import (
+from anisomap.simulation.bodies.hexagonal_patch import hexagon
+from anisomap.simulation.bodies.imported import (
+    body_from_mesh,
+    body_from_mjcf,
+    body_from_points,
+    load_body,
+)
+from anisomap.simulation.bodies.lattice import cylinder, plane, sphere, y_shape
+from anisomap.simulation.bodies.poisson_disc import (
     cube,
     hand,
     hemisphere,
@@ -13,14 +21,6 @@ from anisomap.simulation.bodies.further import (
     tube,
     uneven_sphere,
 )
-from anisomap.simulation.bodies.imported import (
-    body_from_mesh,
-    body_from_mjcf,
-    body_from_points,
-    load_body,
-)
-from anisomap.simulation.bodies.paper import cylinder, plane, sphere, y_shape
-from anisomap.simulation.bodies.patch import hexagon
 
 __all__ = [
     "BODIES",

@@ -3,18 +3,18 @@
 To add a fault, add one function and one line to `FAULTS` or `FRAME_FAULTS`.
 """
 
-from anisomap.simulation.faults.record import (
-    EVERY,
+from anisomap.simulation.faults.log import (
+    ALL_SENSORS,
     RECORD,
     Fault,
     fault_mask,
-    inflicted_faults,
+    injected_faults,
 )
 from anisomap.simulation.faults.request import (
     FAULTS,
     FRAME_FAULTS,
     FaultRequest,
-    inflict,
+    inject,
     parse_fault,
 )
 from anisomap.simulation.faults.sensors import (
@@ -33,7 +33,7 @@ from anisomap.simulation.faults.timing import clock_jitter, dropped_frames, repe
 from anisomap.simulation.faults.wiring import crosstalk, duplicated, mirrored, swapped
 
 __all__ = [
-    "EVERY",
+    "ALL_SENSORS",
     "FAULTS",
     "FRAME_FAULTS",
     "RECORD",
@@ -48,8 +48,8 @@ __all__ = [
     "fault_mask",
     "gain_spread",
     "hysteresis",
-    "inflict",
-    "inflicted_faults",
+    "inject",
+    "injected_faults",
     "mirrored",
     "nan_bursts",
     "noisy",

@@ -11,7 +11,7 @@ import numpy as np
 
 from anisomap.errors import InputError
 from anisomap.recording import Recording
-from anisomap.simulation.faults.record import EVERY
+from anisomap.simulation.faults.log import ALL_SENSORS
 from anisomap.simulation.faults.sensors import (
     Randomness,
     dead,
@@ -76,7 +76,7 @@ class FaultRequest:
     sensors: tuple[str, ...]
     parameters: tuple[tuple[str, float], ...] = ()
 
-    def inflict(self, recording: Recording, rng: Randomness) -> Recording:
+    def inject(self, recording: Recording, rng: Randomness) -> Recording:
         """Do it to a recording.
 
         Raises
@@ -126,7 +126,7 @@ def parse_fault(text: str) -> FaultRequest:
     return FaultRequest(kind, sensors, parameters)
 
 
-def inflict(
+def inject(
     recording: Recording, requests: Iterable[FaultRequest], rng: Randomness = 0
 ) -> Recording:
     """Do several faults to a recording, one after the other.
@@ -143,7 +143,7 @@ def inflict(
     """
     generator = np.random.default_rng(rng)
     for request in requests:
-        recording = request.inflict(recording, generator)
+        recording = request.inject(recording, generator)
     return recording
 
 
@@ -170,7 +170,7 @@ def _resolve(sensors: tuple[str, ...], recording: Recording, rng: np.random.Gene
     for text in sensors:
         if text in recording.names:
             chosen.append(text)
-        elif text == EVERY:
+        elif text == ALL_SENSORS:
             chosen += recording.names
         elif text.endswith("%"):
             chosen += _at_random(text, recording, rng)

@@ -15,7 +15,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.similarity.activity import estimate_rest
 from anisomap.recording import Recording
 from anisomap.simulation.checks import check_count, check_positive
-from anisomap.simulation.faults.record import (
+from anisomap.simulation.faults.log import (
     Fault,
     Spans,
     random_spans,
@@ -49,7 +49,7 @@ def dead(recording: Recording, sensors: Sensors, *, rng: Randomness = 0) -> Reco
     def silence(column: Column) -> tuple[Column, Spans]:
         return np.full_like(column, rest_of(column)), throughout(column.size)
 
-    return _inflict(recording, "dead", sensors, silence)
+    return _inject(recording, "dead", sensors, silence)
 
 
 def saturating(
@@ -96,7 +96,7 @@ def saturating(
             column[start:stop] = full_scale
         return column, spans
 
-    return _inflict(recording, "saturating", sensors, jump)
+    return _inject(recording, "saturating", sensors, jump)
 
 
 def noisy(
@@ -130,7 +130,7 @@ def noisy(
     def disturb(column: Column) -> tuple[Column, Spans]:
         return column + spread * generator.standard_normal(column.size), throughout(column.size)
 
-    return _inflict(recording, "noisy", sensors, disturb)
+    return _inject(recording, "noisy", sensors, disturb)
 
 
 def stuck(
@@ -164,7 +164,7 @@ def stuck(
         value = generator.uniform((lowest + highest) / 2, highest) if level is None else level
         return np.full_like(column, value), throughout(column.size)
 
-    return _inflict(recording, "stuck", sensors, stick)
+    return _inject(recording, "stuck", sensors, stick)
 
 
 def drifting(
@@ -198,7 +198,7 @@ def drifting(
         furthest = float(np.abs(walk).max()) or 1.0
         return column + level * (highest - lowest) / furthest * walk, throughout(column.size)
 
-    return _inflict(recording, "drifting", sensors, drift)
+    return _inject(recording, "drifting", sensors, drift)
 
 
 def gain_spread(
@@ -229,7 +229,7 @@ def gain_spread(
     def amplify(column: Column) -> tuple[Column, Spans]:
         return column * factor ** generator.uniform(-0.5, 0.5), throughout(column.size)
 
-    return _inflict(recording, "gain-spread", sensors, amplify)
+    return _inject(recording, "gain-spread", sensors, amplify)
 
 
 def hysteresis(
@@ -266,7 +266,7 @@ def hysteresis(
                 lagging[frame] = rest + side * left
         return lagging, throughout(column.size)
 
-    return _inflict(recording, "hysteresis", sensors, lag)
+    return _inject(recording, "hysteresis", sensors, lag)
 
 
 def quantised(
@@ -297,7 +297,7 @@ def quantised(
     def quantise(column: Column) -> tuple[Column, Spans]:
         return lowest + step * np.round((column - lowest) / step), throughout(column.size)
 
-    return _inflict(recording, "quantised", sensors, quantise)
+    return _inject(recording, "quantised", sensors, quantise)
 
 
 def thresholded(
@@ -326,7 +326,7 @@ def thresholded(
         touched = np.abs(column - rest_of(column)) > level * (highest - lowest)
         return np.where(np.isfinite(column), touched, column), throughout(column.size)
 
-    return _inflict(recording, "thresholded", sensors, threshold)
+    return _inject(recording, "thresholded", sensors, threshold)
 
 
 def nan_bursts(
@@ -362,7 +362,7 @@ def nan_bursts(
             column[start:stop] = np.nan
         return column, spans
 
-    return _inflict(recording, "nan-bursts", sensors, lose)
+    return _inject(recording, "nan-bursts", sensors, lose)
 
 
 def rest_of(column: Column) -> float:
@@ -371,7 +371,7 @@ def rest_of(column: Column) -> float:
     return float(estimate_rest(filled).value[0])
 
 
-def _inflict(
+def _inject(
     recording: Recording,
     kind: str,
     sensors: Sensors,

@@ -8,11 +8,11 @@ import numpy as np
 
 from anisomap.errors import InputError
 from anisomap.recording import Recording
-from anisomap.simulation.faults.record import (
-    EVERY,
+from anisomap.simulation.faults.log import (
+    ALL_SENSORS,
     Fault,
     Spans,
-    inflicted_faults,
+    injected_faults,
     on_record,
     spoilt,
     throughout,
@@ -45,7 +45,7 @@ def dropped_frames(recording: Recording, *, rng: Randomness = 0, share: float = 
     kept = np.flatnonzero(~lost)
     after_gap = np.flatnonzero(np.diff(kept, prepend=-1) > 1)
     earlier = [
-        replace(fault, spans=_left_of(fault.spans, kept)) for fault in inflicted_faults(recording)
+        replace(fault, spans=_left_of(fault.spans, kept)) for fault in injected_faults(recording)
     ]
     times = None if recording.times is None else recording.times[kept]
     shorter = replace(recording, readings=recording.readings[kept], times=times)
@@ -72,7 +72,7 @@ def repeated_frames(recording: Recording, *, rng: Randomness = 0, share: float =
     stale = np.random.default_rng(rng).random(recording.n_frames) < share
     stale[0] = False
     source = np.maximum.accumulate(np.where(stale, 0, np.arange(recording.n_frames)))
-    fault = Fault("repeated-frames", EVERY, _single(np.flatnonzero(stale)))
+    fault = Fault("repeated-frames", ALL_SENSORS, _single(np.flatnonzero(stale)))
     return spoilt(recording, recording.readings[source], [fault])
 
 
@@ -114,7 +114,7 @@ def clock_jitter(recording: Recording, *, rng: Randomness = 0, level: float = 0.
     shake = level * typical * np.random.default_rng(rng).standard_normal(len(times))
     shaken = replace(recording, times=times + np.clip(shake, -room, room))
     fault = Fault("clock-jitter", "", throughout(recording.n_frames))
-    return on_record(shaken, [*inflicted_faults(recording), fault])
+    return on_record(shaken, [*injected_faults(recording), fault])
 
 
 def _check_share(share: float, name: str = "share") -> None:

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.recording import Recording
-from anisomap.simulation.faults.record import Fault, spoilt, throughout
+from anisomap.simulation.faults.log import Fault, spoilt, throughout
 from anisomap.simulation.faults.sensors import Randomness, Sensors
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import InputError
 from anisomap.scene import Prop
 from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.bodies.paper import great_circles
+from anisomap.simulation.bodies.lattice import great_circles
 from anisomap.simulation.checks import check_count, check_positive
 from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.solids import Points

@@ -16,7 +16,7 @@ from anisomap.recording import Recording
 RECORD = "faults"
 """Key of the metadata that holds, as JSON, what was done."""
 
-EVERY = "*"
+ALL_SENSORS = "*"
 """Stands for every sensor."""
 
 Spans: TypeAlias = tuple[tuple[int, int], ...]
@@ -31,7 +31,7 @@ class Fault:
     kind : str
         A name in `FAULTS` or `FRAME_FAULTS`.
     sensor : str
-        Its name; `EVERY` for all of them; empty if no reading is wrong, but its time is.
+        Its name; `ALL_SENSORS` for all of them; empty if no reading is wrong, but its time is.
     spans : tuple of (int, int)
         Frames that it may have changed: from the first number up to, not including, the second.
     """
@@ -41,7 +41,7 @@ class Fault:
     spans: Spans
 
 
-def inflicted_faults(recording: Recording) -> tuple[Fault, ...]:
+def injected_faults(recording: Recording) -> tuple[Fault, ...]:
     """Tell what was done to a recording by the faults of this module.
 
     Parameters
@@ -91,11 +91,11 @@ def fault_mask(recording: Recording, kinds: Sequence[str] = ()) -> NDArray[np.bo
     """
     mask = np.zeros(recording.readings.shape, dtype=bool)
     column = {name: i for i, name in enumerate(recording.names)}
-    for fault in inflicted_faults(recording):
+    for fault in injected_faults(recording):
         if kinds and fault.kind not in kinds:
             continue
         for start, stop in fault.spans:
-            if fault.sensor == EVERY:
+            if fault.sensor == ALL_SENSORS:
                 mask[start:stop] = True
             elif fault.sensor in column:
                 mask[start:stop, column[fault.sensor]] = True
@@ -118,7 +118,7 @@ def spoilt(
     -------
     Recording
     """
-    return on_record(replace(recording, readings=readings), [*inflicted_faults(recording), *faults])
+    return on_record(replace(recording, readings=readings), [*injected_faults(recording), *faults])
 
 
 def on_record(recording: Recording, faults: Iterable[Fault]) -> Recording:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.bodies.paper import (
+from anisomap.simulation.bodies.lattice import (
     CYLINDER_LENGTH,
     CYLINDER_RADIUS,
     SPHERE_RADIUS,
