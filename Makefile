@@ -1,4 +1,4 @@
-# One word each; every target sets up what it needs in .venv. Python 3.11+ and make are enough.
+# Every target sets up .venv first. Requires Python 3.11 or newer and make.
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
@@ -7,11 +7,12 @@ OUT_PAPER ?= paper-out
 RECORDINGS ?=
 LARGE ?=
 ARGS ?=
+PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
-.PHONY: help demo paper numbers test check format bench quality docs clean
+.PHONY: help demo paper numbers test test-all coverage check format bench quality docs clean
 
-help:  ## this list
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+help:  ## list the targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and \
@@ -24,37 +25,43 @@ $(READY): pyproject.toml constraints.txt
 		--editable '.[all]' --group dev
 	@touch $@
 
-demo: $(READY)  ## simulate a skin, map it, score the map: picture, report and CSV in demo/
+demo: $(READY)  ## simulate a skin, map it and score the map, in demo/
 	@$(BIN)/anisomap demo --output-dir $(OUT)
 
-paper: $(READY)  ## every figure and table of the paper, in paper-out/ (RECORDINGS=folder adds real skin)
+paper: $(READY)  ## reproduce the paper, in paper-out/ (RECORDINGS=folder adds real recordings)
 	@$(BIN)/anisomap paper --output-dir $(OUT_PAPER) $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
-numbers: paper  ## the numbers in README and docs, from what make paper left
+numbers: paper  ## update the numbers in README and docs from the results of make paper
 	$(BIN)/python -m anisomap.paper.numbers $(OUT_PAPER) docs/results docs/explanation/paper.md README.md
 
-test: $(READY)  ## every test
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+test: $(READY)  ## run the tests, all but the slow ones (about three minutes)
+	$(PYTEST) -m "not slow"
 
-check: $(READY)  ## format, lint, types, architecture
+test-all: $(READY)  ## run all tests
+	$(PYTEST)
+
+coverage: $(READY)  ## measure which lines and branches the tests run
+	$(PYTEST) -m "not slow" --cov --cov-report=term
+
+check: $(READY)  ## check format, lint, types and imports between packages
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-format: $(READY)  ## put the code into the project's format
+format: $(READY)  ## format the code
 	$(BIN)/ruff format
 	$(BIN)/ruff check --fix
 
-bench: $(READY)  ## every stage and whole maps against what others do, in bench/ (LARGE=1, ARGS=--quick)
+bench: $(READY)  ## time each stage and whole maps against other libraries, in bench/ (LARGE=1, ARGS=--quick)
 	$(BIN)/python -m benchmarks $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(if $(LARGE),--large) $(ARGS)
 	$(BIN)/python -m benchmarks.simulation
 
-quality: $(READY)  ## how true the maps of every method are; RECORDINGS=folder adds real ones
+quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDINGS=folder adds real recordings)
 	$(BIN)/python -m benchmarks.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
-docs: $(READY)  ## the documentation, in docs/_build/html
+docs: $(READY)  ## build the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
-clean:  ## remove what the other targets made
-	rm -rf .venv demo bench quality paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+clean:  ## remove the output of all targets
+	rm -rf .venv demo bench quality paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov

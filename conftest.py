@@ -1,14 +1,38 @@
-"""Run the README's code, and the examples in docstrings."""
+"""Settings of every test run, and the examples in the README and in docstrings as tests."""
+
+import os
 
 import pytest
+from hypothesis import HealthCheck, settings
 from sybil import Sybil
 from sybil.parsers.doctest import DocTestParser
 from sybil.parsers.myst import PythonCodeBlockParser
 
+# One thread for linear algebra and compiled loops, here and in every process that tests start.
+# Matrices of tests are small, and pytest-xdist already runs one process per core: more threads
+# would wait for each other. Set before numpy is imported; it reads them only once.
+os.environ.update(
+    dict.fromkeys(
+        (
+            "OMP_NUM_THREADS",
+            "OPENBLAS_NUM_THREADS",
+            "MKL_NUM_THREADS",
+            "VECLIB_MAXIMUM_THREADS",
+            "NUMBA_NUM_THREADS",
+        ),
+        "1",
+    )
+)
+
+# No deadlines and no check of the speed of generation: on a busy machine they fail at random.
+settings.register_profile("default", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("ci", settings.get_profile("default"), derandomize=True)
+settings.load_profile("ci" if os.environ.get("CI") else "default")
+
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
-    """Let examples write into a folder of their own."""
+    """Run an example in an empty folder."""
     monkeypatch.chdir(tmp_path)
 
 
