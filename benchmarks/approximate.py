@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 from anisomap import SensorMap, read, reconstruct, reconstruct_approximately, score
 from anisomap.errors import AnisomapWarning
 from anisomap.evaluation import Score
-from anisomap.numerics.similarity.statistics import pearson
+from anisomap.numerics.similarity.correlation import pearson
 
 Matrix = NDArray[np.float64]
 

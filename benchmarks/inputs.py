@@ -13,8 +13,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
-from anisomap.numerics.precision import held_as
-from anisomap.numerics.similarity.statistics import pearson
+from anisomap.numerics.precision import float_type
+from anisomap.numerics.similarity.correlation import pearson
 
 Matrix = NDArray[np.floating[Any]]
 Readings = NDArray[np.float32]
@@ -107,7 +107,7 @@ def pure_noise(n_sensors: int) -> Matrix:
 
 def _held(matrix: Matrix) -> Matrix:
     """Give a matrix in the type in which so many sensors are worked on."""
-    return matrix.astype(held_as(len(matrix)), copy=False)
+    return matrix.astype(float_type(len(matrix)), copy=False)
 
 
 def tiled_torso(path: Path, n_sensors: int, n_frames: int) -> Readings:

@@ -15,7 +15,7 @@ from scipy.spatial.distance import pdist
 from sklearn import manifold
 
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.mds import torgerson
+from anisomap.numerics.scaling.classical import torgerson
 from benchmarks.inputs import flat_skin, noisy_metric, pure_noise, torso_dissimilarity
 from benchmarks.measuring import Cost, on_one_thread
 from benchmarks.race import Race, Rival, Setting, of_part

@@ -13,8 +13,9 @@ from scipy.spatial.distance import cdist
 from sklearn.manifold import smacof as sklearn_smacof
 
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.mds import Scaling, SmacofOptions, smacof, torgerson
+from anisomap.numerics.scaling.classical import torgerson
 from anisomap.numerics.scaling.stress import Problem, objective
+from anisomap.numerics.scaling.stress_minimisation import Scaling, SmacofOptions, smacof
 from benchmarks.inputs import flat_skin, round_skin
 from benchmarks.measuring import Cost, on_one_thread
 from benchmarks.race import Race, Rival, Setting, of_part

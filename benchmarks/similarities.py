@@ -13,12 +13,8 @@ from scipy.stats import spearmanr
 from sklearn.metrics import mutual_info_score
 
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
-from anisomap.numerics.similarity.statistics import (
-    co_activation,
-    information_of_codes,
-    pearson,
-    spearman,
-)
+from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
+from anisomap.numerics.similarity.information import information_from_codes
 from benchmarks.inputs import noisy_readings, stroked_skin, tiled_torso
 from benchmarks.race import Race, Rival, Setting, timed_rival
 
@@ -118,7 +114,7 @@ def _information(given: str, codes: Codes, goal: float, *, drawn: bool) -> Race:
     # Counts so large are rounded in float32 when their logarithms are taken.
     by_product = Theirs("numpy, one-hot product", one_hot_information, 1e-4, goal, WHOLE // n_codes)
     rivals = (_of_leading(codes, by_product), _by_pairs(codes, 3000))
-    compute = partial(information_of_codes, codes)
+    compute = partial(information_from_codes, codes)
     return Race("mutual information", given, compute, rivals, drawn)
 
 

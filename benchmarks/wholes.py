@@ -17,9 +17,10 @@ from anisomap.health import assess
 from anisomap.methods import compute_stages
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.mds import smacof, torgerson
+from anisomap.numerics.scaling.classical import torgerson
+from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
-from anisomap.numerics.similarity.statistics import pearson
+from anisomap.numerics.similarity.correlation import pearson
 from benchmarks.inputs import stroked_skin
 from benchmarks.measuring import Cost, on_one_thread, threads
 from benchmarks.paths import are_shortest, cost_of_eigh, cost_of_floyd_warshall

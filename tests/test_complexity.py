@@ -8,9 +8,10 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from anisomap.numerics.graph import shortest_paths
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling import mds
-from anisomap.numerics.scaling.mds import smacof, torgerson
-from anisomap.numerics.similarity import counting
+from anisomap.numerics.scaling import classical
+from anisomap.numerics.scaling.classical import torgerson
+from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.similarity import co_occurrence
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 
 SIZES = (400, 700, 1000)
@@ -64,7 +65,7 @@ def test_torgerson_takes_a_number_of_products_that_hardly_grows(metrics, monkeyp
 
         return eigsh(LinearOperator(operator.shape, multiply, dtype=operator.dtype), **options)
 
-    monkeypatch.setattr(mds, "eigsh", counted)
+    monkeypatch.setattr(classical, "eigsh", counted)
     for metric in metrics.values():
         products.append(0)
         torgerson(metric, 3)
@@ -74,15 +75,15 @@ def test_torgerson_takes_a_number_of_products_that_hardly_grows(metrics, monkeyp
 
 def laid_out(n_sensors, bins):
     codes = maximum_entropy_codes(stroked_skin(n_sensors, 2000)[0], bins)
-    counts = counting.code_counts(codes, int(codes.max()) + 1)
-    return codes, counting.Layout.of(counts)
+    counts = co_occurrence.code_counts(codes, int(codes.max()) + 1)
+    return codes, co_occurrence.Layout.of(counts)
 
 
 def meetings(n_sensors, bins):
     """Steps from entry to entry: pairs of sensors that are on in the same frame."""
     codes, layout = laid_out(n_sensors, bins)
     on = np.count_nonzero(codes != layout.reference, axis=1)
-    listed = counting._entries(codes, layout)
+    listed = co_occurrence._entries(codes, layout)
     assert len(listed[0]) == on.sum()
     return float((on.astype(np.float64) ** 2).sum())
 
@@ -90,7 +91,7 @@ def meetings(n_sensors, bins):
 def words(n_sensors, bins):
     """Words of bits that are counted if every series meets every other."""
     codes, layout = laid_out(n_sensors, bins)
-    bits = counting._bits(codes, layout)
+    bits = co_occurrence._bits(codes, layout)
     return float(len(bits)) ** 2 / 2 * bits.shape[1]
 
 

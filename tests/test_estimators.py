@@ -56,7 +56,7 @@ def test_frames_may_come_in_parts(monkeypatch):
 
 
 def test_too_many_values_for_parts_are_rounded_and_that_is_told(monkeypatch):
-    monkeypatch.setattr("anisomap.numerics.similarity.joint_values.MOST_SERIES", 42 * 50)
+    monkeypatch.setattr("anisomap.numerics.similarity.joint_values.MAX_SERIES", 42 * 50)
     mapper = SensorMapper(n_components=2, method="i-anisomap")
     with pytest.warns(AnisomapWarning, match="more than 50 different values"):
         mapper.partial_fit(SKIN.readings)

@@ -11,7 +11,7 @@ from anisomap.large.chunked_similarity import CHUNKED
 from anisomap.large.map_reduce import Crew
 from anisomap.large.streaming import reconstruct_chunks
 from anisomap.memory import check_room_for_pairs, physical_memory
-from anisomap.numerics.similarity.values import ValueCounts
+from anisomap.numerics.similarity.value_counts import ValueCounts
 
 
 @pytest.fixture

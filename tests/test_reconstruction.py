@@ -15,9 +15,9 @@ from anisomap.evaluation import mantel
 from anisomap.methods import METHODS, PAPER_METHODS, SIMILARITIES, MethodOptions, compute_stages
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
-from anisomap.numerics.reliability.correlation import sampling_variance
-from anisomap.numerics.scaling.mds import SmacofOptions
-from anisomap.numerics.similarity.statistics import pearson
+from anisomap.numerics.reliability.sampling_noise import sampling_variance
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
+from anisomap.numerics.similarity.correlation import pearson
 from anisomap.placement import spacing_of
 from anisomap.refinement import Evidence, Refined, refine_by_contacts
 from skins import flat_skin, lattice, rubbed, seeing_patch

@@ -10,7 +10,7 @@ import anisomap
 from anisomap import MethodOptions, Recording, reconstruct, reconstruct_runs, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.methods import METHODS, compute_stages
-from anisomap.numerics.scaling.mds import smacof
+from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.refinement import refine_by_covariogram
 from skins import flat_skin, seeing_patch
 

@@ -7,7 +7,7 @@ import os
 import numpy as np
 
 from anisomap.errors import InputError
-from anisomap.numerics.precision import held_as
+from anisomap.numerics.precision import float_type
 
 MATRICES, MATRICES_OF_REFINED = 8, 11
 """Matrices of all pairs that making a map takes at once: if it is only scaled, and if refined.
@@ -41,7 +41,7 @@ def check_room_for_pairs(n_sensors: int, *, refined: bool) -> None:
         If a map of them would take more memory than the machine has.
     """
     matrices = MATRICES_OF_REFINED if refined else MATRICES
-    needed = matrices * n_sensors**2 * np.dtype(held_as(n_sensors)).itemsize
+    needed = matrices * n_sensors**2 * np.dtype(float_type(n_sensors)).itemsize
     check_room(
         needed,
         f"{n_sensors} sensors have so many pairs that a map of them",

@@ -22,29 +22,25 @@ from numpy.typing import ArrayLike
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
-from anisomap.numerics.graph.dissimilarity import (
-    direct_dissimilarity,
-    information_distance,
-    regularised_reciprocal,
-    symmetric,
-)
-from anisomap.numerics.graph.metric import (
-    check_semi_metric,
-    metricise,
+from anisomap.numerics.graph.connectivity import (
     neighbour_graph,
     smallest_connected_neighbour_graph,
 )
-from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.correlation import blended_correlation, sampling_variance
-from anisomap.numerics.reliability.significance import without_chance
-from anisomap.numerics.scaling.mds import SmacofOptions
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
-from anisomap.numerics.similarity.statistics import (
-    co_activation,
-    mutual_information,
-    pearson,
-    spearman,
+from anisomap.numerics.graph.dissimilarity import (
+    as_symmetric,
+    direct_dissimilarity,
+    information_distance,
+    regularised_reciprocal,
 )
+from anisomap.numerics.graph.metric import check_semi_metric, metricise
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.sampling_noise import sampling_variance
+from anisomap.numerics.reliability.significance import remove_insignificant_links
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
+from anisomap.numerics.similarity.information import mutual_information
 from anisomap.refinement import Evidence, Refined, refine_by_contacts, refine_by_covariogram
 
 logger = logging.getLogger(__name__)
@@ -199,7 +195,7 @@ def _direct(evidence: Evidence, options: MethodOptions) -> Matrix:
         # Partial correlations take all others into account, of which too many are unknown.
         return regularised_reciprocal(np.where(evidence.known, evidence.similarity, 0), options.mu)
     apart = direct_dissimilarity(evidence.similarity, evidence.noise)
-    return without_chance(apart, evidence.similarity, evidence.noise, part=options.part)
+    return remove_insignificant_links(apart, evidence.similarity, evidence.noise, part=options.part)
 
 
 def _covariogram(
@@ -394,13 +390,15 @@ def _gathered(
         if recipe.refine is not None:
             values = np.asarray(readings)
             noise = sampling_variance(values)
-    alike = symmetric(similarity, "similarity")
+    alike = as_symmetric(similarity, "similarity")
     if recipe.refine is not None and np.abs(alike).max(initial=0) > 1 + _ROUNDING:
         raise InputError(
             f"the similarity reaches {np.abs(alike).max():g}, but this method is of correlations, "
             "from -1 to 1; r-anisomap takes any similarity"
         )
-    given = np.array(1 / options.independent_frames) if noise is None else symmetric(noise, "noise")
+    given = (
+        np.array(1 / options.independent_frames) if noise is None else as_symmetric(noise, "noise")
+    )
     return Evidence(
         alike,
         np.broadcast_to(given, alike.shape),  # what is the same everywhere takes no room

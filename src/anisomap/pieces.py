@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from anisomap.methods import MethodOptions, Refine
-from anisomap.numerics.graph.metric import components
-from anisomap.numerics.precision import Reals, rows_at_a_time
-from anisomap.numerics.scaling.mds import Scaling, SmacofOptions, smacof
+from anisomap.numerics.graph.connectivity import components
+from anisomap.numerics.precision import Reals, row_blocks
+from anisomap.numerics.scaling.stress_minimisation import Scaling, SmacofOptions, smacof
 from anisomap.recording import Scalar
 from anisomap.refinement import Evidence
 
@@ -169,12 +169,12 @@ def _best_scale(positions: NDArray[np.float64], apart: Reals) -> tuple[float, fl
         Sum of the squares of the distances between the places.
     """
     size = product = missed = 0.0
-    for rows in rows_at_a_time(len(positions)):
+    for rows in row_blocks(len(positions)):
         distances = cdist(positions[rows], positions)
         size += float(np.vdot(distances, distances))
         product += float((distances * apart[rows]).sum())
     scale = product / size if size > 0 else 0.0
-    for rows in rows_at_a_time(len(positions)):
+    for rows in row_blocks(len(positions)):
         missed += float(
             ((scale * cdist(positions[rows], positions) - apart[rows]) ** 2).sum(dtype=np.float64)
         )

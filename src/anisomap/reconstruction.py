@@ -29,8 +29,8 @@ from anisomap.methods import (
     find_method,
 )
 from anisomap.numerics.covariogram.objective import CovariogramOptions
-from anisomap.numerics.graph.dissimilarity import symmetric
-from anisomap.numerics.precision import Reals, held_as
+from anisomap.numerics.graph.dissimilarity import as_symmetric
+from anisomap.numerics.precision import Reals, float_type
 from anisomap.pieces import Pieces, refine_pieces, scale_pieces
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap
@@ -276,7 +276,7 @@ def _as_held(matrix: ArrayLike, what: str) -> Reals:
         values = np.asarray(None)
     if values.dtype.kind not in "biuf":
         raise InputError(f"the {what} is no matrix of real numbers; it must be of shape (N, N)")
-    dtype = held_as(len(values)) if values.ndim else np.float64
+    dtype = float_type(len(values)) if values.ndim else np.float64
     if dtype == np.float32 and values.dtype == np.float64:
         largest = float(values.max(where=np.isfinite(values), initial=0))
         if largest and not 1 / _SINGLE_RANGE < largest < _SINGLE_RANGE:
@@ -306,7 +306,7 @@ def _checked_weights(weights: ArrayLike, n_sensors: int) -> Reals:
     values = _square(weights, "weights", n_sensors)
     if not np.isfinite(values).all() or (values < 0).any():
         raise InputError("weights must be finite and at least 0")
-    return symmetric(values, "weight")
+    return as_symmetric(values, "weight")
 
 
 def _checked_noise(noise: ArrayLike, n_sensors: int) -> Reals:
@@ -314,7 +314,7 @@ def _checked_noise(noise: ArrayLike, n_sensors: int) -> Reals:
     n_positive = np.count_nonzero(values > 0) - np.count_nonzero(np.diag(values) > 0)
     if not np.isfinite(values).all() or n_positive < n_sensors * (n_sensors - 1):
         raise InputError("the noise is a variance: it must be finite, and above 0")
-    return symmetric(values, "noise")
+    return as_symmetric(values, "noise")
 
 
 def _square(matrix: ArrayLike, what: str, n_sensors: int) -> Reals:

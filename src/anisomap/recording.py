@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
-from anisomap.numerics.gaps import filled
+from anisomap.numerics.gaps import fill_gaps
 from anisomap.wording import counted
 
 Scalar: TypeAlias = str | int | float | bool
@@ -212,7 +212,7 @@ class Recording:
         if policy == "error":
             raise InputError(self._describe_missing(missing))
         if policy == "interpolate":
-            return replace(self, readings=filled(self.readings))
+            return replace(self, readings=fill_gaps(self.readings))
         if policy != "drop-frames":
             raise InputError(f"unknown policy {policy!r}: use error, drop-frames or interpolate")
         silent = missing.all(axis=0)

@@ -16,7 +16,7 @@ from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.geodesic.neighbours import direct_neighbours, unevenness
 from anisomap.numerics.geodesic.refinement import UnrollingOptions, contact_passes, even_spacing
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.correlation import typical_noise
+from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.recording import Scalar
 
 logger = logging.getLogger(__name__)
@@ -149,7 +149,7 @@ def refine_by_covariogram(
         evidence.similarity,
         positions,
         metric,
-        noise=typical_noise(evidence.noise),
+        noise=typical_variance(evidence.noise),
         known=evidence.known,
         options=options,
     )

@@ -22,7 +22,7 @@ from anisomap.methods import (
     check_priors,
     find_method,
 )
-from anisomap.numerics.reliability.correlation import sampling_variance
+from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording, default_names
 from anisomap.sensor_map import SensorMap

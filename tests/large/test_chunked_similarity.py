@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from anisomap.large import chunked_similarity
 from anisomap.large.chunked_similarity import CHUNKED
 from anisomap.methods import SIMILARITIES, MethodOptions
-from anisomap.numerics.similarity import counting, joint_values, values
-from anisomap.numerics.similarity.accumulators import KeptCodes
+from anisomap.numerics.similarity import co_occurrence, joint_values, value_counts
+from anisomap.numerics.similarity.accumulators import StoredCodes
 from anisomap.numerics.similarity.joint_values import JointValues
-from anisomap.numerics.similarity.values import ValueCounts
+from anisomap.numerics.similarity.value_counts import ValueCounts
 
 OPTIONS = MethodOptions()
 rows = st.lists(st.integers(1, 299), max_size=4, unique=True).map(sorted)
@@ -61,7 +61,7 @@ def test_chunks_make_what_the_whole_makes(name, many, seed, cuts, data):
     expected = SIMILARITIES[of].compute(readings, OPTIONS)
     parts = data.draw(st.permutations(np.split(readings, cuts)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(counting, "MANY_SENSORS", many)
+        patch.setattr(co_occurrence, "MIN_COMPILED_SENSORS", many)
         for found in [in_chunks(name, parts)] + [
             in_one_pass(name, parts) for _ in range(CHUNKED[name].needs_values)
         ]:
@@ -80,7 +80,7 @@ def test_codes_are_kept_where_counts_would_take_more(seed, cuts):
         patch.setattr(chunked_similarity, "_COUNTS", 10_000)
         known = ValueCounts.of(readings)
         take = CHUNKED["mutual-information"].prepare(known, OPTIONS.bins)
-        assert isinstance(take(readings), KeptCodes)
+        assert isinstance(take(readings), StoredCodes)
         found = in_chunks("mutual-information", np.split(readings, cuts))
     expected = SIMILARITIES["mutual-information"].compute(readings, OPTIONS)
     np.testing.assert_array_equal(found, expected)
@@ -91,8 +91,8 @@ def test_continuous_readings_are_rounded_by_as_little_as_keeps_the_bound(name, m
     rng = np.random.default_rng(0)
     common = rng.normal(size=(4000, 1))
     readings = common + rng.normal(0, 0.7, size=(4000, 6))
-    monkeypatch.setattr(values, "MOST_VALUES", 6 * 500)
-    monkeypatch.setattr(joint_values, "MOST_SERIES", 6 * 60)
+    monkeypatch.setattr(value_counts, "MAX_VALUES", 6 * 500)
+    monkeypatch.setattr(joint_values, "MAX_SERIES", 6 * 60)
     expected = SIMILARITIES[name].compute(readings, OPTIONS)
     parts = np.array_split(readings, 7)
     np.testing.assert_allclose(in_chunks(name, parts), expected, atol=0.01)

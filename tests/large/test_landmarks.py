@@ -21,8 +21,8 @@ from anisomap.large.landmarks.triangulation import triangulate
 from anisomap.numerics.compiled import parallel
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.mds import SmacofOptions, smacof
-from anisomap.numerics.similarity.nearest import NOBODY, most_alike
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
+from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 from skins import lattice, rubbed
 
 SKIN = np.round(rubbed(lattice(), 600) * 40)
@@ -88,17 +88,17 @@ def test_the_most_alike_are_those_with_the_greatest_products(monkeypatch, count,
     products = rows @ rows.T
     products[groups[:, None] == groups] = -np.inf
     expected = np.sort(products, axis=1)[:, ::-1][:, :count]
-    monkeypatch.setattr("anisomap.numerics.similarity.nearest.ROWS", 4)
-    monkeypatch.setattr("anisomap.numerics.similarity.nearest.COLUMNS", 9)
-    found, values = most_alike(rows, count, groups=groups)
+    monkeypatch.setattr("anisomap.numerics.similarity.search.ROWS", 4)
+    monkeypatch.setattr("anisomap.numerics.similarity.search.COLUMNS", 9)
+    found, values = most_similar(rows, count, groups=groups)
     np.testing.assert_allclose(values, expected, atol=1e-5)
-    there = found != NOBODY
+    there = found != NO_SENSOR
     np.testing.assert_array_equal(there, np.isfinite(expected))
     mine = np.take_along_axis(products, np.maximum(found, 0), axis=1)
     np.testing.assert_allclose(mine[there], expected[there], atol=1e-5)
     some = np.array([3, 11, 29])
     np.testing.assert_array_equal(
-        most_alike(rows, count, groups=groups, sensors=some)[0], found[some]
+        most_similar(rows, count, groups=groups, sensors=some)[0], found[some]
     )
 
 
@@ -107,7 +107,7 @@ def test_the_most_alike_are_those_with_the_greatest_products(monkeypatch, count,
 def test_pairs_are_listed_once(seed):
     found = np.random.default_rng(seed).integers(-1, 9, (9, 4))
     firsts, seconds = pairs_of(found)
-    expected = {tuple(sorted((i, j))) for i in range(9) for j in found[i] if j != NOBODY}
+    expected = {tuple(sorted((i, j))) for i in range(9) for j in found[i] if j != NO_SENSOR}
     assert list(zip(firsts.tolist(), seconds.tolist(), strict=True)) == sorted(expected)
 
 
@@ -148,7 +148,7 @@ def test_rigid_plates_are_joined_by_what_they_have_in_common():
     plates = rubbed(np.arange(6.0)[:, None] * [1, 0], 4000)
     readings = np.repeat(plates, 30, axis=1) + 0.02 * rng.normal(size=(4000, 180))
     known = sketched(readings, 512)
-    found, _ = most_alike(known.projections, 20)
+    found, _ = most_similar(known.projections, 20)
     apart = join(correlations([readings], known, pairs_of(found)), known, 10)
     assert apart.pieces.max() == 5
     together, _ = bridge(apart, known, lambda: [readings])
@@ -259,7 +259,7 @@ def test_a_single_sensor_has_a_place():
 def test_threads_share_the_work_without_changing_a_bit(monkeypatch):
     def everything():
         known = sketched(SKIN)
-        found, _ = most_alike(known.projections, 20)
+        found, _ = most_similar(known.projections, 20)
         links = correlations([SKIN], known, pairs_of(found))
         edges = join(links, known, 12).links
         graph = as_graph(edges, lengths_of(links, edges, 1.0), 42)
@@ -267,7 +267,7 @@ def test_threads_share_the_work_without_changing_a_bit(monkeypatch):
         return place(graph, 3, landmarks=20, options=SmacofOptions(), rng=rng).positions
 
     alone = everything()
-    monkeypatch.setattr(parallel, "SPREAD_FROM", 1)
+    monkeypatch.setattr(parallel, "MIN_PARALLEL_ROWS", 1)
     monkeypatch.setattr(parallel, "thread_count", lambda: 3)
     np.testing.assert_array_equal(everything(), alone)
 

@@ -7,14 +7,16 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from anisomap.numerics import columns as room
-from anisomap.numerics.columns import columns, counted
+from anisomap.numerics.columns import columns, count_values
 
 VALUES = st.one_of(st.just(0.0), st.just(0.0), st.just(-0.0), st.floats(-9, 9))
 
 
 @given(arrays(np.float64, st.integers(1, 200), elements=VALUES))
 def test_values_are_counted_as_numpy_counts_them(column):
-    for found, expected in zip(counted(column), np.unique(column, return_counts=True), strict=True):
+    for found, expected in zip(
+        count_values(column), np.unique(column, return_counts=True), strict=True
+    ):
         np.testing.assert_array_equal(found, expected)
 
 

@@ -17,7 +17,7 @@ from anisomap.numerics.covariogram.fit import fit_covariogram
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.mds import smacof
+from anisomap.numerics.scaling.stress_minimisation import smacof
 
 
 def mantel_r(x, y):
@@ -188,7 +188,7 @@ def test_threads_change_nothing(n_threads, monkeypatch):
         return found.positions.tobytes()
 
     alone = fitted()
-    monkeypatch.setattr(parallel, "SPREAD_FROM", 1)
+    monkeypatch.setattr(parallel, "MIN_PARALLEL_ROWS", 1)
     monkeypatch.setattr(parallel, "thread_count", lambda: n_threads)
     assert fitted() == alone
 

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from anisomap import Recording
 from anisomap.errors import InputError
-from anisomap.numerics.gaps import interpolated, no_gaps, whole_frames
+from anisomap.numerics.gaps import drop_incomplete_frames, interpolate_gaps, require_no_gaps
 
 N_FRAMES, N_SENSORS = 24, 3
 
@@ -45,7 +45,7 @@ class Opened:
 @settings(deadline=None)
 def test_gaps_are_filled_as_in_one_array(whole, cut, window):
     chunks = Opened(whole, cut)
-    found = interpolated(chunks, window)
+    found = interpolate_gaps(chunks, window)
     expected = Recording(whole).complete("interpolate").readings
     for passes in range(2):
         np.testing.assert_array_equal(np.concatenate(list(found())), expected)
@@ -57,7 +57,7 @@ def test_gaps_are_filled_as_in_one_array(whole, cut, window):
 @settings(deadline=None)
 def test_short_gaps_take_no_pass_of_their_own(whole, cut, window):
     chunks = Opened(whole, cut)
-    list(interpolated(chunks, window)())
+    list(interpolate_gaps(chunks, window)())
     assert chunks.times == 1
 
 
@@ -72,7 +72,7 @@ def test_a_window_and_the_next_are_all_that_is_read_ahead():
             read.append(i)
             yield row[None]
 
-    found = interpolated(chunks, 10)()
+    found = interpolate_gaps(chunks, 10)()
     next(found)
     assert len(read) == 20 + 1000
     read.clear()
@@ -86,7 +86,7 @@ def test_a_window_and_the_next_are_all_that_is_read_ahead():
 @given(with_gaps(), cuts)
 @settings(deadline=None)
 def test_frames_are_left_out_as_of_one_array(whole, cut):
-    found = whole_frames(Opened(whole, cut))
+    found = drop_incomplete_frames(Opened(whole, cut))
     try:
         expected = Recording(whole).complete("drop-frames").readings
     except InputError:
@@ -102,17 +102,22 @@ def test_frames_are_left_out_as_of_one_array(whole, cut):
 def test_the_first_gap_is_named(whole, cut):
     missing = np.argwhere(~np.isfinite(whole))
     if not len(missing):
-        np.testing.assert_array_equal(np.concatenate(list(no_gaps(Opened(whole, cut))())), whole)
+        np.testing.assert_array_equal(
+            np.concatenate(list(require_no_gaps(Opened(whole, cut))())), whole
+        )
         return
     frame, sensor = missing[0]
     with pytest.raises(InputError, match=f"the first of sensor {sensor} in frame {frame};"):
-        list(no_gaps(Opened(whole, cut))())
+        list(require_no_gaps(Opened(whole, cut))())
 
 
 @given(arrays(np.uint8, (N_FRAMES, 2)), cuts, windows)
 @settings(deadline=None)
 def test_whole_numbers_have_no_gaps(whole, cut, window):
-    for opened in (interpolated(Opened(whole, cut), window), whole_frames(Opened(whole, cut))):
+    for opened in (
+        interpolate_gaps(Opened(whole, cut), window),
+        drop_incomplete_frames(Opened(whole, cut)),
+    ):
         found = np.concatenate(list(opened()))
         assert found.dtype == np.uint8
         np.testing.assert_array_equal(found, whole)

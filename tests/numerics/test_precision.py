@@ -12,28 +12,25 @@ from anisomap.evaluation import mantel
 from anisomap.numerics import precision
 from anisomap.numerics.graph import shortest_paths
 from anisomap.numerics.graph.dissimilarity import (
+    as_symmetric,
     direct_dissimilarity,
     information_distance,
     partial_correlation,
     regularised_reciprocal,
-    symmetric,
 )
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.precision import equals_transpose, mirror
-from anisomap.numerics.reliability.significance import related_pieces
-from anisomap.numerics.scaling.mds import smacof, torgerson
-from anisomap.numerics.similarity.statistics import (
-    co_activation,
-    mutual_information,
-    pearson,
-    spearman,
-)
+from anisomap.numerics.precision import is_symmetric, mirror
+from anisomap.numerics.reliability.significance import significant_components
+from anisomap.numerics.scaling.classical import torgerson
+from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
+from anisomap.numerics.similarity.information import mutual_information
 from anisomap.simulation import simulate
 
 
 @pytest.fixture
 def always_single(monkeypatch):
-    monkeypatch.setattr(precision, "SINGLE_FROM", 1)
+    monkeypatch.setattr(precision, "MIN_FLOAT32_SENSORS", 1)
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +46,16 @@ def test_one_half_is_copied_to_the_other(tile, size, seed, upper):
     expected = half + half.T - np.diag(np.diag(matrix))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(precision, "_TILE", tile)
-        assert equals_transpose(matrix) == (size == 1)
+        assert is_symmetric(matrix) == (size == 1)
         mirror(matrix, upper=upper)
-        assert equals_transpose(matrix)
+        assert is_symmetric(matrix)
     np.testing.assert_array_equal(matrix, expected)
 
 
 @pytest.mark.parametrize("similarity", [pearson, spearman, co_activation, mutual_information])
 def test_similarities(always_single, similarity, readings, monkeypatch):
     single = similarity(readings)
-    monkeypatch.setattr(precision, "SINGLE_FROM", 10_000)
+    monkeypatch.setattr(precision, "MIN_FLOAT32_SENSORS", 10_000)
     assert single.dtype == np.float32
     assert (single == single.T).all()
     np.testing.assert_allclose(single, similarity(readings), atol=1e-6)
@@ -104,20 +101,20 @@ def test_asymmetry_beyond_rounding_is_refused_in_either():
     matrix = np.random.default_rng(0).uniform(size=(5, 5)).astype(np.float32)
     matrix += matrix.T
     matrix[0, 1] *= 1 + 1e-6
-    assert equals_transpose(symmetric(matrix, "similarity"))
+    assert is_symmetric(as_symmetric(matrix, "similarity"))
     with pytest.raises(ValueError, match="not symmetric"):
-        symmetric(matrix.astype(np.float64), "similarity")
+        as_symmetric(matrix.astype(np.float64), "similarity")
     matrix[0, 1] *= 1.01
     with pytest.raises(ValueError, match="not symmetric"):
-        symmetric(matrix, "similarity")
+        as_symmetric(matrix, "similarity")
 
 
 def test_pieces_are_those_of_float64(readings):
     apart = np.kron(np.eye(2), pearson(readings)[:20, :20])
     noise = np.full(apart.shape, 0.002)
-    expected = related_pieces(apart, noise)
+    expected = significant_components(apart, noise)
     assert expected.max() == 1
-    found = related_pieces(apart.astype(np.float32), noise.astype(np.float32))
+    found = significant_components(apart.astype(np.float32), noise.astype(np.float32))
     np.testing.assert_array_equal(found, expected)
 
 
@@ -126,7 +123,7 @@ def test_pieces_are_those_of_float64(readings):
 def test_maps_are_as_good(always_single, method, readings, monkeypatch):
     recording = Recording(readings)
     single = reconstruct(recording, method, 2, judge=False)
-    monkeypatch.setattr(precision, "SINGLE_FROM", 10_000)
+    monkeypatch.setattr(precision, "MIN_FLOAT32_SENSORS", 10_000)
     double = reconstruct(recording, method, 2, judge=False)
     assert mantel(single.positions, double.positions, permutations=0).r > 0.9999
 

@@ -14,11 +14,11 @@ from anisomap.errors import AnisomapWarning
 from anisomap.large.chunked_similarity import CHUNKED
 from anisomap.methods import MethodOptions, find_method
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.scaling.mds import SmacofOptions
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.accumulators import Moments
-from anisomap.numerics.similarity.activity import Rest, estimate_rest
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.joint_values import JointValues
+from anisomap.numerics.similarity.rest import Rest, estimate_rest
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
 
@@ -39,7 +39,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
     mu, bins : float, int
         See `anisomap.methods.MethodOptions`.
     tol, max_iter : float, int
-        When to stop scaling: see `anisomap.numerics.scaling.mds.SmacofOptions`.
+        When to stop scaling: see `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
     missing : {"error", "drop-frames", "interpolate"}, default="error"
         What to do about NaN in X: see `anisomap.Recording.complete`. With ``"error"`` and
         ``"drop-frames"``, `transform` leaves missing readings out of a frame's centre.
@@ -144,7 +144,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         as in `anisomap.large.streaming.reconstruct_chunks`. What other methods than
         those on Pearson's r make of a reading is known only once all frames are; so the joint
         counts of values are kept, and a warning says so if a sensor reads too many values to keep
-        them apart (`anisomap.numerics.similarity.joint_values.MOST_SERIES` in all).
+        them apart (`anisomap.numerics.similarity.joint_values.MAX_SERIES` in all).
         `anisomap.large.streaming.reconstruct_chunks` reads the frames twice and keeps more.
 
         Warns

@@ -16,7 +16,7 @@ from scipy.spatial.distance import pdist
 
 from anisomap.errors import InputError
 from anisomap.evaluation.mantel_r import FEWEST_SENSORS
-from anisomap.numerics.reliability.correlation import N_BLOCKS
+from anisomap.numerics.reliability.split_half import N_BLOCKS
 
 DOUBTFUL = 0.9
 """Below this confidence a map is not to be relied on, and says so."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.health.behaviour import Behaviour, Matches, observe
-from anisomap.numerics.columns import columns, counted
+from anisomap.numerics.columns import columns, count_values
 from anisomap.recording import Recording
 
 STATUSES = ("ok", "dead", "stuck", "saturating", "noisy", "intermittent", "isolated")
@@ -92,7 +92,7 @@ def assess(recording: Recording, *, matches: Matches | None = None) -> tuple[Sen
     recording = recording.complete("interpolate")
     readings = recording.readings
     varying = recording.varying()
-    distinct = [counted(column)[0].size for column in columns(readings)]
+    distinct = [count_values(column)[0].size for column in columns(readings)]
     behaviour = None
     if varying.any():
         known = None if matches is None else matches.among(varying)

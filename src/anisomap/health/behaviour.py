@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.similarity.activity import Rest, estimate_rest
-from anisomap.numerics.similarity.nearest import NOBODY, most_alike
-from anisomap.numerics.similarity.statistics import pearson
+from anisomap.numerics.similarity.correlation import pearson
+from anisomap.numerics.similarity.rest import Rest, estimate_rest
+from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 
 _MATCHES = 4  # neighbours that are asked whether they felt a contact, too
 _CLEAR_RELATION = 0.6  # no sensor with such a match is suspected of having none
@@ -75,7 +75,7 @@ class Matches:
 
     def among(self, chosen: NDArray[np.bool_]) -> Matches:
         """Keep some sensors only, numbered anew."""
-        number = np.append(np.where(chosen, np.cumsum(chosen) - 1, NOBODY), NOBODY)
+        number = np.append(np.where(chosen, np.cumsum(chosen) - 1, NO_SENSOR), NO_SENSOR)
         return Matches(number[self.kin[chosen]], self.best[chosen])
 
 
@@ -159,9 +159,9 @@ def _find_matches(readings: NDArray[np.floating]) -> Matches:
     n_sensors = readings.shape[1]
     count = min(_MATCHES, n_sensors - 1)
     if count < 1:
-        return Matches(np.full((n_sensors, 1), NOBODY), np.full(n_sensors, np.nan))
+        return Matches(np.full((n_sensors, 1), NO_SENSOR), np.full(n_sensors, np.nan))
     if n_sensors > _ALL_PAIRS:
-        found, r = most_alike(np.ascontiguousarray(_standardised(readings).T), count)
+        found, r = most_similar(np.ascontiguousarray(_standardised(readings).T), count)
         return Matches(found, r[:, 0].astype(np.float64))
     correlation = pearson(readings)
     np.fill_diagonal(correlation, -np.inf)
@@ -173,10 +173,10 @@ def _unexplained(active: NDArray[np.bool_], kin: NDArray[np.int64]) -> NDArray[n
     """Share of a sensor's active frames in which none of its nearest kin is active."""
     series = np.ascontiguousarray(active.T)
     alone = [
-        np.count_nonzero(mine & ~series[others[others != NOBODY]].any(axis=0))
+        np.count_nonzero(mine & ~series[others[others != NO_SENSOR]].any(axis=0))
         for mine, others in zip(series, kin, strict=True)
     ]
-    counted = np.where((kin != NOBODY).any(axis=1), alone, 0)  # where there is nobody to ask
+    counted = np.where((kin != NO_SENSOR).any(axis=1), alone, 0)  # where there is nobody to ask
     return np.asarray(counted / np.maximum(np.count_nonzero(series, axis=1), 1))
 
 

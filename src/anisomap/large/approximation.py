@@ -22,7 +22,7 @@ from anisomap.large.landmarks.options import ApproximateOptions
 from anisomap.large.landmarks.placing import Placed, place
 from anisomap.large.landmarks.sketch import Sketch, sketch
 from anisomap.methods import MethodOptions
-from anisomap.numerics.similarity.nearest import most_alike
+from anisomap.numerics.similarity.search import most_similar
 from anisomap.recording import MissingPolicy, Recording, Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import listing
@@ -277,7 +277,7 @@ def _candidates(
     if sensors.size < 2:
         raise InputError(f"only {sensors.size} of {len(known.mean)} sensors ever vary")
     count = min(options.candidates, len(sensors) - 1)
-    found, _ = most_alike(known.projections[sensors], count)
+    found, _ = most_similar(known.projections[sensors], count)
     firsts, seconds = pairs_of(found)
     return sensors[firsts], sensors[seconds]
 

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.files import check_target, replacing
-from anisomap.numerics.similarity.accumulators import CoOccurrences, KeptCodes, Moments
-from anisomap.numerics.similarity.values import ValueCounts
+from anisomap.numerics.similarity.accumulators import CoOccurrences, Moments, StoredCodes
+from anisomap.numerics.similarity.value_counts import ValueCounts
 
-Accumulator: TypeAlias = Moments | CoOccurrences | KeptCodes | ValueCounts
+Accumulator: TypeAlias = Moments | CoOccurrences | StoredCodes | ValueCounts
 
 SECONDS = 60.0
 """How often a checkpoint is written."""
 
-_KINDS = {kind.__name__: kind for kind in (Moments, CoOccurrences, KeptCodes, ValueCounts)}
+_KINDS = {kind.__name__: kind for kind in (Moments, CoOccurrences, StoredCodes, ValueCounts)}
 _DAMAGE = (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile)
 
 
@@ -161,7 +161,7 @@ def packed(total: Accumulator) -> dict[str, NDArray[Any]]:
         fields["sizes"] = [values.size for values in total.values]
         fields["values"] = np.concatenate(total.values)
         fields["counts"] = np.concatenate(total.counts)
-    if isinstance(total, KeptCodes):
+    if isinstance(total, StoredCodes):
         fields["parts"] = total.whole()
     return {name: np.asarray(value) for name, value in fields.items()}
 
@@ -175,7 +175,7 @@ def unpacked(kind: str, arrays: Mapping[str, NDArray[Any]]) -> Accumulator:
         cuts = np.cumsum(fields.pop("sizes"))[:-1]
         for name in ("values", "counts"):
             fields[name] = tuple(np.split(fields[name], cuts))
-    if kind == KeptCodes.__name__:
+    if kind == StoredCodes.__name__:
         fields["parts"] = (fields["parts"],)
     total: Accumulator = _KINDS[kind](**fields)
     return total

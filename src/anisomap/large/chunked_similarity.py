@@ -20,20 +20,20 @@ from anisomap.memory import check_room
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.similarity.accumulators import (
     CoOccurrences,
-    KeptCodes,
     Moments,
+    StoredCodes,
     correlation_of_comoments,
 )
-from anisomap.numerics.similarity.activity import Rest, rest_of_counts
 from anisomap.numerics.similarity.binning import maximum_entropy_bins
-from anisomap.numerics.similarity.counting import Layout, joint_logarithms_of_counts
-from anisomap.numerics.similarity.joint_values import JointValues
-from anisomap.numerics.similarity.statistics import (
-    information_of_codes,
-    information_of_logarithms,
-    phi_of_counts,
+from anisomap.numerics.similarity.co_occurrence import Layout, joint_logarithms_of_counts
+from anisomap.numerics.similarity.correlation import phi_from_counts
+from anisomap.numerics.similarity.information import (
+    information_from_codes,
+    information_from_logarithms,
 )
-from anisomap.numerics.similarity.values import Recoding, ValueCounts
+from anisomap.numerics.similarity.joint_values import JointValues
+from anisomap.numerics.similarity.rest import Rest, rest_from_counts
+from anisomap.numerics.similarity.value_counts import Recoding, ValueCounts
 
 Matrix: TypeAlias = Reals
 
@@ -87,12 +87,12 @@ def _take_codes(recoding: Recoding, layout: Layout, chunk: NDArray[Any]) -> CoOc
     return CoOccurrences.of(recoding(chunk), layout)
 
 
-def _keep_codes(recoding: Recoding, chunk: NDArray[Any]) -> KeptCodes:
-    return KeptCodes.of(recoding(chunk))
+def _keep_codes(recoding: Recoding, chunk: NDArray[Any]) -> StoredCodes:
+    return StoredCodes.of(recoding(chunk))
 
 
 def _rest(values: ValueCounts) -> Rest:
-    return rest_of_counts(zip(values.values, values.counts, strict=True))
+    return rest_from_counts(zip(values.values, values.counts, strict=True))
 
 
 def _codes(values: ValueCounts, bins: int) -> tuple[list[NDArray[np.intp]], Layout]:
@@ -119,11 +119,11 @@ def _prepare_codes(values: ValueCounts | None, bins: int) -> Take:
     return partial(_take_codes, known.bins(bins), layout)
 
 
-def _information(found: CoOccurrences | KeptCodes) -> Matrix:
-    if isinstance(found, KeptCodes):
-        return information_of_codes(found.whole())
+def _information(found: CoOccurrences | StoredCodes) -> Matrix:
+    if isinstance(found, StoredCodes):
+        return information_from_codes(found.whole())
     joint = joint_logarithms_of_counts(found.counts, found.first, found.n_frames)
-    return information_of_logarithms(joint, found.n_frames)
+    return information_from_logarithms(joint, found.n_frames)
 
 
 def _spearman_of_values(found: JointValues, _: int) -> Matrix:
@@ -139,7 +139,7 @@ def _phi_of_values(found: JointValues, _: int) -> Matrix:
         for i, values in enumerate(single.values)
     ]
     switched = found.of_series(active, Layout.of_switches(single.n_sensors))
-    return phi_of_counts(switched.counts, single.n_frames)
+    return phi_from_counts(switched.counts, single.n_frames)
 
 
 def _information_of_values(found: JointValues, bins: int) -> Matrix:
@@ -156,7 +156,7 @@ CHUNKED: Mapping[str, Chunked] = MappingProxyType(
         ),
         "co-activation": Chunked(
             lambda values, _: partial(_take_activity, _rest(_settled(values))),
-            lambda found: phi_of_counts(found.counts, found.n_frames),
+            lambda found: phi_from_counts(found.counts, found.n_frames),
             _phi_of_values,
         ),
         "mutual-information": Chunked(_prepare_codes, _information, _information_of_values),

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
-from anisomap.numerics.gaps import Settled, interpolated, no_gaps, of_same_sensors, whole_frames
+from anisomap.numerics.gaps import (
+    CompleteChunks,
+    check_chunks,
+    drop_incomplete_frames,
+    interpolate_gaps,
+    require_no_gaps,
+)
 from anisomap.recording import MissingPolicy, Recording
 
 CHUNK_READINGS = 1 << 23
@@ -71,7 +77,7 @@ def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[
     return np.memmap(whole.filename, whole.dtype, "r", offset, shape)
 
 
-def completed(chunks: Chunks, missing: MissingPolicy = "error") -> Settled:
+def completed(chunks: Chunks, missing: MissingPolicy = "error") -> CompleteChunks:
     """Settle what to do about readings that are NaN or infinite, as `Recording.complete` does.
 
     Parameters
@@ -94,14 +100,14 @@ def completed(chunks: Chunks, missing: MissingPolicy = "error") -> Settled:
         If there is no such policy; once opened, under "error" if a reading is missing, under
         "drop-frames" if no frame is left, and if chunks are not all of the same sensors.
     """
-    checked = partial(of_same_sensors, chunks)
+    checked = partial(check_chunks, chunks)
     if missing == "interpolate":
-        return interpolated(checked, CHUNK_READINGS)
+        return interpolate_gaps(checked, CHUNK_READINGS)
     if missing == "drop-frames":
-        return whole_frames(checked)
+        return drop_incomplete_frames(checked)
     if missing != "error":
         raise InputError(f"unknown policy {missing!r}: use error, drop-frames or interpolate")
-    return no_gaps(checked)
+    return require_no_gaps(checked)
 
 
 class Excerpt:

@@ -21,9 +21,9 @@ from anisomap.large.map_reduce import ALONE, Crew, gather
 from anisomap.memory import check_room_for_pairs, check_room_for_workers
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors, find_method
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.correlation import sampling_variance
-from anisomap.numerics.similarity.statistics import LARGEST_SQUARED, unsquarable
-from anisomap.numerics.similarity.values import ValueCounts
+from anisomap.numerics.reliability.sampling_noise import sampling_variance
+from anisomap.numerics.similarity.correlation import MAX_SQUARED, squares_overflow
+from anisomap.numerics.similarity.value_counts import ValueCounts
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.refinement import notes_on_squeezing
@@ -264,11 +264,11 @@ def _check_unit(chunk: NDArray[Any]) -> None:
     if chunk.dtype != np.float64:
         return
     reach = np.abs(chunk).max(axis=0)
-    beyond = np.flatnonzero(unsquarable(reach))
+    beyond = np.flatnonzero(squares_overflow(reach))
     if beyond.size:
         raise InputError(
             f"sensor {beyond[0]} reads up to {reach[beyond[0]]:g}; readings that come in chunks "
-            f"must be 0 or between {1 / LARGEST_SQUARED:g} and {LARGEST_SQUARED:g}: "
+            f"must be 0 or between {1 / MAX_SQUARED:g} and {MAX_SQUARED:g}: "
             "use another unit"
         )
 

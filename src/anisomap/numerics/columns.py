@@ -21,7 +21,7 @@ def columns(readings: NDArray[Any]) -> Iterator[NDArray[Any]]:
         yield from np.ascontiguousarray(readings[:, begin : begin + TOGETHER].T)
 
 
-def counted(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
     """Give the distinct values of finite readings, in increasing order, and how often they occur.
 
     Parameters

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.errors import InputError
 
 Readings: TypeAlias = NDArray[Any]
-Opened: TypeAlias = Callable[[], Iterable[Readings]]
+Chunks: TypeAlias = Callable[[], Iterable[Readings]]
 """Opens chunks of frames of the same sensors, from the first on, each time that it is called."""
 
-Settled: TypeAlias = Callable[[], Iterator[Readings]]
+CompleteChunks: TypeAlias = Callable[[], Iterator[Readings]]
 """The same, of chunks in which no reading is missing."""
 
 
@@ -42,7 +42,7 @@ class Neighbours:
         return cls(np.full(n_sensors, np.nan), np.full(n_sensors, np.nan))
 
 
-def filled(
+def fill_gaps(
     readings: Readings,
     start: int = 0,
     before: Neighbours | None = None,
@@ -84,7 +84,7 @@ def filled(
     return result
 
 
-def interpolated(chunks: Opened, window: int) -> Settled:
+def interpolate_gaps(chunks: Chunks, window: int) -> CompleteChunks:
     """Fill gaps in a recording that comes in chunks, as `filled` does in all frames at once.
 
     Parameters
@@ -109,14 +109,14 @@ def interpolated(chunks: Opened, window: int) -> Settled:
         before = None if here is None else Neighbours.none(here.shape[1])
         while here is not None and before is not None:
             ahead, stop = next(windows, None), start + len(here)
-            yield filled(here, start, before, _after(here, ahead, stop, far))
+            yield fill_gaps(here, start, before, _after(here, ahead, stop, far))
             before = _last_known(here, start, before)
             here, start = ahead, stop
 
     return opened
 
 
-def whole_frames(chunks: Opened) -> Settled:
+def drop_incomplete_frames(chunks: Chunks) -> CompleteChunks:
     """Leave out every frame that misses a reading of a sensor that has any.
 
     Parameters
@@ -153,7 +153,7 @@ def whole_frames(chunks: Opened) -> Settled:
     return opened
 
 
-def no_gaps(chunks: Opened) -> Settled:
+def require_no_gaps(chunks: Chunks) -> CompleteChunks:
     """Give chunks on, and raise `InputError` at the first reading that is missing."""
 
     def opened() -> Iterator[Readings]:
@@ -173,7 +173,7 @@ def no_gaps(chunks: Opened) -> Settled:
     return opened
 
 
-def of_same_sensors(chunks: Callable[[], Iterable[ArrayLike]]) -> Iterator[Readings]:
+def check_chunks(chunks: Callable[[], Iterable[ArrayLike]]) -> Iterator[Readings]:
     """Give chunks on as arrays, empty ones left out; `InputError` if they do not fit together."""
     n_sensors, done = None, 0
     for chunk in chunks():

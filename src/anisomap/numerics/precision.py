@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 Reals: TypeAlias = NDArray[np.floating[Any]]
 """An array of float32 or float64."""
 
-SINGLE_FROM = 8000
+MIN_FLOAT32_SENSORS = 8000
 """From so many sensors on, what is worked out for all pairs is held in float32.
 
 Rounding is then about 1e-7, far below what a recording leaves unsure; and 20,000 sensors, of which
@@ -22,9 +22,9 @@ _ROWS_BYTES = 1 << 26
 _TILE = 1024
 
 
-def held_as(n_sensors: int) -> type[np.float32] | type[np.float64]:
+def float_type(n_sensors: int) -> type[np.float32] | type[np.float64]:
     """Give the type in which matrices of so many sensors are held."""
-    return np.float32 if n_sensors >= SINGLE_FROM else np.float64
+    return np.float32 if n_sensors >= MIN_FLOAT32_SENSORS else np.float64
 
 
 def as_reals(values: ArrayLike, *, copy: bool = True) -> Reals:
@@ -42,7 +42,7 @@ def as_reals(values: ArrayLike, *, copy: bool = True) -> Reals:
     )
 
 
-def rows_at_a_time(n_rows: int, n_columns: int | None = None) -> Iterator[slice]:
+def row_blocks(n_rows: int, n_columns: int | None = None) -> Iterator[slice]:
     """Cut the rows of a matrix so that work on some takes little memory beside it."""
     width = n_rows if n_columns is None else n_columns
     step = max(1, _ROWS_BYTES // (8 * max(width, 1)))
@@ -61,7 +61,7 @@ def mirror(matrix: NDArray[Any], *, upper: bool) -> None:
         other[...] = kept
 
 
-def equals_transpose(matrix: NDArray[Any]) -> bool:
+def is_symmetric(matrix: NDArray[Any]) -> bool:
     """Tell whether a square matrix equals its transpose to the last bit."""
     return all(
         np.array_equal(matrix[rows, columns], matrix[columns, rows].T)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import score
 from anisomap.methods import DEFAULT_METHOD, find_method
-from anisomap.numerics.similarity.activity import estimate_rest
+from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.simulation.bodies import Body

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from anisomap.errors import InputError
 from anisomap.numerics.graph.dissimilarity import information_distance, regularised_reciprocal
-from anisomap.numerics.similarity.statistics import information_of_codes
+from anisomap.numerics.similarity.information import information_from_codes
 
 R = np.array([[1, 0.5, -0.2], [0.5, 1, 0.1], [-0.2, 0.1, 1]])
 
@@ -39,7 +39,7 @@ def test_if_nothing_is_alike_everything_is_apart():
 
 @given(arrays(np.uint8, (40, 4), elements=st.integers(0, 3)))
 def test_information_distance_is_a_metric(codes):
-    distance = information_distance(information_of_codes(codes))
+    distance = information_distance(information_from_codes(codes))
     assert (distance >= 0).all()
     assert not np.diag(distance).any()
     through = (distance[:, :, None] + distance[None, :, :]).min(axis=1)
@@ -48,9 +48,9 @@ def test_information_distance_is_a_metric(codes):
 
 def test_information_distance_of_copies_and_strangers():
     strangers = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
-    distance = information_distance(information_of_codes(strangers))
+    distance = information_distance(information_from_codes(strangers))
     assert distance[0, 1] == pytest.approx(2 * np.log(2))
-    copies = information_distance(information_of_codes(strangers[:, [0, 0]]))
+    copies = information_distance(information_from_codes(strangers[:, [0, 0]]))
     assert copies[0, 1] == 0
 
 

@@ -9,13 +9,12 @@ from scipy.sparse.csgraph import floyd_warshall
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
-from anisomap.numerics.graph.metric import (
+from anisomap.numerics.graph.connectivity import (
     components,
-    metricise,
-    minimax_paths,
     neighbour_graph,
     smallest_connected_neighbour_graph,
 )
+from anisomap.numerics.graph.metric import metricise, minimax_paths
 
 
 @st.composite

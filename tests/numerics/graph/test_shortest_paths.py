@@ -119,7 +119,7 @@ def test_separate_pieces_and_crowds_of_twins(search):
 
 
 def test_one_ulp_of_asymmetry_misleads_nobody(monkeypatch):
-    monkeypatch.setattr(metric, "COMPILED_FROM", 1)
+    monkeypatch.setattr(metric, "MIN_COMPILED_ROWS", 1)
     lengths = skin_like(12, 0)
     upset = np.triu(np.nextafter(lengths, np.inf), 1) + np.tril(lengths)
     assert (upset != upset.T).any()
@@ -139,6 +139,6 @@ def test_a_wrong_answer_is_noticed_and_mended(monkeypatch, caplog):
 def test_threads_change_nothing(search, monkeypatch):
     lengths = skin_like(20, 0)
     alone = search(lengths)
-    monkeypatch.setattr(parallel, "SPREAD_FROM", 1)
+    monkeypatch.setattr(parallel, "MIN_PARALLEL_ROWS", 1)
     monkeypatch.setattr(parallel, "thread_count", lambda: 3)
     np.testing.assert_array_equal(search(lengths), alone)

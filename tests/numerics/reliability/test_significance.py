@@ -9,13 +9,13 @@ from anisomap import Recording, reconstruct
 from anisomap.evaluation import mantel
 from anisomap.health import assess
 from anisomap.numerics.reliability import significance
-from anisomap.numerics.reliability.correlation import sampling_variance
+from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.reliability.significance import (
-    followed_links,
-    in_units_of_noise,
-    without_chance,
+    remove_insignificant_links,
+    significant_links,
+    standardised_correlation,
 )
-from anisomap.numerics.similarity.statistics import pearson
+from anisomap.numerics.similarity.correlation import pearson
 
 REACH = 3.0
 """Two sensors further apart than twice this are never touched by one contact."""
@@ -45,14 +45,14 @@ def short(request):
 def test_links_that_are_followed_join_sensors_of_one_contact(short):
     places, readings = short
     similarity, variance = links_of(readings)
-    followed = followed_links(similarity, variance)
+    followed = significant_links(similarity, variance)
     apart = cdist(places, places)
     assert (followed == followed.T).all()
     assert not followed.diagonal().any()
     assert apart[followed].max() < 2 * REACH
     assert followed[(apart > 0) & (apart < 1.5)].mean() > 0.9
     # Without a look at chance, some of those that are never touched together seem related.
-    strong = in_units_of_noise(similarity, variance) > 3
+    strong = standardised_correlation(similarity, variance) > 3
     assert strong[apart > 2 * REACH].any()
 
 
@@ -66,7 +66,7 @@ def test_maps_of_large_skins_from_few_frames(short, monkeypatch):
         return mantel(found, places, permutations=0).r
 
     aware = agreement()
-    monkeypatch.setattr(significance, "MANY_SENSORS", 10_000)
+    monkeypatch.setattr(significance, "MIN_FILTERED_SENSORS", 10_000)
     assert aware > 0.995
     assert aware > agreement()
 
@@ -76,7 +76,7 @@ def test_pieces_stay_whole_and_apart():
     size = readings.shape[1] // 2
     similarity, variance = links_of(readings)
     similarity[:size, size:] = similarity[size:, :size] = 0
-    apart = without_chance(np.ones_like(similarity), similarity, variance)
+    apart = remove_insignificant_links(np.ones_like(similarity), similarity, variance)
     assert np.isinf(apart[:size, size:]).all()
     for piece in (apart[:size, :size], apart[size:, size:]):
         assert 0.01 < np.isfinite(piece).mean() < 0.3
@@ -85,7 +85,7 @@ def test_pieces_stay_whole_and_apart():
 
 def test_where_links_beyond_chance_hardly_hold_together_all_are_followed():
     places, readings = strip(60, 0)
-    followed = followed_links(*links_of(readings))
+    followed = significant_links(*links_of(readings))
     np.testing.assert_array_equal(followed, ~np.eye(len(places), dtype=bool))
 
 
@@ -94,7 +94,7 @@ def test_sensors_that_were_hardly_touched_keep_their_strongest_link():
     readings[20:, 100] = 0
     readings[:20, 100] = readings[:20, 101]
     similarity, variance = links_of(readings)
-    followed = followed_links(similarity, variance)
+    followed = significant_links(similarity, variance)
     assert connected_components(followed, directed=False)[0] == 1
     assert followed[100].any()
 
@@ -102,8 +102,8 @@ def test_sensors_that_were_hardly_touched_keep_their_strongest_link():
 def test_in_whatever_order_sensors_come(short):
     _, readings = short
     order = np.random.default_rng(0).permutation(readings.shape[1])
-    expected = followed_links(*links_of(readings))[np.ix_(order, order)]
-    found = followed_links(*links_of(readings[:, order]))
+    expected = significant_links(*links_of(readings))[np.ix_(order, order)]
+    found = significant_links(*links_of(readings[:, order]))
     assert (found != expected).mean() < 1e-5  # ties of rounding aside
 
 
@@ -114,17 +114,17 @@ def test_of_few_sensors_all_links_count():
     apart = np.zeros_like(similarity)
     apart[np.triu_indices(len(apart), 1)] = lengths
     apart += apart.T
-    found = without_chance(apart.copy(), similarity, variance)
+    found = remove_insignificant_links(apart.copy(), similarity, variance)
     np.testing.assert_array_equal(found, apart)
 
 
 def test_where_contacts_cover_much_of_the_skin_links_are_not_looked_through(short, monkeypatch):
     _, readings = short
     similarity, variance = links_of(readings)
-    expected = in_units_of_noise(similarity, variance)
+    expected = standardised_correlation(similarity, variance)
     monkeypatch.setattr(significance, "MOST_PRODUCTS", 1)
     monkeypatch.setattr(significance, "FOLLOWED", 0.5)
-    followed = followed_links(similarity, variance)
+    followed = significant_links(similarity, variance)
     n_pairs = len(similarity) * (len(similarity) - 1) // 2
     strong = expected >= 0.5 * np.sqrt(2 * np.log(n_pairs))
     np.fill_diagonal(strong, val=False)

@@ -16,10 +16,11 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import InputError
 from anisomap.evaluation import align
 from anisomap.numerics.compiled import parallel
-from anisomap.numerics.scaling import mds, stress
-from anisomap.numerics.scaling.mds import SmacofOptions, smacof, torgerson
+from anisomap.numerics.scaling import classical, stress
+from anisomap.numerics.scaling.classical import torgerson
 from anisomap.numerics.scaling.solvers import BOTH_UP_TO, SOLVERS
 from anisomap.numerics.scaling.stress import Problem, objective, plain_stress
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 from skins import lattice
 
 in_fixtures = settings(deadline=None, suppress_health_check=["function_scoped_fixture"])
@@ -27,12 +28,14 @@ in_fixtures = settings(deadline=None, suppress_health_check=["function_scoped_fi
 
 @pytest.fixture
 def always_compiled(monkeypatch):
-    monkeypatch.setattr(stress, "COMPILED_FROM", 1)
+    monkeypatch.setattr(stress, "MIN_COMPILED_ROWS", 1)
 
 
 @pytest.fixture(params=["plain", "compiled"])
 def either_way(request, monkeypatch):
-    monkeypatch.setattr(stress, "COMPILED_FROM", {"plain": 10_000, "compiled": 1}[request.param])
+    monkeypatch.setattr(
+        stress, "MIN_COMPILED_ROWS", {"plain": 10_000, "compiled": 1}[request.param]
+    )
 
 
 @st.composite
@@ -213,7 +216,7 @@ def test_pairs_without_weight_are_pairs_unknown(either_way):
 def test_threads_change_nothing(always_compiled, n_threads, monkeypatch):
     distances = bent_skin(12, 0)
     alone = smacof(distances)
-    monkeypatch.setattr(parallel, "SPREAD_FROM", 1)
+    monkeypatch.setattr(parallel, "MIN_PARALLEL_ROWS", 1)
     monkeypatch.setattr(parallel, "thread_count", lambda: n_threads)
     assert smacof(distances).positions.tobytes() == alone.positions.tobytes()
 
@@ -241,7 +244,7 @@ def test_an_unknown_solver_is_refused():
 
 def test_torgerson_tells_equal_eigenvalues_apart(monkeypatch):
     # Every rotation of a cube maps these points to one another: three eigenvalues are one.
-    monkeypatch.setattr(mds, "DENSE_LIMIT", 10)
+    monkeypatch.setattr(classical, "DENSE_LIMIT", 10)
     points = np.random.default_rng(0).normal(size=(12, 3))
     points = np.concatenate([turn.apply(points) for turn in Rotation.create_group("O")])
     distances = squareform(pdist(points))
@@ -256,9 +259,9 @@ def test_torgerson_falls_back_to_the_full_decomposition(error, monkeypatch):
     def unsettled(*_, **__):
         raise error
 
-    monkeypatch.setattr(mds, "DENSE_LIMIT", 10)
+    monkeypatch.setattr(classical, "DENSE_LIMIT", 10)
     if error:
-        monkeypatch.setattr(mds, "eigsh", unsettled)
+        monkeypatch.setattr(classical, "eigsh", unsettled)
     np.testing.assert_array_equal(torgerson(distances, 2), expected)
 
 
@@ -266,7 +269,7 @@ def test_small_maps_load_no_compiler():
     program = (
         "import sys, numpy as np\n"
         "from anisomap.numerics.graph.metric import metricise\n"
-        "from anisomap.numerics.scaling.mds import smacof\n"
+        "from anisomap.numerics.scaling.stress_minimisation import smacof\n"
         "place = np.random.default_rng(0).uniform(size=(60, 1))\n"
         "smacof(metricise(abs(place - place.T)))\n"
         "sys.exit('numba' in sys.modules)\n"

@@ -10,15 +10,10 @@ from sklearn.metrics import mutual_info_score
 
 from anisomap.methods import SIMILARITIES, MethodOptions
 from anisomap.numerics.similarity.accumulators import CHUNK_FRAMES, Moments
-from anisomap.numerics.similarity.activity import estimate_rest
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
-from anisomap.numerics.similarity.statistics import (
-    co_activation,
-    information_of_codes,
-    mutual_information,
-    pearson,
-    spearman,
-)
+from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
+from anisomap.numerics.similarity.information import information_from_codes, mutual_information
+from anisomap.numerics.similarity.rest import estimate_rest
 
 OPTIONS = MethodOptions()
 
@@ -66,9 +61,9 @@ def test_mutual_information_equals_scikit_learn(readings, bins):
 
 def test_information_of_known_distributions():
     fair = np.array([[0, 0], [0, 1], [1, 0], [1, 1]] * 5)
-    np.testing.assert_allclose(information_of_codes(fair), np.log(2) * np.eye(2), atol=1e-15)
+    np.testing.assert_allclose(information_from_codes(fair), np.log(2) * np.eye(2), atol=1e-15)
     copied = fair[:, [0, 0]]
-    np.testing.assert_allclose(information_of_codes(copied), np.log(2), atol=1e-15)
+    np.testing.assert_allclose(information_from_codes(copied), np.log(2), atol=1e-15)
 
 
 @pytest.mark.parametrize("name", SIMILARITIES)
@@ -140,7 +135,7 @@ def test_chunks_do_not_show():
     np.testing.assert_allclose(pearson(readings), exact, atol=1e-10)
     codes = maximum_entropy_codes(readings, 3)
     expected = mutual_info_score(codes[:, 0], codes[:, 1])
-    assert information_of_codes(codes)[0, 1] == pytest.approx(expected, abs=1e-12)
+    assert information_from_codes(codes)[0, 1] == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("constant", [0.1, 1e9, -3.0])

@@ -60,7 +60,7 @@ def test_only_where_few_do_not_rest():
 
 
 def test_many_sensors_take_this_way(monkeypatch):
-    monkeypatch.setattr(accumulators, "SINGLE_SENSORS", 20)
+    monkeypatch.setattr(accumulators, "MIN_FLOAT32_SENSORS", 20)
     readings = skin(500, 40, 0.05)
     whole = Moments.of(readings, single=True)
     parts = Moments.of(readings[:123]).merged(Moments.of(readings[123:]))
@@ -72,6 +72,6 @@ def test_many_sensors_take_this_way(monkeypatch):
 def test_threads_change_nothing(always, n_threads, monkeypatch):
     readings = skin(200, 40, 0.1)
     alone = products_of_few(readings)[1]
-    monkeypatch.setattr(parallel, "SPREAD_FROM", 1)
+    monkeypatch.setattr(parallel, "MIN_PARALLEL_ROWS", 1)
     monkeypatch.setattr(parallel, "thread_count", lambda: n_threads)
     assert products_of_few(readings)[1].tobytes() == alone.tobytes()

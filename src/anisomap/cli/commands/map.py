@@ -12,7 +12,7 @@ from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, streams
 from anisomap.evaluation import PERMUTATIONS
 from anisomap.methods import DEFAULT_METHOD, MethodOptions
-from anisomap.numerics.scaling.mds import SmacofOptions
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from anisomap.large.landmarks.correlations import Links, correlations, pairs_of
 from anisomap.large.landmarks.links import Joined, chance_level, pieces_of
 from anisomap.large.landmarks.sketch import Sketch
-from anisomap.numerics.similarity.nearest import most_alike
+from anisomap.numerics.similarity.search import most_similar
 
 logger = logging.getLogger(__name__)
 
@@ -52,7 +52,7 @@ def bridge(
         if not outside.size:
             break
         logger.info("looking for relations of %d sensors with other pieces", outside.size)
-        found, _ = most_alike(known.projections, STRANGERS, groups=joined.pieces, sensors=outside)
+        found, _ = most_similar(known.projections, STRANGERS, groups=joined.pieces, sensors=outside)
         links = correlations(chunks(), known, pairs_of(found, outside))
         looked_at = looked_at.joined(links)
         bridges = links.chosen(links.r >= chance_level(links, known))

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.large.landmarks.options import loops
 from anisomap.large.landmarks.sketch import Sketch
-from anisomap.numerics.compiled.parallel import spread
-from anisomap.numerics.similarity.nearest import NOBODY
+from anisomap.numerics.compiled.parallel import parallel_map
+from anisomap.numerics.similarity.search import NO_SENSOR
 
 PIECES = 64
 """Pieces that the pairs are shared out to."""
@@ -56,7 +56,7 @@ def pairs_of(
     """
     whom = np.arange(len(found)) if sensors is None else np.asarray(sensors, dtype=np.int64)
     pairs = np.stack([np.repeat(whom, found.shape[1]), found.ravel()])
-    pairs = np.sort(pairs[:, pairs[1] != NOBODY], axis=0)
+    pairs = np.sort(pairs[:, pairs[1] != NO_SENSOR], axis=0)
     base = int(pairs.max(initial=0)) + 1
     firsts, seconds = np.divmod(np.unique(pairs[0] * base + pairs[1]), base)
     return firsts, seconds
@@ -88,7 +88,7 @@ def correlations(
     scale = np.divide(1, known.deviation, out=np.zeros(len(known.mean)), where=known.varying)
     parts = np.linspace(0, len(totals), PIECES + 1).astype(int).tolist()
     add = loops().add_products
-    with spread(len(known.mean)) as spread_over:
+    with parallel_map(len(known.mean)) as spread_over:
         for chunk in chunks:
             still = (chunk == chunk[0]).all(axis=0)
             values = np.ascontiguousarray(chunk.T)

@@ -1,6 +1,6 @@
 """The compiled inner loops of approximate maps, and only those.
 
-Imported on first use, like `anisomap.numerics.compiled.kernels`. Arguments are not
+Imported on first use, as the modules of `anisomap.numerics.compiled`. Arguments are not
 checked. All loops run without the interpreter's lock.
 """
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.compiled.jit import loop
-from anisomap.numerics.compiled.kernels import sweep_nodes
+from anisomap.numerics.compiled.paths import sweep_nodes
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import connected_components
 from anisomap.large.landmarks.correlations import Links
 from anisomap.large.landmarks.options import loops
 from anisomap.large.landmarks.sketch import Sketch
+from anisomap.numerics.graph.connectivity import labels_by_size
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
-from anisomap.numerics.graph.metric import largest_first
 
 SHARED = 0.3
 """Share of their neighbours that two sensors have in common at least if they lie side by side."""
@@ -166,7 +166,7 @@ def as_graph(
 def pieces_of(edges: Links, n_sensors: int) -> NDArray[np.intp]:
     """Tell which sensors hang together; see `Joined.pieces`."""
     graph = as_graph(edges, np.ones(len(edges.r)), n_sensors)
-    return largest_first(connected_components(graph, directed=False)[1])
+    return labels_by_size(connected_components(graph, directed=False)[1])
 
 
 def _among_best(links: Links, n_sensors: int, neighbours: int) -> NDArray[np.bool_]:

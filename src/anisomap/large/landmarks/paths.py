@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from anisomap.large.landmarks.options import loops
-from anisomap.numerics.compiled.parallel import spread
+from anisomap.numerics.compiled.parallel import parallel_map
 
 TOGETHER = 64
 """Landmarks that are gone out from together."""
@@ -50,6 +50,6 @@ def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> 
         loops().relax_from(tile, sources[chosen], order, edges)
         found[:, chosen] = tile
 
-    with spread(len(found)) as spread_over:
+    with parallel_map(len(found)) as spread_over:
         spread_over(go, range(0, len(sources), TOGETHER))
     return found

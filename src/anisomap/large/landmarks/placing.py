@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from anisomap.large.landmarks.paths import paths_from
 from anisomap.large.landmarks.refinement import Targets, refine, stress_of
 from anisomap.large.landmarks.triangulation import triangulate
-from anisomap.numerics.scaling.mds import SmacofOptions, smacof
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 
 logger = logging.getLogger(__name__)
 

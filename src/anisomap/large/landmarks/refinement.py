@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from anisomap.large.landmarks.options import loops
-from anisomap.numerics.compiled.parallel import spread
-from anisomap.numerics.scaling.solvers import Descent, follow
+from anisomap.numerics.compiled.parallel import parallel_map
+from anisomap.numerics.scaling.lbfgs import SolverResult, minimise_lbfgs
 from anisomap.numerics.scaling.stress import Floats
 
 PIECES = 32
@@ -39,7 +39,7 @@ class Targets(NamedTuple):
         return len(self.landmarks) / len(self.rows)
 
 
-def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: int) -> Descent:
+def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: int) -> SolverResult:
     """Lower the raw stress of the pairs with landmarks and of the edges.
 
     Parameters
@@ -47,11 +47,11 @@ def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: in
     targets : Targets
     start : ndarray of shape (N, k)
     tolerance, max_iterations
-        See `anisomap.numerics.scaling.mds.SmacofOptions`.
+        See `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
 
     Returns
     -------
-    Descent
+    SolverResult
         No step raises the stress.
 
     Notes
@@ -64,13 +64,13 @@ def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: in
     degrees = np.diff(targets.edges.indptr)
     weight = n_landmarks + targets.share * degrees
     weight[targets.landmarks] += n_points
-    with spread(n_points) as spread_over:
+    with parallel_map(n_points) as spread_over:
 
         def stress(positions: Floats) -> tuple[float, Floats]:
             return _stress(targets, positions, spread_over)
 
         squares = sum(float(np.square(part, dtype=np.float64).sum()) for part in _parts(targets))
-        return follow(
+        return minimise_lbfgs(
             stress,
             start,
             2 * weight[:, None],

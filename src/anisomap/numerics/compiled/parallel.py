@@ -11,14 +11,14 @@ from typing import Any, Protocol, TypeVar
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
-COMPILED_FROM = 500
+MIN_COMPILED_ROWS = 500
 """Matrices of so many rows go through compiled loops; below, loading them would cost more."""
 
-SPREAD_FROM = 1500
+MIN_PARALLEL_ROWS = 1500
 """From so many rows a pass takes long enough to be shared between threads."""
 
 
-class Map(Protocol):
+class MapFunction(Protocol):
     """What `spread` gives."""
 
     def __call__(self, task: Callable[[Piece], Result], pieces: Iterable[Piece], /) -> list[Result]:
@@ -26,9 +26,15 @@ class Map(Protocol):
         ...
 
 
-def kernels() -> Any:
-    """Load the compiled loops; only the first call takes time."""
-    return import_module("anisomap.numerics.compiled.kernels")
+def load_loops(name: str) -> Any:
+    """Import a module of compiled loops on first use.
+
+    Parameters
+    ----------
+    name : str
+        Module of `anisomap.numerics.compiled`, such as ``"paths"``.
+    """
+    return import_module(f"anisomap.numerics.compiled.{name}")
 
 
 def thread_count() -> int:
@@ -39,26 +45,26 @@ def thread_count() -> int:
     return int(import_module("numba").config.NUMBA_NUM_THREADS)
 
 
-def spreads(n_rows: int) -> bool:
+def is_parallel(n_rows: int) -> bool:
     """Tell whether `spread` shares work on so many rows between threads."""
-    return n_rows >= SPREAD_FROM and thread_count() > 1
+    return n_rows >= MIN_PARALLEL_ROWS and thread_count() > 1
 
 
 @contextmanager
-def spread(n_rows: int) -> Iterator[Map]:
+def parallel_map(n_rows: int) -> Iterator[MapFunction]:
     """Give a `map` that runs pieces on all cores if the matrix has rows enough.
 
     Threads of our own, not numba's: its pools abort the process when two threads call them at
     once, or after a fork. Pieces must not depend on how many threads there are, so that results
     do not either.
     """
-    if not spreads(n_rows):
-        yield in_turn
+    if not is_parallel(n_rows):
+        yield serial_map
         return
     with ThreadPoolExecutor(thread_count()) as pool:
         yield lambda task, pieces: list(pool.map(task, pieces))
 
 
-def in_turn(task: Callable[[Piece], Result], pieces: Iterable[Piece], /) -> list[Result]:
+def serial_map(task: Callable[[Piece], Result], pieces: Iterable[Piece], /) -> list[Result]:
     """Run the task on one piece after the other."""
     return [task(piece) for piece in pieces]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.similarity.activity import estimate_rest
+from anisomap.numerics.similarity.rest import estimate_rest
 
 _LIGHTEST = 0.02  # of a sensor's range; less is rest
 _DEEPEST = 0.998  # quantile of all readings; beyond it may be a glitch
@@ -53,7 +53,7 @@ def sort_into_levels(readings: ArrayLike, most: int, alike: float) -> Levels:
     Returns
     -------
     Levels
-        Rest is that of `anisomap.numerics.similarity.activity.estimate_rest`.
+        Rest is that of `anisomap.numerics.similarity.rest.estimate_rest`.
     """
     values = np.asarray(readings, dtype=np.float64)
     rest = estimate_rest(values)

@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError
-from anisomap.numerics.compiled.parallel import Map, spread, spreads
+from anisomap.numerics.compiled.parallel import MapFunction, is_parallel, parallel_map
 from anisomap.numerics.covariogram.blocks import overlapping_blocks
 from anisomap.numerics.covariogram.objective import (
     Block,
@@ -27,7 +27,7 @@ from anisomap.numerics.covariogram.objective import (
     linear,
     objective,
 )
-from anisomap.numerics.graph.dissimilarity import symmetric
+from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
 
 Matrix: TypeAlias = Reals
@@ -94,7 +94,7 @@ def fit_covariogram(
         `start`.
     noise : float
         Sampling variance s^2 of a correlation, above 0: see
-        `anisomap.numerics.reliability.correlation.sampling_variance`.
+        `anisomap.numerics.reliability.sampling_noise.sampling_variance`.
     known : array_like of bool, shape (N, N), optional
         Which correlations are known; all unless given.
     options : CovariogramOptions, optional
@@ -128,9 +128,9 @@ def fit_covariogram(
     blocks that span the whole skin. The cores share the blocks.
     """
     chosen = options or CovariogramOptions()
-    alike = symmetric(similarity, "similarity")
+    alike = as_symmetric(similarity, "similarity")
     places = np.array(start, dtype=np.float64)
-    apart = symmetric(metric, "metric")
+    apart = as_symmetric(metric, "metric")
     mask = np.ones(alike.shape, dtype=bool) if known is None else np.array(known, dtype=bool)
     _check(alike, places, apart, mask, noise)
     unit = _range(alike, places, mask)
@@ -178,9 +178,12 @@ def fit_covariogram(
 
 
 @contextmanager
-def _shared_out(n_sensors: int) -> Iterator[Map]:
+def _shared_out(n_sensors: int) -> Iterator[MapFunction]:
     """Let the cores share blocks; linear algebra has one thread meanwhile, or all would fight."""
-    with spread(n_sensors) as spread_over, threadpool_limits(1 if spreads(n_sensors) else None):
+    with (
+        parallel_map(n_sensors) as spread_over,
+        threadpool_limits(1 if is_parallel(n_sensors) else None),
+    ):
         yield spread_over
 
 

@@ -13,7 +13,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.compiled.parallel import Map, in_turn
+from anisomap.numerics.compiled.parallel import MapFunction, serial_map
 from anisomap.numerics.precision import Reals
 
 Matrix: TypeAlias = Reals
@@ -177,7 +177,10 @@ class Block:
 
 
 def objective(
-    blocks: Sequence[Block], places: Matrix, log_exponent: float, spread_over: Map = in_turn
+    blocks: Sequence[Block],
+    places: Matrix,
+    log_exponent: float,
+    spread_over: MapFunction = serial_map,
 ) -> tuple[float, Matrix]:
     """Give what is minimised, and its gradient.
 

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import rankdata
 
 from anisomap.errors import InputError
-from anisomap.numerics.similarity.activity import estimate_rest
+from anisomap.numerics.similarity.rest import estimate_rest
 
 FEWEST_PASSES = 8
 """Passes that two sensors must have in common for their heights to tell anything."""

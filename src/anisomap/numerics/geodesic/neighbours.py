@@ -13,7 +13,8 @@ from anisomap.errors import InputError
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO, partial_correlation
 from anisomap.numerics.graph.metric import minimax_paths
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.correlation import blended_correlation, even_and_odd
+from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.split_half import split_blocks
 
 _LEAST_SIMILARITY = 1e-3
 """Less is as good as nothing: it must not make one unrelated pair farther apart than another."""
@@ -204,12 +205,12 @@ def agreement(
     -------
     float
         Correlation over pairs of how many steps apart sensors are on the graphs of the two halves
-        (`even_and_odd`), of those sensors that vary in both; in [-1, 1]. 0 if these are too few.
+        (`split_blocks`), of those sensors that vary in both; in [-1, 1]. 0 if these are too few.
     """
     values = np.asarray(readings)
     if len(values) < 2 * _FEWEST_FRAMES:
         return 0.0
-    halves = [values[frames] for frames in even_and_odd(len(values))]
+    halves = [values[frames] for frames in split_blocks(len(values))]
     varying = np.all([(half != half[0]).any(axis=0) for half in halves], axis=0)
     n_compared = int(np.count_nonzero(varying))
     if n_compared < _FEWEST_COMPARED:

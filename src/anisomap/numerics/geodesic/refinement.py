@@ -24,7 +24,7 @@ from anisomap.numerics.geodesic.neighbours import (
     find_links,
     unevenness,
 )
-from anisomap.numerics.scaling.mds import SmacofOptions, smacof
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 
 Matrix = NDArray[np.float64]
 

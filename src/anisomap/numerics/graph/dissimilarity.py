@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dpotrf, dpotri, spotrf, spotri
 
 from anisomap.errors import InputError
-from anisomap.numerics.precision import Reals, as_reals, equals_transpose, mirror, rows_at_a_time
-from anisomap.numerics.reliability.correlation import typical_noise
+from anisomap.numerics.precision import Reals, as_reals, is_symmetric, mirror, row_blocks
+from anisomap.numerics.reliability.sampling_noise import typical_variance
 
 NUMERICAL_ZERO = 1e-12
 """A similarity below this is rounding error: its reciprocal would be no distance but noise."""
@@ -18,7 +18,7 @@ _SHARE_OF_INDIRECT = 0.1
 _CAUTION = 5.0
 
 
-def symmetric(matrix: ArrayLike, what: str, *, copy: bool = True) -> Reals:
+def as_symmetric(matrix: ArrayLike, what: str, *, copy: bool = True) -> Reals:
     """Check that a matrix is square, free of NaN and symmetric, and make it so to the last bit.
 
     Parameters
@@ -47,7 +47,7 @@ def symmetric(matrix: ArrayLike, what: str, *, copy: bool = True) -> Reals:
     if np.isnan(values.min()):
         i, j = np.argwhere(np.isnan(values))[0]
         raise InputError(f"the {what} of sensors {i} and {j} is NaN; it must be a number")
-    if equals_transpose(values):
+    if is_symmetric(values):
         return values
     finite = np.abs(values[np.isfinite(values)])
     slack = _ROUNDING[values.dtype.type]
@@ -86,7 +86,7 @@ def regularised_reciprocal(similarity: ArrayLike, mu: float = 1.0) -> Reals:
     """
     if not (np.isfinite(mu) and mu >= 0):
         raise InputError(f"mu is {mu}; it must be a number of at least 0")
-    values = symmetric(similarity, "similarity")
+    values = as_symmetric(similarity, "similarity")
     np.fill_diagonal(values, 0)
     values[values < NUMERICAL_ZERO] = 0
     smallest = float(values.min(where=values > 0, initial=np.inf))
@@ -107,7 +107,7 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> Reals:
         Correlations S in [-1, 1]. Negative ones count as 0. The diagonal is not looked at.
     noise : array_like of shape (N, N)
         Sampling variance s_ij^2 of each correlation: see
-        `anisomap.numerics.reliability.correlation.sampling_variance`.
+        `anisomap.numerics.reliability.sampling_noise.sampling_variance`.
 
     Returns
     -------
@@ -129,23 +129,23 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> Reals:
     counts as at least the typical one: sensors that were hardly touched look steadier than they
     are.
     """
-    values = symmetric(similarity, "similarity")
-    variance = symmetric(noise, "noise")
+    values = as_symmetric(similarity, "similarity")
+    variance = as_symmetric(noise, "noise")
     if variance.shape != values.shape:
         raise InputError(f"the noise has shape {variance.shape}, the similarity {values.shape}")
     kinship = partial_correlation(values)
     np.fill_diagonal(values, 0)
     values[values < NUMERICAL_ZERO] = 0
     smallest = np.inf
-    for rows in rows_at_a_time(len(values)):
+    for rows in row_blocks(len(values)):
         direct = np.maximum(kinship[rows], 0) + _SHARE_OF_INDIRECT * values[rows]
         kinship[rows] = np.sqrt(values[rows] * direct)
         smallest = min(smallest, kinship[rows].min(where=kinship[rows] > 0, initial=np.inf))
     if not np.isfinite(smallest):
         return np.where(np.eye(len(values), dtype=bool), 0.0, np.inf)
-    least = typical_noise(variance)
+    least = typical_variance(variance)
     dissimilarity = values
-    for rows in rows_at_a_time(len(values)):
+    for rows in row_blocks(len(values)):
         regularised = kinship[rows] + smallest
         cautious = 1 + _CAUTION * np.maximum(variance[rows], least) / regularised**2
         dissimilarity[rows] = cautious / np.sqrt(regularised)
@@ -173,12 +173,12 @@ def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> Reals:
     -----
     Whittaker (1990), Graphical Models in Applied Multivariate Statistics, chapter 5.
     """
-    covariance = symmetric(correlation, "correlation")
+    covariance = as_symmetric(correlation, "correlation")
     np.fill_diagonal(covariance, 1 + ridge)
     precision = _inverse(covariance)
     scale = np.sqrt(np.abs(np.diag(precision)))
     scale[scale == 0] = 1.0
-    for rows in rows_at_a_time(len(precision)):
+    for rows in row_blocks(len(precision)):
         precision[rows] /= np.outer(-scale[rows], scale)
     return precision
 
@@ -209,7 +209,7 @@ def information_distance(information: ArrayLike) -> Reals:
     ----------
     information : array_like of shape (N, N)
         Mutual information in nats, with the entropies on the diagonal, as from
-        `anisomap.numerics.similarity.statistics.mutual_information`.
+        `anisomap.numerics.similarity.information.mutual_information`.
 
     Returns
     -------
@@ -226,9 +226,9 @@ def information_distance(information: ArrayLike) -> Reals:
     -----
     McGregor et al. (2011), section "Information Distance"; Crutchfield (1990).
     """
-    values = symmetric(information, "mutual information")
+    values = as_symmetric(information, "mutual information")
     entropy = np.diag(values).copy()
-    for rows in rows_at_a_time(len(values)):
+    for rows in row_blocks(len(values)):
         values[rows] = np.add.outer(entropy[rows], entropy) - 2 * values[rows]
     values[values < NUMERICAL_ZERO] = 0
     return values

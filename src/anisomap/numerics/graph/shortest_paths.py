@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from anisomap.numerics.compiled.parallel import kernels, spread
-from anisomap.numerics.precision import Reals, rows_at_a_time
+from anisomap.numerics.compiled.parallel import load_loops, parallel_map
+from anisomap.numerics.precision import Reals, row_blocks
 
 logger = logging.getLogger(__name__)
 
@@ -100,7 +100,7 @@ def holds(paths: Reals, lengths: Reals) -> bool:
     sources = np.unique(np.linspace(0, len(paths) - 1, CHECKED).astype(int))
     chosen = paths[sources]
     shorter = chosen.copy()
-    kernels().shorten(shorter, chosen, lengths, (0, len(chosen)), (0, len(paths)))
+    load_loops("paths").shorten(shorter, chosen, lengths, (0, len(chosen)), (0, len(paths)))
     if (shorter >= chosen * (1 - ROUNDING[paths.dtype.type])).all():
         return True
     logger.warning("shortest paths along few edges were not the shortest: going through all nodes")
@@ -115,10 +115,10 @@ def through_all_nodes(lengths: Reals) -> Reals:
     Venkataraman, Sahni & Mukhopadhyaya (2003), ACM Journal of Experimental Algorithmics 8: 2.2.
     Paths are the same there and back, so only blocks on and above the diagonal are worked out.
     """
-    loops = kernels()
+    loops = load_loops("paths")
     n_nodes = len(lengths)
     paths = lengths.copy()
-    with spread(n_nodes) as spread_over:
+    with parallel_map(n_nodes) as spread_over:
         for nodes in _blocks(n_nodes, TILE):
             among = paths[nodes, nodes].copy()
             loops.close(among)
@@ -146,7 +146,7 @@ def _tight(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
     """List the edges that no detour shortens, each once; None if there are too many."""
     starts, ends, count = [], [], 0
-    for rows in rows_at_a_time(len(paths)):
+    for rows in row_blocks(len(paths)):
         after = np.arange(rows.start, rows.stop)[:, None] < np.arange(len(paths))
         same = after & (paths[rows] == lengths[rows]) & np.isfinite(lengths[rows])
         start, end = np.nonzero(same)
@@ -159,7 +159,7 @@ def _tight(
 
 
 def _nearest(lengths: Reals) -> NDArray[np.int64]:
-    return np.asarray(kernels().nearest(lengths, NEAREST))
+    return np.asarray(load_loops("paths").nearest(lengths, NEAREST))
 
 
 def _edges(lengths: Reals, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> Edges:
@@ -184,9 +184,9 @@ def _from_neighbour_to_neighbour(edges: Edges) -> NDArray[np.int64]:
 def _relax(paths: Reals, order: NDArray[np.int64], edges: Edges, most_sweeps: int) -> None:
     def relax(together: slice) -> None:
         # Sources that follow one another in `order` are near: much of the graph can be passed over.
-        kernels().relax(paths, order[together], order, tuple(edges), most_sweeps)
+        load_loops("paths").relax(paths, order[together], order, tuple(edges), most_sweeps)
 
-    with spread(len(paths)) as spread_over:
+    with parallel_map(len(paths)) as spread_over:
         spread_over(relax, _blocks(len(paths), SOURCES))
 
 

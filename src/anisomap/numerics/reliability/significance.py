@@ -12,12 +12,12 @@ from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.numerics.precision import Reals, as_reals, rows_at_a_time
-from anisomap.numerics.reliability.correlation import typical_noise
+from anisomap.numerics.precision import Reals, as_reals, row_blocks
+from anisomap.numerics.reliability.sampling_noise import typical_variance
 
 _BEYOND_CHANCE = 1.2
 
-MANY_SENSORS = 500
+MIN_FILTERED_SENSORS = 500
 """Of more, only links that chance does not explain are followed."""
 
 FOLLOWED = 1.5
@@ -36,7 +36,7 @@ MOST_PRODUCTS = 1e10
 """With more, contacts cover so much of the skin that a few steps lead anywhere without chance."""
 
 
-def without_chance(
+def remove_insignificant_links(
     dissimilarity: Reals, similarity: ArrayLike, variance: ArrayLike, *, part: bool = True
 ) -> Reals:
     """Take sensors for infinitely far apart where chance alone may have made them alike.
@@ -50,29 +50,29 @@ def without_chance(
     variance : array_like of shape (N, N)
         Their sampling variances, above 0.
     part : bool
-        Whether sensors may fall into pieces (`related_pieces`).
+        Whether sensors may fall into pieces (`significant_components`).
 
     Returns
     -------
     ndarray of shape (N, N)
-        Infinite between pieces and, in those of more than 500 sensors, but for `followed_links`.
+        Infinite between pieces and, in those of more than 500 sensors, but for `significant_links`.
     """
     n_sensors = len(dissimilarity)
     pieces = np.zeros(n_sensors, dtype=np.intp)
     if part:
-        pieces = related_pieces(similarity, variance)
+        pieces = significant_components(similarity, variance)
     if pieces.any():
         dissimilarity[np.not_equal.outer(pieces, pieces)] = np.inf
     alike, noise = np.asarray(similarity), np.asarray(variance)
-    for label in np.flatnonzero(np.bincount(pieces) > MANY_SENSORS):
+    for label in np.flatnonzero(np.bincount(pieces) > MIN_FILTERED_SENSORS):
         inside = ... if not pieces.any() else np.ix_(pieces == label, pieces == label)
-        followed = followed_links(alike[inside], noise[inside])
+        followed = significant_links(alike[inside], noise[inside])
         np.fill_diagonal(followed, val=True)
         dissimilarity[inside] = np.where(followed, dissimilarity[inside], np.inf)
     return dissimilarity
 
 
-def related_pieces(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.intp]:
+def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.intp]:
     """Part sensors that are related to one another from those related by chance alone.
 
     Parameters
@@ -97,7 +97,7 @@ def related_pieces(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.int
     1.4 where few large contacts made many pairs meet by one and the same chance: such skins may
     be taken for one.
     """
-    links = in_units_of_noise(similarity, variance)
+    links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
     if n_sensors < 2:
         return np.zeros(n_sensors, dtype=np.intp)
@@ -114,7 +114,7 @@ def related_pieces(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.int
     return labels
 
 
-def followed_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:
+def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:
     """Tell which links are direct evidence that two sensors of a large skin are near.
 
     Parameters
@@ -139,7 +139,7 @@ def followed_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.boo
     without a link keep their strongest. Where so few links are left that they hardly hold the skin
     together (contacts are small, or the recording is short), all are followed.
     """
-    links = in_units_of_noise(similarity, variance)
+    links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
     n_pairs = max(2, n_sensors * (n_sensors - 1) // 2)
     strong = links >= FOLLOWED * math.sqrt(2 * math.log(n_pairs))
@@ -160,11 +160,11 @@ def followed_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.boo
     return followed
 
 
-def in_units_of_noise(similarity: ArrayLike, variance: ArrayLike) -> Reals:
+def standardised_correlation(similarity: ArrayLike, variance: ArrayLike) -> Reals:
     """Divide correlations by their standard deviations, which are at least the typical one."""
     links, noise = as_reals(similarity), np.asarray(variance)
-    least = typical_noise(noise)
-    for rows in rows_at_a_time(len(links)):
+    least = typical_variance(noise)
+    for rows in row_blocks(len(links)):
         links[rows] /= np.sqrt(np.maximum(noise[rows], least))
     return links
 

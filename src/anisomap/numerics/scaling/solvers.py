@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
-from anisomap.numerics.scaling.stress import COINCIDENT, Objective, Problem, is_compiled, objective
+from anisomap.numerics.scaling.lbfgs import NEGLIGIBLE, SolverResult, minimise_lbfgs
+from anisomap.numerics.scaling.stress import COINCIDENT, Problem, is_compiled, objective
 
 Floats = NDArray[np.float64]
 
-MEMORY = 10
-"""Steps that L-BFGS remembers."""
-
-GUIDED = 5
-"""First steps that L-BFGS takes as majorisation does, which choose the valley."""
-
-QUIET = 3
-"""L-BFGS may pause for a step: so many together must lower the stress too little."""
-
-TRIALS = 10
-"""Lengths tried of one step."""
 
 BOTH_UP_TO = 100
 """So few points have many minima and cost next to nothing: both ways are gone."""
@@ -33,66 +21,43 @@ BOTH_UP_TO = 100
 COARSE = 1e-7
 """In float32, where sums of many pairs differ by 1e-8, stop when steps lower them by less."""
 
-NEGLIGIBLE = 1e-30
-"""Raw stress below this share of the distances' own squares is none."""
 
-
-class Descent(NamedTuple):
-    """Where a way led: positions (N, k), the raw stress of each step, and whether it settled."""
-
-    positions: Floats
-    trace: list[float]
-    converged: bool
-
-
-class _Place(NamedTuple):
-    positions: Floats
-    raw: float
-    gradient: Floats
-
-
-class _Turn(NamedTuple):
-    """A step, how the gradient changed along it, and the product of both."""
-
-    step: Floats
-    change: Floats
-    product: float
-
-
-def choose(problem: Problem, start: Floats, tolerance: float, max_iterations: int) -> Descent:
+def minimise_auto(
+    problem: Problem, start: Floats, tolerance: float, max_iterations: int
+) -> SolverResult:
     """Descend by L-BFGS; of few points majorise, too, and take what is lower.
 
     Of many, go most of the way in float32, which costs half.
     """
     if len(start) <= BOTH_UP_TO:
-        found = descend(problem, start, tolerance, max_iterations)
+        found = lbfgs(problem, start, tolerance, max_iterations)
         other = majorise(problem, start, tolerance, max_iterations)
         return other if other.trace[-1] < found.trace[-1] else found
     coarse = problem.single() if is_compiled(len(start)) else None
     if coarse is None:
-        return descend(problem, start, tolerance, max_iterations)
+        return lbfgs(problem, start, tolerance, max_iterations)
     return _in_two_stages(coarse, problem, start, tolerance, max_iterations)
 
 
 def _in_two_stages(
     coarse: Problem, problem: Problem, start: Floats, tolerance: float, max_iterations: int
-) -> Descent:
-    first = descend(coarse, start, max(tolerance, COARSE), max_iterations, single=True)
+) -> SolverResult:
+    first = lbfgs(coarse, start, max(tolerance, COARSE), max_iterations, single=True)
     left = max_iterations + 1 - len(first.trace)
-    second = descend(problem, first.positions, tolerance, left)
+    second = lbfgs(problem, first.positions, tolerance, left)
     # A stress in float32 may be a millionth too low: that of the same place is known exactly now.
     before = np.maximum(first.trace[:-1], second.trace[0]).tolist()
-    return Descent(second.positions, before + second.trace, second.converged)
+    return SolverResult(second.positions, before + second.trace, second.converged)
 
 
-def descend(
+def lbfgs(
     problem: Problem,
     start: Floats,
     tolerance: float,
     max_iterations: int,
     *,
     single: bool = False,
-) -> Descent:
+) -> SolverResult:
     """Lower the stress by L-BFGS (Nocedal & Wright 2006, algorithms 7.4 and 7.5).
 
     Notes
@@ -105,7 +70,7 @@ def descend(
     n_points = len(start)
     scale = 2 * problem.weight_of_points() * n_points / max(n_points - 1, 1)
     with objective(problem, single=single) as stress:
-        return follow(
+        return minimise_lbfgs(
             stress,
             start,
             scale,
@@ -115,90 +80,9 @@ def descend(
         )
 
 
-def follow(
-    stress: Objective,
-    start: Floats,
-    scale: Floats,
-    *,
-    squares: float,
-    tolerance: float,
-    max_iterations: int,
-) -> Descent:
-    """Lower any stress by L-BFGS, as `descend` does that of all pairs.
-
-    Parameters
-    ----------
-    stress : callable
-    start : ndarray of shape (N, k)
-    scale : ndarray of shape (N, 1)
-        First guess of the curvature.
-    squares : float
-        Of the distances, weighted: what a raw stress is negligible beside.
-    tolerance, max_iterations
-        See `anisomap.numerics.scaling.mds.SmacofOptions`.
-
-    Returns
-    -------
-    Descent
-    """
-    negligible = NEGLIGIBLE * squares
-    turns: deque[_Turn] = deque(maxlen=MEMORY)
-    here = _Place(start, *stress(start))
-    trace = [here.raw]
-    converged = here.raw == 0
-    while not converged and len(trace) <= max_iterations:
-        there = _lower(stress, here, _direction(here.gradient, scale, turns))
-        if there is None:
-            converged = not turns
-            turns.clear()
-            continue
-        if len(trace) > GUIDED:
-            _remember(turns, here, there, scale)
-        here = there
-        trace.append(here.raw)
-        quiet = len(trace) > QUIET and trace[-1 - QUIET] - here.raw <= tolerance * here.raw
-        converged = quiet or here.raw <= negligible
-    return Descent(here.positions, trace, converged)
-
-
-def _direction(gradient: Floats, scale: Floats, turns: deque[_Turn]) -> Floats:
-    step = gradient.copy()
-    shares = []
-    for turn in reversed(turns):
-        shares.append(np.vdot(turn.step, step) / turn.product)
-        step -= shares[-1] * turn.change
-    step /= scale
-    if turns:
-        step *= turns[-1].product / np.vdot(turns[-1].change, turns[-1].change / scale)
-    for turn, share in zip(turns, reversed(shares), strict=True):
-        step += (share - np.vdot(turn.change, step) / turn.product) * turn.step
-    return step
-
-
-def _lower(stress: Objective, here: _Place, step: Floats) -> _Place | None:
-    """Go along a step as far as lowers the stress well; None if nothing does."""
-    promised = float(np.vdot(step, here.gradient))
-    length = 1.0
-    for _ in range(TRIALS if promised > 0 else 0):
-        positions = here.positions - length * step
-        there = _Place(positions, *stress(positions))
-        if there.raw <= here.raw - 1e-4 * length * promised:
-            return there
-        # Where the parabola through both stresses and the slope is lowest, within bounds.
-        bend = 2 * (there.raw - here.raw + length * promised)
-        length *= min(0.5, max(0.1, length * promised / bend))
-    return None
-
-
-def _remember(turns: deque[_Turn], here: _Place, there: _Place, scale: Floats) -> None:
-    turn = there.positions - here.positions, there.gradient - here.gradient
-    product = float(np.vdot(*turn))
-    # Without curvature along the step it would turn the next one uphill.
-    if product > 1e-10 * np.vdot(turn[1], turn[1] / scale):
-        turns.append(_Turn(*turn, product))
-
-
-def majorise(problem: Problem, start: Floats, tolerance: float, max_iterations: int) -> Descent:
+def majorise(
+    problem: Problem, start: Floats, tolerance: float, max_iterations: int
+) -> SolverResult:
     """Lower the stress by Guttman transforms, ``X <- V^+ B(X) X`` (Borg & Groenen 2005, 8.28)."""
     targets, weights = problem.targets, problem.weights
     weighted_targets = weights * targets
@@ -221,7 +105,7 @@ def majorise(problem: Problem, start: Floats, tolerance: float, max_iterations: 
         converged = trace[-1] - raw <= tolerance * trace[-1] or raw <= negligible
         positions, distances = moved, moved_distances
         trace.append(raw)
-    return Descent(positions, trace, converged)
+    return SolverResult(positions, trace, converged)
 
 
 def _raw_stress(problem: Problem, distances: Floats) -> float:
@@ -243,5 +127,5 @@ def _laplacian_solver(problem: Problem) -> Callable[[Floats], Floats]:
     return lambda product: np.asarray(cho_solve(factor, product))
 
 
-SOLVERS = {"auto": choose, "lbfgs": descend, "majorization": majorise}
+SOLVERS = {"auto": minimise_auto, "lbfgs": lbfgs, "majorization": majorise}
 """By name; each takes a problem, a start, the tolerance, and the most iterations."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from anisomap.numerics.compiled.parallel import COMPILED_FROM, kernels, spread
-from anisomap.numerics.precision import Reals, rows_at_a_time
+from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
+from anisomap.numerics.precision import Reals, row_blocks
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ class Problem:
         if self.all_alike:
             return sum(float(np.vdot(row, row)) for row in self.targets) / 2
         total = 0.0
-        for rows in rows_at_a_time(len(self.targets)):
+        for rows in row_blocks(len(self.targets)):
             lengths = self.targets[rows] if positions is None else cdist(positions[rows], positions)
             total += float(np.vdot(self.weights[rows] * lengths, lengths.astype(np.float64)))
         return total / 2
@@ -81,7 +81,7 @@ Objective = Callable[[Floats], tuple[float, Floats]]
 
 def is_compiled(n_points: int) -> bool:
     """Tell whether the stress of so many points is worked out by compiled loops."""
-    return n_points >= COMPILED_FROM
+    return n_points >= MIN_COMPILED_ROWS
 
 
 @contextmanager
@@ -104,7 +104,7 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
     if not is_compiled(n_points):
         yield lambda positions: plain_stress(problem, positions)
         return
-    with spread(n_points) as spread_over:
+    with parallel_map(n_points) as spread_over:
         # Row i has N - 1 - i pairs: cut so that pieces have about equally many.
         cuts = n_points * (1 - np.sqrt(1 - np.arange(PIECES + 1) / PIECES))
         edges = np.round(cuts).astype(int).tolist()
@@ -116,7 +116,7 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
             def add(piece: int) -> float:
                 rows = (edges[piece], edges[piece + 1])
                 return float(
-                    kernels().add_stress(
+                    load_loops("stress").add_stress(
                         points, problem.targets, problem.weights, rows, slopes[piece]
                     )
                 )

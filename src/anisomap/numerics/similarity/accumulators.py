@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.precision import Reals, held_as, rows_at_a_time
-from anisomap.numerics.similarity.counting import Codes, Counts, Layout, co_occurrences
+from anisomap.numerics.precision import Reals, float_type, row_blocks
+from anisomap.numerics.similarity.co_occurrence import Codes, Counts, Layout, co_occurrences
 from anisomap.numerics.similarity.sparse_products import products_of_few
 
 CHUNK_FRAMES = 8192
 """Frames that are converted to float64 at a time: enough for fast products, little memory."""
 
-SINGLE_SENSORS = 512
+MIN_FLOAT32_SENSORS = 512
 """From so many sensors on, products of float32 save more than they cost."""
 
 _SINGLE_RANGE = 1e15
@@ -65,7 +65,7 @@ class Moments:
 
     @classmethod
     def _of_chunk(cls, chunk: NDArray[np.generic], single: bool) -> Moments:
-        few = products_of_few(chunk) if chunk.shape[1] >= SINGLE_SENSORS else None
+        few = products_of_few(chunk) if chunk.shape[1] >= MIN_FLOAT32_SENSORS else None
         if few is not None:
             return cls(len(chunk), *few)
         if single and (found := _in_float32(chunk)) is not None:
@@ -98,7 +98,7 @@ class Moments:
         step = other.mean - self.mean
         weight = self.n_frames * other.n_frames / n_frames
         comoment = np.empty_like(self.comoment)
-        for rows in rows_at_a_time(len(comoment)):
+        for rows in row_blocks(len(comoment)):
             np.outer(step[rows], step, out=comoment[rows])
             comoment[rows] *= weight
             comoment[rows] += self.comoment[rows]
@@ -130,7 +130,7 @@ class CoOccurrences:
     n_frames : int
         How many frames they are of, T.
     first : ndarray of int, shape (N + 1,)
-        Where the series of each sensor begin: see `anisomap.numerics.similarity.counting.Layout`.
+        Index of the first series of each sensor.
     counts : ndarray of uint32 or uint64, shape (M, M)
         Symmetric; how often a series itself is on stands on the diagonal.
     """
@@ -163,7 +163,7 @@ class CoOccurrences:
 
 
 @dataclass(frozen=True, eq=False)
-class KeptCodes:
+class StoredCodes:
     """Codes of all frames as they are: of many sensors less than counts of all their pairs.
 
     Attributes
@@ -178,13 +178,13 @@ class KeptCodes:
     parts: tuple[NDArray[np.integer[Any]], ...]
 
     @classmethod
-    def of(cls, codes: NDArray[np.integer[Any]]) -> KeptCodes:
+    def of(cls, codes: NDArray[np.integer[Any]]) -> StoredCodes:
         """Keep codes of shape (T, N)."""
         return cls(len(codes), (codes.astype(np.min_scalar_type(codes.max(initial=0))),))
 
-    def merged(self, other: KeptCodes) -> KeptCodes:
+    def merged(self, other: StoredCodes) -> StoredCodes:
         """Put the codes of later frames of the same sensors behind these."""
-        return KeptCodes(self.n_frames + other.n_frames, self.parts + other.parts)
+        return StoredCodes(self.n_frames + other.n_frames, self.parts + other.parts)
 
     def whole(self) -> NDArray[np.integer[Any]]:
         """Give all codes as one array, shape (T, N)."""
@@ -195,8 +195,8 @@ def correlation_of_comoments(comoment: NDArray[np.float64]) -> Reals:
     """Divide co-moments by the spreads of both sensors; see `Moments.correlation`."""
     spread = np.sqrt(np.diag(comoment))
     scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
-    correlation = np.empty(comoment.shape, held_as(len(comoment)))
-    for rows in rows_at_a_time(len(comoment)):
+    correlation = np.empty(comoment.shape, float_type(len(comoment)))
+    for rows in row_blocks(len(comoment)):
         # First the product of scales: the same two roundings for (i, j) and (j, i).
         products = np.outer(scale[rows], scale)
         products *= comoment[rows]

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
-from anisomap.numerics.columns import columns, counted
+from anisomap.numerics.columns import columns, count_values
 
 DEFAULT_BINS = 4
 """The paper's number of bins; it reports that 6 and 8 gave similar results."""
 
-MOST_BINS = 1 << 16
+MAX_BINS = 1 << 16
 """As many as 16 bits tell apart."""
 
 
@@ -47,8 +47,8 @@ def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray
     """
     if bins < 2:
         raise InputError(f"{bins} bins tell nothing apart; use 2 or more")
-    if bins > MOST_BINS:
-        raise InputError(f"{bins} bins are more than the {MOST_BINS} that codes can tell apart")
+    if bins > MAX_BINS:
+        raise InputError(f"{bins} bins are more than the {MAX_BINS} that codes can tell apart")
     mass = np.asarray(counts, dtype=np.int64)
     atoms = np.zeros(mass.size, dtype=bool)
     free = bins
@@ -93,7 +93,7 @@ def maximum_entropy_codes(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDAr
     values = np.asarray(readings)
     codes = np.empty(values.shape[::-1], dtype=np.uint16)
     for sensor, column in enumerate(columns(values)):
-        distinct, counts = counted(column)
+        distinct, counts = count_values(column)
         found = maximum_entropy_bins(counts, bins)
         # Where the bin changes, of which there are few: faster than a place for every reading.
         changes = np.flatnonzero(np.diff(found)) + 1

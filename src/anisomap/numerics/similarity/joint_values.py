@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from anisomap.numerics.similarity.accumulators import CoOccurrences
-from anisomap.numerics.similarity.counting import Counts, Layout
-from anisomap.numerics.similarity.values import Recoding, ValueCounts
+from anisomap.numerics.similarity.co_occurrence import Counts, Layout
+from anisomap.numerics.similarity.value_counts import Recoding, ValueCounts
 
-MOST_SERIES = 8192
+MAX_SERIES = 8192
 """Values that are kept of all sensors together: 256 MiB of joint counts."""
 
 _FEWEST_VALUES = 4  # of one sensor, however many sensors there are
@@ -42,7 +42,7 @@ class JointValues:
     def of(cls, readings: ArrayLike) -> JointValues:
         """Count the pairs of values in an array of finite readings, shape (T, N), T >= 1."""
         array = np.asarray(readings)
-        single = ValueCounts.of(array, max(_FEWEST_VALUES, MOST_SERIES // array.shape[1]))
+        single = ValueCounts.of(array, max(_FEWEST_VALUES, MAX_SERIES // array.shape[1]))
         first = _first(single)
         sizes = np.diff(first)
         numbers = np.arange(sizes.max())

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.compiled.parallel import kernels, spread
+from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.precision import mirror
 
 Floats = NDArray[np.float64]
@@ -55,10 +55,10 @@ def products_of_few(readings: NDArray[Any]) -> tuple[Floats, Floats] | None:
     def add(begin: int) -> None:
         rows = slice(begin, min(begin + _ROWS, n_sensors))
         panel = np.outer(sums[rows], sums / -n_frames)
-        kernels().add_products(panel, begin, sensors, depths, begins)
+        load_loops("products").add_products(panel, begin, sensors, depths, begins)
         products[rows] = panel
 
-    with spread(n_sensors) as spread_over:
+    with parallel_map(n_sensors) as spread_over:
         spread_over(add, range(0, n_sensors, _ROWS))
     mirror(products, upper=True)
     return rest + sums / n_frames, products

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
-from anisomap.numerics.similarity.activity import estimate_rest
+from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 from anisomap.simulation.checks import check_count, check_positive
 from anisomap.simulation.faults.log import (
@@ -43,7 +43,7 @@ def dead(recording: Recording, sensors: Sensors, *, rng: Randomness = 0) -> Reco
     Returns
     -------
     Recording
-        Rest is each sensor's most frequent reading: `anisomap.numerics.similarity.activity.Rest`.
+        Rest is each sensor's most frequent reading: `anisomap.numerics.similarity.rest.Rest`.
     """
 
     def silence(column: Column) -> tuple[Column, Spans]:

@@ -11,8 +11,9 @@ from sklearn.manifold import smacof as sklearn_smacof
 
 from anisomap.errors import InputError
 from anisomap.evaluation import align
-from anisomap.numerics.scaling import mds
-from anisomap.numerics.scaling.mds import SmacofOptions, smacof, torgerson
+from anisomap.numerics.scaling import classical
+from anisomap.numerics.scaling.classical import torgerson
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 
 # Borg & Groenen (1997), Modern Multidimensional Scaling, p. 154: four objects, their
 # dissimilarities, the configuration that the majorisation sets out from, and where one step leads.
@@ -148,7 +149,7 @@ def test_torgerson_by_iteration_equals_the_full_decomposition(seed, monkeypatch)
     rng = np.random.default_rng(seed)
     distances = squareform(pdist(rng.normal(size=(150, 5))) * rng.uniform(0.8, 1.2, 150 * 149 // 2))
     dense = torgerson(distances, 3)
-    monkeypatch.setattr(mds, "DENSE_LIMIT", 10)
+    monkeypatch.setattr(classical, "DENSE_LIMIT", 10)
     np.testing.assert_allclose(torgerson(distances, 3), dense, atol=1e-7)
 
 
@@ -173,14 +174,14 @@ def test_torgerson_of_thousands_takes_no_full_decomposition(monkeypatch):
     def refuse(*_, **__):
         pytest.fail("a full eigendecomposition was asked for")
 
-    monkeypatch.setattr(mds, "eigh", refuse)
+    monkeypatch.setattr(classical, "eigh", refuse)
     points = np.random.default_rng(0).normal(size=(1500, 2))
     found = torgerson(squareform(pdist(points)), 2)
     assert align(found, points).rms < 1e-6
 
 
 def test_the_same_input_gives_the_same_bytes():
-    points = np.random.default_rng(0).normal(size=(mds.DENSE_LIMIT + 50, 2))
+    points = np.random.default_rng(0).normal(size=(classical.DENSE_LIMIT + 50, 2))
     distances = squareform(pdist(points)) ** 0.9
     first = smacof(distances, dimensions=2, options=SmacofOptions(1e-6, 20)).positions
     again = smacof(distances, dimensions=2, options=SmacofOptions(1e-6, 20)).positions

@@ -107,7 +107,7 @@ def pack_bits(codes: NDArray[Any], position: NDArray[np.int64], bits: NDArray[np
     codes : ndarray of int, shape (T, N)
         What every sensor read.
     position : ndarray of int64, shape (N, b)
-        See `anisomap.numerics.similarity.counting.Layout`.
+        See `anisomap.numerics.similarity.co_occurrence.Layout`.
     bits : ndarray of uint64, shape (M + 1, words)
         Zeros; filled. What is no series goes to the last row, which saves asking.
     """
@@ -175,7 +175,7 @@ def list_entries(
     codes : ndarray of int, shape (T, N)
         What every sensor read.
     reference, position
-        See `anisomap.numerics.similarity.counting.Layout`.
+        See `anisomap.numerics.similarity.co_occurrence.Layout`.
     on : Entries
         With `starts` known; the rest is filled.
     """

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.similarity.binning import maximum_entropy_bins
 
-MOST_VALUES = 1 << 24
+MAX_VALUES = 1 << 24
 """Values that are kept of all sensors together: 256 MiB."""
 
 _CHUNK_FRAMES = 256  # what is worked out on the way stays in the processor's cache
@@ -58,7 +58,7 @@ class ValueCounts:
         readings : array_like of shape (T, N)
             Finite readings, T >= 1.
         most : int, optional
-            How many values, at least 2, a sensor may have before they are rounded; `MOST_VALUES`
+            How many values, at least 2, a sensor may have before they are rounded; `MAX_VALUES`
             shared out equally unless given.
 
         Returns
@@ -66,7 +66,7 @@ class ValueCounts:
         ValueCounts
         """
         array = np.asarray(readings)
-        bound = most or max(_FEWEST_VALUES, MOST_VALUES // array.shape[1])
+        bound = most or max(_FEWEST_VALUES, MAX_VALUES // array.shape[1])
         found = [_bounded(*distinct(column), 0, bound) for column in array.T]
         values, counts, grains = zip(*found, strict=True)
         return cls(len(array), values, counts, np.array(grains), bound)

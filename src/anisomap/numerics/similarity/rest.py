@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.columns import columns, counted
+from anisomap.numerics.columns import columns, count_values
 
 ATOM = 0.1
 """A value that holds at least this share of a sensor's frames is a rest, not a coincidence."""
@@ -88,11 +88,11 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     that reach about equally far on both sides (the pixels of a camera) have no rest to leave:
     what is beyond their median counts as active.
     """
-    found = map(counted, columns(np.asarray(readings)))
-    return rest_of_counts((values.astype(np.float64), counts) for values, counts in found)
+    found = map(count_values, columns(np.asarray(readings)))
+    return rest_from_counts((values.astype(np.float64), counts) for values, counts in found)
 
 
-def rest_of_counts(
+def rest_from_counts(
     values_and_counts: Iterable[tuple[NDArray[np.float64], NDArray[np.integer[Any]]]],
 ) -> Rest:
     """Estimate where each sensor rests from which values it read how often.

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import xlogy
 from threadpoolctl import threadpool_info
 
-from anisomap.numerics.compiled.counting import (
+from anisomap.numerics.compiled.co_occurrence import (
     Entries,
     Tallies,
     compiled,
@@ -32,7 +32,7 @@ from anisomap.numerics.compiled.counting import (
 )
 from anisomap.numerics.precision import mirror
 
-MANY_SENSORS = 300
+MIN_COMPILED_SENSORS = 300
 """From so many sensors on, compiled loops pay; fewer are left to numpy."""
 
 CHUNK_FRAMES = 8192
@@ -93,7 +93,7 @@ class Layout:
 
 def code_counts(codes: Codes, n_codes: int) -> NDArray[np.int64]:
     """Count how often every sensor has every code, shape (N, b), of codes of shape (T, N)."""
-    if codes.shape[1] < MANY_SENSORS:
+    if codes.shape[1] < MIN_COMPILED_SENSORS:
         found = [np.count_nonzero(codes == code, axis=0) for code in range(n_codes)]
         return np.column_stack(found).astype(np.int64)
     counts = np.zeros((codes.shape[1], n_codes), dtype=np.int64)
@@ -117,7 +117,7 @@ def co_occurrences(codes: Codes, layout: Layout) -> NDArray[np.uint32]:
     """
     n_series = layout.n_series
     counts = np.zeros((n_series, n_series), dtype=np.uint32)
-    if codes.shape[1] < MANY_SENSORS:
+    if codes.shape[1] < MIN_COMPILED_SENSORS:
         for start in range(0, len(codes), CHUNK_FRAMES):
             on = _indicators(codes[start : start + CHUNK_FRAMES], layout)
             counts += (on.T @ on).astype(np.uint32)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from anisomap.numerics.compiled.parallel import spread
+from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 
 ROWS = 512
 """Rows of products at a time."""
@@ -17,10 +14,10 @@ ROWS = 512
 COLUMNS = 4096
 """Columns at a time: a block stays in the cache while its greatest entries are looked for."""
 
-NOBODY = -1
+NO_SENSOR = -1
 
 
-def most_alike(
+def most_similar(
     rows: NDArray[np.float32],
     count: int,
     *,
@@ -51,7 +48,7 @@ def most_alike(
     n_sensors = len(rows)
     whom = np.arange(n_sensors) if sensors is None else np.asarray(sensors, dtype=np.int64)
     kinds = np.arange(n_sensors) if groups is None else np.asarray(groups, dtype=np.int64)
-    found = np.full((len(whom), count), NOBODY, dtype=np.int64)
+    found = np.full((len(whom), count), NO_SENSOR, dtype=np.int64)
     products = np.full(found.shape, -np.inf, dtype=np.float32)
 
     def look(begin: int) -> None:
@@ -60,14 +57,11 @@ def most_alike(
         for left in range(0, n_sensors, COLUMNS):
             block = mine @ rows[left : left + COLUMNS].T
             own = kinds[whom[part]]
-            _compiled().keep_greatest(block, left, own, kinds, (found[part], products[part]))
+            load_loops("search").keep_greatest(
+                block, left, own, kinds, (found[part], products[part])
+            )
 
     # Threads of ours, not of the library of products, so that sums do not depend on their number.
-    with threadpool_limits(1), spread(len(whom)) as spread_over:
+    with threadpool_limits(1), parallel_map(len(whom)) as spread_over:
         spread_over(look, range(0, len(whom), ROWS))
     return found, products
-
-
-def _compiled() -> Any:
-    """Import the compiled loop; only the first call takes time."""
-    return import_module("anisomap.numerics.compiled.nearest")

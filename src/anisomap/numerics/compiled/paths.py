@@ -21,7 +21,6 @@ Range = tuple[int, int]  # from the first to before the last
 
 WIDTH = 512  # so many columns at a time stay in the first-level cache
 # Sums may be taken in any order, which vector units need; infinities keep their meaning.
-REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
 @loop()
@@ -141,71 +140,3 @@ def relax(
     for node in range(n_nodes):
         for place in range(len(sources)):
             paths[sources[place], node] = tile[node, place]
-
-
-@loop(fastmath=REORDERED, error_model="numpy")
-def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope: Reals) -> float:
-    """Sum the raw stress over the pairs i < j with i in those `rows`.
-
-    `points` is (k, N), a row a coordinate. `weights` is (N, N), or (1, N) if one row serves all.
-    Half the gradient is added to `slope`, shaped like `points`. Points that coincide pull each
-    other nowhere: their difference is 0, and the tiny number keeps its factor finite.
-    """
-    dimensions, n_points = points.shape
-    tiny, one = np.finfo(points.dtype).tiny, points.dtype.type(1)
-    room = np.empty(WIDTH, points.dtype)
-    total = 0.0
-    for i in range(rows[0], rows[1]):
-        weighted = i if len(weights) > 1 else 0
-        for start in range(i + 1, n_points, WIDTH):
-            stop = min(start + WIDTH, n_points)
-            size = stop - start
-            factors = room[:size]
-            factors[:] = tiny
-            for axis in range(dimensions):
-                mine, theirs = points[axis, i], points[axis, start:stop]
-                for j in range(size):
-                    apart = mine - theirs[j]
-                    factors[j] += apart * apart
-            target, weight = targets[i, start:stop], weights[weighted, start:stop]
-            partial = points.dtype.type(0)
-            for j in range(size):
-                inverse = one / np.sqrt(factors[j])
-                excess = factors[j] * inverse - target[j]
-                weighted_excess = weight[j] * excess
-                partial += weighted_excess * excess
-                factors[j] = weighted_excess * inverse
-            total += float(partial)
-            for axis in range(dimensions):
-                mine, theirs = points[axis, i], points[axis, start:stop]
-                pulled = slope[axis, start:stop]
-                pull = points.dtype.type(0)
-                for j in range(size):
-                    share = factors[j] * (mine - theirs[j])
-                    pull += share
-                    pulled[j] -= share
-                slope[axis, i] += pull
-    return total
-
-
-@loop()
-def add_products(panel: Reals, first: int, sensors: Ints, values: Reals, begins: Ints) -> None:
-    """Add products of values of the same frame to ``panel[i - first, j]`` for all j >= i.
-
-    The values of frame f, by increasing sensor, stand from ``begins[f]`` to ``begins[f + 1]``.
-    """
-    last = first + len(panel)
-    for frame in range(len(begins) - 1):
-        entry, end = begins[frame], begins[frame + 1]
-        beyond = end
-        while entry < beyond:  # halve it until `entry` is the first from `first` on
-            middle = (entry + beyond) // 2
-            if sensors[middle] < first:
-                entry = middle + 1
-            else:
-                beyond = middle
-        while entry < end and sensors[entry] < last:
-            row, value = panel[sensors[entry] - first], values[entry]
-            for other in range(entry, end):
-                row[sensors[other]] += value * values[other]
-            entry += 1

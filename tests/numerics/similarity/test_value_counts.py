@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.stats import rankdata
 
-from anisomap.numerics.similarity.activity import _quantile, estimate_rest, rest_of_counts
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
-from anisomap.numerics.similarity.values import ValueCounts
+from anisomap.numerics.similarity.rest import _quantile, estimate_rest, rest_from_counts
+from anisomap.numerics.similarity.value_counts import ValueCounts
 
 shapes = array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=20)
 few = st.one_of(
@@ -80,7 +80,7 @@ def test_what_is_made_of_counts_is_what_is_made_of_readings(readings, bins):
     )
     np.testing.assert_array_equal(counted.ranks()(readings), rankdata(readings, axis=0))
     np.testing.assert_array_equal(counted.varying(), np.ptp(readings.astype(float), axis=0) > 0)
-    found = rest_of_counts(zip(counted.values, counted.counts, strict=True))
+    found = rest_from_counts(zip(counted.values, counted.counts, strict=True))
     expected = estimate_rest(readings)
     np.testing.assert_array_equal(found.active(readings), expected.active(readings))
 

@@ -10,19 +10,20 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from sklearn.metrics import mutual_info_score
 
-from anisomap.numerics.similarity import counting, statistics
-from anisomap.numerics.similarity.accumulators import SINGLE_SENSORS
-from anisomap.numerics.similarity.activity import estimate_rest
+from anisomap.numerics.similarity import co_occurrence, information
+from anisomap.numerics.similarity.accumulators import MIN_FLOAT32_SENSORS
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
-from anisomap.numerics.similarity.counting import (
-    MANY_SENSORS,
+from anisomap.numerics.similarity.co_occurrence import (
+    MIN_COMPILED_SENSORS,
     Layout,
     co_occurrences,
     code_counts,
     joint_logarithms,
     joint_logarithms_of_counts,
 )
-from anisomap.numerics.similarity.statistics import co_activation, information_of_codes, pearson
+from anisomap.numerics.similarity.correlation import co_activation, pearson
+from anisomap.numerics.similarity.information import information_from_codes
+from anisomap.numerics.similarity.rest import estimate_rest
 
 WAYS = {"numpy": (10**6, 1), "bits": (0, 10**9), "entries": (0, 0)}
 
@@ -38,12 +39,12 @@ tables = arrays(
 def way(request):
     with pytest.MonkeyPatch.context() as patch:
         many, increment = WAYS[request.param]
-        patch.setattr(counting, "MANY_SENSORS", many)
-        patch.setattr(counting, "_INCREMENT", increment)
+        patch.setattr(co_occurrence, "MIN_COMPILED_SENSORS", many)
+        patch.setattr(co_occurrence, "_INCREMENT", increment)
         yield request.param
 
 
-def skin_codes(seed, n_frames=700, n_sensors=MANY_SENSORS + 20, bins=5):
+def skin_codes(seed, n_frames=700, n_sensors=MIN_COMPILED_SENSORS + 20, bins=5):
     """Codes of a contact that wanders along a line of sensors; most of the time 2 is rest."""
     rng = np.random.default_rng(seed)
     touch = np.cumsum(rng.normal(0, 3, n_frames))[:, None] % n_sensors
@@ -79,7 +80,7 @@ def test_counts_of_parts_add(way, codes, cut):
 def test_logarithms_of_joint_counts_are_those_of_the_plain_version(way, seed):
     codes = skin_codes(seed)
     layout = Layout.of(code_counts(codes, 6))
-    plain = statistics._joint_logarithms(codes, 5)
+    plain = information._joint_logarithms(codes, 5)
     found = joint_logarithms_of_counts(co_occurrences(codes, layout), layout.first, len(codes))
     np.testing.assert_allclose(found, plain, rtol=1e-12)
     np.testing.assert_array_equal(found, found.T)
@@ -92,7 +93,7 @@ def test_logarithms_of_joint_counts_are_those_of_the_plain_version(way, seed):
 @pytest.mark.parametrize("bins", [2, 4, 8])
 def test_information_of_many_sensors_is_that_of_scikit_learn(bins):
     codes = skin_codes(3, bins=bins)
-    information = information_of_codes(codes)
+    information = information_from_codes(codes)
     rng = np.random.default_rng(bins)
     for i, j in [*rng.integers(0, codes.shape[1], (20, 2)), (40, 41), (40, 40), (7, 30)]:
         expected = mutual_info_score(codes[:, i], codes[:, j])
@@ -110,7 +111,7 @@ def test_activity_of_many_sensors_is_correlated_as_that_of_few():
 @pytest.mark.parametrize("unit", [1, 1e-30])
 def test_many_sensors_are_correlated_right_to_a_hundred_thousandth(offset, unit):
     rng = np.random.default_rng(5)
-    n_sensors = SINGLE_SENSORS + 8
+    n_sensors = MIN_FLOAT32_SENSORS + 8
     common = rng.standard_t(2, (3000, 40))[:, rng.integers(0, 40, n_sensors)]
     readings = (np.maximum(0, common + rng.normal(0, 0.3, common.shape)) ** 3 + offset) * unit
     readings[:, 11] = 0.1

@@ -6,16 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.errors import InputError
-from anisomap.numerics.reliability.correlation import (
-    blended_correlation,
-    even_and_odd,
-    reliability,
-    sampling_variance,
-    typical_noise,
-)
-from anisomap.numerics.reliability.significance import related_pieces
-from anisomap.numerics.similarity.activity import estimate_rest
-from anisomap.numerics.similarity.statistics import pearson, spearman
+from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.sampling_noise import sampling_variance, typical_variance
+from anisomap.numerics.reliability.significance import significant_components
+from anisomap.numerics.reliability.split_half import split_blocks, split_half_reliability
+from anisomap.numerics.similarity.correlation import pearson, spearman
+from anisomap.numerics.similarity.rest import estimate_rest
 from skins import flat_skin
 
 
@@ -29,7 +25,7 @@ def autoregressive(n_frames: int, n_sensors: int, memory: float, seed: int) -> n
 
 @given(st.integers(2, 500))
 def test_the_halves_share_all_frames(n_frames):
-    even, odd = even_and_odd(n_frames)
+    even, odd = split_blocks(n_frames)
     np.testing.assert_array_equal(np.sort(np.concatenate([even, odd])), np.arange(n_frames))
     assert abs(len(even) - len(odd)) <= max(1, n_frames // 20 + 1)
 
@@ -39,7 +35,7 @@ def test_the_variance_is_that_of_correlations_of_unrelated_series(memory):
     n_frames = 3000
     found = [autoregressive(n_frames, 40, memory, seed) for seed in range(3)]
     observed = np.mean([pearson(x)[np.triu_indices(40, 1)].var() for x in found])
-    estimated = np.mean([typical_noise(sampling_variance(x)) for x in found])
+    estimated = np.mean([typical_variance(sampling_variance(x)) for x in found])
     assert estimated == pytest.approx(observed, rel=0.2)
     # Closed form: (1 + a^2) / (1 - a^2) / T of two autoregressive series of memory a.
     assert estimated == pytest.approx((1 + memory**2) / (1 - memory**2) / n_frames, rel=0.2)
@@ -47,7 +43,7 @@ def test_the_variance_is_that_of_correlations_of_unrelated_series(memory):
 
 def test_the_variance_does_not_depend_on_the_frame_rate():
     x = autoregressive(2000, 12, 0.8, 0)
-    slow, fast = (typical_noise(sampling_variance(y)) for y in (x, np.repeat(x, 4, axis=0)))
+    slow, fast = (typical_variance(sampling_variance(y)) for y in (x, np.repeat(x, 4, axis=0)))
     assert fast == pytest.approx(slow, rel=0.1)
 
 
@@ -68,18 +64,18 @@ def test_one_frame_has_no_variance():
 
 def test_too_little_to_tell_is_not_reliable():
     readings = flat_skin(n_frames=300).readings
-    assert reliability(readings[:3]) == 0
-    assert reliability(readings[:, :2]) == 0
+    assert split_half_reliability(readings[:3]) == 0
+    assert split_half_reliability(readings[:, :2]) == 0
     assert blended_correlation(readings[:1]).shape == (42, 42)
     with pytest.raises(InputError, match="no halves"):
-        even_and_odd(1)
+        split_blocks(1)
 
 
 def test_noise_is_not_reliable_and_a_long_recording_is():
     noise = np.random.default_rng(0).standard_normal((2000, 30))
-    assert abs(reliability(noise)) < 0.2
-    assert reliability(flat_skin().readings) > 0.9
-    assert reliability(np.tile([[0.0], [1.0]], (50, 4))) == 0
+    assert abs(split_half_reliability(noise)) < 0.2
+    assert split_half_reliability(flat_skin().readings) > 0.9
+    assert split_half_reliability(np.tile([[0.0], [1.0]], (50, 4))) == 0
 
 
 def test_the_blend_lies_between_linear_and_rank_correlation():
@@ -114,7 +110,7 @@ def test_skins_touched_independently_are_mostly_pieces_and_one_skin_is_one():
         both = np.hstack([first, second[:, :25]])
         order = np.random.default_rng(seed).permutation(both.shape[1])
         alone, together, shuffled = (
-            related_pieces(blended_correlation(readings), sampling_variance(readings))
+            significant_components(blended_correlation(readings), sampling_variance(readings))
             for readings in (first, both, both[:, order])
         )
         assert not alone.any()
@@ -125,5 +121,5 @@ def test_skins_touched_independently_are_mostly_pieces_and_one_skin_is_one():
 
 def test_noise_alone_holds_nothing_together():
     noise = np.random.default_rng(1).standard_normal((2000, 40))
-    found = related_pieces(blended_correlation(noise), sampling_variance(noise))
+    found = significant_components(blended_correlation(noise), sampling_variance(noise))
     assert np.bincount(found).max() <= 6
