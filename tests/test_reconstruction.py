@@ -22,7 +22,7 @@ from anisomap.placement import spacing_of
 from anisomap.refinement import Evidence, Refined, refine_by_contacts
 from skins import flat_skin, lattice, rubbed, seeing_patch
 
-QUICK = MethodOptions(contacts=ContactOptions(most_readings=6000))
+QUICK = MethodOptions(contacts=ContactOptions(max_readings=6000))
 
 
 def mantel_r(sensor_map, recording):

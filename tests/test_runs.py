@@ -29,7 +29,7 @@ def frames(start: int, stop: int, sensors=slice(None), recording: Recording = NA
 def test_cut_into_runs_it_is_the_same_map(method: str) -> None:
     order = np.random.default_rng(0).permutation(42)
     runs = [frames(0, 700), frames(700, 1900, order), frames(1900, 3000)]
-    quick = MethodOptions(contacts=ContactOptions(most_readings=6000))
+    quick = MethodOptions(contacts=ContactOptions(max_readings=6000))
     whole = reconstruct(frames(0, 3000), method, 2, options=quick)
     parts = reconstruct_runs(runs, method, 2, options=quick)
     assert parts.names == whole.names

@@ -64,7 +64,7 @@ def check_distinct(
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a path to write to, and move it onto `path` only when the block ends without error.
 
     Parameters

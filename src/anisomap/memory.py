@@ -26,7 +26,7 @@ def physical_memory() -> int | None:
         return None
 
 
-def check_room_for_pairs(n_sensors: int, *, refined: bool) -> None:
+def check_pair_memory(n_sensors: int, *, refined: bool) -> None:
     """Check that there is room for all pairs of so many sensors.
 
     Parameters
@@ -42,14 +42,14 @@ def check_room_for_pairs(n_sensors: int, *, refined: bool) -> None:
     """
     matrices = MATRICES_OF_REFINED if refined else MATRICES
     needed = matrices * n_sensors**2 * np.dtype(float_type(n_sensors)).itemsize
-    check_room(
+    check_memory(
         needed,
         f"{n_sensors} sensors have so many pairs that a map of them",
         "an approximate one takes far less (reconstruct_approximately, --approximate)",
     )
 
 
-def check_room_for_workers(n_sensors: int, workers: int) -> None:
+def check_worker_memory(n_sensors: int, workers: int) -> None:
     """Check that there is room for what several workers make of pairs before it is merged.
 
     Parameters
@@ -64,14 +64,14 @@ def check_room_for_workers(n_sensors: int, workers: int) -> None:
     """
     if workers > 1:
         # Two parts a worker, and merging: a total, another, and both together; in float64.
-        check_room(
+        check_memory(
             8 * (2 * workers + 3) * n_sensors**2,
             f"what {workers} workers make of the pairs of {n_sensors} sensors",
             "use fewer workers",
         )
 
 
-def check_room(needed: float, what: str, instead: str) -> None:
+def check_memory(needed: float, what: str, instead: str) -> None:
     """Check that something fits into memory.
 
     Parameters

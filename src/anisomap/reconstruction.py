@@ -20,7 +20,7 @@ from anisomap.evaluation.confidence import (
     expected_mantel_r,
 )
 from anisomap.health import SensorHealth, assess, weaknesses
-from anisomap.memory import check_room_for_pairs
+from anisomap.memory import check_pair_memory
 from anisomap.methods import (
     DEFAULT_METHOD,
     MethodOptions,
@@ -34,7 +34,7 @@ from anisomap.numerics.precision import Reals, float_type
 from anisomap.pieces import Pieces, refine_pieces, scale_pieces
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.wording import listing
+from anisomap.wording import join_items
 
 logger = logging.getLogger(__name__)
 
@@ -137,7 +137,7 @@ def reconstruct(
             f"ever vary and are not dropped); a map takes at least {chosen.fewest_sensors}"
         )
     part = ... if taking_part.all() else np.ix_(taking_part, taking_part)
-    check_room_for_pairs(int(np.count_nonzero(taking_part)), refined=recipe.refine is not None)
+    check_pair_memory(int(np.count_nonzero(taking_part)), refined=recipe.refine is not None)
     counts = None if weights is None else _checked_weights(weights, n_sensors)[part]
     everything_known = counts is None or bool((counts[~np.eye(len(counts), dtype=bool)] > 0).all())
     check_priors(
@@ -333,9 +333,9 @@ def _doubts(component: NDArray[np.intp], names: tuple[str, ...], pieces: Pieces)
     if sizes.size > 1:
         lost = [names[i] for i in np.flatnonzero(component > 0)]
         yield (
-            f"the sensors fall into {sizes.size} separate pieces (of {listing(sizes.tolist())} "
+            f"the sensors fall into {sizes.size} separate pieces (of {join_items(sizes.tolist())} "
             "sensors), and how these lie to one another is not known; "
-            f"outside the largest: {listing(lost)}"
+            f"outside the largest: {join_items(lost)}"
         )
     if not pieces.converged:
         yield "scaling stopped before it converged: allow it more iterations"

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.gaps import fill_gaps
-from anisomap.wording import counted
+from anisomap.wording import noun_and_items
 
 Scalar: TypeAlias = str | int | float | bool
 """What provenance is made of: values that every file format can hold."""
@@ -231,7 +231,7 @@ class Recording:
         frames = np.flatnonzero(missing.any(axis=1))
         return (
             f"{int(missing.sum())} readings are NaN or infinite: "
-            f"{counted('sensor', sensors)}, {counted('frame', frames.tolist())}; "
+            f"{noun_and_items('sensor', sensors)}, {noun_and_items('frame', frames.tolist())}; "
             "choose what to do about them: drop-frames or interpolate (--nan)"
         )
 
@@ -254,7 +254,8 @@ def check_names(names: Sequence[str], n_sensors: int) -> None:
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         raise InputError(
-            f"names must be unique, but more than one sensor has the {counted('name', repeated)}"
+            "names must be unique, but more than one sensor has the "
+            f"{noun_and_items('name', repeated)}"
         )
 
 

@@ -13,8 +13,12 @@ from numpy.typing import NDArray
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
 from anisomap.numerics.covariogram.fit import fit_covariogram
 from anisomap.numerics.covariogram.objective import CovariogramOptions
-from anisomap.numerics.geodesic.neighbours import direct_neighbours, unevenness
-from anisomap.numerics.geodesic.refinement import UnrollingOptions, contact_passes, even_spacing
+from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
+from anisomap.numerics.geodesic.refinement import (
+    GeodesicOptions,
+    refine_by_contact_peaks,
+    refine_by_even_spacing,
+)
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.recording import Scalar
@@ -137,7 +141,8 @@ def refine_by_covariogram(
     -------
     Refined
         With ``"passes"`` or ``"even_spacing"`` among its facts where lengths come from
-        `anisomap.numerics.geodesic.refinement.contact_passes` or `even_spacing`, and
+        `anisomap.numerics.geodesic.refinement.refine_by_contact_peaks` or
+        `refine_by_even_spacing`, and
         ``"uneven"`` where they should but cannot. Fewer than 8 sensors are left where they are.
     """
     unused = Refined(positions)
@@ -163,16 +168,20 @@ def refine_by_covariogram(
     readings = evidence.readings if positions.shape[1] > 1 else None  # in a line, nothing turns
     if readings is None or len(readings) < _FEWEST_FRAMES:
         return replace(unused, positions=fit.positions)
-    unroll = even_spacing if evenly_spaced else contact_passes
+    unroll = refine_by_even_spacing if evenly_spaced else refine_by_contact_peaks
     found = unroll(readings, fit.positions, similarity=evidence.similarity)
-    logger.info("neighbours are %.2f uneven; lengths from them: %s", found.unevenness, found.acted)
+    logger.info(
+        "neighbours are %.2f uneven; lengths from them: %s", found.unevenness, found.applied
+    )
     if evenly_spaced:
         return Refined(
-            found.positions, {"even_spacing": found.acted}, (_EVEN if found.acted else _NOT_EVEN,)
+            found.positions,
+            {"even_spacing": found.applied},
+            (_EVEN if found.applied else _NOT_EVEN,),
         )
-    if found.acted:
+    if found.applied:
         return Refined(found.positions, {"passes": True}, (_PASSES,))
-    if found.unevenness > UnrollingOptions.uneven:
+    if found.unevenness > GeodesicOptions.max_unevenness:
         return Refined(found.positions, {"uneven": True}, (_SQUEEZED,))
     return Refined(found.positions)
 
@@ -196,8 +205,8 @@ def notes_on_squeezing(
     """
     if len(positions) < _FEWEST_TO_FIT or positions.shape[1] < 2:
         return ()
-    joined = direct_neighbours(readings, positions, similarity=similarity)
-    uneven = unevenness(positions, joined) > UnrollingOptions.uneven
+    joined = neighbour_graph(readings, positions, similarity=similarity).adjacency
+    uneven = unevenness(positions, joined) > GeodesicOptions.max_unevenness
     return (_SQUEEZED_UNSEEN,) if uneven else ()
 
 
@@ -229,7 +238,7 @@ def refine_by_contacts(
     fit = fit_contacts(evidence.readings, mapped.positions, options)
     logger.info("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
     if not fit.used:
-        return _unrefined(mapped, fit.doubt)
+        return _unrefined(mapped, fit.reason)
     return replace(
         mapped, positions=fit.positions, facts={**mapped.facts, "contacts": fit.n_contacts}
     )

@@ -26,7 +26,7 @@ from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording, default_names
 from anisomap.sensor_map import SensorMap
-from anisomap.wording import counted
+from anisomap.wording import noun_and_items
 
 _SILENT = ("dead", "stuck", "isolated")
 _SAME_RATE = 0.02
@@ -255,5 +255,6 @@ def _strangers(met: NDArray[np.int64], names: tuple[str, ...]) -> Iterator[str]:
     if strangers:
         yield (
             f"{np.count_nonzero(np.triu(met == 0))} pairs of sensors were never recorded together, "
-            f"so how far apart they are follows from others only: {counted('sensor', strangers)}"
+            "so how far apart they are follows from others only: "
+            f"{noun_and_items('sensor', strangers)}"
         )

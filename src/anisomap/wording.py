@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 
-def listing(items: Sequence[object], most: int = 8) -> str:
+def join_items(items: Sequence[object], most: int = 8) -> str:
     """Write out the first few of many: ``a, b and 3 more``.
 
     Parameters
@@ -23,6 +23,6 @@ def listing(items: Sequence[object], most: int = 8) -> str:
     return ", ".join(map(str, items[:most])) + more
 
 
-def counted(noun: str, items: Sequence[object], most: int = 5) -> str:
-    """Put a noun, in the plural if need be, before a `listing`: ``frames 3, 4``."""
-    return f"{noun}{'s' if len(items) > 1 else ''} {listing(items, most)}"
+def noun_and_items(noun: str, items: Sequence[object], most: int = 5) -> str:
+    """Put a noun, in the plural if need be, before a `join_items`: ``frames 3, 4``."""
+    return f"{noun}{'s' if len(items) > 1 else ''} {join_items(items, most)}"

@@ -147,7 +147,7 @@ def test_an_approximate_map_is_labelled_in_all_that_is_written(run, parts):
         assert any("this map is approximate" in note for note in written_map.notes)
     page = Path("map.html").read_text(encoding="utf-8")
     assert "This map is approximate" in page
-    assert "approximate_landmarks" in page
+    assert "approximate_n_landmarks" in page
     assert run("map", *parts, "-m", "r-anisomap", "-d", 2, "-o", "exact.csv").code == 0
     exact = positions("exact.csv")
     assert anisomap.mantel(positions("map.csv"), exact, permutations=0).r > 0.99

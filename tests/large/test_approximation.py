@@ -13,7 +13,7 @@ from skins import lattice, rubbed
 
 PLACES = lattice(15, 16)
 READINGS = np.round(rubbed(PLACES, 6000) * 40).astype(np.uint8)
-FEW = ApproximateOptions(candidates=30, landmarks=60)
+FEW = ApproximateOptions(n_candidates=30, n_landmarks=60)
 
 pytestmark = pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
 
@@ -41,14 +41,14 @@ def test_it_says_what_it_is(found):
     assert found.method == "r-anisomap"
     facts = dict(found.provenance)
     assert facts["approximate"] is True
-    assert (facts["approximate_landmarks"], facts["approximate_seed"]) == (60, 0)
+    assert (facts["approximate_n_landmarks"], facts["approximate_seed"]) == (60, 0)
     assert facts["frames"] == len(READINGS)
     assert any("this map is approximate" in note and "60 landmarks" in note for note in found.notes)
 
 
 def test_the_same_seed_makes_the_same_map_and_another_seed_another(found):
     np.testing.assert_array_equal(made().positions, found.positions)
-    other = made(approximate=ApproximateOptions(candidates=30, landmarks=60, seed=1))
+    other = made(approximate=ApproximateOptions(n_candidates=30, n_landmarks=60, seed=1))
     assert not np.allclose(other.positions, found.positions)
     assert mantel(other, found, permutations=0).r > 0.999
 
@@ -195,4 +195,4 @@ def test_reports_of_very_many_sensors_leave_some_out(found, monkeypatch):
     assert "The first 50 are listed, 190 are left out" in page
     assert page.count("<tr") < 120
     assert "This map is approximate" in page
-    assert "approximate_landmarks" in page
+    assert "approximate_n_landmarks" in page

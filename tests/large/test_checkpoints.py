@@ -29,7 +29,7 @@ import sys, time
 from pathlib import Path
 import numpy as np
 from anisomap.methods import MethodOptions
-from anisomap.numerics import checkpoints
+from anisomap.large import checkpoints
 from anisomap.large.streaming import gather_similarity
 
 checkpoints.SECONDS = 0

@@ -8,16 +8,18 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
-from anisomap.large.landmarks import kernels
-from anisomap.large.landmarks.bridging import bridge
-from anisomap.large.landmarks.correlations import Links, correlations, pairs_of
-from anisomap.large.landmarks.links import as_graph, join, lengths_of
+from anisomap.large.landmarks import landmark_kernels
+from anisomap.large.landmarks.correlations import SensorPairs, correlations, pairs_of
+from anisomap.large.landmarks.landmark_mds import paths_from, place_component, triangulate
+from anisomap.large.landmarks.landmark_stress import Targets, refine, stress_of
 from anisomap.large.landmarks.options import ApproximateOptions
-from anisomap.large.landmarks.paths import paths_from
-from anisomap.large.landmarks.placing import place
-from anisomap.large.landmarks.refinement import Targets, refine, stress_of
-from anisomap.large.landmarks.sketch import sketch
-from anisomap.large.landmarks.triangulation import triangulate
+from anisomap.large.landmarks.sensor_graph import (
+    adjacency_matrix,
+    bridge_components,
+    build_graph,
+    edge_lengths,
+)
+from anisomap.large.landmarks.sketch import compute_sketch
 from anisomap.numerics.compiled import parallel
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
@@ -25,6 +27,7 @@ from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 from skins import lattice, rubbed
 
+RNG = np.random.default_rng
 SKIN = np.round(rubbed(lattice(), 600) * 40)
 
 
@@ -34,7 +37,7 @@ def everyone(n_sensors):
 
 
 def sketched(readings, size=256, seed=0):
-    return sketch([readings], size, np.random.default_rng(seed))
+    return compute_sketch([readings], size, np.random.default_rng(seed))
 
 
 def linked(readings):
@@ -49,7 +52,7 @@ def test_a_sketch_does_not_depend_on_how_frames_are_cut(seed, cuts):
     rng = np.random.default_rng(seed)
     readings = rng.integers(-3, 4, (60, 5)).astype(float) + rng.normal(0, 100, 5)
     whole = sketched(readings, 16, seed)
-    parts = sketch(
+    parts = compute_sketch(
         [part for part in np.split(readings, sorted(cuts)) if len(part)],
         16,
         np.random.default_rng(seed),
@@ -58,7 +61,7 @@ def test_a_sketch_does_not_depend_on_how_frames_are_cut(seed, cuts):
     np.testing.assert_allclose(whole.deviation, readings.std(axis=0), rtol=1e-9)
     np.testing.assert_array_equal(whole.varying, np.ptp(readings, axis=0) > 0)
     np.testing.assert_array_equal(parts.contacts, whole.contacts)
-    np.testing.assert_array_equal(parts.away, whole.away)
+    np.testing.assert_array_equal(parts.active_frames, whole.active_frames)
     np.testing.assert_allclose(parts.projections, whole.projections, atol=1e-5)
 
 
@@ -77,7 +80,7 @@ def test_contacts_are_counted_on_either_side_of_rest():
     for side in (1, -1):
         known = sketched(100 + side * touched)
         assert known.contacts == 8
-        assert known.away == 12
+        assert known.active_frames == 12
 
 
 @pytest.mark.parametrize("count", [1, 5, 30])
@@ -128,17 +131,17 @@ def test_a_skin_hangs_together_and_a_broken_wire_does_not_bind_it():
     rng = np.random.default_rng(0)
     broken = rng.integers(0, 5, (len(SKIN), 3))
     readings = np.hstack([SKIN, broken, np.zeros((len(SKIN), 1))])
-    joined = join(*linked(readings), neighbours=8)
-    np.testing.assert_array_equal(joined.pieces[:42], 0)
-    assert set(joined.pieces[42:]) == {1, 2, 3, 4}
+    graph = build_graph(*linked(readings), n_neighbours=8)
+    np.testing.assert_array_equal(graph.component[:42], 0)
+    assert set(graph.component[42:]) == {1, 2, 3, 4}
 
 
 def test_skins_that_were_touched_apart_are_pieces():
     pause = np.zeros_like(SKIN)
     readings = np.vstack([np.hstack([SKIN, pause]), np.hstack([pause, SKIN])])
     links, known = linked(readings)
-    joined, further = bridge(join(links, known, 8), known, lambda: [readings])
-    np.testing.assert_array_equal(joined.pieces, np.repeat([0, 1], 42))
+    graph, further = bridge_components(build_graph(links, known, 8), known, lambda: [readings])
+    np.testing.assert_array_equal(graph.component, np.repeat([0, 1], 42))
     assert further.r.size
     assert (further.r < 0.1).all()
 
@@ -149,16 +152,16 @@ def test_rigid_plates_are_joined_by_what_they_have_in_common():
     readings = np.repeat(plates, 30, axis=1) + 0.02 * rng.normal(size=(4000, 180))
     known = sketched(readings, 512)
     found, _ = most_similar(known.projections, 20)
-    apart = join(correlations([readings], known, pairs_of(found)), known, 10)
-    assert apart.pieces.max() == 5
-    together, _ = bridge(apart, known, lambda: [readings])
-    assert together.pieces.max() == 0
+    apart = build_graph(correlations([readings], known, pairs_of(found)), known, 10)
+    assert apart.component.max() == 5
+    together, _ = bridge_components(apart, known, lambda: [readings])
+    assert together.component.max() == 0
 
 
 def test_rows_of_paths_are_those_of_the_exact_metric_if_all_pairs_are_edges():
     links, _ = linked(SKIN)
-    positive = links.chosen(links.r > 0)
-    graph = as_graph(positive, lengths_of(links, positive, mu=0.0), 42)
+    positive = links.select(links.r > 0)
+    graph = adjacency_matrix(positive, edge_lengths(links, positive, mu=0.0), 42)
     similarity = np.zeros((42, 42))
     similarity[links.firsts, links.seconds] = links.r
     expected = metricise(regularised_reciprocal(similarity + similarity.T, mu=0.0))
@@ -175,8 +178,8 @@ def test_paths_are_dijkstras(seed, degree):
     ends = rng.integers(0, n_nodes, (2, degree * n_nodes // 2))
     firsts, seconds = pairs_of(ends[1][:, None], ends[0])
     apart = firsts < seconds
-    edges = Links(firsts[apart], seconds[apart], np.ones(apart.sum()))
-    graph = as_graph(edges, rng.uniform(0.1, 3, len(edges.r)), n_nodes)
+    edges = SensorPairs(firsts[apart], seconds[apart], np.ones(apart.sum()))
+    graph = adjacency_matrix(edges, rng.uniform(0.1, 3, len(edges.r)), n_nodes)
     sources = rng.choice(n_nodes, 7, replace=False)
     expected = dijkstra(graph, directed=False, indices=sources).T
     np.testing.assert_allclose(paths_from(sources, graph), expected, rtol=1e-5)
@@ -198,7 +201,7 @@ def test_the_stress_of_rows_and_its_gradient():
     targets = rng.uniform(0.5, 2, (20, 7))
     slope, pulled = np.zeros((2, 20)), np.zeros((2, 7))
     single = [array.astype(np.float32) for array in (points, anchors, targets)]
-    raw = kernels.add_rows_stress(*single, (0, 20), (slope, pulled))
+    raw = landmark_kernels.add_rows_stress(*single, (0, 20), (slope, pulled))
     distances = cdist(points.T, anchors.T)
     assert raw == pytest.approx(((distances - targets) ** 2).sum(), rel=1e-5)
     share = (distances - targets) / np.maximum(distances, 1e-9)
@@ -215,8 +218,8 @@ def exact_targets(n_landmarks, noise=0.0):
     landmarks = np.arange(n_landmarks)
     pairs = np.argsort(apart, axis=1)[:, 1:7]
     firsts, seconds = pairs_of(pairs)
-    edges = Links(firsts, seconds, np.ones(len(firsts)))
-    graph = as_graph(edges, apart[firsts, seconds], 300)
+    edges = SensorPairs(firsts, seconds, np.ones(len(firsts)))
+    graph = adjacency_matrix(edges, apart[firsts, seconds], 300)
     rows = apart[:, :n_landmarks] * rng.uniform(1 - noise, 1 + noise, (300, n_landmarks))
     return points, Targets(landmarks, rows.astype(np.float32), graph)
 
@@ -238,10 +241,12 @@ def test_refining_finds_points_by_their_distances():
 
 def test_if_all_sensors_are_landmarks_the_map_is_that_of_the_exact_metric():
     links, known = linked(SKIN)
-    edges = join(links, known, 20).links
-    graph = as_graph(edges, lengths_of(links, edges, 1.0), 42)
+    edges = build_graph(links, known, 20).edges
+    graph = adjacency_matrix(edges, edge_lengths(links, edges, 1.0), 42)
     assert connected_components(graph)[0] == 1
-    found = place(graph, 2, landmarks=1000, options=SmacofOptions(), rng=np.random.default_rng(0))
+    found = place_component(
+        graph, 2, n_landmarks=1000, options=SmacofOptions(), rng=np.random.default_rng(0)
+    )
     expected = smacof(dijkstra(graph, directed=False), dimensions=2)
     r = np.corrcoef(pdist(found.positions), pdist(expected.positions))[0, 1]
     assert r > 0.99999
@@ -250,9 +255,11 @@ def test_if_all_sensors_are_landmarks_the_map_is_that_of_the_exact_metric():
 
 
 def test_a_single_sensor_has_a_place():
-    nothing = Links(*everyone(1), np.empty(0))
-    graph = as_graph(nothing, np.empty(0), 1)
-    found = place(graph, 3, landmarks=10, options=SmacofOptions(), rng=np.random.default_rng(0))
+    nothing = SensorPairs(*everyone(1), np.empty(0))
+    graph = adjacency_matrix(nothing, np.empty(0), 1)
+    found = place_component(
+        graph, 3, n_landmarks=10, options=SmacofOptions(), rng=np.random.default_rng(0)
+    )
     np.testing.assert_array_equal(found.positions, np.zeros((1, 3)))
 
 
@@ -261,10 +268,10 @@ def test_threads_share_the_work_without_changing_a_bit(monkeypatch):
         known = sketched(SKIN)
         found, _ = most_similar(known.projections, 20)
         links = correlations([SKIN], known, pairs_of(found))
-        edges = join(links, known, 12).links
-        graph = as_graph(edges, lengths_of(links, edges, 1.0), 42)
+        edges = build_graph(links, known, 12).edges
+        graph = adjacency_matrix(edges, edge_lengths(links, edges, 1.0), 42)
         rng = np.random.default_rng(0)
-        return place(graph, 3, landmarks=20, options=SmacofOptions(), rng=rng).positions
+        return place_component(graph, 3, n_landmarks=20, options=SmacofOptions(), rng=rng).positions
 
     alone = everything()
     monkeypatch.setattr(parallel, "MIN_PARALLEL_ROWS", 1)
@@ -274,13 +281,19 @@ def test_threads_share_the_work_without_changing_a_bit(monkeypatch):
 
 @pytest.mark.parametrize(
     "options",
-    [{"neighbours": 2}, {"candidates": 10}, {"sketch": 4}, {"landmarks": 3}, {"seed": -1}],
+    [
+        {"n_neighbours": 2},
+        {"n_candidates": 10},
+        {"sketch_size": 4},
+        {"n_landmarks": 3},
+        {"seed": -1},
+    ],
 )
 def test_options_out_of_range_are_refused(options):
-    with pytest.raises(InputError, match=f"{next(iter(options))} is .*at least"):
+    with pytest.raises(InputError, match=f"{next(iter(options))} must be at least"):
         ApproximateOptions(**options)
 
 
 def test_no_frame_is_no_map():
     with pytest.raises(InputError, match="no frame"):
-        sketch([], 16, np.random.default_rng(0))
+        compute_sketch([], 16, np.random.default_rng(0))

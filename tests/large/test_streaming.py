@@ -11,7 +11,7 @@ import anisomap
 from anisomap import Recording, SensorMapper, reconstruct
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.large import chunks
-from anisomap.large.map_reduce import Crew, gather
+from anisomap.large.map_reduce import WorkerPool, map_reduce
 from anisomap.large.streaming import reconstruct_chunks
 from anisomap.methods import METHODS, MethodOptions
 from anisomap.numerics.similarity.accumulators import Moments
@@ -147,7 +147,7 @@ def test_what_was_cut_off_goes_on(tmp_path, monkeypatch, passes):
 @pytest.mark.parametrize("method", ["r-anisomap", "i-anisomap"])
 def test_workers_make_the_same_map_to_the_last_bit(method):
     alone = reconstruct_chunks(cut_at(700, 1500), method, 2)
-    many = reconstruct_chunks(cut_at(700, 1500), method, 2, crew=Crew(2))
+    many = reconstruct_chunks(cut_at(700, 1500), method, 2, pool=WorkerPool(2))
     np.testing.assert_array_equal(many.positions, alone.positions)
 
 
@@ -155,7 +155,7 @@ def test_workers_make_the_same_map_to_the_last_bit(method):
 def test_any_backend_of_joblib_makes_the_same_map_to_the_last_bit(backend):
     alone = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2)
     with joblib.parallel_config(backend):
-        many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, crew=Crew(2))
+        many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, pool=WorkerPool(2))
     np.testing.assert_array_equal(many.positions, alone.positions)
 
 
@@ -166,7 +166,7 @@ def test_ray_makes_the_same_map_to_the_last_bit():
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         with joblib.parallel_config("ray"):
-            many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, crew=Crew(2))
+            many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, pool=WorkerPool(2))
     finally:
         ray.shutdown()
     np.testing.assert_array_equal(many.positions, alone.positions)
@@ -175,7 +175,7 @@ def test_ray_makes_the_same_map_to_the_last_bit():
 @pytest.mark.parametrize("backend", ["threading", "loky"])
 def test_workers_do_not_fight_over_cores(backend):
     with threadpool_limits(3), joblib.parallel_config(backend):
-        found = gather(cut_at(*range(100, 2500, 100)), ThreadLimits.of, crew=Crew(2))
+        found = map_reduce(cut_at(*range(100, 2500, 100)), ThreadLimits.of, pool=WorkerPool(2))
         assert found.limits == {1}
         assert ThreadLimits.of(None).limits == {3}
 
@@ -183,8 +183,8 @@ def test_workers_do_not_fight_over_cores(backend):
 def test_a_worker_that_dies_is_done_without(tmp_path):
     chunks = cut_at(700, 1500, 2000)
     with joblib.parallel_config("loky"):
-        found = gather(chunks, Dying(tmp_path), crew=Crew(2))
-    expected = gather(chunks, Moments.of)
+        found = map_reduce(chunks, Dying(tmp_path), pool=WorkerPool(2))
+    expected = map_reduce(chunks, Moments.of)
     np.testing.assert_array_equal(found.comoment, expected.comoment)
     assert (tmp_path / "dead").exists()
 
@@ -192,13 +192,13 @@ def test_a_worker_that_dies_is_done_without(tmp_path):
 def test_a_dask_cluster_makes_the_same(tmp_path):
     distributed = pytest.importorskip("distributed")
     chunks = cut_at(*range(250, 2500, 250))
-    expected = gather(chunks, Moments.of)
+    expected = map_reduce(chunks, Moments.of)
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None
     ) as cluster:
-        crew = Crew(scheduler=cluster.scheduler_address)
-        np.testing.assert_array_equal(gather(chunks, Moments.of, crew=crew).mean, expected.mean)
-        found = gather(chunks, Dying(tmp_path), crew=crew)
+        pool = WorkerPool(scheduler=cluster.scheduler_address)
+        np.testing.assert_array_equal(map_reduce(chunks, Moments.of, pool=pool).mean, expected.mean)
+        found = map_reduce(chunks, Dying(tmp_path), pool=pool)
     np.testing.assert_array_equal(found.comoment, expected.comoment)
     assert (tmp_path / "dead").exists()
 

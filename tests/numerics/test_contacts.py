@@ -9,11 +9,11 @@ from scipy.spatial.distance import pdist
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
-from anisomap.numerics.contacts.bundle_adjustment import Reduced
+from anisomap.numerics.contacts.bundle_adjustment import ReducedSystem
 from anisomap.numerics.contacts.detection import Contacts, find_contacts
-from anisomap.numerics.contacts.levels import sort_into_levels
-from anisomap.numerics.contacts.localisation import evaluate, left_out, locate
-from anisomap.numerics.contacts.profile import Profile, _loss, learn_profile, level_terms
+from anisomap.numerics.contacts.levels import assign_levels
+from anisomap.numerics.contacts.localisation import evaluate, leave_one_out, locate
+from anisomap.numerics.contacts.profile import Profile, _loss, fit_profile, level_terms
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from skins import lattice
@@ -21,7 +21,7 @@ from skins import lattice
 PROFILE = Profile(np.array([0.0, 0.4, 1.1]), 0.2, 1.8, 0.3)
 
 
-QUICK = ContactOptions(most_readings=6000)
+QUICK = ContactOptions(max_readings=6000)
 
 
 def mantel_r(x, y):
@@ -83,7 +83,7 @@ def test_a_profile_is_learned_again_from_its_own_readings():
     reached = inside + rng.logistic(0, PROFILE.softness, len(inside))
     levels = (reached[:, None] >= PROFILE.thresholds).sum(axis=1)
     start = Profile(np.array([-0.3, 0.8, 1.0]), 0.5, 1.8, 0.3)
-    learned = learn_profile(levels, inside, np.ones(len(inside)), start)
+    learned = fit_profile(levels, inside, np.ones(len(inside)), start)
     # The share of outliers that the model expects is not there, which sharpens it a little.
     np.testing.assert_allclose(learned.thresholds, PROFILE.thresholds, atol=0.03)
     assert learned.softness == pytest.approx(PROFILE.softness, rel=0.15)
@@ -109,7 +109,7 @@ def test_sensors_are_pulled_as_finite_differences_say_contacts_following(dimensi
     located = locate(contacts, places, states, PROFILE, steps=500)
     assert np.abs(located.pulls).max() < 0.05
     kept = np.array([True, True, False, True, True])
-    gradient = Reduced(contacts, located, kept, len(places)).gradient
+    gradient = ReducedSystem(contacts, located, kept, len(places)).gradient
     expected = approx_fprime(
         places.ravel(),
         lambda p: (
@@ -126,11 +126,13 @@ def test_sensors_are_pulled_as_finite_differences_say_contacts_following(dimensi
 def test_the_reduced_curvature_is_what_a_whole_system_leaves_and_steps_solve_it(dimensions):
     places, contacts, states = some_contacts(dimensions)
     fitted = evaluate(contacts, places, states, PROFILE)
-    reduced = Reduced(contacts, fitted, np.ones(5, dtype=bool), 12)
+    reduced = ReducedSystem(contacts, fitted, np.ones(5, dtype=bool), 12)
     size, width = places.size, dimensions + 1
     whole = np.zeros((size + states.size,) * 2)
     pulls = np.zeros(len(whole))
-    for m, (sensor, contact) in enumerate(zip(contacts.sensors, contacts.of_reading, strict=True)):
+    for m, (sensor, contact) in enumerate(
+        zip(contacts.sensors, contacts.contact_index, strict=True)
+    ):
         row = np.zeros(len(whole))
         row[sensor * dimensions : (sensor + 1) * dimensions] = -fitted.directions[m, :-1]
         at = size + contact * width
@@ -147,7 +149,7 @@ def test_the_reduced_curvature_is_what_a_whole_system_leaves_and_steps_solve_it(
     np.testing.assert_allclose(dense, expected, atol=1e-9)
     np.testing.assert_allclose(reduced.gradient, pulls[:size] - back.T @ pulls[size:], atol=1e-9)
     strays = np.random.default_rng(0).normal(size=places.shape)
-    step = reduced.step(strays, share=0.3, looseness=0.5)
+    step = reduced.step(strays, share=0.3, prior_sd=0.5)
     damped = 0.3 * dense + 4 * np.eye(size)
     own = 0.01 * (0.3 * np.diag(whole)[:size] + 4)
     np.testing.assert_allclose(
@@ -167,7 +169,7 @@ def test_leaving_a_reading_out_is_nearly_fitting_without_it():
     contacts = Contacts(np.arange(60), levels, np.zeros(1, int), np.zeros(1, int), 3)
     start = np.array([[0.0, 0.0, 1.8]])
     fitted = locate(contacts, places, start, soft, steps=100)
-    quick = left_out(contacts, fitted)
+    quick = leave_one_out(contacts, fitted)
     for m in range(60):
         rest = np.delete(np.arange(60), m)
         without = Contacts(rest, levels[rest], np.zeros(1, int), np.zeros(1, int), 3)
@@ -181,12 +183,12 @@ def test_two_things_at_once_are_two_contacts():
     places = lattice(8, 12)
     centres = np.array([[2.0, 3.0], [9.0, 3.0]])
     depth = np.maximum(1.7 - np.linalg.norm(places - centres[:, None], axis=2), 0).sum(axis=0)
-    levels = sort_into_levels(np.vstack([depth, np.zeros((9, 96))]), 8, 0.3)
-    found = find_contacts(levels, places, fewest_sensors=3, most_readings=10_000)
+    levels = assign_levels(np.vstack([depth, np.zeros((9, 96))]), 8, 0.3)
+    found = find_contacts(levels, places, min_sensors=3, max_readings=10_000)
     assert len(found.starts) == 2
     assert (found.frames == 0).all()
     for contact in range(2):
-        mine = found.of_reading == contact
+        mine = found.contact_index == contact
         touched = found.sensors[mine & (found.levels > 0)]
         near = np.linalg.norm(places[touched] - centres[:, None], axis=2)
         assert (near.argmin(axis=0) == near[:, 0].argmin()).all()
@@ -201,7 +203,7 @@ def test_a_pressed_skin_is_found_more_exactly_than_by_the_covariogram(binary, le
         rough = reconstruct(Recording(readings), "covariogram", 2).positions
         found = fit_contacts(readings, rough, options)
         assert found.used
-        assert not found.doubt
+        assert not found.reason
         assert 1 - mantel_r(found.positions, places) < left * (1 - mantel_r(rough, places))
 
 
@@ -210,7 +212,7 @@ def test_a_spread_of_gains_costs_little():
     readings = pressed(places)
     gains = 5.0 ** np.random.default_rng(0).uniform(-0.5, 0.5, 56)
     rough = places + np.random.default_rng(1).normal(0, 0.2, places.shape)
-    unequal = ContactOptions(most_readings=6000, gains_alike=np.inf)
+    unequal = ContactOptions(max_readings=6000, max_gain_spread=np.inf)
     plain = fit_contacts(readings, rough, QUICK)
     spread, blind = (fit_contacts(readings * gains, rough, o) for o in (QUICK, unequal))
     assert spread.used
@@ -247,21 +249,21 @@ def test_noise_makes_no_contacts():
     assert not found.used
     assert found.explained < 0.35
     np.testing.assert_array_equal(found.positions, places)
-    assert "explains" in found.doubt
+    assert "explains" in found.reason
 
 
 def test_readings_that_never_rest_make_no_contacts():
     found = fit_contacts(np.random.default_rng(0).normal(size=(500, 64)), lattice(8, 8))
     assert not found.used
     assert found.at_rest < 0.2
-    assert "at rest" in found.doubt
+    assert "at rest" in found.reason
 
 
 def test_an_untouched_skin_has_no_contacts():
     found = fit_contacts(np.zeros((50, 64)), lattice(8, 8))
     assert not found.used
     assert found.n_contacts == 0
-    assert "0 contacts" in found.doubt
+    assert "0 contacts" in found.reason
 
 
 @pytest.mark.parametrize(
@@ -282,9 +284,9 @@ def test_nonsense_is_refused(readings, positions, message):
 
 @pytest.mark.parametrize(
     "options",
-    [{"levels": 0}, {"levels": 200}, {"share": 0}, {"share": np.nan}, {"looseness": 0},
-     {"looseness": np.inf}, {"rounds": 0}, {"steps": -1}, {"fewest_sensors": 1},
-     {"most_readings": 0}, {"gains_alike": np.nan}],
+    [{"levels": 0}, {"levels": 200}, {"share": 0}, {"share": np.nan}, {"prior_sd": 0},
+     {"prior_sd": np.inf}, {"rounds": 0}, {"steps": -1}, {"min_sensors": 1},
+     {"max_readings": 0}, {"max_gain_spread": np.nan}],
 )  # fmt: skip
 def test_nonsense_options_are_refused(options):
     with pytest.raises(InputError, match=next(iter(options))):

@@ -213,7 +213,7 @@ def test_nonsense_is_refused(change, message):
 
 
 @pytest.mark.parametrize(
-    "change", [{"loyalty": -1}, {"repulsion": np.nan}, {"ridge": 0}, {"block": 2},
+    "change", [{"prior_weight": -1}, {"repulsion": np.nan}, {"ridge": 0}, {"block": 2},
                {"max_iterations": -1}]
 )  # fmt: skip
 def test_nonsense_options_are_refused(change):

@@ -23,9 +23,9 @@ from anisomap.errors import InputError
 from anisomap.health import summarise
 from anisomap.io.parsing.grids import with_grid
 from anisomap.large.approximation import APPROXIMATED, Related, relate
-from anisomap.large.chunks import chunk_frames, completed
+from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.large.landmarks.options import ApproximateOptions
-from anisomap.large.map_reduce import Crew
+from anisomap.large.map_reduce import WorkerPool
 from anisomap.large.streaming import Gathered, gather_similarity
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors
 from anisomap.recording import MissingPolicy, Recording, default_names
@@ -152,7 +152,7 @@ def examine(
                 method,
                 options,
                 like=like,
-                crew=Crew(large.workers, large.dask),
+                pool=WorkerPool(large.workers, large.dask),
                 checkpoint=large.checkpoint,
                 source=_described(paths, how, nan),
             )
@@ -216,8 +216,8 @@ class _Files:
 
     def __call__(self) -> Iterator[NDArray[Any]]:
         if len(self.paths) == 1:
-            return completed(partial(self.raw, 0, self.kept), self.nan)()
-        every = (completed(partial(self.raw, i), self.nan)() for i in range(len(self.paths)))
+            return complete_chunks(partial(self.raw, 0, self.kept), self.nan)()
+        every = (complete_chunks(partial(self.raw, i), self.nan)() for i in range(len(self.paths)))
         chunks = chain.from_iterable(every)
         return chunks if self.kept is None else (chunk[:, self.kept] for chunk in chunks)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from anisomap.health.assessment import FEWEST_CONTACTS, SensorHealth, assess
 from anisomap.recording import Recording
-from anisomap.wording import listing
+from anisomap.wording import join_items
 
 FEWEST_FRAMES = 500
 """The paper's shortest run has 1,054 frames; below half of that its correlations are unsteady."""
@@ -118,12 +118,12 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
         names = [sensor.name for sensor in health if sensor.status in statuses]
         if names:
             verdict = "do not trust a map of this: " if 2 * len(names) > len(health) else ""
-            listed = listing(names)
+            listed = join_items(names)
             found.append(f"{verdict}{len(names)} of {len(health)} sensors {what}: {listed}")
     rare = [s.name for s in health if 0 < s.contacts < FEWEST_CONTACTS and s.status == "ok"]
     if rare:
         found.append(
             f"{len(rare)} of {len(health)} sensors were touched fewer than {FEWEST_CONTACTS} "
-            f"times: {listing(rare)}"
+            f"times: {join_items(rare)}"
         )
     return tuple(found)

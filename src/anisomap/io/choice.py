@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from anisomap.errors import FileError
-from anisomap.wording import listing
+from anisomap.wording import join_items
 
 _MOST_LISTED = 12
 
@@ -81,4 +81,4 @@ def choose(path: Path, contents: Sequence[Content], select: str, what: str) -> C
 
 
 def _listed(contents: Sequence[Content]) -> str:
-    return listing([f"{content.name} ({content.summary})" for content in contents], _MOST_LISTED)
+    return join_items([f"{content.name} ({content.summary})" for content in contents], _MOST_LISTED)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from anisomap.errors import FileError
 from anisomap.io.stream import Block, Stream
 from anisomap.recording import default_names
-from anisomap.wording import listing
+from anisomap.wording import join_items
 
 
 def joined(streams: Mapping[str, Stream]) -> Stream:
@@ -61,7 +61,7 @@ def _blocks(leader: Stream, followers: list[_Follower], parts: list[str]) -> Ite
             together = True
             yield Block(np.hstack(rows)[running], block.share, block.times[running])
     if not together:
-        raise FileError(f"{leader.path}: {listing(parts)} never ran at the same time")
+        raise FileError(f"{leader.path}: {join_items(parts)} never ran at the same time")
 
 
 class _Follower:

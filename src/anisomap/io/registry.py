@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from anisomap.errors import FileError, InputError
-from anisomap.files import check_target, replacing
+from anisomap.files import atomic_write, check_target
 from anisomap.io import npz
 from anisomap.io.choice import Content
 from anisomap.io.format import Format
@@ -242,14 +242,14 @@ def write(thing: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     if isinstance(thing, SensorMap):
         _check_encodable((*thing.names, *thing.health), file)
         write_map = _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
-        with replacing(file) as aside:
+        with atomic_write(file) as aside:
             write_map(thing, aside)
     elif isinstance(thing, Recording):
         _check_encodable(thing.names, file)
         write_recording = _by_suffix(
             file, {s: f.write_recording for f in FORMATS for s in f.suffixes}
         )
-        with replacing(file) as aside:
+        with atomic_write(file) as aside:
             write_recording(thing, aside)
     else:
         raise InputError(f"a {type(thing).__name__} cannot be written; give a map or a recording")

@@ -14,18 +14,23 @@ from numpy.typing import NDArray
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Matches, SensorHealth, assess, weaknesses
-from anisomap.large.chunks import CHUNK_READINGS, Chunks, Excerpt, completed, cut
-from anisomap.large.landmarks.bridging import bridge
-from anisomap.large.landmarks.correlations import Links, correlations, pairs_of
-from anisomap.large.landmarks.links import Joined, as_graph, join, lengths_of
+from anisomap.large.chunks import CHUNK_READINGS, Chunks, Excerpt, complete_chunks, split_array
+from anisomap.large.landmarks.correlations import SensorPairs, correlations, pairs_of
+from anisomap.large.landmarks.landmark_mds import PlacedComponent, place_component
 from anisomap.large.landmarks.options import ApproximateOptions
-from anisomap.large.landmarks.placing import Placed, place
-from anisomap.large.landmarks.sketch import Sketch, sketch
+from anisomap.large.landmarks.sensor_graph import (
+    SensorGraph,
+    adjacency_matrix,
+    bridge_components,
+    build_graph,
+    edge_lengths,
+)
+from anisomap.large.landmarks.sketch import Sketch, compute_sketch
 from anisomap.methods import MethodOptions
 from anisomap.numerics.similarity.search import most_similar
 from anisomap.recording import MissingPolicy, Recording, Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.wording import listing
+from anisomap.wording import join_items
 
 logger = logging.getLogger(__name__)
 
@@ -46,9 +51,9 @@ class Related:
     Attributes
     ----------
     known : Sketch
-    links : Links
+    links : SensorPairs
         All pairs that r was worked out for.
-    joined : Joined
+    graph : SensorGraph
         Those that are edges.
     excerpt : Recording
         Pieces of frames from all over the recording; all frames, if they are few.
@@ -59,8 +64,8 @@ class Related:
     """
 
     known: Sketch
-    links: Links
-    joined: Joined
+    links: SensorPairs
+    graph: SensorGraph
     excerpt: Recording
     health: tuple[SensorHealth, ...]
     dropped: NDArray[np.bool_]
@@ -130,7 +135,7 @@ def reconstruct_approximately(
     See `anisomap.large.landmarks` for the steps, and ``docs/large-recordings.md`` for what is
     lost. Sensors that nothing beyond chance relates come out as separate pieces, whatever `mu` is.
     """
-    chunks = readings if callable(readings) else cut(np.asanyarray(readings))
+    chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
     found = relate(chunks, like=names, missing=missing, drop=drop, options=approximate)
     return approximate_map_of(found, dimensions, options=options, exclude=exclude)
 
@@ -157,7 +162,7 @@ def relate(
     Related
     """
     chosen = options or ApproximateOptions()
-    pieces, whole = Excerpt(EXCERPT_READINGS), completed(chunks, missing)
+    pieces, whole = Excerpt(EXCERPT_READINGS), complete_chunks(chunks, missing)
 
     def opened() -> Iterator[NDArray[Any]]:
         for chunk in whole():
@@ -170,21 +175,23 @@ def relate(
             yield chunk
 
     logger.info("sketching what every sensor read")
-    known = sketch(watched(), chosen.sketch, np.random.default_rng(chosen.seed))
+    known = compute_sketch(watched(), chosen.sketch_size, np.random.default_rng(chosen.seed))
     excerpt = pieces.recording(like)
     dropped = _mask(excerpt, drop)
     known = _without(known, dropped)
     logger.info("looking for those most like each sensor")
     links = correlations(opened(), known, _candidates(known, chosen))
-    joined, further = bridge(join(links, known, chosen.neighbours), known, opened)
-    links = links.joined(further)
+    graph, further = bridge_components(
+        build_graph(links, known, chosen.n_neighbours), known, opened
+    )
+    links = links.concatenate(further)
     health = assess(excerpt, matches=_matches(links, len(known.mean)))
     return Related(
         known=known,
         links=links,
-        joined=joined,
+        graph=graph,
         excerpt=excerpt,
-        health=tuple(_revised(health, known, joined, excerpt.n_frames)),
+        health=tuple(_revised(health, known, graph, excerpt.n_frames)),
         dropped=dropped,
         options=chosen,
     )
@@ -214,23 +221,25 @@ def approximate_map_of(
         raise InputError(f"{dimensions} dimensions hold no map; use 2 or 3")
     n_sensors = len(found.varying)
     component = np.full(n_sensors, UNPLACED)
-    component[found.varying] = np.unique(found.joined.pieces[found.varying], return_inverse=True)[1]
+    component[found.varying] = np.unique(found.graph.component[found.varying], return_inverse=True)[
+        1
+    ]
     if np.count_nonzero(component == 0) < chosen.fewest_sensors:
         raise InputError(
             f"no {chosen.fewest_sensors} sensors are related to one another beyond chance, so "
             "there is nothing to map; was the skin touched during the recording?"
         )
-    lengths = lengths_of(found.links, found.joined.links, chosen.mu)
-    graph = as_graph(found.joined.links, lengths, n_sensors)
+    lengths = edge_lengths(found.links, found.graph.edges, chosen.mu)
+    graph = adjacency_matrix(found.graph.edges, lengths, n_sensors)
     positions = np.full((n_sensors, dimensions), np.nan)
     rng = np.random.default_rng(found.options.seed)
-    placed: list[Placed] = []
+    placed: list[PlacedComponent] = []
     for members in _members(component):
         placed.append(
-            place(
+            place_component(
                 graph[members][:, members],
                 dimensions,
-                landmarks=found.options.landmarks,
+                n_landmarks=found.options.n_landmarks,
                 options=chosen.smacof,
                 rng=rng,
             )
@@ -276,13 +285,13 @@ def _candidates(
     sensors = np.flatnonzero(known.varying)
     if sensors.size < 2:
         raise InputError(f"only {sensors.size} of {len(known.mean)} sensors ever vary")
-    count = min(options.candidates, len(sensors) - 1)
+    count = min(options.n_candidates, len(sensors) - 1)
     found, _ = most_similar(known.projections[sensors], count)
     firsts, seconds = pairs_of(found)
     return sensors[firsts], sensors[seconds]
 
 
-def _matches(links: Links, n_sensors: int) -> Matches:
+def _matches(links: SensorPairs, n_sensors: int) -> Matches:
     """Give the sensors most like each, and the highest r."""
     whose = np.concatenate([links.firsts, links.seconds])
     others = np.concatenate([links.seconds, links.firsts])
@@ -297,10 +306,10 @@ def _matches(links: Links, n_sensors: int) -> Matches:
 
 
 def _revised(
-    health: Sequence[SensorHealth], known: Sketch, joined: Joined, judged: int
+    health: Sequence[SensorHealth], known: Sketch, graph: SensorGraph, judged: int
 ) -> Iterator[SensorHealth]:
     """Make of judgements of the excerpt those of all frames."""
-    alone = np.bincount(joined.pieces)[joined.pieces] == 1
+    alone = np.bincount(graph.component)[graph.component] == 1
     for i, sensor in enumerate(health):
         revised = sensor
         if judged < known.n_frames:
@@ -324,9 +333,9 @@ def _notes(found: Related, component: NDArray[np.intp], *, converged: bool) -> I
     options = found.options
     yield (
         "this map is approximate: of all pairs of sensors, r was worked out for each sensor and "
-        f"the {options.candidates} most like it by a sketch of {options.sketch} numbers; paths "
-        f"lead over the best {options.neighbours} of these, and to {options.landmarks} landmarks "
-        "only"
+        f"the {options.n_candidates} most like it by a sketch of {options.sketch_size} numbers; "
+        f"paths lead over the best {options.n_neighbours} of these, and to {options.n_landmarks} "
+        "landmarks only"
     )
     if found.excerpt.n_frames < found.n_frames:
         yield (f"sensor health was judged from {found.excerpt.n_frames} of {found.n_frames} frames")
@@ -334,9 +343,9 @@ def _notes(found: Related, component: NDArray[np.intp], *, converged: bool) -> I
     if sizes.size > 1:
         lost = [found.excerpt.names[i] for i in np.flatnonzero(component > 0)]
         yield (
-            f"the sensors fall into {sizes.size} separate pieces (of {listing(sizes.tolist())} "
+            f"the sensors fall into {sizes.size} separate pieces (of {join_items(sizes.tolist())} "
             "sensors), and how these lie to one another is not known; "
-            f"outside the largest: {listing(lost)}"
+            f"outside the largest: {join_items(lost)}"
         )
     if not converged:
         yield "scaling stopped before it converged: allow it more iterations"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.files import check_target, replacing
+from anisomap.files import atomic_write, check_target
 from anisomap.numerics.similarity.accumulators import CoOccurrences, Moments, StoredCodes
 from anisomap.numerics.similarity.value_counts import ValueCounts
 
@@ -24,7 +24,8 @@ SECONDS = 60.0
 """How often a checkpoint is written."""
 
 _KINDS = {kind.__name__: kind for kind in (Moments, CoOccurrences, StoredCodes, ValueCounts)}
-_DAMAGE = (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile)
+# RuntimeError: a flipped bit may mark a member of the archive as encrypted.
+_DAMAGE = (OSError, EOFError, KeyError, ValueError, TypeError, RuntimeError, zipfile.BadZipFile)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +114,7 @@ class Checkpoint:
             arrays[f"{name}/kind"] = np.array(type(stage.total).__name__)
             arrays |= {f"{name}/{key}": array for key, array in packed(stage.total).items()}
         arrays["seal"] = np.array(_seal(arrays))
-        with replacing(self._path) as aside, aside.open("wb") as stream:
+        with atomic_write(self._path) as aside, aside.open("wb") as stream:
             np.savez(stream, allow_pickle=False, **arrays)
         self._written = time.monotonic()
 

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.memory import check_room
+from anisomap.memory import check_memory
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.similarity.accumulators import (
     CoOccurrences,
@@ -109,7 +109,7 @@ def _prepare_codes(values: ValueCounts | None, bins: int) -> Take:
     known = _settled(values)
     layout = _codes(known, bins)[1]
     kept, counted = known.n_frames * known.n_sensors, _COUNTS * layout.n_series**2
-    check_room(
+    check_memory(
         min(kept, counted),
         f"counting all pairs of {bins} bins of {known.n_sensors} sensors",
         "use fewer bins, or linear correlation (r-anisomap)",

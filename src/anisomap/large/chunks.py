@@ -27,7 +27,7 @@ CHUNK_READINGS = 1 << 23
 CHUNK_FRAMES = 4096
 """or so many frames of many sensors: merging what was counted takes longer then than counting,"""
 
-MOST_READINGS = 1 << 27
+MAX_CHUNK_READINGS = 1 << 27
 """but never more readings than this."""
 
 EXCERPT_READINGS = 1 << 22
@@ -42,11 +42,11 @@ Chunks: TypeAlias = Callable[[], Iterable[ArrayLike]]
 
 def chunk_frames(n_sensors: int) -> int:
     """Tell how many frames of so many sensors are taken at a time."""
-    few = min(CHUNK_FRAMES, MOST_READINGS // n_sensors)
+    few = min(CHUNK_FRAMES, MAX_CHUNK_READINGS // n_sensors)
     return max(1, CHUNK_READINGS // n_sensors, few)
 
 
-def cut(readings: NDArray[Any]) -> Chunks:
+def split_array(readings: NDArray[Any]) -> Chunks:
     """Give an array of shape (T, N) in chunks; one that is mapped from a file, without keeping it.
 
     Raises
@@ -77,7 +77,7 @@ def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[
     return np.memmap(whole.filename, whole.dtype, "r", offset, shape)
 
 
-def completed(chunks: Chunks, missing: MissingPolicy = "error") -> CompleteChunks:
+def complete_chunks(chunks: Chunks, missing: MissingPolicy = "error") -> CompleteChunks:
     """Settle what to do about readings that are NaN or infinite, as `Recording.complete` does.
 
     Parameters
@@ -121,10 +121,10 @@ class Excerpt:
 
     def __init__(self, n_readings: int = 0) -> None:
         self._n_readings = n_readings or EXCERPT_READINGS
-        self.whole = False
-        self.forget()
+        self.complete = False
+        self.reset()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Begin anew, with the first chunk."""
         self._kept: list[NDArray[Any]] = []
         self._stride, self._seen = 1, 0

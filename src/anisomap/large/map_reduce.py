@@ -24,35 +24,35 @@ _ROUND = 2  # chunks a worker
 
 
 @dataclass(frozen=True)
-class Crew:
+class WorkerPool:
     """Who does the work.
 
     Parameters
     ----------
-    workers : int
+    n_workers : int
         Threads of this process that make something of chunks side by side; 1 is none but this.
     scheduler : str
         Address of a Dask scheduler, as in ``tcp://host:8786``, whose workers do it instead.
 
     Notes
     -----
-    Another backend of joblib does the work if it is chosen around the call and `workers` is more
+    Another backend of joblib does the work if it is chosen around the call and `n_workers` is more
     than 1: ``joblib.parallel_config("ray")``, say, or ``"loky"`` for processes. Threads are the
     default since what takes long lets go of the interpreter's lock, and nothing has to be sent.
     """
 
-    workers: int = 1
+    n_workers: int = 1
     scheduler: str = ""
 
 
-ALONE = Crew()
+SERIAL = WorkerPool()
 
 
-def gather(
+def map_reduce(
     chunks: Callable[[], Iterable[NDArray[Any]]],
     take: Callable[[NDArray[Any]], Any],
     *,
-    crew: Crew = ALONE,
+    pool: WorkerPool = SERIAL,
     checkpoint: Checkpoint | None = None,
     stage: str = "total",
     after: str = "",
@@ -66,7 +66,7 @@ def gather(
     take : callable
         Makes an accumulator of a chunk: something with a method `merged`. It must go to other
         processes, if there are any.
-    crew : Crew
+    pool : WorkerPool
     checkpoint : Checkpoint, optional
         Where to go on, and what to keep up to date.
     stage : str
@@ -99,7 +99,7 @@ def gather(
         if checkpoint:
             checkpoint.check(stage, trail.mark(done))
         try:
-            for part in _shared(opened, take, crew):
+            for part in _shared(opened, take, pool):
                 total, done = part if total is None else total.merged(part), done + 1
                 failures = 0
                 if checkpoint:
@@ -121,14 +121,14 @@ def gather(
 
 
 def _shared(
-    chunks: Iterable[NDArray[Any]], take: Callable[[NDArray[Any]], Any], crew: Crew
+    chunks: Iterable[NDArray[Any]], take: Callable[[NDArray[Any]], Any], pool: WorkerPool
 ) -> Iterator[Any]:
-    if crew.workers == 1 and not crew.scheduler:
+    if pool.n_workers == 1 and not pool.scheduler:
         return map(take, chunks)
     joblib: Any = import_module("joblib")
-    if crew.scheduler:
-        return _on_dask(joblib, chunks, take, crew.scheduler)
-    return _on_joblib(joblib, chunks, take, crew.workers)
+    if pool.scheduler:
+        return _on_dask(joblib, chunks, take, pool.scheduler)
+    return _on_joblib(joblib, chunks, take, pool.n_workers)
 
 
 def _on_joblib(

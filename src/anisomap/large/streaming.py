@@ -16,9 +16,9 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.chunked_similarity import CHUNKED
-from anisomap.large.chunks import PIECE_FRAMES, Chunks, Excerpt, completed, cut
-from anisomap.large.map_reduce import ALONE, Crew, gather
-from anisomap.memory import check_room_for_pairs, check_room_for_workers
+from anisomap.large.chunks import PIECE_FRAMES, Chunks, Excerpt, complete_chunks, split_array
+from anisomap.large.map_reduce import SERIAL, WorkerPool, map_reduce
+from anisomap.memory import check_pair_memory, check_worker_memory
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors, find_method
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
@@ -71,7 +71,7 @@ def reconstruct_chunks(
     missing: MissingPolicy = "error",
     exclude: Iterable[str | int] = (),
     drop: Iterable[str | int] = (),
-    crew: Crew = ALONE,
+    pool: WorkerPool = SERIAL,
     checkpoint: Path | None = None,
 ) -> SensorMap:
     """Make a map of a recording that is never in memory as a whole.
@@ -86,8 +86,8 @@ def reconstruct_chunks(
     names : sequence of str, optional
         Names of the sensors.
     missing : {"error", "drop-frames", "interpolate"}
-        What to do about NaN: see `completed`.
-    crew : Crew
+        What to do about NaN: see `complete_chunks`.
+    pool : WorkerPool
         Who does the work.
     checkpoint : pathlib.Path, optional
         File to note down what was counted, and to go on from if it is there; one of other readings
@@ -111,7 +111,7 @@ def reconstruct_chunks(
     AnisomapWarning
         Once for each of the notes.
     """
-    chunks = readings if callable(readings) else cut(np.asanyarray(readings))
+    chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
     chosen = options or MethodOptions()
     found = gather_similarity(
         chunks,
@@ -119,7 +119,7 @@ def reconstruct_chunks(
         chosen,
         like=names,
         missing=missing,
-        crew=crew,
+        pool=pool,
         checkpoint=checkpoint,
     )
     return map_of(found, method, dimensions, options=chosen, exclude=exclude, drop=drop)
@@ -132,7 +132,7 @@ def gather_similarity(
     *,
     like: Recording | Sequence[str] = (),
     missing: MissingPolicy = "error",
-    crew: Crew = ALONE,
+    pool: WorkerPool = SERIAL,
     checkpoint: Path | None = None,
     source: str = "",
 ) -> Gathered:
@@ -140,7 +140,7 @@ def gather_similarity(
 
     Parameters
     ----------
-    chunks, method, options, missing, crew, checkpoint
+    chunks, method, options, missing, pool, checkpoint
         As for `reconstruct_chunks`.
     like : Recording or sequence of str
         One with the sensors' names, positions and whatever else is known, or just the names.
@@ -154,32 +154,32 @@ def gather_similarity(
     check_priors(method, options, readings=False)
     made_by = find_method(method)
     name, refined = made_by.similarity, made_by.refine is not None
-    recipe, pieces, whole = CHUNKED[name], Excerpt(), completed(chunks, missing)
+    recipe, pieces, whole = CHUNKED[name], Excerpt(), complete_chunks(chunks, missing)
     of = f"{name} of {source or 'frames'}, {options.bins} bins"
     held = Checkpoint(checkpoint, of) if checkpoint else None
 
     def watched() -> Iterator[NDArray[Any]]:
         """Take the excerpt in passing; the second time, there is one."""
-        watching = not pieces.whole
+        watching = not pieces.complete
         if watching:
-            pieces.forget()
+            pieces.reset()
         for chunk in whole():
-            check_room_for_pairs(chunk.shape[1], refined=refined)
-            check_room_for_workers(chunk.shape[1], crew.workers)
+            check_pair_memory(chunk.shape[1], refined=refined)
+            check_worker_memory(chunk.shape[1], pool.n_workers)
             _check_unit(chunk)
             if watching:
                 pieces.add(chunk)
             yield chunk
-        pieces.whole = True
+        pieces.complete = True
 
     values: ValueCounts | None = None
     if recipe.needs_values:
         logger.info("finding the values that occur")
-        values = gather(watched, ValueCounts.of, crew=crew, checkpoint=held, stage="values")
+        values = map_reduce(watched, ValueCounts.of, pool=pool, checkpoint=held, stage="values")
     logger.info("comparing all pairs of sensors (%s)", name)
     take = recipe.prepare(values, options.bins)
     before = "" if values is None else "values"
-    total = gather(watched, take, crew=crew, checkpoint=held, stage="pairs", after=before)
+    total = map_reduce(watched, take, pool=pool, checkpoint=held, stage="pairs", after=before)
     varying = total.varying() if values is None else values.varying()
     excerpt = pieces.recording(like)
     notes = [] if values is None else list(_rounding(values, excerpt.names))

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from anisomap.errors import FileError
-from anisomap.files import replacing
+from anisomap.files import atomic_write
 
 _PLACE = re.compile(
     r"(?P<opening><!-- numbers: (?P<table>[\w-]+)(?:: (?P<columns>[^\n]*?))? -->\n)"
@@ -100,7 +100,7 @@ def collect(results: Path, tables: Path, names: Sequence[str]) -> None:
         found = sorted(results.glob(f"*/{name}.csv"))
         if not found:
             raise FileError(f"there is no table {name} in {results}; run anisomap paper first")
-        with replacing(tables / f"{name}.csv") as aside:
+        with atomic_write(tables / f"{name}.csv") as aside:
             shutil.copyfile(found[0], aside)
 
 
@@ -117,7 +117,7 @@ def main(arguments: Sequence[str]) -> None:
     for path in documents:
         text = path.read_text(encoding="utf-8")
         collect(results, tables, tables_in(text))
-        with replacing(path) as aside:
+        with atomic_write(path) as aside:
             aside.write_text(fill(text, tables), encoding="utf-8")
 
 

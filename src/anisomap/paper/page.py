@@ -13,7 +13,7 @@ from typing import Any
 
 from anisomap._version import __version__
 from anisomap.errors import MissingExtraError
-from anisomap.files import replacing
+from anisomap.files import atomic_write
 from anisomap.paper import result_cache as results
 from anisomap.paper.experiment import Cell, Experiment, Settings, Table
 
@@ -70,7 +70,7 @@ def write_page(
         version=__version__,
         most_rows=_MOST_ROWS,
     )
-    with replacing(path) as aside:
+    with atomic_write(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.errors import InputError
-from anisomap.numerics.geodesic.contact_peaks import FEWEST_PASSES, contact_peaks, pass_lengths
+from anisomap.numerics.geodesic.contact_peaks import MIN_PEAKS, contact_peaks, peak_lengths
 
 PULSE = np.array([0, 1, 3, 6, 3, 1, 0]) / 6
 
@@ -51,7 +51,7 @@ def test_peaks_rise_in_time_and_are_readings(values):
 @pytest.mark.parametrize("delay", [0, 3])
 def test_lengths_of_autoregressive_ground_are_those_of_its_closed_form(delay):
     similar = np.array([0.9, 0.7, 0.4, 0.0])
-    found = pass_lengths(rolled_over(similar, 4000, delay=delay), chain(5))
+    found = peak_lengths(rolled_over(similar, 4000, delay=delay), chain(5))
     # Spearman's rho of two normal variables of correlation a is 6 / pi asin(a / 2).
     expected = np.sqrt(1 - 6 / np.pi * np.arcsin(similar / 2))
     np.testing.assert_allclose(np.diag(found, k=1), expected, atol=0.03)
@@ -63,25 +63,25 @@ def test_lengths_of_autoregressive_ground_are_those_of_its_closed_form(delay):
 def test_units_zeros_and_the_sense_of_sensors_do_not_matter(seed):
     readings, rng = rolled_over(np.array([0.8, 0.5]), 30, seed), np.random.default_rng(seed)
     gains = 2.0 ** rng.integers(-5, 6, 3) * rng.choice([-1, 1], 3)
-    found = pass_lengths(readings * gains + rng.integers(-9, 9, 3), chain(3))
-    np.testing.assert_allclose(found, pass_lengths(readings, chain(3)))
+    found = peak_lengths(readings * gains + rng.integers(-9, 9, 3), chain(3))
+    np.testing.assert_allclose(found, peak_lengths(readings, chain(3)))
 
 
 def test_relabelling_the_sensors_relabels_their_lengths():
     readings, order = rolled_over(np.array([0.9, 0.5, 0.7]), 60, delay=2), [2, 0, 3, 1]
-    found = pass_lengths(readings, chain(4))
-    again = pass_lengths(readings[:, order], chain(4)[np.ix_(order, order)])
+    found = peak_lengths(readings, chain(4))
+    again = peak_lengths(readings[:, order], chain(4)[np.ix_(order, order)])
     np.testing.assert_array_equal(again, found[np.ix_(order, order)])
 
 
 def test_too_few_passes_and_thresholded_readings_tell_nothing():
-    few = rolled_over(np.array([0.9]), FEWEST_PASSES - 1)
-    assert np.isnan(pass_lengths(few, chain(2))).all()
-    enough = rolled_over(np.array([0.9]), FEWEST_PASSES)
-    assert np.isfinite(pass_lengths(enough, chain(2))).any()
-    assert np.isnan(pass_lengths(enough > 0, chain(2))).all()
+    few = rolled_over(np.array([0.9]), MIN_PEAKS - 1)
+    assert np.isnan(peak_lengths(few, chain(2))).all()
+    enough = rolled_over(np.array([0.9]), MIN_PEAKS)
+    assert np.isfinite(peak_lengths(enough, chain(2))).any()
+    assert np.isnan(peak_lengths(enough > 0, chain(2))).all()
 
 
 def test_neighbours_of_other_sensors_are_refused():
-    with pytest.raises(InputError, match="do not fit"):
-        pass_lengths(np.eye(9), chain(4))
+    with pytest.raises(InputError, match="does not fit"):
+        peak_lengths(np.eye(9), chain(4))

@@ -10,15 +10,18 @@ from scipy.spatial.distance import cdist
 from anisomap.errors import InputError
 from anisomap.numerics.geodesic.neighbours import (
     NeighbourOptions,
-    agreement,
-    direct_neighbours,
     edge_distances,
-    find_links,
+    neighbour_graph,
+    split_half_agreement,
     unevenness,
 )
 from anisomap.numerics.graph.dissimilarity import partial_correlation
 from anisomap.numerics.reliability.blending import blended_correlation
 from skins import flat_skin, lattice, rubbed
+
+
+def adjacency_of(*arguments, **options):
+    return neighbour_graph(*arguments, **options).adjacency
 
 
 def smooth_noise(n_frames: int, n_sensors: int, seed: int) -> np.ndarray:
@@ -32,7 +35,7 @@ def smooth_noise(n_frames: int, n_sensors: int, seed: int) -> np.ndarray:
 @given(st.integers(3, 200), st.integers(2, 12), st.integers(0, 99))
 def test_the_graph_is_symmetric_connected_and_without_loops(n_frames, n_sensors, seed):
     readings = smooth_noise(n_frames, n_sensors, seed)
-    joined = direct_neighbours(readings, np.random.default_rng(seed).normal(size=(n_sensors, 2)))
+    joined = adjacency_of(readings, np.random.default_rng(seed).normal(size=(n_sensors, 2)))
     assert np.array_equal(joined, joined.T)
     assert not np.diag(joined).any()
     assert connected_components(joined, directed=False)[0] == 1
@@ -42,9 +45,9 @@ def test_the_graph_is_symmetric_connected_and_without_loops(n_frames, n_sensors,
 def test_relabelling_the_sensors_relabels_the_graph(seed):
     readings, rng = smooth_noise(120, 10, seed), np.random.default_rng(seed)
     positions, order = rng.normal(size=(10, 3)), rng.permutation(10)
-    joined = direct_neighbours(readings, positions)
+    joined = adjacency_of(readings, positions)
     np.testing.assert_array_equal(
-        direct_neighbours(readings[:, order], positions[order]), joined[np.ix_(order, order)]
+        adjacency_of(readings[:, order], positions[order]), joined[np.ix_(order, order)]
     )
 
 
@@ -52,7 +55,7 @@ def test_relabelling_the_sensors_relabels_the_graph(seed):
 def test_units_and_zeros_of_sensors_do_not_matter(seed):
     readings, rng = smooth_noise(120, 8, seed), np.random.default_rng(seed)
     other = readings * rng.uniform(0.1, 10, 8) + rng.normal(size=8)
-    np.testing.assert_array_equal(direct_neighbours(other), direct_neighbours(readings))
+    np.testing.assert_array_equal(adjacency_of(other), adjacency_of(readings))
 
 
 def test_a_rubbed_lattice_is_joined_as_it_lies():
@@ -60,35 +63,35 @@ def test_a_rubbed_lattice_is_joined_as_it_lies():
     readings = rubbed(positions, 3000)
     near = cdist(positions, positions) < 1.01
     np.fill_diagonal(near, val=False)
-    joined = direct_neighbours(readings, positions)
+    joined = adjacency_of(readings, positions)
     assert (joined & near).sum() > 0.98 * joined.sum(), "hardly a shortcut"
     assert unevenness(positions, joined) < 0.1
-    assert agreement(readings, positions) > 0.95
+    assert split_half_agreement(readings, positions) > 0.95
 
 
 @pytest.mark.parametrize(("sign", "forced"), [(1, 0.0), (-1, 1.0)])
 def test_a_link_between_opposites_is_forced(sign, forced):
     first = np.random.default_rng(0).standard_normal((300, 1))
-    links = find_links(np.hstack([first, sign * first + 0.1 * first[::-1]]))
-    assert links.joined.tolist() == [[False, True], [True, False]]
-    assert links.forced == forced
+    links = neighbour_graph(np.hstack([first, sign * first + 0.1 * first[::-1]]))
+    assert links.adjacency.tolist() == [[False, True], [True, False]]
+    assert links.forced_share == forced
 
 
 def test_hardly_a_link_of_a_rubbed_lattice_is_forced():
-    assert find_links(rubbed(lattice(), 2000)).forced < 0.02
+    assert neighbour_graph(rubbed(lattice(), 2000)).forced_share < 0.02
 
 
 def test_given_similarity_is_that_of_the_readings():
     readings = flat_skin().readings
     np.testing.assert_array_equal(
-        direct_neighbours(readings, similarity=blended_correlation(readings)),
-        direct_neighbours(readings),
+        adjacency_of(readings, similarity=blended_correlation(readings)),
+        adjacency_of(readings),
     )
 
 
 def test_no_edge_has_a_much_stronger_detour_unless_the_tree_needs_it():
     readings = smooth_noise(400, 14, 3)
-    joined = direct_neighbours(readings, options=NeighbourOptions(reach=1e9))
+    joined = adjacency_of(readings, options=NeighbourOptions(reach=1e9))
     partial = partial_correlation(blended_correlation(readings), 0.1)
     weak = [
         (i, j)
@@ -112,11 +115,11 @@ def test_unevenness_is_the_spread_of_log_distances_in_any_unit(ratio, unit, n):
 
 def test_halves_of_noise_or_of_too_little_do_not_agree():
     noise = np.random.default_rng(0).standard_normal((2000, 30))
-    assert agreement(noise) < 0.3
-    assert agreement(noise[:4]) == 0
+    assert split_half_agreement(noise) < 0.3
+    assert split_half_agreement(noise[:4]) == 0
     silent = np.zeros((400, 5))
     silent[:20] = noise[:20, :5]
-    assert agreement(silent) == 0
+    assert split_half_agreement(silent) == 0
 
 
 @pytest.mark.parametrize(
@@ -125,7 +128,7 @@ def test_halves_of_noise_or_of_too_little_do_not_agree():
 )
 def test_what_does_not_fit_is_refused(readings, positions):
     with pytest.raises(InputError, match="shape"):
-        direct_neighbours(readings, positions)
+        adjacency_of(readings, positions)
 
 
 @pytest.mark.parametrize("change", [{"ridge": 0}, {"slack": 0.5}, {"reach": 0}])

@@ -8,11 +8,11 @@ from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
 from anisomap.numerics.geodesic.refinement import (
-    UnrollingOptions,
-    confirmation,
-    contact_passes,
-    even_spacing,
-    fit_paths,
+    GeodesicOptions,
+    fit_path_lengths,
+    log_log_slope,
+    refine_by_contact_peaks,
+    refine_by_even_spacing,
 )
 from skins import lattice, rubbed
 
@@ -34,23 +34,23 @@ def nearest(positions, reach=1.01):
 def test_a_straight_chain_comes_out_with_its_lengths():
     gaps = np.array([1.0, 0.5, 2.0, 1.0, 1.5])
     lengths = np.diag(gaps, k=1) + np.diag(gaps, k=-1)
-    found = fit_paths(lengths, 2)
+    found = fit_path_lengths(lengths, 2)
     np.testing.assert_allclose(np.diag(cdist(found, found), k=1), gaps, rtol=1e-3)
     assert mantel_r(found, np.cumsum(np.append(0, gaps))[:, None]) > 0.9999
 
 
 def test_hops_of_a_lattice_give_the_lattice():
     positions = lattice()
-    assert mantel_r(fit_paths(nearest(positions).astype(float), 2), positions) > 0.98
+    assert mantel_r(fit_path_lengths(nearest(positions).astype(float), 2), positions) > 0.98
 
 
 def test_a_guide_that_is_even_is_followed_and_an_uneven_one_is_not():
     positions = grid()
     links = nearest(positions).astype(float)
-    alone, squeezed = fit_paths(links, 2), positions * [1, 0.2]
-    followed = fit_paths(links, guide=7 * positions)
+    alone, squeezed = fit_path_lengths(links, 2), positions * [1, 0.2]
+    followed = fit_path_lengths(links, guide=7 * positions)
     assert 1 - mantel_r(followed, positions) < 0.1 * (1 - mantel_r(alone, positions))
-    ignored = fit_paths(links, guide=squeezed)
+    ignored = fit_path_lengths(links, guide=squeezed)
     np.testing.assert_array_equal(ignored, alone)
     assert mantel_r(squeezed, positions) < 0.9 < mantel_r(ignored, positions)
 
@@ -59,8 +59,8 @@ def test_a_guide_that_is_even_is_followed_and_an_uneven_one_is_not():
 def test_relabelling_sensors_relabels_what_is_fitted(seed):
     positions, order = lattice(4, 4), np.random.default_rng(seed).permutation(16)
     links = nearest(positions) * 1.0
-    straight = fit_paths(links, guide=positions)
-    other = fit_paths(links[np.ix_(order, order)], guide=positions[order])
+    straight = fit_path_lengths(links, guide=positions)
+    other = fit_path_lengths(links[np.ix_(order, order)], guide=positions[order])
     np.testing.assert_allclose(cdist(other, other), cdist(straight[order], straight[order]),
                                atol=1e-6)  # fmt: skip
 
@@ -71,15 +71,15 @@ def test_confirmation_is_the_power_that_lengths_follow_distances_by(power, unit,
     links = nearest(positions, 1.5)
     with np.errstate(divide="ignore"):
         lengths = np.where(links, unit * cdist(positions, positions) ** power, np.nan)
-    assert confirmation(positions, lengths) == pytest.approx(power, abs=1e-9)
-    assert confirmation(np.zeros((12, 2)), lengths) == 0
+    assert log_log_slope(positions, lengths) == pytest.approx(power, abs=1e-9)
+    assert log_log_slope(np.zeros((12, 2)), lengths) == 0
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_even_maps_come_back_to_the_bit(seed):
     positions = lattice() @ np.array([[0.8, 0.6], [-0.6, 0.8]])
-    found = contact_passes(rubbed(positions, 800, seed=seed), positions)
-    assert not found.acted
+    found = refine_by_contact_peaks(rubbed(positions, 800, seed=seed), positions)
+    assert not found.applied
     assert found.positions.tobytes() == positions.tobytes()
     assert found.unevenness < 0.5
 
@@ -88,8 +88,8 @@ def test_declared_spacing_stretches_a_squeezed_map_and_keeps_its_unit():
     positions = grid()
     readings = rubbed(positions, 2000)
     squeezed = 30 * positions * [1, 0.2]
-    found = even_spacing(readings, squeezed)
-    assert found.acted
+    found = refine_by_even_spacing(readings, squeezed)
+    assert found.applied
     assert mantel_r(squeezed, positions) < 0.9
     assert mantel_r(found.positions, positions) > 0.97
     links = nearest(positions)
@@ -100,27 +100,27 @@ def test_declared_spacing_stretches_a_squeezed_map_and_keeps_its_unit():
 def test_where_the_graph_is_not_agreed_on_an_uneven_map_is_left_alone():
     noise = np.random.default_rng(1).standard_normal((1000, 30))
     places = np.random.default_rng(2).normal(size=(30, 2)) * [1, 0.01]
-    for unroll in (even_spacing, contact_passes):
-        found = unroll(noise, places)
+    for refine in (refine_by_even_spacing, refine_by_contact_peaks):
+        found = refine(noise, places)
         assert found.unevenness > 0.5
-        assert not found.acted
+        assert not found.applied
         np.testing.assert_array_equal(found.positions, places)
 
 
 def test_thresholded_readings_have_no_heights_and_are_not_taken_for_evenly_spaced():
     positions = grid()
     readings = rubbed(positions, 2000) > 0
-    found = contact_passes(readings, positions * [1, 0.05])
+    found = refine_by_contact_peaks(readings, positions * [1, 0.05])
     assert found.unevenness > 0.5
-    assert not found.acted
+    assert not found.applied
 
 
-@pytest.mark.parametrize("change", [{"power": -1}, {"trust": np.nan}, {"uneven": 0}])
+@pytest.mark.parametrize("change", [{"power": -1}, {"guide_weight": np.nan}, {"max_unevenness": 0}])
 def test_nonsense_options_are_refused(change):
     with pytest.raises(InputError, match=next(iter(change))):
-        UnrollingOptions(**change)
+        GeodesicOptions(**change)
 
 
 def test_links_that_do_not_connect_are_refused():
     with pytest.raises(InputError, match="separate"):
-        fit_paths(np.zeros((4, 4)), 2)
+        fit_path_lengths(np.zeros((4, 4)), 2)

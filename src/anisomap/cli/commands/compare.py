@@ -16,7 +16,7 @@ from anisomap.cli import pipeline
 from anisomap.cli.console import console, progress, show_table
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import score
-from anisomap.files import check_distinct, check_target, replacing
+from anisomap.files import atomic_write, check_distinct, check_target
 from anisomap.methods import PAPER_METHODS, find_method
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
@@ -68,7 +68,7 @@ def compare(
     columns = ("recording", "sensors x frames", "map", *methods)
     show_table("Mantel r", columns, rows)
     if output:
-        with replacing(output) as aside:
+        with atomic_write(output) as aside:
             aside.write_text(_markdown(columns, rows), encoding="utf-8")
         console.print(f"written to {output}", markup=False)
 

@@ -13,7 +13,7 @@ from anisomap.cli import bodies
 from anisomap.cli.console import number, percent, progress, show_table
 from anisomap.drawing import figures
 from anisomap.drawing.figures import curves
-from anisomap.files import check_distinct, check_target, replacing
+from anisomap.files import atomic_write, check_distinct, check_target
 from anisomap.methods import DEFAULT_METHOD
 from anisomap.simulation import CoverageCurve, coverage_curve
 from anisomap.simulation.coverage import LENGTHS
@@ -83,7 +83,7 @@ def coverage(
     rows = _rows(curve)
     show_table(f"Coverage of {skin.name} by {scenario}, mean of {runs} runs", _COLUMNS, rows)
     if output:
-        with replacing(output) as aside:
+        with atomic_write(output) as aside:
             lines = [",".join(cells) for cells in (_COLUMNS, *rows)]
             aside.write_text("\n".join(lines) + "\n", encoding="utf-8")
     if picture:

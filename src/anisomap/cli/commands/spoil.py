@@ -17,7 +17,7 @@ from anisomap.errors import InputError
 from anisomap.files import check_distinct
 from anisomap.simulation import inject, injected_faults, parse_fault
 from anisomap.simulation.faults import ALL_SENSORS
-from anisomap.wording import listing
+from anisomap.wording import join_items
 
 
 def spoil(
@@ -58,6 +58,6 @@ def spoil(
     show_table(
         "Faults on the record",
         ("fault", "sensors", "readings or frames"),
-        [(kind, listing(names), str(frames[kind])) for kind, names in sensors.items()],
+        [(kind, join_items(names), str(frames[kind])) for kind, names in sensors.items()],
     )
     show_table("Files", ("what", "where"), [("recording", str(output))])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from anisomap.errors import FileError, InputError, MissingExtraError
 from anisomap.evaluation import Score
-from anisomap.files import check_target, replacing
+from anisomap.files import atomic_write, check_target
 from anisomap.sensor_map import SensorMap
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
         If matplotlib is not installed.
     """
     content = figure_bytes(figure, _kind(path))
-    with replacing(path) as aside:
+    with atomic_write(path) as aside:
         aside.write_bytes(content)
 
 

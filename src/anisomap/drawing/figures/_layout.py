@@ -36,7 +36,7 @@ from anisomap.drawing.view import (
 )
 from anisomap.evaluation import Score
 from anisomap.sensor_map import SensorMap
-from anisomap.wording import listing
+from anisomap.wording import join_items
 
 _STYLE = {
     "font.family": "DejaVu Sans",
@@ -256,7 +256,7 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
         shown(sensor_map.names[i], _LONGEST_LABEL) for i in np.flatnonzero(~sensor_map.placed)
     ]
     if unplaced:
-        notes.append(f"Not on the map: {listing(unplaced, 12)}.")
+        notes.append(f"Not on the map: {join_items(unplaced, 12)}.")
     single = np.count_nonzero(np.bincount(sensor_map.component[sensor_map.placed]) == 1)
     if single and sensor_map.n_components > 1:
         notes.append(f"Pieces of a single sensor, not drawn: {single}.")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from anisomap.drawing.figures import load_drawing
 from anisomap.errors import FileError, InputError
-from anisomap.files import check_target, replacing
+from anisomap.files import atomic_write, check_target
 from anisomap.scene import Scene
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def save_animation(
     """
     check_animation(path)
     frames = np.arange(min(max(n_frames, 1), scene.n_frames))
-    with replacing(path) as aside:
+    with atomic_write(path) as aside:
         load_drawing("_stage").animate(scene, aside, frames, progress or (lambda _: None))
 
 
@@ -137,7 +137,7 @@ def save_pixels(path: str | os.PathLike[str], images: Sequence[NDArray[np.uint8]
     kind = "png" if len(images) == 1 else "gif"
     if Path(path).suffix.lower() != f".{kind}":
         raise FileError(f"{path} cannot hold what was rendered; end it with .{kind}")
-    with replacing(path) as aside:
+    with atomic_write(path) as aside:
         load_drawing("_stage").write_pixels(aside, images)
 
 

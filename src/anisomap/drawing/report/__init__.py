@@ -21,7 +21,7 @@ from anisomap.drawing.report._words import (
 from anisomap.drawing.view import bodies, shown
 from anisomap.errors import MissingExtraError
 from anisomap.evaluation import Score
-from anisomap.files import check_target, replacing
+from anisomap.files import atomic_write, check_target
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.sensor_map import SensorMap
 
@@ -62,7 +62,7 @@ def write_report(
         figure_png=figure_png,
         title=title,
     )
-    with replacing(path) as aside:
+    with atomic_write(path) as aside:
         # A name read from a damaged file may hold half a character, which no encoding takes.
         aside.write_bytes(page.encode("utf-8", errors="replace"))
 

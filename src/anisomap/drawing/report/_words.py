@@ -13,7 +13,7 @@ from anisomap.evaluation import Score, confidence_in_words
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
 from anisomap.sensor_map import SensorMap
-from anisomap.wording import listing
+from anisomap.wording import join_items
 
 UNKNOWN = "\N{EN DASH}"
 _AGREEMENT = ((0.98, "very closely"), (0.9, "closely"), (0.6, "roughly"), (-1.0, "only weakly"))
@@ -213,7 +213,7 @@ def cautions(
     notes = [*sensor_map.notes, *warn_of_pieces(sensor_map)]
     unplaced = [shown(sensor_map.names[i]) for i in np.flatnonzero(~sensor_map.placed)]
     if unplaced and score is None:
-        notes.append(f"not on the map: {listing(unplaced, 12)}")
+        notes.append(f"not on the map: {join_items(unplaced, 12)}")
     if score is not None:
         notes += score.notes
         if score.rms_in_spacings > _COARSE:

@@ -17,24 +17,24 @@ PIECES = 64
 """Pieces that the pairs are shared out to."""
 
 
-class Links(NamedTuple):
+class SensorPairs(NamedTuple):
     """Pairs of sensors i < j, each once, in increasing order; and r of each."""
 
     firsts: NDArray[np.int64]
     seconds: NDArray[np.int64]
     r: NDArray[np.float64]
 
-    def joined(self, others: Links) -> Links:
+    def concatenate(self, others: SensorPairs) -> SensorPairs:
         """Put pairs and other pairs together."""
-        return Links(
+        return SensorPairs(
             np.concatenate([self.firsts, others.firsts]),
             np.concatenate([self.seconds, others.seconds]),
             np.concatenate([self.r, others.r]),
         )
 
-    def chosen(self, which: NDArray[np.bool_]) -> Links:
+    def select(self, which: NDArray[np.bool_]) -> SensorPairs:
         """Keep some pairs only."""
-        return Links(self.firsts[which], self.seconds[which], self.r[which])
+        return SensorPairs(self.firsts[which], self.seconds[which], self.r[which])
 
 
 def pairs_of(
@@ -45,7 +45,7 @@ def pairs_of(
     Parameters
     ----------
     found : ndarray of int, shape (n, c)
-        See `most_alike`.
+        See `most_similar`.
     sensors : array_like of int, shape (n,), optional
         For whom they were found; for sensors 0, 1, ... unless given.
 
@@ -66,7 +66,7 @@ def correlations(
     chunks: Iterable[NDArray[Any]],
     known: Sketch,
     pairs: tuple[NDArray[np.int64], NDArray[np.int64]],
-) -> Links:
+) -> SensorPairs:
     """Work out Pearson r of some pairs of sensors.
 
     Parameters
@@ -80,7 +80,7 @@ def correlations(
 
     Returns
     -------
-    Links
+    SensorPairs
         Products are of float32 readings that were standardised in float64, summed in float64 over
         the chunks: r errs by some 1e-7. It is 0 where a sensor never varies.
     """
@@ -102,4 +102,4 @@ def correlations(
                 add(series, still, pairs, totals, (parts[piece], parts[piece + 1]))
 
             spread_over(take, range(PIECES))
-    return Links(*pairs, np.clip(totals / known.n_frames, -1, 1))
+    return SensorPairs(*pairs, np.clip(totals / known.n_frames, -1, 1))

@@ -1,4 +1,4 @@
-"""What an approximate map may cost."""
+"""Options of approximate maps."""
 
 from __future__ import annotations
 
@@ -11,47 +11,49 @@ from anisomap.errors import InputError
 
 @dataclass(frozen=True)
 class ApproximateOptions:
-    """How much is looked at for an approximate map.
+    """Accuracy of an approximate map, and its random seed.
+
+    The defaults were chosen on simulated skins; ``docs/large-recordings.md`` gives the accuracy.
 
     Parameters
     ----------
-    neighbours : int
-        Sensors that each sensor is joined to, at least 3: those with the highest r.
-    candidates : int
-        Sensors that r is worked out with for each, at least as many as `neighbours`.
-    sketch : int
-        Numbers that the readings of a sensor are projected onto, at least 16. An r of a sketch errs
-        by ``sketch ** -0.5`` (one standard deviation).
-    landmarks : int
-        Sensors from which paths to all others are found, at least 8. Pieces of no more sensors are
-        not approximated further: all of their sensors are landmarks.
+    n_neighbours : int
+        Number of sensors with the highest r that each sensor is linked to, at least 3.
+    n_candidates : int
+        Number of sensors for which r with each sensor is computed, at least `n_neighbours`.
+    sketch_size : int
+        Length of the random projection of a sensor's readings, at least 16. The standard error of r
+        between two sketches is about ``sketch_size ** -0.5``.
+    n_landmarks : int
+        Number of sensors from which shortest paths to all others are computed, at least 8. In
+        connected components that are not larger, all sensors are landmarks.
     seed : int
-        Of the projection and of the choice of landmarks: the same seed makes the same map.
+        Seed of the projection and of the choice of landmarks, at least 0.
 
     Raises
     ------
     InputError
-        If a number is too small.
+        If a value is too small.
     """
 
-    neighbours: int = 20
-    candidates: int = 48
-    sketch: int = 512
-    landmarks: int = 1000
+    n_neighbours: int = 20
+    n_candidates: int = 48
+    sketch_size: int = 512
+    n_landmarks: int = 1000
     seed: int = 0
 
     def __post_init__(self) -> None:
         for name, least in {
-            "neighbours": 3,
-            "candidates": self.neighbours,
-            "sketch": 16,
-            "landmarks": 8,
+            "n_neighbours": 3,
+            "n_candidates": self.n_neighbours,
+            "sketch_size": 16,
+            "n_landmarks": 8,
             "seed": 0,
         }.items():
             if getattr(self, name) < least:
-                raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}")
+                raise InputError(f"{name} must be at least {least}, got {getattr(self, name)}")
 
 
 def loops() -> Any:
-    """Import the compiled loops of this room; only the first call takes time."""
-    return import_module("anisomap.large.landmarks.kernels")
+    """Import the compiled loops of this package; only the first call takes time."""
+    return import_module("anisomap.large.landmarks.landmark_kernels")

@@ -27,7 +27,7 @@ class Sketch:
     contacts : ndarray of int, shape (N,)
         How many separate times each went beyond its first reading, to the side that it went to
         more often.
-    away : ndarray of int, shape (N,)
+    active_frames : ndarray of int, shape (N,)
         In how many frames it was there, or was not, whichever are fewer.
     projections : ndarray of float32, shape (N, s)
         Rows whose inner products are r of the sensors on average over the random signs; of unit
@@ -39,11 +39,11 @@ class Sketch:
     deviation: NDArray[np.float64]
     varying: NDArray[np.bool_]
     contacts: NDArray[np.int64]
-    away: NDArray[np.int64]
+    active_frames: NDArray[np.int64]
     projections: NDArray[np.float32]
 
 
-def sketch(chunks: Iterable[NDArray[Any]], size: int, rng: np.random.Generator) -> Sketch:
+def compute_sketch(chunks: Iterable[NDArray[Any]], size: int, rng: np.random.Generator) -> Sketch:
     """Project the standardised readings of every sensor onto a few numbers.
 
     Parameters
@@ -138,6 +138,6 @@ class _Running:
             deviation=deviation,
             varying=varying,
             contacts=self.crossings.max(axis=0),
-            away=np.minimum(away, self.n_frames - away),
+            active_frames=np.minimum(away, self.n_frames - away),
             projections=rows,
         )

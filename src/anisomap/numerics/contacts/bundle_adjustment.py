@@ -19,7 +19,7 @@ _TOLERANCE = 1e-8
 _MOST_STEPS = 1000
 
 
-class Reduced:
+class ReducedSystem:
     """How the score of all contacts changes with the places of the sensors, contacts following.
 
     Parameters
@@ -45,12 +45,12 @@ class Reduced:
         self, contacts: Contacts, fitted: Fitted, kept: NDArray[np.bool_], n_sensors: int
     ) -> None:
         self._fitted = fitted
-        counts = kept[contacts.of_reading]
+        counts = kept[contacts.contact_index]
         self._h, self._g = fitted.curvatures * counts, fitted.slopes * counts
         k = fitted.states.shape[1] - 1
         self._n_sensors, self._k = n_sensors, k
         self._by_place = _spread(-fitted.directions[:, :k], contacts.sensors, n_sensors)
-        self._by_contact = _spread(fitted.directions, contacts.of_reading, len(kept))
+        self._by_contact = _spread(fitted.directions, contacts.contact_index, len(kept))
 
     @cached_property
     def _inverse(self) -> Matrix:
@@ -72,7 +72,7 @@ class Reduced:
         pulls = (self._by_contact.T @ along).reshape(self._fitted.pulls.shape)
         return np.asarray(self._by_place.T @ (along - self._followed(pulls)))
 
-    def step(self, strays: Matrix, *, share: float, looseness: float) -> Matrix:
+    def step(self, strays: Matrix, *, share: float, prior_sd: float) -> Matrix:
         """Give the step that the score and a pull back towards the start agree on.
 
         Parameters
@@ -81,14 +81,14 @@ class Reduced:
             How far the places are from where they set out.
         share : float
             How much of the score counts: frames that follow each other are not independent.
-        looseness : float
+        prior_sd : float
             Standard deviation, above 0, of how far a sensor strays.
 
         Returns
         -------
         ndarray of shape (N, k)
         """
-        back = looseness**-2
+        back = prior_sd**-2
         blocks = self._diagonal_blocks * share
         damping = _DAMPING * (np.einsum("nii->ni", blocks) + back).ravel()
         stiff = blocks + np.eye(self._k) * back

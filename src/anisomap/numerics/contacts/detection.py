@@ -41,7 +41,7 @@ class Contacts:
         Where each contact's readings begin.
     frames : ndarray of int, shape (E,)
         When each contact was.
-    deepest : int
+    max_level : int
         The highest level there can be.
     """
 
@@ -49,7 +49,7 @@ class Contacts:
     levels: Indices
     starts: Indices
     frames: Indices
-    deepest: int
+    max_level: int
 
     @property
     def sizes(self) -> Indices:
@@ -57,7 +57,7 @@ class Contacts:
         return np.diff(self.starts, append=len(self.sensors))
 
     @cached_property
-    def of_reading(self) -> Indices:
+    def contact_index(self) -> Indices:
         """Which contact each reading belongs to, shape (M,)."""
         return np.repeat(np.arange(len(self.starts)), self.sizes)
 
@@ -81,7 +81,7 @@ class _Surroundings:
 
 
 def find_contacts(
-    levels: Levels, places: ArrayLike, *, fewest_sensors: int, most_readings: int
+    levels: Levels, places: ArrayLike, *, min_sensors: int, max_readings: int
 ) -> Contacts | None:
     """Find contacts: touched neighbours, cut apart where there are several peaks among them.
 
@@ -90,9 +90,9 @@ def find_contacts(
     levels : Levels
     places : array_like of shape (N, k)
         A map; only what is near what matters.
-    fewest_sensors : int
+    min_sensors : int
         Fewer touched sensors do not tell where a contact is.
-    most_readings : int
+    max_readings : int
         About how many readings of contacts to look for. Frames are left out evenly if there are
         more: those that follow each other tell nearly the same.
 
@@ -104,12 +104,12 @@ def find_contacts(
     around = _survey(np.asarray(places, dtype=np.float64))
     n_frames = len(levels.values)
     sample = np.arange(0, n_frames, max(1, n_frames // _SAMPLE))
-    few = _gather(levels, around, sample, fewest_sensors)
+    few = _gather(levels, around, sample, min_sensors)
     if few is None:
         return None
     expected = len(few.sensors) * n_frames / len(sample)
-    stride = max(1, round(expected / most_readings))
-    return _gather(levels, around, np.arange(0, n_frames, stride), fewest_sensors)
+    stride = max(1, round(expected / max_readings))
+    return _gather(levels, around, np.arange(0, n_frames, stride), min_sensors)
 
 
 def _survey(places: Matrix) -> _Surroundings:
@@ -128,7 +128,7 @@ def _survey(places: Matrix) -> _Surroundings:
 
 
 def _gather(
-    levels: Levels, around: _Surroundings, frames: Indices, fewest_sensors: int
+    levels: Levels, around: _Surroundings, frames: Indices, min_sensors: int
 ) -> Contacts | None:
     smoothed = np.asarray((around.smoothing @ levels.values[frames].T).T)
     # Sensors of equal height are no two peaks: the outer one counts, in any order of sensors.
@@ -136,9 +136,7 @@ def _gather(
     found = [
         (frame, pressed, resting)
         for frame, heights in zip(frames, smoothed, strict=True)
-        for pressed, resting in _contacts_of(
-            levels.values[frame] > 0, heights, around, fewest_sensors
-        )
+        for pressed, resting in _contacts_of(levels.values[frame] > 0, heights, around, min_sensors)
     ]
     if not found:
         return None
@@ -153,26 +151,26 @@ def _gather(
         ).astype(np.intp),
         starts=np.cumsum(sizes) - sizes,
         frames=np.array([frame for frame, _, _ in found]),
-        deepest=levels.deepest,
+        max_level=levels.max_level,
     )
 
 
 def _contacts_of(
-    touched: NDArray[np.bool_], heights: Matrix, around: _Surroundings, fewest_sensors: int
+    touched: NDArray[np.bool_], heights: Matrix, around: _Surroundings, min_sensors: int
 ) -> Iterator[tuple[Indices, Indices]]:
     """Give the pressed sensors of each contact of a frame, and those at rest beside them."""
     active = np.flatnonzero(touched)
-    if not fewest_sensors <= len(active) <= _MOST_TOUCHED * len(touched):
+    if not min_sensors <= len(active) <= _MOST_TOUCHED * len(touched):
         return
     n_patches, patch_of = connected_components(around.joined[active][:, active], directed=False)
     for patch in range(n_patches):
         inside = active[patch_of == patch]
-        if len(inside) < fewest_sensors:
+        if len(inside) < min_sensors:
             continue
         for pressed in _cut_apart(inside, heights[inside], around):
             beside = (around.distances[pressed] < _BESIDE * around.link).any(axis=0)
             resting = np.flatnonzero(beside & ~touched)
-            if len(pressed) >= fewest_sensors and len(resting) >= _FEWEST_AT_REST:
+            if len(pressed) >= min_sensors and len(resting) >= _FEWEST_AT_REST:
                 yield pressed, resting
 
 

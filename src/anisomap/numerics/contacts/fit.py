@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.numerics.contacts.bundle_adjustment import Reduced
+from anisomap.numerics.contacts.bundle_adjustment import ReducedSystem
 from anisomap.numerics.contacts.detection import Contacts, find_contacts
-from anisomap.numerics.contacts.levels import Levels, sort_into_levels
-from anisomap.numerics.contacts.localisation import choose, evaluate, left_out, locate
-from anisomap.numerics.contacts.profile import Profile, learn_profile, level_terms
+from anisomap.numerics.contacts.levels import Levels, assign_levels
+from anisomap.numerics.contacts.localisation import choose, evaluate, leave_one_out, locate
+from anisomap.numerics.contacts.profile import Profile, fit_profile, level_terms
 
 Matrix = NDArray[np.float64]
 
@@ -37,47 +37,47 @@ class ContactOptions:
     ----------
     levels : int
         Most levels that readings are sorted into, rest aside; 1 to 100.
-    gains_alike : float
+    max_gain_spread : float
         Spread of the gains of sensors, as a standard deviation of logarithms, up to which readings
         of different sensors are compared as they are.
-    most_readings, readings_a_sensor : int
+    max_readings, readings_per_sensor : int
         About how many readings of contacts to fit, at least 1: in all, or for each sensor,
         whichever is more.
-    fewest_sensors : int
+    min_sensors : int
         Fewer touched sensors make no contact; at least 2.
     share : float
         How much each contact counts, in (0, 1]: contacts of frames that follow each other are not
         independent.
-    looseness : float
+    prior_sd : float
         How far a sensor is expected to stray from the given map, in spacings, above 0.
     rounds, steps : int
         How often contacts are looked for, and how often sensors are moved each time.
-    least_explained : float
+    min_explained : float
         Share of the entropy of readings that contacts must explain to be believed.
-    least_at_rest : float
+    min_at_rest : float
         Share of readings that must lie at rest for contacts to be believed.
     """
 
     levels: int = 8
-    gains_alike: float = 0.3
-    most_readings: int = 30_000
-    readings_a_sensor: int = 150
-    fewest_sensors: int = 3
+    max_gain_spread: float = 0.3
+    max_readings: int = 30_000
+    readings_per_sensor: int = 150
+    min_sensors: int = 3
     share: float = 0.2
-    looseness: float = 0.5
+    prior_sd: float = 0.5
     rounds: int = 2
     steps: int = 8
-    least_explained: float = 0.45
-    least_at_rest: float = 0.2
+    min_explained: float = 0.45
+    min_at_rest: float = 0.2
 
     def __post_init__(self) -> None:
         for name, least in (
-            ("most_readings", 1),
-            ("readings_a_sensor", 1),
-            ("fewest_sensors", 2),
+            ("max_readings", 1),
+            ("readings_per_sensor", 1),
+            ("min_sensors", 2),
             ("rounds", 1),
             ("steps", 1),
-            ("gains_alike", 0),
+            ("max_gain_spread", 0),
         ):
             if not getattr(self, name) >= least:
                 raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}")
@@ -85,8 +85,8 @@ class ContactOptions:
             raise InputError(f"levels is {self.levels}; it must be 1 to 100")
         if not 0 < self.share <= 1:
             raise InputError(f"share is {self.share}; it must be above 0 and at most 1")
-        if not (np.isfinite(self.looseness) and self.looseness > 0):
-            raise InputError(f"looseness is {self.looseness}; it must be above 0")
+        if not (np.isfinite(self.prior_sd) and self.prior_sd > 0):
+            raise InputError(f"prior_sd is {self.prior_sd}; it must be above 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class ContactFit:
         How strongly each sensor reads, over the median.
     used : bool
         Whether the contacts were believed.
-    doubt : str
+    reason : str
         Why not, if not.
     """
 
@@ -118,7 +118,7 @@ class ContactFit:
     at_rest: float
     gains: Matrix
     used: bool
-    doubt: str = ""
+    reason: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,24 +163,24 @@ def fit_contacts(
     1. each contact (y, R) is moved to where its readings are most likely, in space from both sides
        of the skin (`locate`);
     2. the worst contacts are dropped, and rho and s are learned from distances that leave each
-       reading out of its own contact's fit (`learn_profile`);
+       reading out of its own contact's fit (`fit_profile`);
     3. R0 and tau are those of the contacts; tau^2 is divided by how many reaches the readings
        determine (MacKay 1992, Neural Computation 4: 415-447);
-    4. all sensors make one Gauss-Newton step, the contacts following (`Reduced`), with the
-       prior ``p_i ~ N(given, looseness^2)``.
+    4. all sensors make one Gauss-Newton step, the contacts following (`ReducedSystem`), with the
+       prior ``p_i ~ N(given, prior_sd^2)``.
 
     Contacts are looked for again on the refined map. What is given up is said by `ContactOptions`.
     """
     chosen = options or ContactOptions()
     values, given = np.asarray(readings), np.asarray(positions, dtype=np.float64)
     _check(values, given)
-    levels = sort_into_levels(values, chosen.levels, chosen.gains_alike)
-    if levels.at_rest < chosen.least_at_rest:
-        doubt = (
+    levels = assign_levels(values, chosen.levels, chosen.max_gain_spread)
+    if levels.at_rest < chosen.min_at_rest:
+        reason = (
             f"only {levels.at_rest:.0%} of the readings are at rest, where "
-            f"{chosen.least_at_rest:.0%} must be for contacts to stand out"
+            f"{chosen.min_at_rest:.0%} must be for contacts to stand out"
         )
-        return _unused(given, levels, doubt)
+        return _unused(given, levels, reason)
     centre, unit = given.mean(axis=0), _spacing(given)
     start = (given - centre) / unit
     places, n_contacts, explained = start, 0, np.nan
@@ -188,16 +188,16 @@ def fit_contacts(
         contacts = _found(levels, places, chosen)
         n_contacts = 0 if contacts is None else len(contacts.starts)
         if contacts is None or n_contacts < _FEWEST * len(places):
-            doubt = f"{n_contacts} contacts were found, too few for {len(places)} sensors"
-            return _unused(given, levels, doubt, n_contacts)
+            reason = f"{n_contacts} contacts were found, too few for {len(places)} sensors"
+            return _unused(given, levels, reason, n_contacts)
         state = _adjusted(contacts, places, start, chosen)
         places, explained = state.places, _explained(contacts, state)
-    if not explained >= chosen.least_explained:
-        doubt = (
+    if not explained >= chosen.min_explained:
+        reason = (
             f"the distance from contacts explains {max(explained, 0.0):.0%} of what the sensors "
-            f"about them read, where {chosen.least_explained:.0%} make contacts believable"
+            f"about them read, where {chosen.min_explained:.0%} make contacts believable"
         )
-        return _unused(given, levels, doubt, n_contacts, explained)
+        return _unused(given, levels, reason, n_contacts, explained)
     refined = places * unit + centre
     refined.setflags(write=False)
     return ContactFit(
@@ -211,19 +211,19 @@ def fit_contacts(
 
 
 def _unused(
-    given: Matrix, levels: Levels, doubt: str, n_contacts: int = 0, explained: float = np.nan
+    given: Matrix, levels: Levels, reason: str, n_contacts: int = 0, explained: float = np.nan
 ) -> ContactFit:
     kept = given.copy()
     kept.setflags(write=False)
-    return ContactFit(kept, n_contacts, explained, levels.at_rest, levels.gains, False, doubt)
+    return ContactFit(kept, n_contacts, explained, levels.at_rest, levels.gains, False, reason)
 
 
 def _found(levels: Levels, places: Matrix, options: ContactOptions) -> Contacts | None:
     return find_contacts(
         levels,
         places,
-        fewest_sensors=options.fewest_sensors,
-        most_readings=max(options.most_readings, options.readings_a_sensor * len(places)),
+        min_sensors=options.min_sensors,
+        max_readings=max(options.max_readings, options.readings_per_sensor * len(places)),
     )
 
 
@@ -234,8 +234,8 @@ def _adjusted(contacts: Contacts, places: Matrix, start: Matrix, options: Contac
         state = _relearned(contacts, state)
     for _ in range(options.steps):
         fitted = evaluate(contacts, state.places, state.contacts, state.profile)
-        reduced = Reduced(contacts, fitted, state.kept, len(start))
-        moves = reduced.step(state.places - start, share=options.share, looseness=options.looseness)
+        reduced = ReducedSystem(contacts, fitted, state.kept, len(start))
+        moves = reduced.step(state.places - start, share=options.share, prior_sd=options.prior_sd)
         farthest = float(np.linalg.norm(moves, axis=1).max())
         places = state.places + moves * min(1.0, _FARTHEST_STEP / max(farthest, _SETTLED))
         state = _relearned(contacts, _same_size(places, start, state))
@@ -250,10 +250,10 @@ def _first_guess(contacts: Contacts, places: Matrix) -> _State:
     points, pressed = places[contacts.sensors], contacts.levels > 0
     mass = contacts.total(contacts.levels.astype(np.float64))
     centres = contacts.total(contacts.levels[:, None] * points) / mass[:, None]
-    apart = np.linalg.norm(points - centres[contacts.of_reading], axis=1) * pressed
+    apart = np.linalg.norm(points - centres[contacts.contact_index], axis=1) * pressed
     radii = np.maximum.reduceat(apart, contacts.starts)
     reach = 1.05 * float(np.median(radii)) * (1.22 if k > 2 else 1.0)
-    thresholds = np.linspace(0, 0.7 * reach, contacts.deepest)
+    thresholds = np.linspace(0, 0.7 * reach, contacts.max_level)
     profile = Profile(thresholds, 0.1 * reach, reach, 0.2 * reach)
     offset = np.zeros_like(centres)
     if k > 2:
@@ -275,7 +275,7 @@ def _first_guess(contacts: Contacts, places: Matrix) -> _State:
 def _normals(contacts: Contacts, points: Matrix) -> Matrix:
     """Give the direction in which the sensors about each contact spread least, shape (E, k)."""
     centres = contacts.total(points) / contacts.sizes[:, None]
-    apart = points - centres[contacts.of_reading]
+    apart = points - centres[contacts.contact_index]
     _, vectors = np.linalg.eigh(contacts.total(apart[:, :, None] * apart[:, None, :]))
     return np.asarray(vectors[:, :, 0])
 
@@ -286,8 +286,11 @@ def _relearned(contacts: Contacts, state: _State) -> _State:
     scores = fitted.scores / contacts.sizes
     lowest, middle, upper = np.quantile(scores, [_MOST_DROPPED, 0.5, 0.75])
     kept = scores >= min(middle - _WORST * (upper - middle), lowest)
-    learned = learn_profile(
-        contacts.levels, left_out(contacts, fitted), kept[contacts.of_reading], state.profile
+    learned = fit_profile(
+        contacts.levels,
+        leave_one_out(contacts, fitted),
+        kept[contacts.contact_index],
+        state.profile,
     )
     shift = learned.thresholds[0]
     states = fitted.states.copy()
@@ -316,8 +319,8 @@ def _same_size(places: Matrix, start: Matrix, state: _State) -> _State:
 def _explained(contacts: Contacts, state: _State) -> float:
     """Compare the entropy of levels with what is left of it when the distance is known."""
     fitted = evaluate(contacts, state.places, state.contacts, state.profile)
-    scores, _, _ = level_terms(contacts.levels, left_out(contacts, fitted), state.profile)
-    counted = state.kept[contacts.of_reading]
+    scores, _, _ = level_terms(contacts.levels, leave_one_out(contacts, fitted), state.profile)
+    counted = state.kept[contacts.contact_index]
     shares = np.bincount(contacts.levels[counted]) / counted.sum()
     entropy = -float((shares[shares > 0] * np.log(shares[shares > 0])).sum())
     return 1 + float(scores[counted].mean()) / entropy

@@ -17,12 +17,12 @@ _FEWEST_TOUCHES = 5  # readings; fewer tell no gain
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Readings in steps from rest, 0, up to the deepest contact, `deepest`.
+    """Readings in steps from rest, 0, up to the max_level contact, `max_level`.
 
     Attributes
     ----------
     values : ndarray of int8, shape (T, N)
-    deepest : int
+    max_level : int
         At least 1; every level up to it occurs.
     at_rest : float
         Share of all readings that lie where their sensor rests, noise included.
@@ -31,12 +31,12 @@ class Levels:
     """
 
     values: NDArray[np.int8]
-    deepest: int
+    max_level: int
     at_rest: float
     gains: NDArray[np.float64]
 
 
-def sort_into_levels(readings: ArrayLike, most: int, alike: float) -> Levels:
+def assign_levels(readings: ArrayLike, most: int, alike: float) -> Levels:
     """Sort readings into levels that hold about equally many each, rest aside.
 
     Parameters
@@ -72,7 +72,7 @@ def sort_into_levels(readings: ArrayLike, most: int, alike: float) -> Levels:
     gains = gains / np.median(gains)
     for array in (levels, gains):
         array.setflags(write=False)
-    return Levels(values=levels, deepest=len(edges) + 1, at_rest=at_rest, gains=gains)
+    return Levels(values=levels, max_level=len(edges) + 1, at_rest=at_rest, gains=gains)
 
 
 def _reach(depth: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -57,10 +57,10 @@ class Fitted:
 def evaluate(contacts: Contacts, places: Matrix, states: Matrix, profile: Profile) -> Fitted:
     """Score contacts at given states."""
     k = places.shape[1]
-    apart = places[contacts.sensors] - states[contacts.of_reading, :k]
+    apart = places[contacts.sensors] - states[contacts.contact_index, :k]
     distances = np.sqrt((apart**2).sum(axis=1) + _NEAREST**2)
     directions = np.column_stack([apart / distances[:, None], np.ones(len(apart))])
-    inside = states[contacts.of_reading, k] - distances
+    inside = states[contacts.contact_index, k] - distances
     score, slopes, curvatures = level_terms(contacts.levels, inside, profile)
     strays = (states[:, k] - profile.reach) / profile.spread
     pulls = contacts.total(slopes[:, None] * directions)
@@ -111,7 +111,7 @@ def locate(
 
 def choose(contacts: Contacts, which: NDArray[np.bool_], one: Fitted, other: Fitted) -> Fitted:
     """Take some contacts of one fit, and the rest of another."""
-    by_reading = which[contacts.of_reading]
+    by_reading = which[contacts.contact_index]
 
     def mixed(mask: NDArray[np.bool_], a: Matrix, b: Matrix) -> Matrix:
         return np.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b)
@@ -128,7 +128,7 @@ def choose(contacts: Contacts, which: NDArray[np.bool_], one: Fitted, other: Fit
     )
 
 
-def left_out(contacts: Contacts, fitted: Fitted) -> Matrix:
+def leave_one_out(contacts: Contacts, fitted: Fitted) -> Matrix:
     """Tell how far inside each sensor would lie, had its contact been fitted without its reading.
 
     Parameters
@@ -145,7 +145,7 @@ def left_out(contacts: Contacts, fitted: Fitted) -> Matrix:
     One Newton step away from the fit of all readings: with the direction n, the contact's
     precision C and ``h = n' C^-1 n``, u becomes ``u - h slope / (1 - h curvature)``.
     """
-    inverse = np.linalg.inv(fitted.precisions)[contacts.of_reading]
+    inverse = np.linalg.inv(fitted.precisions)[contacts.contact_index]
     n = fitted.directions
     lever = np.einsum("mi,mij,mj->m", n, inverse, n)
     shift = lever * fitted.slopes / (1 - np.minimum(lever * fitted.curvatures, _MOST_LEVERAGE))

@@ -82,7 +82,7 @@ def level_terms(
     return np.log(whole), slope, share * bend / profile.softness**2
 
 
-def learn_profile(
+def fit_profile(
     levels: ArrayLike, inside: ArrayLike, weights: ArrayLike, profile: Profile
 ) -> Profile:
     """Fit thresholds and softness to readings whose distances are known (maximum likelihood).

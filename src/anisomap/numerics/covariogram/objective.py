@@ -29,7 +29,7 @@ class CovariogramOptions:
 
     Parameters
     ----------
-    loyalty : float
+    prior_weight : float
         Weight of the metric that the fit sets out from, at least 0, in units of the noise.
     repulsion : float
         Weight of the force that keeps sensors apart and unfolds the map, at least 0, in units of
@@ -48,7 +48,7 @@ class CovariogramOptions:
         2,000 sensors made equally good maps.
     """
 
-    loyalty: float = 1.0
+    prior_weight: float = 1.0
     repulsion: float = 0.1
     ridge: float = 1.0
     tolerance: float = 1e-9
@@ -56,7 +56,7 @@ class CovariogramOptions:
     block: int = 500
 
     def __post_init__(self) -> None:
-        for name in ("loyalty", "repulsion", "tolerance"):
+        for name in ("prior_weight", "repulsion", "tolerance"):
             if not (np.isfinite(value := getattr(self, name)) and value >= 0):
                 raise InputError(f"{name} is {value}; it must be at least 0")
         if not (np.isfinite(self.ridge) and self.ridge > 0):
@@ -166,10 +166,13 @@ class Block:
         options = self._options
         ratios = terms.distances * self._closeness
         strays = np.where(self._pairs, ratios - ratios.sum() / self._pairs.sum(), 0.0)
-        value = options.loyalty * np.vdot(strays, strays) - options.repulsion * np.sum(
+        value = options.prior_weight * np.vdot(strays, strays) - options.repulsion * np.sum(
             terms.logarithms
         )
-        pull = 2 * options.loyalty * strays * self._closeness - options.repulsion / terms.distances
+        pull = (
+            2 * options.prior_weight * strays * self._closeness
+            - options.repulsion / terms.distances
+        )
         return float(self._noise * value), self._noise * pull
 
     def _whitened(self, matrix: Matrix) -> Matrix:

@@ -1,1 +1,1 @@
-"""Map lengths taken from a graph of neighbours."""
+"""Refinement of maps by path lengths on a graph of neighbours."""

@@ -1,4 +1,4 @@
-"""How far apart neighbours are, told from the heights of the contacts that pass over them."""
+"""Link lengths estimated from the heights of contact peaks."""
 
 from __future__ import annotations
 
@@ -9,31 +9,32 @@ from scipy.stats import rankdata
 from anisomap.errors import InputError
 from anisomap.numerics.similarity.rest import estimate_rest
 
-FEWEST_PASSES = 8
-"""Passes that two sensors must have in common for their heights to tell anything."""
+MIN_PEAKS = 8
+"""Fewest matched peaks from which a length is estimated; chosen by hand."""
 
-_CONTACT = 0.1  # of a sensor's range; less is no contact but a tremor
-_RANGE = 0.995  # quantile that counts as the top of the range: the deepest readings are outliers
-_LEAST_DIFFERENCE = 0.05  # of 1 - rho: heights are never so alike that sensors coincide
+_CONTACT_THRESHOLD = 0.1  # of a sensor's range; separates contacts from tremor. Chosen by hand
+_RANGE_QUANTILE = 0.995  # top of the range; excludes outliers. Chosen by hand
+_MIN_DIFFERENCE = 0.05  # of 1 - rho; keeps lengths above 0. Chosen by hand
 
 
 def contact_peaks(raised: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Find when the contacts of one sensor were at their highest, and how high.
+    """Find the peak of each contact of one sensor.
 
     Parameters
     ----------
     raised : array_like of shape (T,)
-        How far beyond rest the sensor is, in any unit.
+        Reading relative to rest, positive under contact, in any unit.
 
     Returns
     -------
     frames : ndarray of int, shape (n,)
-        Rising. A contact is a run of frames in which the sensor is beyond rest by more than a
-        tenth of its range.
+        Frame of each peak, increasing. A contact is a run of frames in which the reading exceeds
+        rest by more than a tenth of its range.
     heights : ndarray of shape (n,)
+        Readings at the peaks.
     """
     values = np.asarray(raised, dtype=np.float64)
-    level = _CONTACT * max(float(np.quantile(values, _RANGE)), 0.0)
+    level = _CONTACT_THRESHOLD * max(float(np.quantile(values, _RANGE_QUANTILE)), 0.0)
     touched = np.concatenate([[False], values > level, [False]])
     turns = np.flatnonzero(touched[1:] != touched[:-1])
     runs = zip(turns[::2].tolist(), turns[1::2].tolist(), strict=True)
@@ -41,21 +42,21 @@ def contact_peaks(raised: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.float
     return frames, values[frames]
 
 
-def pass_lengths(readings: ArrayLike, joined: ArrayLike) -> NDArray[np.float64]:
-    """Give the distance of neighbours as the difference between the contacts that pass over both.
+def peak_lengths(readings: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:
+    """Estimate the lengths of links from the differences between contact peaks.
 
     Parameters
     ----------
     readings : array_like of shape (T, N)
-        Finite readings in the order of time.
-    joined : array_like of bool, shape (N, N)
-        Who is whose neighbour; symmetric.
+        Finite readings in temporal order.
+    adjacency : array_like of bool, shape (N, N)
+        Neighbours; symmetric.
 
     Returns
     -------
     ndarray of shape (N, N)
-        Symmetric, above 0 between neighbours, in a unit of its own; NaN where fewer than
-        `FEWEST_PASSES` can be compared, or all are equally high, and between all others.
+        Symmetric, above 0 between neighbours, in arbitrary units; NaN for other pairs, and where
+        fewer than `MIN_PEAKS` peaks match or all matched peaks are equally high.
 
     Raises
     ------
@@ -64,42 +65,46 @@ def pass_lengths(readings: ArrayLike, joined: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    ``(1 - rho_ij)^(1/2)`` with Spearman's rho of the heights of those contacts of i and j that are
-    each other's nearest in time: the root of a variogram (Matheron 1963, Economic Geology 58:
-    1246-1266) of the ground. A body that rolls meets the same ground at i and at j in one frame
-    (along its axis) or some frames apart (around it). Either way heights differ as the ground does
-    over that distance; so lengths in both directions are comparable if the ground, or whatever
-    touches the skin, is equally rough in both. Beyond the ground's correlation length rho is 0 and
-    all distances look alike.
+    ``(1 - rho_ij)^(1/2)`` with Spearman's rho of the heights of those peaks of i and j that are
+    mutually nearest in time: the root of a variogram (Matheron 1963, Economic Geology 58:
+    1246-1266) of the ground. A rolling body meets the same ground at i and j in one frame (along
+    its axis) or some frames apart (around it), and heights differ as the ground does over that
+    distance. Lengths in both directions are therefore comparable if the ground, or whatever touches
+    the skin, is isotropic. Beyond the correlation length of the ground rho is 0, and all distances
+    look alike.
     """
     values = np.asarray(readings, dtype=np.float64)
-    mask = np.asarray(joined, dtype=bool)
+    mask = np.asarray(adjacency, dtype=bool)
     if values.ndim != 2 or mask.shape != (values.shape[1],) * 2:
-        raise InputError(f"neighbours {mask.shape} do not fit readings of shape {values.shape}")
+        raise InputError(
+            f"the adjacency matrix of shape {mask.shape} does not fit readings of shape "
+            f"{values.shape}"
+        )
     rest = estimate_rest(values)
     peaks = [contact_peaks(column) for column in (rest.side * (values - rest.value)).T]
     lengths = np.full(mask.shape, np.nan)
     for i, j in np.argwhere(np.triu(mask, 1)):
-        lengths[i, j] = lengths[j, i] = _difference(*peaks[i], *peaks[j])
+        lengths[i, j] = lengths[j, i] = _peak_difference(*peaks[i], *peaks[j])
     return lengths
 
 
-def _difference(
+def _peak_difference(
     frames: NDArray[np.intp],
     heights: NDArray[np.float64],
     other_frames: NDArray[np.intp],
     other_heights: NDArray[np.float64],
 ) -> float:
-    if min(len(frames), len(other_frames)) < FEWEST_PASSES:
+    if min(len(frames), len(other_frames)) < MIN_PEAKS:
         return np.nan
     match = _nearest(frames, other_frames)
     mutual = _nearest(other_frames, frames)[match] == np.arange(len(frames))
     first, second = heights[mutual], other_heights[match[mutual]]
-    if len(first) < FEWEST_PASSES or np.ptp(first) == 0 or np.ptp(second) == 0:
+    if len(first) < MIN_PEAKS or np.ptp(first) == 0 or np.ptp(second) == 0:
         return np.nan
     rho = np.corrcoef(rankdata(first), rankdata(second))[0, 1]
-    return float(np.sqrt(max(1 - rho, _LEAST_DIFFERENCE)))
+    return float(np.sqrt(max(1 - rho, _MIN_DIFFERENCE)))
 
 
 def _nearest(frames: NDArray[np.intp], among: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the index in `among` of the frame nearest to each of `frames`."""
     return np.asarray(np.searchsorted((among[1:] + among[:-1]) / 2, frames))

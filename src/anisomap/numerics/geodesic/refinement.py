@@ -1,7 +1,7 @@
-"""Maps whose lengths come from a graph of neighbours, where correlations say little of one way.
+"""Maps fitted to path lengths on a neighbour graph, for skins that correlations do not resolve.
 
-What rolls on a line is touched along whole lines at once: correlations along them hardly fall, and
-a map made from them is squeezed flat along the axis. Who is whose neighbour can still be told.
+A body rolling on a line is touched along whole lines at once: correlations hardly fall along them,
+and a map made from correlations is compressed in that direction. Adjacency can still be estimated.
 """
 
 from __future__ import annotations
@@ -15,108 +15,113 @@ from scipy.sparse.csgraph import shortest_path
 from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.geodesic.contact_peaks import pass_lengths
+from anisomap.numerics.geodesic.contact_peaks import peak_lengths
 from anisomap.numerics.geodesic.neighbours import (
     NeighbourOptions,
-    agreement,
-    direct_neighbours,
     edge_distances,
-    find_links,
+    neighbour_graph,
+    split_half_agreement,
     unevenness,
 )
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 
 Matrix = NDArray[np.float64]
 
-_SHORTEST = 0.3  # of a typical step: no pair may outweigh all others
-_SAME = 1e-9  # logarithms of distances that differ by less differ by rounding
-_ROUNDS = 3  # of fitting places and the scale of the guide by turns
+_MIN_PATH = 0.3  # typical links; bounds the largest weight. Chosen by hand
+_EQUAL_LOG = 1e-9  # difference of log distances; a few hundred times the rounding error
+_SCALE_ITERATIONS = 3  # alternations between positions and the scale of the guide; chosen by hand
 
 
 @dataclass(frozen=True)
-class UnrollingOptions:
-    """When lengths are taken from the graph of neighbours; chosen on simulated skins.
+class GeodesicOptions:
+    """Parameters of the geodesic refinement, tuned on simulated skins.
 
     Parameters
     ----------
     neighbours : NeighbourOptions
     power : float
-        A path of length H weighs ``H^-power``; 4 to 8 are about as good.
-    trust : float
-        Weight of a map that helps, at least 0.
-    uneven : float
-        `unevenness`, above 0, beyond which a map is not believed; 0.4 to 0.7 are as good on the
-        skins that were tried.
-    agree : float
-        Least `agreement` at which the graph is believed where the map is not.
-    forced : float
-        Most share of forced links at which passes are looked at: where the ends of a body are
-        hardly touched, they are joined to anything. It was at most 0.04 on cylinders with bare
-        ends, and 0.18 and more on those with sensors there.
-    measured : float
-        Least share of the links whose length passes must tell.
-    confirmed : float
-        Most `confirmation` of an uneven map by passes at which it is still set aside. Of 50
-        cylinders that rolled it was at most 0.2 (0.31 of one with 200 sensors); of skins that
-        touch themselves, whose maps are uneven but right, at least 0.5.
+        Exponent p, at least 0, of the weight ``H^-p`` of a path of length H; 4 to 8 give similar
+        maps.
+    guide_weight : float
+        Weight of the guide map, at least 0.
+    max_unevenness : float
+        `unevenness`, above 0, beyond which the distances of a map are rejected; 0.4 to 0.7 gave the
+        same maps on the tested skins.
+    min_agreement : float
+        Least `split_half_agreement` at which the graph replaces a rejected map.
+    max_forced_share : float
+        Greatest share of forced links at which contact peaks are used: where the ends of a body are
+        hardly touched, their sensors are linked arbitrarily. The share was at most 0.04 on
+        cylinders with bare ends, and at least 0.18 on those with sensors there.
+    min_measured_share : float
+        Least share of the links for which contact peaks must give a length.
+    max_slope : float
+        Greatest `log_log_slope` of peak lengths over map distances at which an uneven map is
+        rejected. On 50 rolling cylinders the slope was at most 0.2 (0.31 with 200 sensors); on
+        skins touching themselves, whose maps are uneven but correct, at least 0.5.
     smacof : SmacofOptions
-        When to stop scaling.
+        Stopping criteria of the scaling.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
     """
 
     neighbours: NeighbourOptions = field(default_factory=NeighbourOptions)
     power: float = 6.0
-    trust: float = 0.003
-    uneven: float = 0.5
-    agree: float = 0.5
-    forced: float = 0.1
-    measured: float = 0.5
-    confirmed: float = 0.35
+    guide_weight: float = 0.003
+    max_unevenness: float = 0.5
+    min_agreement: float = 0.5
+    max_forced_share: float = 0.1
+    min_measured_share: float = 0.5
+    max_slope: float = 0.35
     smacof: SmacofOptions = field(default_factory=lambda: SmacofOptions(1e-6, 500))
 
     def __post_init__(self) -> None:
-        for name in ("power", "trust"):
+        for name in ("power", "guide_weight"):
             if not (np.isfinite(value := getattr(self, name)) and value >= 0):
-                raise InputError(f"{name} is {value}; it must be at least 0")
-        if not self.uneven > 0:
-            raise InputError(f"uneven is {self.uneven}; it must be above 0")
+                raise InputError(f"{name} must be at least 0, got {value}")
+        if not self.max_unevenness > 0:
+            raise InputError(f"max_unevenness must be above 0, got {self.max_unevenness}")
 
 
 @dataclass(frozen=True, eq=False)
-class Unrolled:
-    """A map, and whether it was made anew.
+class GeodesicRefinement:
+    """A map, and whether the refinement was applied to it.
 
     Attributes
     ----------
     positions : ndarray of shape (N, k)
-        Those that were given, where nothing was done.
-    acted : bool
+        The given positions if not `applied`.
+    applied : bool
     unevenness : float
-        Of the map that was given.
+        `unevenness` of the given map.
     """
 
     positions: Matrix
-    acted: bool
+    applied: bool
     unevenness: float
 
 
-def fit_paths(
+def fit_path_lengths(
     lengths: ArrayLike,
     dimensions: int = 3,
     *,
     guide: ArrayLike | None = None,
-    options: UnrollingOptions | None = None,
+    options: GeodesicOptions | None = None,
 ) -> Matrix:
-    """Place sensors so that short paths along a graph come out right, helped by a map.
+    """Fit positions to the short paths on a graph, optionally guided by a map.
 
     Parameters
     ----------
     lengths : array_like of shape (N, N)
-        Of the links between neighbours, typically 1; 0 elsewhere. Symmetric, connected.
+        Lengths of the links, typically 1; 0 where there is no link. Symmetric, connected.
     dimensions : int
-        Number of coordinates, k >= 1; the guide's where there is one.
+        Number of coordinates, k >= 1; that of the guide if there is one.
     guide : array_like of shape (N, k), optional
-        A map that is followed as far as it draws neighbours evenly; in any unit.
-    options : UnrollingOptions, optional
+        A map in any unit, weighted by how evenly it spaces neighbours.
+    options : GeodesicOptions, optional
 
     Returns
     -------
@@ -130,155 +135,158 @@ def fit_paths(
 
     Notes
     -----
-    Minimises over positions and the guide's scale g ::
+    Minimises over positions and the scale g of the guide ::
 
         sum_{i<j} H_ij^-p (d_ij - H_ij)^2 + kappa (1 + g c_ij)^-2 (d_ij - g c_ij)^2
-        kappa = trust max(0, v^-2 - uneven^-2),  v = unevenness of the guide
+        kappa = guide_weight max(0, v^-2 - max_unevenness^-2),  v = unevenness of the guide
 
     with path lengths H, distances c on the guide, and SMACOF (`smacof`) for the positions. Long
-    paths zigzag and cross over folds, so they count next to nothing; a guide that draws neighbours
-    evenly knows long distances better, and an uneven one is not listened to.
+    paths zigzag and cross folds, so their weight is negligible; an even guide is more accurate for
+    long distances, and the weight of an uneven one is 0.
     """
-    chosen = options or UnrollingOptions()
+    chosen = options or GeodesicOptions()
     links = np.asarray(lengths, dtype=np.float64)
     paths = np.asarray(shortest_path(csr_matrix(links), directed=False))
     identity = np.eye(len(links))
-    near = (np.maximum(paths, _SHORTEST) + identity) ** -chosen.power
+    path_weights = (np.maximum(paths, _MIN_PATH) + identity) ** -chosen.power
     kappa = 0.0
     if guide is not None:
         steps = edge_distances(guide, links > 0)
         spread = max(float(np.log(steps).std()), np.finfo(np.float64).eps)
-        kappa = chosen.trust * max(0.0, spread**-2 - chosen.uneven**-2)
+        kappa = chosen.guide_weight * max(0.0, spread**-2 - chosen.max_unevenness**-2)
         dimensions = np.shape(guide)[1]
     if kappa == 0:
         start = smacof(paths, dimensions=dimensions, options=chosen.smacof).positions
-        return smacof(paths, weights=near, start=start, options=chosen.smacof).positions
-    drawn = cdist(np.asarray(guide), np.asarray(guide))
+        return smacof(paths, weights=path_weights, start=start, options=chosen.smacof).positions
+    guide_distances = cdist(np.asarray(guide), np.asarray(guide))
     scale = float(np.exp(-np.log(steps).mean()))
     positions = scale * np.asarray(guide, dtype=np.float64)
-    for _ in range(_ROUNDS):
-        far = kappa * (1 + scale * drawn) ** -2.0
-        weights = near + far
-        targets = (near * paths + far * scale * drawn) / weights
+    for _ in range(_SCALE_ITERATIONS):
+        guide_weights = kappa * (1 + scale * guide_distances) ** -2.0
+        weights = path_weights + guide_weights
+        targets = (path_weights * paths + guide_weights * scale * guide_distances) / weights
         positions = smacof(
             targets, weights=weights, start=positions, options=chosen.smacof
         ).positions
         distances = cdist(positions, positions)
-        scale = float((far * distances * drawn).sum() / (far * drawn**2).sum())
+        scale = float(
+            (guide_weights * distances * guide_distances).sum()
+            / (guide_weights * guide_distances**2).sum()
+        )
     return positions
 
 
-def even_spacing(
+def refine_by_even_spacing(
     readings: ArrayLike,
     positions: ArrayLike,
     *,
     similarity: ArrayLike | None = None,
-    options: UnrollingOptions | None = None,
-) -> Unrolled:
-    """Correct a map, given that neighbours are evenly spaced: a prior that must be declared.
+    options: GeodesicOptions | None = None,
+) -> GeodesicRefinement:
+    """Refine a map under the declared prior that neighbours are evenly spaced.
 
     Parameters
     ----------
     readings : array_like of shape (T, N)
-        Finite readings in the order of time.
+        Finite readings in temporal order.
     positions : array_like of shape (N, k)
         The map.
     similarity : array_like of shape (N, N), optional
-        As for `direct_neighbours`.
-    options : UnrollingOptions, optional
+        As for `neighbour_graph`.
+    options : GeodesicOptions, optional
 
     Returns
     -------
-    Unrolled
-        By `fit_paths` with all links of length 1 and the map as its guide, in the map's unit. Not
-        acted where the map is too uneven to go by and the halves of the recording do not agree on
-        the neighbours.
+    GeodesicRefinement
+        `fit_path_lengths` with all links of length 1 and the map as guide, in the unit of the map.
+        Not applied if the map exceeds `GeodesicOptions.max_unevenness` and the two halves of the
+        recording disagree on the neighbours.
     """
-    chosen = options or UnrollingOptions()
-    places = np.asarray(positions, dtype=np.float64)
-    joined = direct_neighbours(readings, places, similarity=similarity, options=chosen.neighbours)
-    uneven = unevenness(places, joined)
-    if uneven > chosen.uneven and not _agreed(readings, places, chosen):
-        return Unrolled(places, False, uneven)
-    return _unrolled(joined.astype(np.float64), places, uneven, chosen)
+    chosen = options or GeodesicOptions()
+    given = np.asarray(positions, dtype=np.float64)
+    graph = neighbour_graph(readings, given, similarity=similarity, options=chosen.neighbours)
+    uneven = unevenness(given, graph.adjacency)
+    if uneven > chosen.max_unevenness and not _halves_agree(readings, given, chosen):
+        return GeodesicRefinement(given, False, uneven)
+    return _refined(graph.adjacency.astype(np.float64), given, uneven, chosen)
 
 
-def contact_passes(
+def refine_by_contact_peaks(
     readings: ArrayLike,
     positions: ArrayLike,
     *,
     similarity: ArrayLike | None = None,
-    options: UnrollingOptions | None = None,
-) -> Unrolled:
-    """Give a map that draws neighbours very unevenly lengths from the contacts that pass over it.
+    options: GeodesicOptions | None = None,
+) -> GeodesicRefinement:
+    """Refine an uneven map with link lengths estimated from contact peaks.
 
     Parameters
     ----------
     readings, positions, similarity, options
-        As for `even_spacing`.
+        As for `refine_by_even_spacing`.
 
     Returns
     -------
-    Unrolled
-        By `fit_paths` with lengths from `pass_lengths` (the median where a link has none), in the
-        map's unit. Acted only where all hold: the map is more uneven than
-        `UnrollingOptions.uneven`, hardly a link is forced, both halves of the recording agree on
-        the neighbours, most links have lengths, and these contradict the map (`confirmation`); any
-        other map comes back as it is, to the bit.
+    GeodesicRefinement
+        `fit_path_lengths` with lengths from `peak_lengths` (the median where a link has none), in
+        the unit of the map. Applied only if all of these hold: the map exceeds
+        `GeodesicOptions.max_unevenness`, few links are forced, both halves of the recording agree
+        on the neighbours, most links have lengths, and these contradict the map (`log_log_slope`).
+        Otherwise the positions are returned bit for bit.
     """
-    chosen = options or UnrollingOptions()
-    places = np.asarray(positions, dtype=np.float64)
-    links = find_links(readings, places, similarity=similarity, options=chosen.neighbours)
-    joined, uneven = links.joined, unevenness(places, links.joined)
+    chosen = options or GeodesicOptions()
+    given = np.asarray(positions, dtype=np.float64)
+    graph = neighbour_graph(readings, given, similarity=similarity, options=chosen.neighbours)
+    adjacency, uneven = graph.adjacency, unevenness(given, graph.adjacency)
     if (
-        uneven <= chosen.uneven
-        or links.forced > chosen.forced
-        or not _agreed(readings, places, chosen)
+        uneven <= chosen.max_unevenness
+        or graph.forced_share > chosen.max_forced_share
+        or not _halves_agree(readings, given, chosen)
     ):
-        return Unrolled(places, False, uneven)
-    lengths = pass_lengths(readings, joined)
+        return GeodesicRefinement(given, False, uneven)
+    lengths = peak_lengths(readings, adjacency)
     known = np.isfinite(lengths)
     if (
-        np.count_nonzero(known) < max(1.0, chosen.measured * np.count_nonzero(joined))
-        or confirmation(places, lengths) > chosen.confirmed
+        np.count_nonzero(known) < max(1.0, chosen.min_measured_share * np.count_nonzero(adjacency))
+        or log_log_slope(given, lengths) > chosen.max_slope
     ):
-        return Unrolled(places, False, uneven)
-    typical = np.where(known, lengths / np.median(lengths[known]), 1.0)
-    return _unrolled(np.where(joined, typical, 0.0), places, uneven, chosen)
+        return GeodesicRefinement(given, False, uneven)
+    relative = np.where(known, lengths / np.median(lengths[known]), 1.0)
+    return _refined(np.where(adjacency, relative, 0.0), given, uneven, chosen)
 
 
-def confirmation(positions: ArrayLike, lengths: ArrayLike) -> float:
-    """Tell how far lengths of links confirm what a map draws.
+def log_log_slope(positions: ArrayLike, lengths: ArrayLike) -> float:
+    """Regress log lengths of links on the logarithms of their distances on a map.
 
     Parameters
     ----------
     positions : array_like of shape (N, k)
     lengths : array_like of shape (N, N)
-        Symmetric, above 0 where known and NaN elsewhere, as from
-        `anisomap.numerics.geodesic.contact_peaks.pass_lengths`.
+        Symmetric, above 0 where known and NaN elsewhere, as from `peak_lengths`.
 
     Returns
     -------
     float
-        Slope of the logarithms of the lengths over those of the distances on the map: 1 if they
-        are proportional, 0 if they have nothing to do with each other, or all distances are equal.
+        Least-squares slope: 1 if lengths are proportional to distances, 0 if they are unrelated or
+        all distances are equal.
     """
-    told = np.asarray(lengths, dtype=np.float64)
-    known = np.isfinite(told)
-    drawn = np.log(edge_distances(positions, known))
-    off = drawn - drawn.mean()
-    if not (np.abs(off) > _SAME).any():
+    measured = np.asarray(lengths, dtype=np.float64)
+    known = np.isfinite(measured)
+    log_distances = np.log(edge_distances(positions, known))
+    centred = log_distances - log_distances.mean()
+    if not (np.abs(centred) > _EQUAL_LOG).any():
         return 0.0
-    return float(off @ np.log(told[np.triu(known, 1)])) / float(off @ off)
+    return float(centred @ np.log(measured[np.triu(known, 1)])) / float(centred @ centred)
 
 
-def _agreed(readings: ArrayLike, places: Matrix, options: UnrollingOptions) -> bool:
-    return agreement(readings, places, options=options.neighbours) >= options.agree
+def _halves_agree(readings: ArrayLike, positions: Matrix, options: GeodesicOptions) -> bool:
+    agreement = split_half_agreement(readings, positions, options=options.neighbours)
+    return agreement >= options.min_agreement
 
 
-def _unrolled(
-    lengths: Matrix, places: Matrix, uneven: float, options: UnrollingOptions
-) -> Unrolled:
-    fitted = fit_paths(lengths, guide=places, options=options)
-    before, after = (np.log(edge_distances(x, lengths > 0)).mean() for x in (places, fitted))
-    return Unrolled(np.exp(before - after) * fitted, True, uneven)
+def _refined(
+    lengths: Matrix, given: Matrix, uneven: float, options: GeodesicOptions
+) -> GeodesicRefinement:
+    fitted = fit_path_lengths(lengths, guide=given, options=options)
+    before, after = (np.log(edge_distances(x, lengths > 0)).mean() for x in (given, fitted))
+    return GeodesicRefinement(np.exp(before - after) * fitted, True, uneven)
