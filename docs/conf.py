@@ -1,15 +1,21 @@
 """How the documentation is built: Sphinx, MyST Markdown, numpydoc."""
 
 import html
+import logging
+import sys
+from pathlib import Path
 
 from docutils import nodes
 from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
-from sphinx.util import logging
+from sphinx.util import logging as sphinx_logging
 from sphinx.writers.html5 import HTML5Translator
 
 from anisomap import __version__
+
+sys.path.insert(0, str(Path(__file__).parent))
+from notebooks import to_markdown
 
 project = "anisomap"
 author = "The anisomap developers"
@@ -17,7 +23,7 @@ copyright = "2026, the anisomap developers"
 release = __version__
 
 extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc"]
-source_suffix = {".md": "markdown"}
+source_suffix = {".md": "markdown", ".ipynb": "markdown"}
 exclude_patterns = ["_build", "*-table.md"]  # tables are included by other pages
 myst_enable_extensions = ["deflist", "dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 3
@@ -35,8 +41,16 @@ html_math_renderer = "mathml"
 
 
 def setup(app: Sphinx) -> None:
-    """Render equations as MathML, which browsers display without scripts or a network."""
+    """Render equations as MathML, which needs neither scripts nor a network; run notebooks."""
     app.add_html_math_renderer("mathml", (_visit_inline, None), (_visit_block, None))
+    app.connect("source-read", _run_notebook)
+
+
+def _run_notebook(app: Sphinx, page: str, source: list[str]) -> None:
+    if app.env.doc2path(page).suffix == ".ipynb":
+        logging.getLogger("anisomap").setLevel(logging.WARNING)  # progress is not output
+        folder = Path("_build", "notebooks", page)
+        source[0] = to_markdown(source[0], app.srcdir / folder, f"/{folder.as_posix()}")
 
 
 def _visit_inline(translator: HTML5Translator, node: nodes.math) -> None:
@@ -53,5 +67,5 @@ def _mathml(node: nodes.Element, *, as_block: bool = False) -> str:
     try:
         return str(tex2mathml(node.astext(), as_block=as_block))
     except MathError as error:
-        logging.getLogger(__name__).warning("equation: %s", error, location=node)
+        sphinx_logging.getLogger(__name__).warning("equation: %s", error, location=node)
         return html.escape(node.astext())

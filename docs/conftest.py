@@ -13,7 +13,7 @@ from anisomap.cli import main
 
 
 def _run_commands(example: Example) -> None:
-    """Call anisomap line by line, as a shell would; every call must end well."""
+    """Call anisomap line by line, as a shell would; every call must succeed."""
     for line in example.parsed.splitlines():
         program, *arguments = shlex.split(line, comments=True) or ["#"]
         if program == "#":
@@ -42,17 +42,24 @@ def _leave_the_folder(names: dict[str, object]) -> None:
     folder.cleanup()
 
 
-# Pages about robots make the files first that they speak of, so their commands can be run, too.
-robots = Sybil(
+# Pages whose commands run, too: they make the files that they use.
+_RUNNABLE = [
+    "getting-started.md",
+    "how-to/map-a-skin.md",
+    "how-to/score-a-map.md",
+    "reference/formats.md",
+    "robots/*.md",
+]
+commands = Sybil(
     [PythonCodeBlockParser(), CodeBlockParser("sh", _run_commands)],
-    patterns=["robots/*.md", "formats.md"],
+    patterns=_RUNNABLE,
     setup=_enter_a_folder,
     teardown=_leave_the_folder,
 )
 others = Sybil(
     [PythonCodeBlockParser()],
     patterns=["*.md"],
-    excludes=["robots/*.md", "formats.md"],
+    excludes=_RUNNABLE,
     fixtures=["elsewhere"],
 )
-pytest_collect_file = (robots + others).pytest()
+pytest_collect_file = (commands + others).pytest()
