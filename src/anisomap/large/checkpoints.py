@@ -1,14 +1,13 @@
-"""Accumulators on disk, so that a long count that was cut off goes on where it was."""
+"""Checkpoints: accumulators on disk, from which an interrupted map-reduce resumes."""
 
 from __future__ import annotations
 
 import time
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,101 +19,102 @@ from anisomap.numerics.similarity.value_counts import ValueCounts
 
 Accumulator: TypeAlias = Moments | CoOccurrences | StoredCodes | ValueCounts
 
-SECONDS = 60.0
-"""How often a checkpoint is written."""
+WRITE_INTERVAL = 60.0
+"""Seconds of work that a killed run loses at most, or one chunk if that takes longer."""
 
 _KINDS = {kind.__name__: kind for kind in (Moments, CoOccurrences, StoredCodes, ValueCounts)}
+
 # RuntimeError: a flipped bit may mark a member of the archive as encrypted.
 _DAMAGE = (OSError, EOFError, KeyError, ValueError, TypeError, RuntimeError, zipfile.BadZipFile)
 
 
-@dataclass(frozen=True, eq=False)
-class _Stage:
+class _Stage(NamedTuple):
     n_chunks: int
-    mark: str
+    digest: str
     total: Accumulator
 
 
-class Trail:
-    """Marks by which chunks are known again: each is a digest of all up to it.
+class ChunkDigests:
+    """Digests by which chunks are recognised: each covers all chunks up to it.
 
     Parameters
     ----------
     seed : str
-        What else they must have in common to have the same marks.
+        Included in every digest.
     """
 
     def __init__(self, seed: str = "") -> None:
-        self._digest = blake2b(seed.encode(), digest_size=16)
-        self._marks = [""]
+        self._hash = blake2b(seed.encode(), digest_size=16)
+        self._digests = [""]
 
-    def along(self, chunks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-        """Give chunks on and mark them."""
+    def follow(self, chunks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+        """Yield the chunks, and digest each."""
         for chunk in chunks:
-            _take_in(self._digest, chunk)
-            self._marks.append(self._digest.hexdigest())
+            _update(self._hash, chunk)
+            self._digests.append(self._hash.hexdigest())
             yield chunk
 
-    def mark(self, n_chunks: int) -> str:
-        """Give the mark of the first chunks; of all if there are not so many."""
-        return self._marks[min(n_chunks, len(self._marks) - 1)]
+    def up_to(self, n_chunks: int) -> str:
+        """Return the digest of the first `n_chunks`, or of all if there are fewer."""
+        return self._digests[min(n_chunks, len(self._digests) - 1)]
 
 
 class Checkpoint:
-    """A file that holds what was made of the chunks so far, stage by stage.
+    """A file with the accumulator of each stage, and the chunks that it covers.
+
+    joblib and Dask rerun lost tasks but persist no reduction in progress.
 
     Parameters
     ----------
     path : pathlib.Path
-        The file, an NPZ archive; written aside and moved there whole.
-    of : str
-        What is counted, and of what: a checkpoint of anything else is refused.
+        The file, an NPZ archive. It is replaced atomically.
+    subject : str
+        Description of the computation and its input; a checkpoint with another one is refused.
+    interval : float
+        Seconds between two writes while a stage proceeds.
 
     Raises
     ------
     FileError
-        If the file is there but damaged or of something else, or could not be written.
+        If the file exists but is damaged or has another subject, or cannot be written.
     """
 
-    def __init__(self, path: Path, of: str) -> None:
-        self._path, self._of = check_target(path), of
+    def __init__(self, path: Path, subject: str, interval: float = WRITE_INTERVAL) -> None:
+        self._path, self._subject, self._interval = check_target(path), subject, interval
         self._stages: dict[str, _Stage] = self._read() if path.exists() else {}
         self._written = time.monotonic()
 
-    def __call__(self, stage: str) -> tuple[int, Accumulator | None]:
-        """Tell how many chunks were done in a stage, and what was made of them."""
+    def progress(self, stage: str) -> tuple[int, Accumulator | None]:
+        """Return the number of chunks that a stage has processed, and its accumulator."""
         held = self._stages.get(stage)
         return (held.n_chunks, held.total) if held else (0, None)
 
-    def mark(self, stage: str) -> str:
-        """Give the mark of the chunks that were done in a stage; see `Trail`."""
+    def digest(self, stage: str) -> str:
+        """Return the digest of the chunks that a stage has processed; see `ChunkDigests`."""
         held = self._stages.get(stage)
-        return held.mark if held else ""
+        return held.digest if held else ""
 
-    def check(self, stage: str, mark: str) -> None:
-        """Refuse to go on after chunks that are not those of which this checkpoint is."""
-        if stage in self._stages and mark != self._stages[stage].mark:
-            raise FileError(
-                f"{self._path} is a checkpoint of something else (of other readings): "
-                "name another file, or delete it to count anew"
-            )
+    def verify(self, stage: str, digest: str) -> None:
+        """Raise `FileError` if the stage has processed chunks with another digest."""
+        if stage in self._stages and digest != self._stages[stage].digest:
+            raise self._of_something_else("other readings")
 
-    def keep(self, stage: str, n_chunks: int, mark: str, total: Accumulator) -> None:
-        """Take note of what was made of the chunks so far; write it if it is time."""
-        self._stages[stage] = _Stage(n_chunks, mark, total)
-        if time.monotonic() - self._written >= SECONDS:
+    def update(self, stage: str, n_chunks: int, digest: str, total: Accumulator) -> None:
+        """Set the progress of a stage; write the file if the interval has passed."""
+        self._stages[stage] = _Stage(n_chunks, digest, total)
+        if time.monotonic() - self._written >= self._interval:
             self.write()
 
     def write(self) -> None:
-        """Write what was noted down."""
-        arrays: dict[str, Any] = {"of": np.array(self._of)}
+        """Write the progress of all stages."""
+        arrays: dict[str, Any] = {"subject": np.array(self._subject)}
         for name, stage in self._stages.items():
             arrays[f"{name}/chunks"] = np.array(stage.n_chunks)
-            arrays[f"{name}/mark"] = np.array(stage.mark)
+            arrays[f"{name}/digest"] = np.array(stage.digest)
             arrays[f"{name}/kind"] = np.array(type(stage.total).__name__)
-            arrays |= {f"{name}/{key}": array for key, array in packed(stage.total).items()}
-        arrays["seal"] = np.array(_seal(arrays))
-        with atomic_write(self._path) as aside, aside.open("wb") as stream:
+            arrays |= {f"{name}/{key}": array for key, array in _pack(stage.total).items()}
+        arrays["checksum"] = np.array(_checksum(arrays))
+        with atomic_write(self._path) as temporary, temporary.open("wb") as stream:
             np.savez(stream, allow_pickle=False, **arrays)
         self._written = time.monotonic()
 
@@ -122,41 +122,44 @@ class Checkpoint:
         try:
             with self._path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 held = dict(archive)
-            whole = str(held.pop("seal")) == _seal(held)
-            of = str(held.pop("of"))
+            intact = str(held.pop("checksum")) == _checksum(held)
+            subject = str(held.pop("subject"))
             stages = {name.split("/")[0] for name in held}
-            found = {stage: _stage(held, stage) for stage in stages}
+            found = {stage: _read_stage(held, stage) for stage in stages}
         except _DAMAGE as error:
             raise FileError(self._damaged()) from error
-        if not whole:
+        if not intact:
             raise FileError(self._damaged())
-        if of != self._of:
-            raise FileError(
-                f"{self._path} is a checkpoint of something else ({of}): "
-                "name another file, or delete it to count anew"
-            )
+        if subject != self._subject:
+            raise self._of_something_else(subject)
         return found
 
     def _damaged(self) -> str:
-        return f"{self._path} is no checkpoint, or damaged: delete it to count anew"
+        return f"{self._path} is damaged or not a checkpoint; delete it to start again"
+
+    def _of_something_else(self, subject: str) -> FileError:
+        return FileError(
+            f"{self._path} is a checkpoint of something else ({subject}); name another file, or "
+            "delete it to start again"
+        )
 
 
-def _seal(arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Tell arrays that were written together from any others."""
+def _checksum(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Digest all arrays: numpy does not verify an archive's CRC where a header is damaged."""
     digest = blake2b(digest_size=16)
     for name in sorted(arrays):
         digest.update(name.encode())
-        _take_in(digest, arrays[name])
+        _update(digest, arrays[name])
     return digest.hexdigest()
 
 
-def _take_in(digest: blake2b, array: NDArray[Any]) -> None:
+def _update(digest: blake2b, array: NDArray[Any]) -> None:
     digest.update(f"{array.dtype.str} {array.shape}".encode())
     digest.update(np.ascontiguousarray(array).data)
 
 
-def packed(total: Accumulator) -> dict[str, NDArray[Any]]:
-    """Give the arrays that an accumulator is made of, by name."""
+def _pack(total: Accumulator) -> dict[str, NDArray[Any]]:
+    """Return the fields of an accumulator as arrays."""
     fields: dict[str, Any] = {**vars(total)}
     if isinstance(total, ValueCounts):
         fields["sizes"] = [values.size for values in total.values]
@@ -167,8 +170,8 @@ def packed(total: Accumulator) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(value) for name, value in fields.items()}
 
 
-def unpacked(kind: str, arrays: Mapping[str, NDArray[Any]]) -> Accumulator:
-    """Make an accumulator of its arrays; see `packed`."""
+def _unpack(kind: str, arrays: Mapping[str, NDArray[Any]]) -> Accumulator:
+    """Make an accumulator of the arrays that `_pack` returned."""
     fields: dict[str, Any] = {
         name: array if array.ndim else int(array) for name, array in arrays.items()
     }
@@ -182,7 +185,7 @@ def unpacked(kind: str, arrays: Mapping[str, NDArray[Any]]) -> Accumulator:
     return total
 
 
-def _stage(held: Mapping[str, NDArray[Any]], stage: str) -> _Stage:
+def _read_stage(held: Mapping[str, NDArray[Any]], stage: str) -> _Stage:
     own = {n.split("/")[1]: array for n, array in held.items() if n.startswith(f"{stage}/")}
-    n_chunks, mark = int(own.pop("chunks")), str(own.pop("mark"))
-    return _Stage(n_chunks, mark, unpacked(str(own.pop("kind")), own))
+    n_chunks, digest = int(own.pop("chunks")), str(own.pop("digest"))
+    return _Stage(n_chunks, digest, _unpack(str(own.pop("kind")), own))

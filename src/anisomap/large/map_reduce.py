@@ -1,44 +1,46 @@
-"""Map-reduce over chunks of frames, by one process, several, or several machines."""
+"""Map-reduce over chunks of frames: in one process, with joblib, or on a Dask cluster."""
 
 from __future__ import annotations
 
-import logging
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import islice
-from typing import Any
+from typing import Any, TypeAlias
 
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError, MissingExtraError
-from anisomap.large.checkpoints import Checkpoint, Trail
+from anisomap.large.checkpoints import Checkpoint, ChunkDigests
 
-logger = logging.getLogger(__name__)
+Mapper: TypeAlias = Callable[[NDArray[Any]], Any]
 
-_ATTEMPTS = 3
-_ROUND = 2  # chunks a worker
+_CHUNKS_PER_WORKER = 2  # one in work and one waiting; bounds the memory of chunks and results
 
 
 @dataclass(frozen=True)
 class WorkerPool:
-    """Who does the work.
+    """Workers that process chunks in parallel.
 
     Parameters
     ----------
     n_workers : int
-        Threads of this process that make something of chunks side by side; 1 is none but this.
+        Number of threads of this process; 1 for none besides the calling one.
     scheduler : str
-        Address of a Dask scheduler, as in ``tcp://host:8786``, whose workers do it instead.
+        Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers are used instead.
 
     Notes
     -----
-    Another backend of joblib does the work if it is chosen around the call and `n_workers` is more
-    than 1: ``joblib.parallel_config("ray")``, say, or ``"loky"`` for processes. Threads are the
-    default since what takes long lets go of the interpreter's lock, and nothing has to be sent.
+    With `n_workers` above 1, a joblib backend chosen around the call is used, for example
+    ``joblib.parallel_config("loky")`` for processes. Threads are the default: the costly operations
+    release the interpreter's lock, and no data are copied.
+
+    Dask reruns the chunks of a worker that dies. Ray does so if it is asked to:
+    ``joblib.parallel_config("ray", ray_remote_args={"max_restarts": 3, "max_task_retries": 3})``.
     """
 
     n_workers: int = 1
@@ -50,132 +52,127 @@ SERIAL = WorkerPool()
 
 def map_reduce(
     chunks: Callable[[], Iterable[NDArray[Any]]],
-    take: Callable[[NDArray[Any]], Any],
+    mapper: Mapper,
     *,
     pool: WorkerPool = SERIAL,
     checkpoint: Checkpoint | None = None,
     stage: str = "total",
     after: str = "",
 ) -> Any:
-    """Make something of every chunk and merge it.
+    """Apply a function to every chunk and merge the results.
 
     Parameters
     ----------
     chunks : callable
-        Opens the chunks, from the first on, each time that it is called.
-    take : callable
-        Makes an accumulator of a chunk: something with a method `merged`. It must go to other
-        processes, if there are any.
+        Returns an iterator over all chunks, from the first.
+    mapper : callable
+        Makes an accumulator of a chunk, an object with a method `merged`. It must be picklable if
+        other processes are used.
     pool : WorkerPool
     checkpoint : Checkpoint, optional
-        Where to go on, and what to keep up to date.
+        Progress to resume from and to update.
     stage : str
-        Its name in the checkpoint.
+        Name of this reduction in the checkpoint.
     after : str
-        A stage that `take` was made from, if any: nothing is gone on with after another outcome.
+        Stage whose result `mapper` depends on, if any: progress made after another result of that
+        stage is refused.
 
     Returns
     -------
     object
-        The accumulator of all chunks: merged in their order, whoever did the work, and so the
-        same to the last bit.
+        The merged accumulator. Results are merged in the order of the chunks, so it is bitwise the
+        same for any pool.
 
     Raises
     ------
     InputError
-        If there is no chunk, or workers keep dying.
+        If there is no chunk, a worker process dies, or there is no scheduler at the address.
     FileError
         If the checkpoint is of other chunks.
     MissingExtraError
-        If a scheduler is given, and Dask is not installed.
+        If a scheduler is given and Dask is not installed.
     """
-    done, total = checkpoint(stage) if checkpoint else (0, None)
-    failures = 0
-    while True:
-        trail = Trail(checkpoint.mark(after) if checkpoint else "")
-        opened = iter(trail.along(chunks()) if checkpoint else chunks())
-        for _ in islice(opened, done):
+    total = None
+    if checkpoint is None:
+        for result in _results(chunks(), mapper, pool):
+            total = result if total is None else total.merged(result)
+    else:
+        done, total = checkpoint.progress(stage)
+        digests = ChunkDigests(checkpoint.digest(after))
+        remaining = digests.follow(chunks())
+        for _ in islice(remaining, done):
             pass
-        if checkpoint:
-            checkpoint.check(stage, trail.mark(done))
+        checkpoint.verify(stage, digests.up_to(done))
         try:
-            for part in _shared(opened, take, pool):
-                total, done = part if total is None else total.merged(part), done + 1
-                failures = 0
-                if checkpoint:
-                    checkpoint.keep(stage, done, trail.mark(done), total)
-            break
-        except BrokenExecutor as error:
-            failures += 1
-            if failures == _ATTEMPTS:
-                raise InputError(
-                    f"workers died {failures} times over the chunk after the first {done}: "
-                    "they may lack memory; use fewer"
-                ) from error
-            logger.info("a worker died; going on after chunk %d", done)
+            for result in _results(remaining, mapper, pool):
+                total, done = result if total is None else total.merged(result), done + 1
+                checkpoint.update(stage, done, digests.up_to(done), total)
+        finally:
+            if total is not None:
+                checkpoint.write()
     if total is None:
-        raise InputError("there is no frame to make a map of")
-    if checkpoint:
-        checkpoint.write()
+        raise InputError("the recording has no frames")
     return total
 
 
-def _shared(
-    chunks: Iterable[NDArray[Any]], take: Callable[[NDArray[Any]], Any], pool: WorkerPool
-) -> Iterator[Any]:
-    if pool.n_workers == 1 and not pool.scheduler:
-        return map(take, chunks)
-    joblib: Any = import_module("joblib")
+def _results(chunks: Iterable[NDArray[Any]], mapper: Mapper, pool: WorkerPool) -> Iterator[Any]:
+    """Yield what `mapper` makes of each chunk, in their order."""
     if pool.scheduler:
-        return _on_dask(joblib, chunks, take, pool.scheduler)
-    return _on_joblib(joblib, chunks, take, pool.n_workers)
+        return _on_dask(chunks, mapper, pool.scheduler)
+    if pool.n_workers > 1:
+        return _on_joblib(chunks, mapper, pool.n_workers)
+    return map(mapper, chunks)
 
 
-def _on_joblib(
-    joblib: Any, chunks: Iterable[NDArray[Any]], take: Callable[[NDArray[Any]], Any], workers: int
-) -> Iterator[Any]:
-    # Limits are those of a process: threads that set and lifted them would undo one another's.
-    with threadpool_limits(1), joblib.Parallel(workers, prefer="threads", batch_size=1) as pool:
-        yield from _in_rounds(joblib, pool, chunks, take, joblib.effective_n_jobs(workers))
+def _on_joblib(chunks: Iterable[NDArray[Any]], mapper: Mapper, n_workers: int) -> Iterator[Any]:
+    joblib: Any = import_module("joblib")
+    calls = (joblib.delayed(_call)(mapper, chunk, os.getpid()) for chunk in chunks)
+    # The limit is per process, so threads that set and lifted it would undo one another's.
+    with threadpool_limits(1), joblib.Parallel(n_workers, prefer="threads", batch_size=1) as pool:
+        # Batches, not return_as="generator": joblib runs ahead of a merge that is slower than the
+        # workers, and the results fill memory.
+        batch_size = _CHUNKS_PER_WORKER * joblib.effective_n_jobs(n_workers)
+        while batch := list(islice(calls, batch_size)):
+            try:
+                yield from pool(batch)
+            except BrokenExecutor as error:
+                raise InputError(
+                    "a worker process died, perhaps for lack of memory; use fewer workers "
+                    "(with a checkpoint, the next run resumes here)"
+                ) from error
 
 
-def _in_rounds(
-    joblib: Any,
-    pool: Callable[[list[Any]], list[Any]],
-    chunks: Iterable[NDArray[Any]],
-    take: Callable[[NDArray[Any]], Any],
-    n_workers: int,
-) -> Iterator[Any]:
-    """Hand out some chunks at a time: workers that are faster than merging would fill memory."""
-    jobs = (joblib.delayed(_alone)(take, chunk, os.getpid()) for chunk in chunks)
-    while batch := list(islice(jobs, _ROUND * n_workers)):
-        yield from pool(batch)
-
-
-def _on_dask(
-    joblib: Any, chunks: Iterable[NDArray[Any]], take: Callable[[NDArray[Any]], Any], address: str
-) -> Iterator[Any]:
+def _on_dask(chunks: Iterable[NDArray[Any]], mapper: Mapper, address: str) -> Iterator[Any]:
     try:
+        dask: Any = import_module("dask")
         distributed: Any = import_module("distributed")
     except ImportError as error:
         raise MissingExtraError("work on a Dask cluster", "cluster") from error
     try:
         client = distributed.Client(address, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
-        raise InputError(f"there is no Dask scheduler at {address}: {error}") from error
-    died = (distributed.client.FutureCancelledError, distributed.KilledWorker)
-    with client, joblib.parallel_config("dask", client=client):
-        pool = joblib.Parallel(batch_size=1)
+        raise InputError(f"cannot connect to a Dask scheduler at {address}: {error}") from error
+    # Chunks are part of the task, not scattered: so the scheduler can rerun it when a worker dies.
+    unlimited = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
+    with unlimited, client:
+        pending: deque[Any] = deque()
         try:
-            yield from _in_rounds(joblib, pool, chunks, take, joblib.effective_n_jobs(-1))
-        except died as error:
-            # Dask takes up the work of a worker that died, but not the chunks that it held.
-            raise BrokenExecutor(str(error)) from error
+            for chunk in chunks:
+                pending.append(client.submit(_call, mapper, chunk, os.getpid(), pure=False))
+                if len(pending) >= _CHUNKS_PER_WORKER * max(1, sum(client.nthreads().values())):
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        except distributed.KilledWorker as error:
+            raise InputError(
+                "several Dask workers died over one chunk of frames, perhaps for lack of memory; "
+                "give them more memory or fewer threads"
+            ) from error
 
 
-def _alone(take: Callable[[NDArray[Any]], Any], chunk: NDArray[Any], asked_by: int) -> Any:
-    """Do a worker's part on one thread: the others have work of their own."""
-    if os.getpid() == asked_by:
-        return take(chunk)
+def _call(mapper: Mapper, chunk: NDArray[Any], caller: int) -> Any:
+    """Apply `mapper`, with single-threaded BLAS in other processes than the caller's."""
+    if os.getpid() == caller:
+        return mapper(chunk)
     with threadpool_limits(1):
-        return take(chunk)
+        return mapper(chunk)
