@@ -2,11 +2,11 @@
 
 import os
 
-import pytest
 from hypothesis import HealthCheck, settings
 from sybil import Sybil
 from sybil.parsers.doctest import DocTestParser
 from sybil.parsers.myst import PythonCodeBlockParser
+from tests.documents import collector
 
 # One thread for linear algebra and compiled loops, here and in every process that tests start.
 # Matrices of tests are small, and pytest-xdist already runs one process per core: more threads
@@ -30,12 +30,6 @@ settings.register_profile("ci", settings.get_profile("default"), derandomize=Tru
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
-@pytest.fixture
-def elsewhere(tmp_path, monkeypatch):
-    """Run an example in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-
-
-readme = Sybil([PythonCodeBlockParser()], patterns=["README.md"], fixtures=["elsewhere"])
+readme = Sybil([PythonCodeBlockParser()], patterns=["README.md"])
 docstrings = Sybil([DocTestParser()], patterns=["src/**/*.py"])
-pytest_collect_file = (readme + docstrings).pytest()
+pytest_collect_file = collector(readme, docstrings)

@@ -1,13 +1,11 @@
 """Run the code blocks of the documentation, each page as one program."""
 
-import os
 import shlex
-import tempfile
-from pathlib import Path
 
 import pytest
 from sybil import Example, Sybil
 from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser
+from tests.documents import collector
 
 from anisomap.cli import main
 
@@ -30,18 +28,6 @@ def _exit_code(arguments: list[str]) -> int:
     return 0
 
 
-def _enter_a_folder(names: dict[str, object]) -> None:
-    folder = tempfile.TemporaryDirectory()
-    names["_back"] = (folder, Path.cwd())
-    os.chdir(folder.name)
-
-
-def _leave_the_folder(names: dict[str, object]) -> None:
-    folder, before = names.pop("_back")
-    os.chdir(before)
-    folder.cleanup()
-
-
 # Pages whose commands run, too: they make the files that they use.
 _RUNNABLE = [
     "getting-started.md",
@@ -53,13 +39,10 @@ _RUNNABLE = [
 commands = Sybil(
     [PythonCodeBlockParser(), CodeBlockParser("sh", _run_commands)],
     patterns=_RUNNABLE,
-    setup=_enter_a_folder,
-    teardown=_leave_the_folder,
 )
 others = Sybil(
     [PythonCodeBlockParser()],
     patterns=["*.md"],
     excludes=_RUNNABLE,
-    fixtures=["elsewhere"],
 )
-pytest_collect_file = (commands + others).pytest()
+pytest_collect_file = collector(commands, others)
