@@ -1,4 +1,4 @@
-"""The paper, made again: the whole quick run once, and what the runner promises."""
+"""Reproducing the paper: quick runs of the experiments, and the promises of the runner."""
 
 import csv
 import json
@@ -40,20 +40,34 @@ ROOT = Path(__file__).parents[1]
 QUICK = Settings(quick=True)
 
 
-@pytest.fixture(scope="module")
-def quick(tmp_path_factory):
-    """What `anisomap paper --quick` leaves."""
+CHEAP = ("data-s1-s6", "data-s7-s11", "text-s3", "figure-s3")
+"""Experiments that take about a second each."""
+
+
+@pytest.fixture(
+    scope="module", params=[CHEAP, pytest.param((), marks=pytest.mark.slow)], ids=["cheap", "all"]
+)
+def quick(tmp_path_factory, request):
+    """Give the folder of a run of ``anisomap paper --quick``."""
     folder = tmp_path_factory.mktemp("paper") / "out"
+    chosen = [word for name in request.param for word in ("--only", name)]
     with pytest.raises(SystemExit) as end:
-        main(["paper", "-o", str(folder), "--quick", "--workers", "2"])
+        workers = "1" if chosen else "2"
+        main(["paper", "-o", str(folder), "--quick", "--workers", workers, *chosen])
     assert not end.value.code
     return folder
 
 
-def test_every_experiment_leaves_what_its_record_tells(quick):
-    for experiment in EXPERIMENTS.values():
-        if experiment.files:
-            continue
+def made_in(folder):
+    """Give the names of the experiments that were run."""
+    return {path.parent.name for path in folder.glob("*/done.json")}
+
+
+def test_every_experiment_leaves_what_its_record_tells(quick, request):
+    chosen = request.node.callspec.params["quick"]
+    assert made_in(quick) >= set(chosen or (e.name for e in EXPERIMENTS.values() if not e.files))
+    for name in made_in(quick):
+        experiment = EXPERIMENTS[name]
         kept = result_cache.load(quick, experiment.name)
         assert kept is not None, experiment.name
         assert kept.pictures or kept.tables or kept.documents
@@ -75,7 +89,8 @@ def test_the_page_shows_all_and_needs_nothing_from_elsewhere(quick):
     for link in links:
         assert link.startswith("#") or (quick / link).is_file(), link
     for name, experiment in EXPERIMENTS.items():
-        assert (f'id="{name}"' in page) == bool(experiment.title)
+        shown = bool(experiment.title) and (name in made_in(quick) or bool(experiment.files))
+        assert (f'id="{name}"' in page) == shown
     assert "matejhof/robotic-homunculus-supporting-materials" in page, "how to get real skin"
     pictures = {path.relative_to(quick).as_posix() for path in quick.glob("*/*.png")}
     assert pictures <= set(links)
@@ -83,11 +98,13 @@ def test_the_page_shows_all_and_needs_nothing_from_elsewhere(quick):
 
 def test_what_is_finished_is_not_run_again(quick):
     before = {path: path.stat().st_mtime_ns for path in quick.glob("*/*")}
-    told = reproduce(quick, QUICK, workers=2)
-    assert {done.how for done in told} == {"kept", "left out"}
+    told = reproduce(quick, QUICK, only=[*made_in(quick), "real-skin"], workers=2)
+    assert {done.name for done in told if done.how == "kept"} == made_in(quick)
+    assert {done.name for done in told if done.how != "kept"} == {"real-skin"}
     assert before == {path: path.stat().st_mtime_ns for path in quick.glob("*/*")}
 
 
+@pytest.mark.parametrize("quick", [pytest.param((), marks=pytest.mark.slow)], indirect=True)
 def test_every_claim_gets_a_verdict(quick):
     rows = result_cache.load(quick, "claims").tables[0].records()
     for row in rows:
@@ -319,10 +336,10 @@ def test_a_verdict_says_for_which_cases_it_holds():
 
 
 def test_numbers_of_documents_are_those_of_the_tables():
-    for path in (ROOT / "README.md", ROOT / "docs" / "paper.md"):
+    for path in (ROOT / "README.md", ROOT / "docs" / "explanation" / "paper.md"):
         text = path.read_text(encoding="utf-8")
         assert numbers.fill(text, ROOT / "docs" / "results") == text, "run make numbers"
-    assert numbers.tables_in((ROOT / "docs" / "paper.md").read_text(encoding="utf-8"))
+    assert numbers.tables_in((ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8"))
 
 
 def test_documents_are_brought_up_to_date(tmp_path):

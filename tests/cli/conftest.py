@@ -1,4 +1,4 @@
-"""Run the command in this process, and keep what it says."""
+"""Run the command in this process and capture its output."""
 
 from dataclasses import dataclass
 
@@ -21,11 +21,11 @@ class Outcome:
 @pytest.fixture
 def run(capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("ANISOMAP_DEBUG", "1")  # a defect of ours shall show as one
+    monkeypatch.setenv("ANISOMAP_DEBUG", "1")  # raise unexpected errors instead of reporting them
 
     def call(*arguments):
         for shown in (console.console, console.errors):
-            monkeypatch.setattr(shown, "_width", 200)
+            monkeypatch.setattr(shown, "width", 200)
         with pytest.raises(SystemExit) as end:
             main([str(argument) for argument in arguments])
         said = capsys.readouterr()
@@ -35,8 +35,14 @@ def run(capsys, monkeypatch, tmp_path):
 
 
 @pytest.fixture
+def run_map(run):
+    """Run ``anisomap map`` without the confidence, which takes most of its time."""
+    return lambda *arguments: run("map", *arguments, "--no-confidence")
+
+
+@pytest.fixture
 def skin_csv(tmp_path):
-    """A healthy flat skin, as a lab would have it."""
+    """A healthy flat skin as CSV."""
     path = tmp_path / "skin.csv"
     recording = flat_skin()
     np.savetxt(path, recording.readings, "%.4g", ",", header=",".join(recording.names), comments="")
@@ -45,7 +51,7 @@ def skin_csv(tmp_path):
 
 @pytest.fixture
 def skin_npz(tmp_path):
-    """The same, with its true positions."""
+    """The same skin as NPZ, with its true positions."""
     path = tmp_path / "skin.npz"
     anisomap.write(flat_skin(), path)
     return path

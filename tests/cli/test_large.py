@@ -1,4 +1,4 @@
-"""Recordings that are gone through in blocks from the command line: the same map."""
+"""Recordings read in blocks from the command line: the same maps as of whole ones."""
 
 from contextlib import suppress
 from importlib import import_module
@@ -57,15 +57,15 @@ def test_large_recordings_make_the_same_map(run, parts, method, request):
     assert made.err == whole.err
 
 
-def test_workers_and_checkpoints(run, parts):
-    assert run("map", *parts, "-m", "r-anisomap", "-d", 2, "-o", "whole.csv").code == 0
+def test_workers_and_checkpoints(run_map, parts):
+    assert run_map(*parts, "-m", "r-anisomap", "-d", 2, "-o", "whole.csv").code == 0
     options = ["-m", "r-anisomap", "-d", 2, "--checkpoint", "counts.npz"]
-    assert run("map", *parts, *options, "--workers", 2, "-o", "first.csv").code == 0
+    assert run_map(*parts, *options, "--workers", 2, "-o", "first.csv").code == 0
     assert Path("counts.npz").exists()
-    assert run("map", *parts, *options, "-o", "again.csv").code == 0
+    assert run_map(*parts, *options, "-o", "again.csv").code == 0
     for name in ("first.csv", "again.csv"):
         np.testing.assert_allclose(positions(name), positions("whole.csv"), atol=1e-8)
-    other = run("map", parts[0], *options)
+    other = run_map(parts[0], *options)
     assert other.code != 0
     assert "checkpoint of something else" in other.err
 
@@ -134,10 +134,10 @@ def test_large_recordings_must_have_the_same_sensors(run, parts):
     assert "few.npz is not of the same sensors" in made.err
 
 
-def test_an_approximate_map_is_labelled_in_all_that_is_written(run, parts):
+def test_an_approximate_map_is_labelled_in_all_that_is_written(run_map, parts):
     outputs = [f"map.{suffix}" for suffix in ("csv", "json", "npz")]
     written = [word for name in outputs for word in ("-o", name)]
-    made = run("map", *parts, "--approximate", "-d", 2, *written, "--report", "map.html")
+    made = run_map(*parts, "--approximate", "-d", 2, *written, "--report", "map.html")
     assert made.code == 0
     assert "Map by r-anisomap, approximate" in made.out
     assert "this map is approximate" in made.err
@@ -148,15 +148,15 @@ def test_an_approximate_map_is_labelled_in_all_that_is_written(run, parts):
     page = Path("map.html").read_text(encoding="utf-8")
     assert "This map is approximate" in page
     assert "approximate_n_landmarks" in page
-    assert run("map", *parts, "-m", "r-anisomap", "-d", 2, "-o", "exact.csv").code == 0
+    assert run_map(*parts, "-m", "r-anisomap", "-d", 2, "-o", "exact.csv").code == 0
     exact = positions("exact.csv")
     assert anisomap.mantel(positions("map.csv"), exact, permutations=0).r > 0.99
 
 
-def test_a_seed_repeats_an_approximate_map(run, parts):
+def test_a_seed_repeats_an_approximate_map(run_map, parts):
     for name, seed in (("one.csv", 3), ("two.csv", 3), ("other.csv", 4)):
         arguments = ["--approximate", "-m", "r-anisomap", "-d", 2, "--seed", seed, "-o", name]
-        assert run("map", *parts, *arguments, "--drop", "pad 5,7").code == 0
+        assert run_map(*parts, *arguments, "--drop", "pad 5,7").code == 0
     assert Path("one.csv").read_bytes() == Path("two.csv").read_bytes()
     assert Path("one.csv").read_bytes() != Path("other.csv").read_bytes()
     assert np.isnan(positions("one.csv")[[5, 7]]).all()
