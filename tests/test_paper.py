@@ -339,7 +339,9 @@ def test_numbers_of_documents_are_those_of_the_tables():
     for path in (ROOT / "README.md", ROOT / "docs" / "explanation" / "paper.md"):
         text = path.read_text(encoding="utf-8")
         assert numbers.fill(text, ROOT / "docs" / "results") == text, "run make numbers"
-    assert numbers.tables_in((ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8"))
+    assert numbers.tables_in(
+        (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
+    )
 
 
 def test_documents_are_brought_up_to_date(tmp_path):
