@@ -51,8 +51,8 @@ def quick(tmp_path_factory, request):
     """Give the folder of a run of ``anisomap paper --quick``."""
     folder = tmp_path_factory.mktemp("paper") / "out"
     chosen = [word for name in request.param for word in ("--only", name)]
+    workers = "1" if chosen else "2"
     with pytest.raises(SystemExit) as end:
-        workers = "1" if chosen else "2"
         main(["paper", "-o", str(folder), "--quick", "--workers", workers, *chosen])
     assert not end.value.code
     return folder
