@@ -1,4 +1,4 @@
-"""The benchmarks themselves: that they run, measure what they say, and notice what is wrong."""
+"""The benchmarks run, measure the stated quantities and detect wrong results."""
 
 import csv
 import os
@@ -20,7 +20,7 @@ from anisomap.numerics.compiled import parallel
 
 @pytest.fixture
 def recordings(tmp_path):
-    """A folder with a skin in the shape of the real one: a field of triangles, on and off."""
+    """Give a folder with a binary recording of a field of triangles, shaped as the real one."""
     folder = tmp_path / "recordings"
     folder.mkdir()
     readings, places = stroked_skin(40, 1000)
@@ -43,8 +43,8 @@ def rows_of(path):
 
 def test_the_whole_in_miniature(tmp_path, recordings, hasty, capsys):
     folder = tmp_path / "out"
-    sizes = ["40", "60"]
-    given = ["--recordings", str(recordings), "--sensors", *sizes, "--frames", "600"]
+    sizes = ["30", "40"]
+    given = ["--recordings", str(recordings), "--sensors", *sizes, "--frames", "400"]
     assert main([*given, "--output", str(folder)]) == 0
     assert {path.name for path in folder.iterdir()} == {
         "bench-table.md",
@@ -66,6 +66,7 @@ def test_the_whole_in_miniature(tmp_path, recordings, hasty, capsys):
     assert "torso, tiled" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_where_rivals_take_too_long_they_do_a_part(tmp_path, hasty, monkeypatch):
     for module in (similarities, paths, scalings, wholes):
         monkeypatch.setattr(module, "WHOLE", 30)
