@@ -1,4 +1,4 @@
-"""What does not fit into memory is refused before it is begun."""
+"""Computations that do not fit into memory are refused before they start."""
 
 import os
 
@@ -19,27 +19,27 @@ def small_machine(monkeypatch):
     monkeypatch.setattr(memory, "physical_memory", lambda: 100_000)
 
 
-def test_there_is_memory():
+def test_the_memory_of_this_machine_is_known():
     assert physical_memory() > 1 << 26
 
 
-def test_where_it_cannot_be_asked_nothing_is_refused(monkeypatch):
+def test_nothing_is_refused_where_memory_is_unknown(monkeypatch):
     monkeypatch.delattr(os, "sysconf")
     assert physical_memory() is None
     check_pair_memory(10**9, refined=True)
 
 
-def test_as_many_sensors_as_a_common_machine_has_room_for(monkeypatch):
+def test_20000_sensors_fit_into_24_gib_and_100000_do_not(monkeypatch):
     monkeypatch.setattr(memory, "physical_memory", lambda: 24 << 30)
     for refined in (False, True):
         check_pair_memory(20_000, refined=refined)
     with pytest.raises(
-        InputError, match=r"100000 sensors .* takes about 298 GiB .* has 24; .*appr"
+        InputError, match=r"100000 sensors needs about 298.0 GiB .* has 24.0 GiB; an approx"
     ):
         check_pair_memory(100_000, refined=False)
 
 
-def test_maps_say_so_before_they_are_begun(small_machine):
+def test_maps_too_large_for_memory_are_refused(small_machine):
     readings = np.random.default_rng(0).uniform(size=(50, 60))
     with pytest.raises(InputError, match="60 sensors"):
         reconstruct_chunks(readings, "r-anisomap")
@@ -47,14 +47,14 @@ def test_maps_say_so_before_they_are_begun(small_machine):
         reconstruct(similarity=np.corrcoef(readings.T))
 
 
-def test_workers_say_so_that_would_hold_too_much_at_once(monkeypatch):
+def test_workers_whose_results_exceed_memory_are_refused(monkeypatch):
     readings = np.random.default_rng(0).uniform(size=(50, 60))
     monkeypatch.setattr(memory, "physical_memory", lambda: 11 * 8 * 60**2)
     with pytest.raises(InputError, match=r"5 workers .* 60 sensors .* use fewer workers"):
         reconstruct_chunks(readings, "covariogram", pool=WorkerPool(5))
 
 
-def test_counts_of_all_bins_say_so(small_machine):
+def test_counts_too_large_for_memory_are_refused(small_machine):
     values = ValueCounts.of(np.random.default_rng(0).integers(0, 9, (20_000, 30)))
     prepare = CHUNKED["mutual-information"].prepare
     with pytest.raises(InputError, match="8 bins of 30 sensors"):

@@ -1,4 +1,4 @@
-"""Writing files so that a failure leaves the old one whole and never half a new one."""
+"""Atomic writing of files, and checks of their paths before long computations."""
 
 from __future__ import annotations
 
@@ -12,40 +12,38 @@ from anisomap.errors import FileError
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:
-    """Find out before the work whether a file could be written at all.
+    """Check that a file could be written at a path.
 
     Parameters
     ----------
     path : path-like
-        Where the file should stand in the end.
 
     Returns
     -------
     pathlib.Path
-        The same.
+        The same path.
 
     Raises
     ------
     FileError
-        If `path` is a folder, or the folder that it lies in is missing.
+        If `path` is a folder, or its parent folder is missing.
     """
     target = Path(path)
     if target.is_dir():
         raise FileError(f"cannot write {target}: it is a folder; give a file name")
     if not target.parent.is_dir():
-        raise FileError(f"cannot write {target}: there is no folder {target.parent}")
+        raise FileError(f"cannot write {target}: the folder {target.parent} does not exist")
     return target
 
 
 def check_distinct(
     outputs: Iterable[str | os.PathLike[str]], inputs: Iterable[str | os.PathLike[str]]
 ) -> None:
-    """Find out before the work whether a result would overwrite its source, or another result.
+    """Check that no output would overwrite an input or another output.
 
     Parameters
     ----------
     outputs, inputs : iterable of path-like
-        What will be written, and what is read.
 
     Raises
     ------
@@ -57,25 +55,25 @@ def check_distinct(
     for path in outputs:
         file = Path(path).resolve()
         if file in read:
-            raise FileError(f"{path} is what is read here: write the result to another file")
+            raise FileError(f"{path} is also an input; write the result to another file")
         if file in written:
-            raise FileError(f"{path} is named for two results: give each a file of its own")
+            raise FileError(f"{path} is given for two outputs; give each its own file")
         written.add(file)
 
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a path to write to, and move it onto `path` only when the block ends without error.
+    """Provide a temporary file that replaces `path` if the block ends without an error.
 
     Parameters
     ----------
     path : path-like
-        Where the file should stand in the end. Its folder must exist.
+        Final path of the file, in an existing folder.
 
     Yields
     ------
     pathlib.Path
-        A temporary file beside `path`, with the same suffix (writers look at suffixes).
+        A temporary file beside `path`, with the same suffix, on which writers may depend.
 
     Raises
     ------
@@ -90,16 +88,16 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         raise FileError(f"cannot write {target}: {error.strerror}") from error
     os.close(handle)
-    aside = Path(name)
+    temporary = Path(name)
     try:
-        yield aside
-        # mkstemp makes private files; what a user writes should follow the umask as usual.
-        aside.chmod(0o666 & ~_umask())
-        aside.replace(target)
+        yield temporary
+        # mkstemp creates private files; restore the permissions that the umask asks for.
+        temporary.chmod(0o666 & ~_umask())
+        temporary.replace(target)
     except OSError as error:
         raise FileError(f"cannot write {target}: {error.strerror or error}") from error
     finally:
-        aside.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
 
 
 def _umask() -> int:

@@ -1,4 +1,4 @@
-"""Whether what is to be done fits into the machine's memory: better a plain word than no answer."""
+"""Checks that fail early if memory is insufficient."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from anisomap.errors import InputError
 from anisomap.numerics.precision import float_type
 
 MATRICES, MATRICES_OF_REFINED = 8, 11
-"""Matrices of all pairs that making a map takes at once: if it is only scaled, and if refined.
+"""Most (N, N) matrices held at once by methods without and with refinement.
 
-Of 20,000 sensors, 7.4 and 10.3 were measured.
+Peak memory at 20,000 sensors was 7.4 and 10.3 matrices.
 """
 
 _GIB = 1 << 30
 
 
 def physical_memory() -> int | None:
-    """Give the machine's memory in bytes; None where it cannot be asked."""
+    """Return the physical memory of the machine in bytes; None if it cannot be determined."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
@@ -27,70 +27,70 @@ def physical_memory() -> int | None:
 
 
 def check_pair_memory(n_sensors: int, *, refined: bool) -> None:
-    """Check that there is room for all pairs of so many sensors.
+    """Check that the matrices of all pairs of sensors fit into memory.
 
     Parameters
     ----------
     n_sensors : int
     refined : bool
-        Whether the map is refined once it has been scaled.
+        Whether the method refines the map after scaling.
 
     Raises
     ------
     InputError
-        If a map of them would take more memory than the machine has.
+        If a map takes more memory than the machine has.
     """
     matrices = MATRICES_OF_REFINED if refined else MATRICES
     needed = matrices * n_sensors**2 * np.dtype(float_type(n_sensors)).itemsize
     check_memory(
         needed,
-        f"{n_sensors} sensors have so many pairs that a map of them",
-        "an approximate one takes far less (reconstruct_approximately, --approximate)",
+        f"a map of all pairs of {n_sensors} sensors",
+        "an approximate map needs far less",
     )
 
 
-def check_worker_memory(n_sensors: int, workers: int) -> None:
-    """Check that there is room for what several workers make of pairs before it is merged.
+def check_worker_memory(n_sensors: int, n_workers: int) -> None:
+    """Check that the unmerged results of parallel workers fit into memory.
 
     Parameters
     ----------
     n_sensors : int
-    workers : int
+    n_workers : int
 
     Raises
     ------
     InputError
-        If that would take more memory than the machine has.
+        If the results take more memory than the machine has.
     """
-    if workers > 1:
-        # Two parts a worker, and merging: a total, another, and both together; in float64.
+    if n_workers > 1:
+        # In float64: two results per worker, and the total, the next result and their sum.
         check_memory(
-            8 * (2 * workers + 3) * n_sensors**2,
-            f"what {workers} workers make of the pairs of {n_sensors} sensors",
+            8 * (2 * n_workers + 3) * n_sensors**2,
+            f"merging the results of {n_workers} workers on the pairs of {n_sensors} sensors",
             "use fewer workers",
         )
 
 
-def check_memory(needed: float, what: str, instead: str) -> None:
-    """Check that something fits into memory.
+def check_memory(needed: float, purpose: str, remedy: str) -> None:
+    """Check that a computation fits into memory.
 
     Parameters
     ----------
     needed : float
-        Bytes.
-    what : str
-        What takes them: the beginning of a sentence.
-    instead : str
-        What would take less: its end.
+        Bytes needed.
+    purpose : str
+        What needs them: the subject of the message.
+    remedy : str
+        What needs less: the end of the message.
 
     Raises
     ------
     InputError
         If the machine has less.
     """
-    there = physical_memory()
-    if there is not None and needed > there:
+    available = physical_memory()
+    if available is not None and needed > available:
         raise InputError(
-            f"{what} takes about {needed / _GIB:.0f} GiB of memory, and this machine has "
-            f"{there / _GIB:.0f}; {instead}"
+            f"{purpose} needs about {needed / _GIB:.1f} GiB of memory, but this machine has "
+            f"{available / _GIB:.1f} GiB; {remedy}"
         )

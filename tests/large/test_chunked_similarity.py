@@ -1,11 +1,10 @@
-"""Every similarity in chunks: whatever the chunks, in two passes or in one, it is the same."""
+"""Similarities computed in chunks equal those of the whole recording, in one pass or two."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from anisomap.large import chunked_similarity
 from anisomap.large.chunked_similarity import CHUNKED
 from anisomap.methods import SIMILARITIES, MethodOptions
 from anisomap.numerics.similarity import co_occurrence, joint_values, value_counts
@@ -33,10 +32,10 @@ def in_chunks(name, parts):
         known = ValueCounts.of(parts[0])
         for part in parts[1:]:
             known = known.merged(ValueCounts.of(part))
-    take = recipe.prepare(known, OPTIONS.bins)
-    total = take(parts[0])
+    mapper = recipe.prepare(known, OPTIONS.bins)
+    total = mapper(parts[0])
     for part in parts[1:]:
-        total = total.merged(take(part))
+        total = total.merged(mapper(part))
     return recipe.finish(total)
 
 
@@ -47,7 +46,7 @@ def in_one_pass(name, parts):
     return CHUNKED[name].of_values(total, OPTIONS.bins)
 
 
-def test_every_similarity_has_its_way():
+def test_every_similarity_can_be_computed_in_chunks():
     assert set(CHUNKED) == set(SIMILARITIES)
 
 
@@ -55,7 +54,7 @@ def test_every_similarity_has_its_way():
 @pytest.mark.parametrize("name", SIMILARITIES)
 @given(seed=st.integers(0, 20), cuts=rows, data=st.data())
 @settings(max_examples=15, deadline=None)
-def test_chunks_make_what_the_whole_makes(name, many, seed, cuts, data):
+def test_chunks_give_the_similarity_of_the_whole(name, many, seed, cuts, data):
     readings = readings_of(seed)
     of = "pearson" if name == "blended-correlation" else name
     expected = SIMILARITIES[of].compute(readings, OPTIONS)
@@ -71,23 +70,19 @@ def test_chunks_make_what_the_whole_makes(name, many, seed, cuts, data):
                 np.testing.assert_array_equal(found, in_chunks(name, [readings]))
 
 
-@given(seed=st.integers(0, 20), cuts=rows)
-@settings(max_examples=15, deadline=None)
-def test_codes_are_kept_where_counts_would_take_more(seed, cuts):
-    readings = readings_of(seed)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunked_similarity, "_MUCH", 0)
-        patch.setattr(chunked_similarity, "_COUNTS", 10_000)
-        known = ValueCounts.of(readings)
-        take = CHUNKED["mutual-information"].prepare(known, OPTIONS.bins)
-        assert isinstance(take(readings), StoredCodes)
-        found = in_chunks("mutual-information", np.split(readings, cuts))
-    expected = SIMILARITIES["mutual-information"].compute(readings, OPTIONS)
-    np.testing.assert_array_equal(found, expected)
+def test_codes_of_few_frames_of_many_sensors_are_stored_instead_of_counts():
+    readings = np.random.default_rng(0).integers(0, 8, (64, 700)).astype(np.uint8)
+    recipe = CHUNKED["mutual-information"]
+    mapper = recipe.prepare(ValueCounts.of(readings), 8)
+    total = mapper(readings[:20]).merged(mapper(readings[20:]))
+    assert isinstance(total, StoredCodes)
+    found = recipe.finish(total)
+    expected = SIMILARITIES["mutual-information"].compute(readings, MethodOptions(bins=8))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["spearman", "mutual-information"])
-def test_continuous_readings_are_rounded_by_as_little_as_keeps_the_bound(name, monkeypatch):
+def test_rounding_of_continuous_readings_changes_little(name, monkeypatch):
     rng = np.random.default_rng(0)
     common = rng.normal(size=(4000, 1))
     readings = common + rng.normal(0, 0.7, size=(4000, 6))

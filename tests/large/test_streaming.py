@@ -233,7 +233,7 @@ def test_chunks_of_something_else_are_refused(chunks, message):
 
 def test_health_is_judged_from_an_excerpt_of_bounded_size(monkeypatch):
     monkeypatch.setattr(chunks, "EXCERPT_READINGS", 42 * 800)
-    monkeypatch.setattr(chunks, "PIECE_FRAMES", 50)
+    monkeypatch.setattr(chunks, "SEGMENT_FRAMES", 50)
     late = READINGS.copy()
     late[:-40, 7] = 0
     with pytest.warns(AnisomapWarning, match=r"judged from \d+ of 2500 frames"):

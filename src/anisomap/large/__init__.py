@@ -1,1 +1,1 @@
-"""Recordings and maps that are larger than memory."""
+"""Recordings and maps larger than memory: chunks, map-reduce, checkpoints, landmarks."""

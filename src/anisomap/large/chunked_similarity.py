@@ -1,8 +1,8 @@
-"""How each similarity is taken chunk by chunk, of more frames than memory holds.
+"""Similarities computed chunk by chunk, for recordings larger than memory.
 
-Frames are gone through twice where it takes all of them to know what a reading means: first for
-the values that occur, then for the statistic. Whoever can go through them only once keeps the
-joint counts of values instead (`anisomap.numerics.similarity.joint_values`).
+Statistics that depend on the distribution of all readings take two passes over the frames: one for
+the values that occur, one for the statistic. Streams, which allow one pass, keep joint counts of
+values instead (`anisomap.numerics.similarity.joint_values`).
 """
 
 from __future__ import annotations
@@ -37,57 +37,58 @@ from anisomap.numerics.similarity.value_counts import Recoding, ValueCounts
 
 Matrix: TypeAlias = Reals
 
-_COUNTS = 3 * 4  # bytes of a pair: a total, a part, and both together, in uint32
-_MUCH = 1 << 28  # bytes of counts, beyond which it may be better to keep the codes
+_BYTES_PER_COUNT = 3 * 4  # uint32: the total, the next result, and their sum
+_MAX_COUNT_BYTES = 1 << 28  # above which codes are stored if that takes less. Chosen by hand
 
-Take: TypeAlias = Callable[[NDArray[Any]], Any]
+Mapper: TypeAlias = Callable[[NDArray[Any]], Any]
 """Makes an accumulator of a chunk of finite readings, shape (t, N)."""
 
 
 @dataclass(frozen=True)
 class Chunked:
-    """A similarity in parts.
+    """A similarity as a map-reduce.
 
     Attributes
     ----------
     prepare : callable
-        Given the values that occur and the number of bins, tells what to make of a chunk.
+        Makes the mapper, given the values that occur (None unless `needs_values`) and the number of
+        bins.
     finish : callable
-        Turns what was made, merged over all chunks, into the (N, N) similarity.
+        Converts the accumulator of all chunks to the (N, N) similarity.
     of_values : callable, optional
-        Turns `JointValues` and the number of bins into the same. None where no pass over the
-        values is needed: `prepare` then takes None for them.
+        Converts `JointValues` and the number of bins to the same similarity. None if no pass for
+        the values is needed.
     """
 
-    prepare: Callable[[ValueCounts | None, int], Take]
+    prepare: Callable[[ValueCounts | None, int], Mapper]
     finish: Callable[[Any], Matrix]
     of_values: Callable[[JointValues, int], Matrix] | None = None
 
     @property
     def needs_values(self) -> bool:
-        """Whether frames must be gone through for their values first."""
+        """Whether a first pass must collect the values that occur."""
         return self.of_values is not None
 
 
-def _settled(values: ValueCounts | None) -> ValueCounts:
+def _required(values: ValueCounts | None) -> ValueCounts:
     if values is None:
-        raise TypeError("the values that occur must be counted first")
+        raise TypeError("this similarity needs the values that occur")
     return values
 
 
-def _take_ranks(ranks: Recoding, chunk: NDArray[Any]) -> Moments:
+def _map_ranks(ranks: Recoding, chunk: NDArray[Any]) -> Moments:
     return Moments.of(ranks(chunk))
 
 
-def _take_activity(rest: Rest, chunk: NDArray[Any]) -> CoOccurrences:
+def _map_activity(rest: Rest, chunk: NDArray[Any]) -> CoOccurrences:
     return CoOccurrences.of(rest.active(chunk), Layout.of_switches(chunk.shape[1]))
 
 
-def _take_codes(recoding: Recoding, layout: Layout, chunk: NDArray[Any]) -> CoOccurrences:
+def _count_codes(recoding: Recoding, layout: Layout, chunk: NDArray[Any]) -> CoOccurrences:
     return CoOccurrences.of(recoding(chunk), layout)
 
 
-def _keep_codes(recoding: Recoding, chunk: NDArray[Any]) -> StoredCodes:
+def _store_codes(recoding: Recoding, chunk: NDArray[Any]) -> StoredCodes:
     return StoredCodes.of(recoding(chunk))
 
 
@@ -96,7 +97,7 @@ def _rest(values: ValueCounts) -> Rest:
 
 
 def _codes(values: ValueCounts, bins: int) -> tuple[list[NDArray[np.intp]], Layout]:
-    """Give the bin of every value, and how their series are laid out."""
+    """Return the bin of every value, and the layout of their series."""
     codes = [maximum_entropy_bins(counts, bins) for counts in values.counts]
     full = [
         np.bincount(code, weights=counts, minlength=bins)
@@ -105,18 +106,18 @@ def _codes(values: ValueCounts, bins: int) -> tuple[list[NDArray[np.intp]], Layo
     return codes, Layout.of(np.array(full).astype(np.int64))
 
 
-def _prepare_codes(values: ValueCounts | None, bins: int) -> Take:
-    known = _settled(values)
+def _prepare_codes(values: ValueCounts | None, bins: int) -> Mapper:
+    known = _required(values)
     layout = _codes(known, bins)[1]
-    kept, counted = known.n_frames * known.n_sensors, _COUNTS * layout.n_series**2
+    stored, counted = known.n_frames * known.n_sensors, _BYTES_PER_COUNT * layout.n_series**2
     check_memory(
-        min(kept, counted),
+        min(stored, counted),
         f"counting all pairs of {bins} bins of {known.n_sensors} sensors",
-        "use fewer bins, or linear correlation (r-anisomap)",
+        "use fewer bins, or a method based on Pearson's r",
     )
-    if kept <= counted and counted > _MUCH:
-        return partial(_keep_codes, known.bins(bins))
-    return partial(_take_codes, known.bins(bins), layout)
+    if stored <= counted and counted > _MAX_COUNT_BYTES:
+        return partial(_store_codes, known.bins(bins))
+    return partial(_count_codes, known.bins(bins), layout)
 
 
 def _information(found: CoOccurrences | StoredCodes) -> Matrix:
@@ -150,18 +151,18 @@ CHUNKED: Mapping[str, Chunked] = MappingProxyType(
     {
         "pearson": Chunked(lambda *_: Moments.of, Moments.correlation),
         "spearman": Chunked(
-            lambda values, _: partial(_take_ranks, _settled(values).ranks()),
+            lambda values, _: partial(_map_ranks, _required(values).ranks()),
             Moments.correlation,
             _spearman_of_values,
         ),
         "co-activation": Chunked(
-            lambda values, _: partial(_take_activity, _rest(_settled(values))),
+            lambda values, _: partial(_map_activity, _rest(_required(values))),
             lambda found: phi_from_counts(found.counts, found.n_frames),
             _phi_of_values,
         ),
         "mutual-information": Chunked(_prepare_codes, _information, _information_of_values),
-        # Recordings that come in chunks are long, and in those r is as good as reliable.
+        # Blending weighs r by its reliability, which is nearly 1 in long recordings.
         "blended-correlation": Chunked(lambda *_: Moments.of, Moments.correlation),
     }
 )
-"""By the name of the similarity."""
+"""Chunked computation of each similarity, by its name."""

@@ -1,4 +1,4 @@
-"""Frames by the chunk: how many at a time, without gaps, and an excerpt of them all."""
+"""Chunks of frames: their size, missing values, and an excerpt of all frames."""
 
 from __future__ import annotations
 
@@ -22,41 +22,41 @@ from anisomap.numerics.gaps import (
 from anisomap.recording import MissingPolicy, Recording
 
 CHUNK_READINGS = 1 << 23
-"""Readings that are taken at a time,"""
+"""Default number of readings per chunk; chosen by hand."""
 
 CHUNK_FRAMES = 4096
-"""or so many frames of many sensors: merging what was counted takes longer then than counting,"""
+"""Fewest frames per chunk, since merging pair counts takes longer than counting few frames;"""
 
 MAX_CHUNK_READINGS = 1 << 27
-"""but never more readings than this."""
+"""bounded by this number of readings. Both chosen by hand."""
 
 EXCERPT_READINGS = 1 << 22
-"""Readings that sensor health is judged from, in pieces from all over the recording."""
+"""Number of readings from which sensor health is assessed; chosen by hand."""
 
-PIECE_FRAMES = 512
-"""Consecutive frames of a piece."""
+SEGMENT_FRAMES = 512
+"""Consecutive frames in each segment of an excerpt; chosen by hand."""
 
 Chunks: TypeAlias = Callable[[], Iterable[ArrayLike]]
-"""Opens the readings from the first frame on, each time that it is called: arrays (t, N)."""
+"""Returns an iterator over all frames, from the first, as arrays of shape (t, N)."""
 
 
 def chunk_frames(n_sensors: int) -> int:
-    """Tell how many frames of so many sensors are taken at a time."""
-    few = min(CHUNK_FRAMES, MAX_CHUNK_READINGS // n_sensors)
-    return max(1, CHUNK_READINGS // n_sensors, few)
+    """Return the number of frames per chunk for a number of sensors."""
+    fewest = min(CHUNK_FRAMES, MAX_CHUNK_READINGS // n_sensors)
+    return max(1, CHUNK_READINGS // n_sensors, fewest)
 
 
 def split_array(readings: NDArray[Any]) -> Chunks:
-    """Give an array of shape (T, N) in chunks; one that is mapped from a file, without keeping it.
+    """Split an array of shape (T, N) into chunks, which are views or memory maps.
 
     Raises
     ------
     InputError
-        If it holds no frames or no sensors, or is of another shape.
+        If the array is empty or not two-dimensional.
     """
     if readings.ndim != 2 or 0 in readings.shape:
         raise InputError(
-            f"readings have shape {readings.shape}; they must be frames x sensors, shape (T, N)"
+            f"readings must be frames x sensors and not empty, got shape {readings.shape}"
         )
     n_frames = chunk_frames(readings.shape[1])
     starts = range(0, len(readings), n_frames)
@@ -66,9 +66,9 @@ def split_array(readings: NDArray[Any]) -> Chunks:
 
 
 def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[Any]:
-    """Map some frames by themselves: what one large map has touched stays in memory.
+    """Map some frames separately: the pages that one large map has read stay in memory.
 
-    What was changed in memory alone, as "copy on write" allows, is not in the file.
+    A copy-on-write map is sliced, since its changes are not in the file.
     """
     if whole.mode == "c" or whole.filename is None or not whole.flags.c_contiguous:
         return whole[start : start + n_frames]
@@ -78,27 +78,26 @@ def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[
 
 
 def complete_chunks(chunks: Chunks, missing: MissingPolicy = "error") -> CompleteChunks:
-    """Settle what to do about readings that are NaN or infinite, as `Recording.complete` does.
+    """Apply a policy on missing readings chunk by chunk, as `Recording.complete` does.
 
     Parameters
     ----------
     chunks : callable
-        Opens the readings of one recording.
+        Returns an iterator over the frames of one recording.
     missing : {"error", "drop-frames", "interpolate"}
-        Gaps of any length are filled, in memory for two chunks. Only where a gap is longer than a
-        chunk, or a sensor has no reading at all, frames are gone through once more to find where
-        it ends.
+        Policy on readings that are NaN or infinite. Interpolation holds two chunks in memory; it
+        takes an additional pass if a gap is longer than a chunk or a sensor has no reading.
 
     Returns
     -------
     callable
-        Opens the readings without gaps, in chunks that may be cut otherwise.
+        Returns an iterator over the complete frames, possibly in other chunks.
 
     Raises
     ------
     InputError
-        If there is no such policy; once opened, under "error" if a reading is missing, under
-        "drop-frames" if no frame is left, and if chunks are not all of the same sensors.
+        If the policy is unknown. On iteration, if a reading is missing under "error", no frame is
+        complete under "drop-frames", or chunks differ in their sensors.
     """
     checked = partial(check_chunks, chunks)
     if missing == "interpolate":
@@ -106,17 +105,24 @@ def complete_chunks(chunks: Chunks, missing: MissingPolicy = "error") -> Complet
     if missing == "drop-frames":
         return drop_incomplete_frames(checked)
     if missing != "error":
-        raise InputError(f"unknown policy {missing!r}: use error, drop-frames or interpolate")
+        raise InputError(
+            f"missing must be 'error', 'drop-frames' or 'interpolate', got {missing!r}"
+        )
     return require_no_gaps(checked)
 
 
 class Excerpt:
-    """Every so many-th piece of consecutive frames, however many come.
+    """Equally spaced segments of consecutive frames, in bounded memory.
 
     Parameters
     ----------
     n_readings : int
-        About how many readings to keep: `EXCERPT_READINGS` unless given.
+        Approximate number of readings to keep; 0 for `EXCERPT_READINGS`.
+
+    Attributes
+    ----------
+    complete : bool
+        Set by the caller once all frames were added.
     """
 
     def __init__(self, n_readings: int = 0) -> None:
@@ -125,24 +131,24 @@ class Excerpt:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, with the first chunk."""
+        """Discard all frames."""
         self._kept: list[NDArray[Any]] = []
         self._stride, self._seen = 1, 0
 
     def add(self, chunk: NDArray[Any]) -> None:
-        """Take some pieces of the next frames, shape (t, N)."""
-        # A chunk of very many sensors is shorter than a piece.
-        most = max(2 * PIECE_FRAMES, self._n_readings // chunk.shape[1])
-        for start in range(0, len(chunk), PIECE_FRAMES):
+        """Add the next frames, shape (t, N), of which some segments are kept."""
+        # A chunk of very many sensors is shorter than a segment.
+        max_frames = max(2 * SEGMENT_FRAMES, self._n_readings // chunk.shape[1])
+        for start in range(0, len(chunk), SEGMENT_FRAMES):
             if self._seen % self._stride == 0:
-                self._kept.append(np.array(chunk[start : start + PIECE_FRAMES]))
+                self._kept.append(np.array(chunk[start : start + SEGMENT_FRAMES]))
             self._seen += 1
-            if sum(map(len, self._kept)) > most:
+            if sum(map(len, self._kept)) > max_frames:
                 self._kept = self._kept[::2]
                 self._stride *= 2
 
     def recording(self, like: Recording | Sequence[str]) -> Recording:
-        """Give what was kept as a recording like another, or of sensors with these names."""
+        """Return the excerpt as a recording, with metadata of another or with sensor names."""
         readings = np.concatenate(self._kept)
         if isinstance(like, Recording):
             return replace(like, readings=readings, times=None)

@@ -151,7 +151,7 @@ def _on_dask(chunks: Iterable[NDArray[Any]], mapper: Mapper, address: str) -> It
     try:
         client = distributed.Client(address, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
-        raise InputError(f"cannot connect to a Dask scheduler at {address}: {error}") from error
+        raise InputError(f"no Dask scheduler at {address}: {error}") from error
     # Chunks are part of the task, not scattered: so the scheduler can rerun it when a worker dies.
     unlimited = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
     with unlimited, client:

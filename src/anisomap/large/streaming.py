@@ -16,7 +16,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.chunked_similarity import CHUNKED
-from anisomap.large.chunks import PIECE_FRAMES, Chunks, Excerpt, complete_chunks, split_array
+from anisomap.large.chunks import SEGMENT_FRAMES, Chunks, Excerpt, complete_chunks, split_array
 from anisomap.large.map_reduce import SERIAL, WorkerPool, map_reduce
 from anisomap.memory import check_pair_memory, check_worker_memory
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors, find_method
@@ -250,7 +250,7 @@ def map_of(
 def _on_squeezing(found: Gathered, made: SensorMap) -> tuple[str, ...]:
     largest = np.flatnonzero(made.component == 0)
     refined = find_method(made.method).refine is not None
-    if not refined or largest.size > _MOST_TO_LOOK_AT or found.excerpt.n_frames < PIECE_FRAMES:
+    if not refined or largest.size > _MOST_TO_LOOK_AT or found.excerpt.n_frames < SEGMENT_FRAMES:
         return ()
     return notes_on_squeezing(
         found.excerpt.readings[:, largest],
