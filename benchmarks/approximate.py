@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from threadpoolctl import threadpool_limits
 
-from anisomap import SensorMap, read, reconstruct, reconstruct_approximately, score
+from anisomap import SensorMap, read, reconstruct_from, score
 from anisomap.errors import AnisomapWarning
 from anisomap.evaluation import Score
+from anisomap.large import reconstruct_approximately
 from anisomap.numerics.similarity.correlation import pearson
 
 Matrix = NDArray[np.float64]
@@ -133,7 +134,7 @@ def _compare(
     readings: NDArray[np.generic], sensors: Matrix, dimensions: int
 ) -> tuple[float, float, float, float, float]:
     slow, exact = _timed(
-        lambda: reconstruct(
+        lambda: reconstruct_from(
             method="r-anisomap", dimensions=dimensions, similarity=pearson(readings)
         )
     )

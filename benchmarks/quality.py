@@ -149,12 +149,13 @@ def score(
     beginning = anisomap.Recording(recording.readings[:n_frames], positions=recording.positions)
     try:
         made = anisomap.reconstruct(beginning, method, dimensions)
+        expected = anisomap.confidence(made, beginning)
         truth = np.asarray(recording.positions)
         r = anisomap.score(made, truth, permutations=0).mantel.r
     except anisomap.InputError:
         return Result(name, n_frames, seed, method, math.nan, math.nan, 0.0)
     share = float(np.mean(made.component == 0))
-    return Result(name, n_frames, seed, method, r, made.confidence, share)
+    return Result(name, n_frames, seed, method, r, expected, share)
 
 
 def tables(results: Sequence[Result]) -> list[str]:

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist, pdist
 from sklearn.manifold import MDS, Isomap
 
-from anisomap import AnisomapWarning, Recording, SensorMap, reconstruct
-from anisomap.health import assess
-from anisomap.methods import compute_stages
+from anisomap import AnisomapWarning, Recording, SensorMap, reconstruct, reconstruct_from
+from anisomap.methods import MethodOptions, find_method
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.classical import torgerson
 from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import pearson
+from anisomap.stages.pairs import SIMILARITIES
 from benchmarks.inputs import stroked_skin
 from benchmarks.measuring import Cost, on_one_thread, threads
 from benchmarks.paths import are_shortest, cost_of_eigh, cost_of_floyd_warshall
@@ -40,12 +40,11 @@ def whole_races(setting: Setting) -> Iterator[Race]:
     """Make maps from readings, then from dissimilarities, which is where MDS and Isomap begin."""
     readings, truth = stroked_skin(setting.n_sensors, setting.n_frames)
     recording = Recording(readings)
-    health = assess(recording)  # takes its time, and the others do nothing of the kind
     for method in ("r-anisomap", "i-anisomap"):
-        ours = partial(_map, recording, method, health=health)
+        ours = partial(_map, recording, method)
         yield Race("whole map from readings", method, ours, (_put_together(recording, method),))
     if setting.n_sensors <= setting.patience:
-        ours = partial(_map, recording, "covariogram", health=health)
+        ours = partial(_map, recording, "covariogram")
         yield Race("whole map from readings", "covariogram, the default", ours)
     lengths = regularised_reciprocal(pearson(recording.readings))
     rivals = (
@@ -53,22 +52,27 @@ def whole_races(setting: Setting) -> Iterator[Race]:
         _of_sklearn("MDS", _mds, lengths, truth),
         _of_sklearn("Isomap", _isomap, lengths, truth),
     )
-    ours = partial(_map, None, "r-anisomap", dissimilarity=lengths)
+    ours = partial(_map_from, lengths)
     yield Race("whole map from dissimilarities", "r-anisomap", ours, rivals)
 
 
-def _map(recording: Recording | None, method: str, **given: Any) -> SensorMap:
+def _map(recording: Recording, method: str) -> SensorMap:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)
-        return reconstruct(recording, method, _DIMENSIONS, judge=False, **given)
+        return reconstruct(recording, method, _DIMENSIONS)
+
+
+def _map_from(dissimilarity: Matrix) -> SensorMap:
+    return reconstruct_from(
+        dissimilarity=dissimilarity, method="r-anisomap", dimensions=_DIMENSIONS
+    )
 
 
 def _put_together(recording: Recording, method: str) -> Rival:
     """Add up what a similarity costs others, and all that follows; check the similarity."""
     readings = recording.readings
-    similarity = compute_stages(readings, method).similarity
-    if similarity is None:
-        raise AssertionError("readings were given, so there is a similarity")
+    statistic = find_method(method).similarity
+    similarity = SIMILARITIES[statistic].compute(readings, MethodOptions.bins)
     few = min(len(similarity), 1000 if method == "i-anisomap" else WHOLE)
 
     def theirs() -> Matrix:

@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from anisomap.refinement import Evidence, Refined, refine_by_contacts
 from benchmarks.inputs import tiled_places, tiled_torso
 
 import anisomap
@@ -19,7 +20,6 @@ from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.placement import spacing_of
-from anisomap.refinement import Evidence, Refined, refine_by_contacts
 from skins import flat_skin, lattice, rubbed, seeing_patch
 
 QUICK = MethodOptions(contacts=ContactOptions(max_readings=6000))

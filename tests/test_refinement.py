@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from anisomap.refinement import refine_by_covariogram
 
 import anisomap
 from anisomap import MethodOptions, Recording, reconstruct, reconstruct_runs, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.methods import METHODS, compute_stages
 from anisomap.numerics.scaling.stress_minimisation import smacof
-from anisomap.refinement import refine_by_covariogram
 from skins import flat_skin, seeing_patch
 
 EVEN = MethodOptions(even_spacing=True)

@@ -152,15 +152,14 @@ def mirrored(sensor_map: SensorMap) -> SensorMap:
     Returns
     -------
     SensorMap
-        With the first coordinate negated; its provenance says so.
+        With the first coordinate negated, and `SensorMap.mirrored` toggled.
     """
     flip = np.ones(sensor_map.dimensions)
     flip[0] = -1.0
-    again = not sensor_map.provenance.get("mirrored", False)
     return replace(
         sensor_map,
         positions=flip * sensor_map.positions,
-        provenance={**sensor_map.provenance, "mirrored": again},
+        mirrored=not sensor_map.mirrored,
     )
 
 
@@ -173,7 +172,7 @@ def normals_of(sensor_map: SensorMap) -> NDArray[np.float64]:
         NaN for sensors that are not placed. See `anisomap.numerics.normals.estimate_normals`.
     """
     normals = np.full((sensor_map.n_sensors, 3), np.nan)
-    for label in range(sensor_map.n_components):
+    for label in range(len(sensor_map.component_sizes)):
         members = sensor_map.component == label
         normals[members] = estimate_normals(in_space(sensor_map.positions[members]))[0]
     return normals
@@ -218,15 +217,15 @@ def taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
             f"{sensor_map.units or 'not known'!r}); say how far apart neighbouring sensors are "
             "(--spacing 6.5mm), or in which unit it is (--units mm)"
         )
-    if sensor_map.n_components != 1:
+    if len(sensor_map.component_sizes) != 1:
         raise InputError(
-            f"{purpose} has one frame, but the map is in {sensor_map.n_components} pieces, of "
-            "which nobody knows where one lies beside another; write each by itself"
+            f"{purpose} has one frame, but the map has {len(sensor_map.component_sizes)} connected "
+            "components with unknown relative positions; write each component to its own file"
         )
     indices = np.flatnonzero(sensor_map.placed)
     positions = in_space(sensor_map.positions[indices]) * METRES[sensor_map.units]
     return Taxels(
-        frame=sensor_map.reference["frame"],
+        frame=sensor_map.frame,
         names=tuple(sensor_map.names[i] for i in indices),
         indices=indices,
         positions=positions,

@@ -1,366 +1,296 @@
-"""From a recording to a map: what takes part, the method's stages, scaling, and the doubts."""
+"""The method on one page: McGregor et al. (2011), section "Methods".
+
+`reconstruct` goes from readings to a map, stage by stage; `reconstruct_from` enters at a stage that
+is known already. Every stage can be called by itself:
+
+=============  ==================================================  ==========================
+S              `anisomap.stages.pairs.compare`                     similarity of all pairs
+M              `dissimilarities`                                   dissimilarity
+D              `anisomap.methods.Method.metric`                    shortest path lengths
+positions      `anisomap.stages.scaling.scale`                     SMACOF
+refinement     `anisomap.stages.scaling.refine`                    positions refined by S
+=============  ==================================================  ==========================
+"""
 
 from __future__ import annotations
 
-import logging
-import math
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap._version import __version__
-from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation.confidence import (
-    DOUBTFUL,
-    FEWEST_TO_JUDGE,
-    agreement_of_halves,
-    expected_mantel_r,
+from anisomap.description import (
+    caveats,
+    options_provenance,
+    refinement_provenance,
+    unknown_pairs,
 )
-from anisomap.health import SensorHealth, assess, weaknesses
+from anisomap.errors import AnisomapWarning, InputError
 from anisomap.memory import check_pair_memory
 from anisomap.methods import (
     DEFAULT_METHOD,
+    Method,
     MethodOptions,
-    check_priors,
-    compute_stages,
+    check_even_spacing,
     find_method,
 )
-from anisomap.numerics.covariogram.objective import CovariogramOptions
-from anisomap.numerics.graph.dissimilarity import as_symmetric
-from anisomap.numerics.precision import Reals, float_type
-from anisomap.pieces import Pieces, refine_pieces, scale_pieces
+from anisomap.numerics.graph.metric import check_semi_metric
+from anisomap.numerics.precision import Reals
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
+from anisomap.runs import as_runs, join_runs, select_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.wording import join_items
-
-logger = logging.getLogger(__name__)
-
-_SINGLE_RANGE = 1e15
+from anisomap.stages.checks import checked_noise, checked_start, checked_weights, only_stage
+from anisomap.stages.pairs import PairStatistics, compare
+from anisomap.stages.scaling import Configuration, refine, scale
 
 
 def reconstruct(
-    recording: Recording | None = None,
+    recording: Recording | ArrayLike | Sequence[Recording],
     method: str = DEFAULT_METHOD,
     dimensions: int = 3,
     *,
     options: MethodOptions | None = None,
-    similarity: ArrayLike | None = None,
-    dissimilarity: ArrayLike | None = None,
-    metric: ArrayLike | None = None,
-    noise: ArrayLike | None = None,
-    start: ArrayLike | None = None,
-    weights: ArrayLike | None = None,
-    names: Iterable[str] = (),
-    exclude: Iterable[str | int] = (),
     drop: Iterable[str | int] = (),
-    health: Sequence[SensorHealth] | None = None,
-    judge: bool = True,
 ) -> SensorMap:
-    """Make a map of the sensors from what they read.
+    """Reconstruct the positions of sensors from their readings.
 
     Parameters
     ----------
-    recording : Recording, optional
-        What was read. May be left out if one of the stages below is given.
+    recording : Recording, array_like of shape (T, N), or sequence of Recording
+        Complete readings (see `Recording.complete`). Several recordings of one skin make one map:
+        sensors are matched by name, and each pair is compared over the runs that hold both.
     method : str
-        A name in `METHODS`.
+        A key of `METHODS`.
     dimensions : int
-        Of the space to map into: 1, 2 or 3, or more.
+        Number of coordinates: 2 for flat skins, 3 for bodies.
     options : MethodOptions, optional
-    similarity, dissimilarity, metric : array_like of shape (N, N), optional
-        A stage that is known already: the method sets in behind the last one given.
-    noise : array_like of shape (N, N), optional
-        Sampling variance of a given similarity, for methods that ask how far it can be believed;
-        see `anisomap.methods.MethodOptions.independent_frames` for what it is else.
-    start : array_like of shape (N, k), optional
-        Positions to start scaling from, with k = `dimensions`.
-    weights : array_like of shape (N, N), optional
-        How much each distance counts in scaling; 0 is unknown. The covariogram method looks only
-        at which are 0.
-    names : iterable of str, optional
-        Names of the sensors, where there is no recording to name them.
-    exclude : iterable of str or int
-        Sensors, by name or index, that take part but are left out of scores (as the paper does
-        with its failed sensor 30).
     drop : iterable of str or int
-        Sensors to leave out altogether.
-    health : sequence of SensorHealth, optional
-        An assessment of the recording, if it is at hand already.
-    judge : bool
-        Whether to find out how far the map can be trusted (`SensorMap.confidence`), with the
-        methods that refine their maps: takes as long as two to four more maps.
+        Sensors to leave out, by name or index.
 
     Returns
     -------
     SensorMap
-        In the order of the recording, known up to rotation, translation, scale and mirror image.
-        Sensors that never vary or were dropped have no position. `SensorMap.notes` says what
-        speaks against the map.
+        In the order of the recording, known up to rotation, translation, scale and reflection.
+        Constant and dropped sensors have no position. `anisomap.diagnose` adds sensor health and a
+        confidence.
 
     Raises
     ------
     InputError
-        If a reading is missing (see `Recording.complete`), fewer than 3 sensors vary or are
-        related to one another, the method or a sensor is unknown, a given stage does not fit, or
-        there are more sensors than the machine has memory for.
+        If a reading is missing, fewer than 3 sensors vary or are related, the method or a sensor
+        is unknown, or all pairs do not fit in memory.
 
     Warns
     -----
     AnisomapWarning
-        Once for each of the notes.
+        Once for each note of the map.
 
     Notes
     -----
     McGregor et al. (2011), section "Methods", doi:10.1371/journal.pone.0026561.
     """
-    recipe = find_method(method)
-    chosen = options or MethodOptions()
+    recipe, options = find_method(method), options or MethodOptions()
+    runs = as_runs(recording)
+    check_even_spacing(method, options, readings=len(runs) == 1)
+    skin = join_runs(runs)
+    mapped = skin.varying() & ~_mask(skin.names, drop)
+    _check_size(mapped, dimensions, recipe, options)
+    names = [skin.names[i] for i in np.flatnonzero(mapped)]
+    complete = [run.complete() for run in select_sensors(runs, names)]
+
+    pairs = compare(
+        complete, recipe.similarity, bins=options.bins, with_noise=recipe.refine is not None
+    )
+    dissimilarity = dissimilarities(pairs, method, options)
+    metric = recipe.metric(dissimilarity)
+    configuration = scale(metric, dimensions, weights=pairs.weights, options=options.smacof)
+    if recipe.refine is not None:
+        configuration = refine(recipe.refine, pairs, metric, configuration, options)
+
+    _check_related(configuration, options)
+    provenance = options_provenance(method, options)
+    provenance |= {"source": skin.source, "frames": skin.n_frames}
+    if len(runs) > 1:
+        provenance["runs"] = len(runs)
+    notes = unknown_pairs(pairs.known, names)
+    return _as_map(
+        configuration, skin.names, mapped, method=method, notes=notes, provenance=provenance
+    )
+
+
+def reconstruct_from(
+    *,
+    similarity: ArrayLike | None = None,
+    dissimilarity: ArrayLike | None = None,
+    metric: ArrayLike | None = None,
+    method: str = DEFAULT_METHOD,
+    dimensions: int = 3,
+    options: MethodOptions | None = None,
+    noise: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    names: Sequence[str] = (),
+    drop: Iterable[str | int] = (),
+) -> SensorMap:
+    """Reconstruct positions from a stage that is known already.
+
+    Parameters
+    ----------
+    similarity, dissimilarity, metric : array_like of shape (N, N)
+        Exactly one of them. The method continues from there; only a similarity allows it to refine
+        the map.
+    method, dimensions, options, drop
+        See `reconstruct`.
+    noise : array_like of shape (N, N), optional
+        Sampling variance of the similarity; by default that of
+        `anisomap.methods.MethodOptions.independent_frames`.
+    weights : array_like of shape (N, N), optional
+        Weights of the distances in scaling; 0 marks an unknown pair.
+    start : array_like of shape (N, k), optional
+        Initial positions of the scaling, with k = `dimensions`.
+    names : sequence of str, optional
+        Names of the sensors.
+
+    Returns
+    -------
+    SensorMap
+
+    Raises
+    ------
+    InputError
+        If not exactly one stage is given, shapes differ, or as `reconstruct`.
+
+    Warns
+    -----
+    AnisomapWarning
+        Once for each note of the map.
+    """
+    recipe, options = find_method(method), options or MethodOptions()
+    check_even_spacing(method, options, readings=False)
+    stage, matrix = only_stage(
+        {"similarity": similarity, "dissimilarity": dissimilarity, "metric": metric}
+    )
+    n_sensors = len(matrix)
+    names = tuple(names) or default_names(n_sensors)
+    check_names(names, n_sensors)
+    mapped = ~_mask(names, drop)
+    _check_size(mapped, dimensions, recipe, options)
+    inside = ... if mapped.all() else np.ix_(mapped, mapped)
+    matrix = matrix[inside]
+    counts = None if weights is None else checked_weights(weights, n_sensors)[inside]
+    begin = None if start is None else checked_start(start, n_sensors, dimensions)[mapped]
+
+    pairs = None
+    if stage == "similarity":
+        variance = 1 / options.independent_frames
+        pairs = PairStatistics.from_similarity(
+            matrix,
+            noise=variance if noise is None else checked_noise(noise, n_sensors)[inside],
+            known=None if counts is None else counts > 0,
+        )
+        matrix = dissimilarities(pairs, method, options)
+    elif stage == "dissimilarity":
+        matrix = check_semi_metric(matrix)
+    lengths = check_semi_metric(matrix) if stage == "metric" else recipe.metric(matrix)
+    configuration = scale(lengths, dimensions, start=begin, weights=counts, options=options.smacof)
+    notes: Iterable[str] = ()
+    if recipe.refine is not None and pairs is not None:
+        configuration = refine(recipe.refine, pairs, lengths, configuration, options)
+    elif recipe.refine is not None:
+        notes = (
+            f"{method} refines its map by the similarity, which was not given: this map is its "
+            "unrefined scaling",
+        )
+    _check_related(configuration, options)
+    provenance = options_provenance(method, options) | {"precomputed": stage}
+    return _as_map(configuration, names, mapped, method=method, notes=notes, provenance=provenance)
+
+
+def dissimilarities(
+    pairs: PairStatistics, method: str = DEFAULT_METHOD, options: MethodOptions | None = None
+) -> Reals:
+    """Turn the similarity of pairs into a dissimilarity: M from S.
+
+    Parameters
+    ----------
+    pairs : PairStatistics
+        From `anisomap.stages.pairs.compare`.
+    method : str
+        A key of `METHODS`.
+    options : MethodOptions, optional
+
+    Returns
+    -------
+    ndarray of shape (n, n)
+        A semi-metric, infinite for unknown and unrelated pairs.
+    """
+    dissimilarity = find_method(method).dissimilarity(pairs, options or MethodOptions())
+    if not pairs.known.all():
+        dissimilarity[~pairs.known] = np.inf
+        np.fill_diagonal(dissimilarity, 0)
+    return dissimilarity
+
+
+def _check_size(
+    mapped: NDArray[np.bool_], dimensions: int, recipe: Method, options: MethodOptions
+) -> None:
     if dimensions < 1:
-        raise InputError(f"{dimensions} dimensions hold no map; use 2 or 3")
-    given = {"similarity": similarity, "dissimilarity": dissimilarity, "metric": metric}
-    matrices = {
-        what: _as_held(matrix, what) for what, matrix in given.items() if matrix is not None
-    }
-    n_sensors = _count_sensors(recording, matrices)
-    sensor_names = (tuple(names) if recording is None else recording.names) or default_names(
-        n_sensors
-    )
-    check_names(sensor_names, n_sensors)
-    dropped = _mask(sensor_names, drop)
-    taking_part = ~dropped if recording is None else recording.varying() & ~dropped
-    if np.count_nonzero(taking_part) < chosen.fewest_sensors:
+        raise InputError(f"dimensions must be at least 1, got {dimensions}")
+    n_mapped = np.count_nonzero(mapped)
+    if n_mapped < options.min_sensors:
         raise InputError(
-            f"only {np.count_nonzero(taking_part)} of {n_sensors} sensors take part (those that "
-            f"ever vary and are not dropped); a map takes at least {chosen.fewest_sensors}"
+            f"a map requires at least {options.min_sensors} sensors that vary and are not "
+            f"dropped, got {n_mapped} of {len(mapped)}"
         )
-    part = ... if taking_part.all() else np.ix_(taking_part, taking_part)
-    check_pair_memory(int(np.count_nonzero(taking_part)), refined=recipe.refine is not None)
-    counts = None if weights is None else _checked_weights(weights, n_sensors)[part]
-    everything_known = counts is None or bool((counts[~np.eye(len(counts), dtype=bool)] > 0).all())
-    check_priors(
-        method, chosen, readings=recording is not None and not matrices and everything_known
-    )
-    stages = compute_stages(
-        None if recording is None or matrices else _readings_of(recording, taking_part),
-        method,
-        chosen,
-        **{what: matrix[part] for what, matrix in matrices.items()},
-        noise=None if noise is None else _checked_noise(noise, n_sensors)[part],
-        known=None if counts is None else counts > 0,
-    )
-    pieces = scale_pieces(
-        stages.metric,
-        dimensions,
-        start=None if start is None else _checked_start(start, n_sensors, dimensions)[taking_part],
-        weights=counts,
-        options=chosen.smacof,
-    )
-    if recipe.refine is not None and stages.evidence is not None:
-        pieces = refine_pieces(recipe.refine, stages.evidence, stages.metric, pieces, chosen)
-    if np.count_nonzero(pieces.labels == 0) < chosen.fewest_sensors:
+    check_pair_memory(int(n_mapped), refined=recipe.refine is not None)
+
+
+def _check_related(configuration: Configuration, options: MethodOptions) -> None:
+    if np.count_nonzero(configuration.component == 0) < options.min_sensors:
         raise InputError(
-            f"no {chosen.fewest_sensors} sensors are related to one another, so there is nothing "
-            "to map; was the skin touched during the recording?"
+            f"no {options.min_sensors} sensors are related to one another, so there is nothing to "
+            "map; was the skin touched during the recording?"
         )
-    positions = np.full((n_sensors, dimensions), np.nan)
-    positions[taking_part] = pieces.positions
-    component = np.full(n_sensors, UNPLACED)
-    component[taking_part] = pieces.labels
-    if health is None:
-        health = () if recording is None else assess(recording)
-    notes: list[str] = []
-    if recording is not None:
-        kept = [sensor for sensor, out in zip(health, dropped, strict=True) if not out]
-        notes += weaknesses(recording, kept)
-    notes += _doubts(component, sensor_names, pieces)
-    notes += pieces.notes
-    if recipe.refine is not None and stages.evidence is None:
-        notes.append(
-            f"{method} looks at how alike sensors are, which was not given: this map is its start, "
-            "the scaled distances"
-        )
-    confidence = math.nan
-    if judge and recipe.refine is not None and recording is not None and counts is None:
-        confidence = _confidence(
-            # Of none, where a stage was given: what the readings would say of it, nobody knows.
-            recording.readings[:, [] if matrices else component == 0],
-            dimensions,
-            chosen,
-            squeezed=bool(pieces.facts.get("uneven")),
-        )
-        notes += _lacks_evidence(confidence)
-    for note in notes:
-        warnings.warn(note, AnisomapWarning, stacklevel=2)
+
+
+def _as_map(
+    configuration: Configuration,
+    names: tuple[str, ...],
+    mapped: NDArray[np.bool_],
+    *,
+    method: str,
+    notes: Iterable[str],
+    provenance: dict[str, Scalar],
+) -> SensorMap:
+    """Put the positions of the mapped sensors into a map of all sensors, with its notes."""
+    positions = np.full((len(names), configuration.positions.shape[1]), np.nan)
+    positions[mapped] = configuration.positions
+    component = np.full(len(names), UNPLACED)
+    component[mapped] = configuration.component
+    all_notes = (
+        *notes,
+        *caveats(component, names, converged=configuration.converged),
+        *configuration.notes,
+    )
+    for note in all_notes:
+        warnings.warn(note, AnisomapWarning, stacklevel=3)
     return SensorMap(
         positions,
-        names=sensor_names,
+        names=names,
         component=component,
-        health=tuple(sensor.status for sensor in health),
-        excluded=_mask(sensor_names, exclude),
         method=method,
-        stress=pieces.stress,
-        confidence=confidence,
-        notes=tuple(notes),
-        provenance=_provenance(recording, method, chosen, matrices)
-        | {"iterations": pieces.iterations}
-        | dict(pieces.facts),
+        stress=configuration.stress,
+        n_iterations=configuration.n_iterations,
+        uneven=configuration.facts.uneven,
+        notes=all_notes,
+        provenance=provenance
+        | {"iterations": configuration.n_iterations}
+        | refinement_provenance(configuration.facts),
     )
 
 
-def _confidence(
-    readings: NDArray[np.floating],
-    dimensions: int,
-    options: MethodOptions,
-    *,
-    squeezed: bool,
-) -> float:
-    """Tell how far a map of one piece can be trusted, from maps of halves of its recording.
-
-    These are by the default method, for which it was found out what their agreement means.
-    """
-    if readings.shape[1] < FEWEST_TO_JUDGE:
-        return math.nan
-    whole = replace(options, part=False)
-
-    def place(half: NDArray[np.floating]) -> NDArray[np.float64]:
-        made = reconstruct(Recording(half), DEFAULT_METHOD, dimensions, options=whole, judge=False)
-        return made.positions
-
-    logger.info("making maps of halves of the recording, to judge the map")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)  # halves are short; that is the point
-        confidence = expected_mantel_r(agreement_of_halves(readings, place))
-    # What is squeezed comes out squeezed again.
-    return math.nan if squeezed and confidence >= DOUBTFUL else confidence
-
-
-def _lacks_evidence(confidence: float) -> Iterator[str]:
-    if confidence < DOUBTFUL:
-        yield (
-            f"the evidence does not suffice: halves of the recording make different maps, so this "
-            f"one is expected to reach a Mantel r of {confidence:.2f} only; record longer, and "
-            "touch all of the skin"
-        )
-
-
-def _readings_of(recording: Recording, sensors: NDArray[np.bool_]) -> NDArray[np.floating]:
-    readings = recording.complete().readings
-    return readings if sensors.all() else readings[:, sensors]
-
-
-def _count_sensors(recording: Recording | None, matrices: Mapping[str, NDArray[np.generic]]) -> int:
-    """Count the sensors, and check that everything given is of the same ones."""
-    shapes = {what: matrix.shape for what, matrix in matrices.items()}
-    if recording is not None:
-        shapes = {"recording": (recording.n_sensors, recording.n_sensors), **shapes}
-    if not shapes:
-        raise InputError("there is nothing to map: give a recording, or a precomputed stage")
-    first, expected = next(iter(shapes.items()))
-    for what, shape in shapes.items():
-        if len(shape) != 2 or shape[0] != shape[1] or shape != expected:
-            raise InputError(
-                f"the {what} has shape {shape}; it must be square, and of as many sensors as "
-                f"the {first}"
-            )
-    return int(expected[0])
-
-
-def _as_held(matrix: ArrayLike, what: str) -> Reals:
-    """Give a matrix in the type in which so many sensors are held, if it can be held in it."""
-    try:
-        values = np.asarray(matrix)
-    except ValueError:
-        values = np.asarray(None)
-    if values.dtype.kind not in "biuf":
-        raise InputError(f"the {what} is no matrix of real numbers; it must be of shape (N, N)")
-    dtype = float_type(len(values)) if values.ndim else np.float64
-    if dtype == np.float32 and values.dtype == np.float64:
-        largest = float(values.max(where=np.isfinite(values), initial=0))
-        if largest and not 1 / _SINGLE_RANGE < largest < _SINGLE_RANGE:
-            raise InputError(
-                f"the {what} reaches {largest:g}; of so many sensors matrices are held in single "
-                "precision: divide it by that, so that its greatest number is 1"
-            )
-    return np.asarray(values, dtype)
-
-
-def _mask(names: tuple[str, ...], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
+def _mask(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
     mask = np.zeros(len(names), dtype=bool)
     mask[find_sensors(names, sensors)] = True
     return mask
-
-
-def _checked_start(start: ArrayLike, n_sensors: int, dimensions: int) -> NDArray[np.float64]:
-    positions = np.asarray(start, dtype=np.float64)
-    if positions.shape != (n_sensors, dimensions):
-        raise InputError(
-            f"the start has shape {positions.shape}; it must be ({n_sensors}, {dimensions})"
-        )
-    return positions
-
-
-def _checked_weights(weights: ArrayLike, n_sensors: int) -> Reals:
-    values = _square(weights, "weights", n_sensors)
-    if not np.isfinite(values).all() or (values < 0).any():
-        raise InputError("weights must be finite and at least 0")
-    return as_symmetric(values, "weight")
-
-
-def _checked_noise(noise: ArrayLike, n_sensors: int) -> Reals:
-    values = _square(noise, "noise", n_sensors)
-    n_positive = np.count_nonzero(values > 0) - np.count_nonzero(np.diag(values) > 0)
-    if not np.isfinite(values).all() or n_positive < n_sensors * (n_sensors - 1):
-        raise InputError("the noise is a variance: it must be finite, and above 0")
-    return as_symmetric(values, "noise")
-
-
-def _square(matrix: ArrayLike, what: str, n_sensors: int) -> Reals:
-    values = _as_held(matrix, what)
-    if values.shape != (n_sensors, n_sensors):
-        raise InputError(
-            f"the {what} have shape {values.shape}; they must be ({n_sensors}, {n_sensors})"
-            if what == "weights"
-            else f"the {what} has shape {values.shape}; it must be ({n_sensors}, {n_sensors})"
-        )
-    return values
-
-
-def _doubts(component: NDArray[np.intp], names: tuple[str, ...], pieces: Pieces) -> Iterator[str]:
-    sizes = np.bincount(component[component != UNPLACED])
-    if sizes.size > 1:
-        lost = [names[i] for i in np.flatnonzero(component > 0)]
-        yield (
-            f"the sensors fall into {sizes.size} separate pieces (of {join_items(sizes.tolist())} "
-            "sensors), and how these lie to one another is not known; "
-            f"outside the largest: {join_items(lost)}"
-        )
-    if not pieces.converged:
-        yield "scaling stopped before it converged: allow it more iterations"
-
-
-def _provenance(
-    recording: Recording | None,
-    method: str,
-    options: MethodOptions,
-    precomputed: Iterable[str],
-) -> dict[str, Scalar]:
-    facts: dict[str, Scalar] = {"anisomap": __version__}
-    if recording is not None:
-        facts |= {"source": recording.source, "frames": recording.n_frames}
-    facts |= {"similarity": find_method(method).similarity, "mu": options.mu, "bins": options.bins}
-    if options.n_neighbours is not None:
-        facts["n_neighbours"] = options.n_neighbours
-    if given := " ".join(precomputed):
-        facts["precomputed"] = given
-    if find_method(method).refine is not None:
-        usual = asdict(CovariogramOptions())
-        changed = {k: v for k, v in asdict(options.covariogram).items() if v != usual[k]}
-        facts |= {f"covariogram_{name}": value for name, value in changed.items()}
-        usual_options = MethodOptions()
-        for name in ("part", "independent_frames"):
-            if getattr(options, name) != getattr(usual_options, name):
-                facts[name] = getattr(options, name)
-    return facts | asdict(options.smacof)

@@ -1,4 +1,4 @@
-"""A recording: what every sensor of a skin read, frame by frame. Immutable."""
+"""A recording: the readings of all sensors of a skin, frame by frame. Immutable."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.gaps import fill_gaps
-from anisomap.wording import noun_and_items
+from anisomap.wording import html_table, noun_and_items
 
 Scalar: TypeAlias = str | int | float | bool
-"""What provenance is made of: values that every file format can hold."""
+"""Values of metadata and provenance: types that every file format can hold."""
 
 MissingPolicy: TypeAlias = Literal["error", "drop-frames", "interpolate"]
-"""What to do about readings that are NaN or infinite."""
+"""How to handle readings that are NaN or infinite."""
 
 _Array = TypeVar("_Array", bound=NDArray[np.generic])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
-    """Readings of N sensors over T frames, with what else is known of them.
+    """Readings of N sensors over T frames, with metadata.
 
     Parameters
     ----------
     readings : array_like of shape (T, N)
-        One row a frame, one column a sensor. Real numbers; NaN and infinities stand for readings
-        that are missing (see `complete`). Kept as float32 where that loses nothing, else float64.
+        One row per frame, one column per sensor. Real numbers; NaN and infinities mark missing
+        readings (see `complete`). Stored as float32 if that is lossless, else as float64.
     names : sequence of str, optional
-        One unique name a sensor; ``s0, s1, ...`` unless given.
+        Unique names, one per sensor; ``s0, s1, ...`` by default.
     times : array_like of shape (T,), optional
         Seconds, strictly increasing.
     rate_hz : float, optional
-        Frames a second; taken from `times` where those are given.
+        Frames per second; computed from `times` if these are given.
     positions : array_like of shape (N, 2) or (N, 3), optional
-        Where the sensors truly are, if that is known: only scores and figures use it.
+        True positions, if known. Only scores and figures use them.
     normals : array_like of shape (N, 3), optional
-        Unit vectors that point out of the skin, if known.
+        Outward unit normals of the skin, if known.
     surface_distances : array_like of shape (N, N), optional
-        Distances along the skin (geodesic) in the unit of `positions`, if known; inf between parts
-        that do not touch.
+        Geodesic distances along the skin in the unit of `positions`, if known; inf between
+        disconnected parts.
     units : str
         Unit of `positions`, such as ``"mm"``; empty if unknown.
     source : str
-        Where the recording came from: a file name, a simulation.
+        Origin of the recording: a file name, a simulation.
     metadata : mapping of str to str, int, float or bool
-        Whatever else is known: licence, scenario, seed.
+        Licence, scenario, seed and the like.
 
     Raises
     ------
@@ -82,9 +82,7 @@ class Recording:
             _check_times(times, n_frames)
             rate_hz = float(1 / np.median(np.diff(times))) if n_frames > 1 else rate_hz
         if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
-            raise InputError(
-                f"rate_hz is {rate_hz}; it must be a positive number of frames a second"
-            )
+            raise InputError(f"rate_hz must be a positive number, got {rate_hz}")
         truth = {
             "positions": ((n_sensors, 2), (n_sensors, 3)),
             "normals": ((n_sensors, 3),),
@@ -105,8 +103,29 @@ class Recording:
             object.__setattr__(self, name, value)
 
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[dict[str, object]]]:
-        # A read-only view of a mapping cannot be pickled (and so sent to another process) itself.
+        # A mappingproxy cannot be pickled.
         return _rebuilt, ({**vars(self), "metadata": dict(self.metadata)},)
+
+    def __repr__(self) -> str:
+        details = [f"{self.n_frames} frames", f"{self.n_sensors} sensors"]
+        if self.rate_hz is not None:
+            details.append(f"{self.rate_hz:g} Hz")
+        if self.positions is not None:
+            details.append("with positions")
+        if self.source:
+            details.append(f"source={self.source!r}")
+        return f"<Recording: {', '.join(details)}>"
+
+    def _repr_html_(self) -> str:
+        rate = "unknown" if self.rate_hz is None else f"{self.rate_hz:g} Hz"
+        rows = {
+            "frames": self.n_frames,
+            "sensors": self.n_sensors,
+            "rate": rate,
+            "positions": "unknown" if self.positions is None else f"known ({self.units})",
+            "source": self.source or "unknown",
+        }
+        return html_table("Recording", rows)
 
     @property
     def n_frames(self) -> int:
@@ -120,59 +139,59 @@ class Recording:
 
     @property
     def duration(self) -> float | None:
-        """Seconds from the first frame to the last, if times or a rate are known."""
+        """Time from the first frame to the last in seconds, if times or a rate are known."""
         if self.times is not None:
             return float(self.times[-1] - self.times[0])
         return None if self.rate_hz is None else (self.n_frames - 1) / self.rate_hz
 
     def varying(self) -> NDArray[np.bool_]:
-        """Tell which sensors ever change.
+        """Find the sensors that vary.
 
         Returns
         -------
         ndarray of bool, shape (N,)
-            False for a sensor whose finite readings are all the same, or that has none.
+            False for a sensor whose finite readings are all equal, or that has none.
         """
         lowest, highest = self.readings.min(axis=0), self.readings.max(axis=0)
         known = np.isfinite(lowest) & np.isfinite(highest)
-        if not known.all():  # NaN comes out of the one, infinities out of either
+        if not known.all():  # minimum and maximum propagate NaN and infinities
             missing = ~np.isfinite(self.readings)
             lowest = np.where(missing, np.inf, self.readings).min(axis=0)
             highest = np.where(missing, -np.inf, self.readings).max(axis=0)
         return np.asarray(highest > lowest)
 
     def indices(self, sensors: Iterable[str | int]) -> NDArray[np.intp]:
-        """Find sensors by name, or else by index.
+        """Look sensors up by name or index.
 
         Parameters
         ----------
         sensors : iterable of str or int
-            Names; a number (or a text that is one and is no sensor's name) is an index from 0.
+            Names or zero-based indices. Text that is not a name but a number is an index.
 
         Returns
         -------
         ndarray of int
-            Sorted indices, each once.
+            Sorted unique indices.
 
         Raises
         ------
         InputError
-            If one is neither a name nor an index of a sensor.
+            If there is no such sensor.
         """
         return find_sensors(self.names, sensors)
 
     def select(self, sensors: ArrayLike) -> Recording:
-        """Keep only some sensors.
+        """Keep some sensors.
 
         Parameters
         ----------
         sensors : array_like
-            Indices or a boolean mask, as numpy takes them.
+            Indices or a boolean mask, as in numpy indexing.
 
         Returns
         -------
         Recording
-            The same frames of those sensors.
+            All frames of those sensors.
         """
         chosen = np.arange(self.n_sensors)[np.asarray(sensors)]
         apart = self.surface_distances
@@ -185,20 +204,20 @@ class Recording:
             surface_distances=None if apart is None else apart[np.ix_(chosen, chosen)],
         )
 
-    def complete(self, policy: MissingPolicy = "error") -> Recording:
-        """Settle what to do about readings that are NaN or infinite.
+    def complete(self, missing: MissingPolicy = "error") -> Recording:
+        """Handle readings that are NaN or infinite.
 
         Parameters
         ----------
-        policy : {"error", "drop-frames", "interpolate"}
-            Refuse; leave out every frame that misses a reading; or fill each sensor linearly
-            between its neighbours in time (its ends with the nearest reading). A sensor with no
-            finite reading at all becomes constant zero, so that it is treated as dead.
+        missing : {"error", "drop-frames", "interpolate"}
+            Raise; remove every frame with a missing reading; or interpolate each sensor linearly
+            in time (its ends with the nearest reading). A sensor without any finite reading
+            becomes constant zero, and so counts as dead.
 
         Returns
         -------
         Recording
-            One in which every reading is finite; this one if it already was.
+            All readings are finite; this recording itself if they already were.
 
         Raises
         ------
@@ -206,61 +225,60 @@ class Recording:
             Under "error" if a reading is missing, naming sensors and frames; under "drop-frames"
             if no frame would be left.
         """
-        missing = ~np.isfinite(self.readings)
-        if not missing.any():
+        absent = ~np.isfinite(self.readings)
+        if not absent.any():
             return self
-        if policy == "error":
-            raise InputError(self._describe_missing(missing))
-        if policy == "interpolate":
+        if missing == "error":
+            raise InputError(self._describe_missing(absent))
+        if missing == "interpolate":
             return replace(self, readings=fill_gaps(self.readings))
-        if policy != "drop-frames":
-            raise InputError(f"unknown policy {policy!r}: use error, drop-frames or interpolate")
-        silent = missing.all(axis=0)
-        whole = ~missing[:, ~silent].any(axis=1)
+        if missing != "drop-frames":
+            raise InputError(f"missing must be error, drop-frames or interpolate, got {missing!r}")
+        silent = absent.all(axis=0)
+        whole = ~absent[:, ~silent].any(axis=1)
         if not whole.any():
             raise InputError(
-                "every frame misses a reading, so dropping such frames leaves none; "
-                "interpolate instead (--nan interpolate), or drop the sensors that are to blame"
+                "every frame misses a reading, so dropping such frames leaves none; interpolate "
+                "instead, or drop the sensors with missing readings"
             )
-        kept = np.where(missing, 0, self.readings)[whole]
+        kept = np.where(absent, 0, self.readings)[whole]
         times = None if self.times is None else self.times[whole]
         return replace(self, readings=kept, times=times)
 
-    def _describe_missing(self, missing: NDArray[np.bool_]) -> str:
-        sensors = [self.names[i] for i in np.flatnonzero(missing.any(axis=0))]
-        frames = np.flatnonzero(missing.any(axis=1))
+    def _describe_missing(self, absent: NDArray[np.bool_]) -> str:
+        sensors = [self.names[i] for i in np.flatnonzero(absent.any(axis=0))]
+        frames = np.flatnonzero(absent.any(axis=1))
         return (
-            f"{int(missing.sum())} readings are NaN or infinite: "
+            f"{int(absent.sum())} readings are NaN or infinite: "
             f"{noun_and_items('sensor', sensors)}, {noun_and_items('frame', frames.tolist())}; "
-            "choose what to do about them: drop-frames or interpolate (--nan)"
+            "set missing to drop-frames or interpolate"
         )
 
 
 def default_names(n_sensors: int) -> tuple[str, ...]:
-    """Name sensors that came without names: ``s0, s1, ...``."""
+    """Return default sensor names: ``s0, s1, ...``."""
     return tuple(f"s{i}" for i in range(n_sensors))
 
 
 def check_names(names: Sequence[str], n_sensors: int) -> None:
-    """Refuse names that do not tell N sensors apart.
+    """Check that there is one unique name per sensor.
 
     Raises
     ------
     InputError
-        If there are not `n_sensors` of them, or one stands twice.
+        If there are not `n_sensors` names, or a name is repeated.
     """
     if len(names) != n_sensors:
-        raise InputError(f"{len(names)} names for {n_sensors} sensors; give one name a sensor")
+        raise InputError(f"{n_sensors} sensors need {n_sensors} names, got {len(names)}")
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         raise InputError(
-            "names must be unique, but more than one sensor has the "
-            f"{noun_and_items('name', repeated)}"
+            f"names must be unique, but several sensors have the {noun_and_items('name', repeated)}"
         )
 
 
 def find_sensors(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.intp]:
-    """Find sensors by name, or else by index; see `Recording.indices`."""
+    """Look sensors up by name or index; see `Recording.indices`."""
     by_name = {name: i for i, name in enumerate(names)}
     found = set()
     for sensor in sensors:
@@ -271,8 +289,8 @@ def find_sensors(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[
             found.add(int(text))
         else:
             raise InputError(
-                f"there is no sensor {text!r}; the {len(names)} sensors are named "
-                f"{names[0]} ... {names[-1]}, or count from 0 to {len(names) - 1}"
+                f"there is no sensor {text!r}; names are {names[0]} ... {names[-1]}, indices 0 to "
+                f"{len(names) - 1}"
             )
     return np.array(sorted(found), dtype=np.intp)
 
@@ -280,21 +298,19 @@ def find_sensors(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[
 def _as_readings(values: ArrayLike) -> NDArray[np.floating]:
     array = np.asarray(values)
     if array.dtype.kind not in "biuf":
-        raise InputError(f"readings are of type {array.dtype}; they must be real numbers")
+        raise InputError(f"readings must be real numbers, got {array.dtype}")
     if array.ndim != 2:
         raise InputError(
-            f"readings have {array.ndim} dimensions; they must be frames x sensors, shape (T, N)"
+            f"readings must be of shape (T, N) (frames x sensors), got shape {array.shape}"
         )
     if 0 in array.shape:
-        raise InputError(f"readings have shape {array.shape}: there is nothing in them")
+        raise InputError(f"readings must not be empty, got shape {array.shape}")
     fits_float32 = array.dtype in (np.float16, np.float32) or (
         array.dtype.kind in "biu" and array.dtype.itemsize <= 2
     )
     dtype = np.float32 if fits_float32 else np.float64
     if array.dtype == dtype and array.base is None and not array.flags.writeable:
-        return (
-            array  # it was handed over for good, and large recordings should not stand here twice
-        )
+        return array  # already immutable: do not copy a large recording
     return _frozen(np.array(array, dtype=dtype))
 
 
@@ -308,14 +324,13 @@ def _check_shape(
 ) -> None:
     if array.shape not in shapes:
         raise InputError(
-            f"{name} have shape {array.shape}; "
-            f"{n_sensors} sensors need {' or '.join(map(str, shapes))}"
+            f"{name} must be of shape {' or '.join(map(str, shapes))}, got {array.shape}"
         )
 
 
 def _check_times(times: NDArray[np.float64], n_frames: int) -> None:
     if times.shape != (n_frames,):
-        raise InputError(f"times have shape {times.shape}; {n_frames} frames need ({n_frames},)")
+        raise InputError(f"times must be of shape ({n_frames},), got {times.shape}")
     if not np.isfinite(times).all():
         raise InputError(f"the time of frame {int(np.argmin(np.isfinite(times)))} is not finite")
     steps = np.diff(times)
@@ -323,7 +338,7 @@ def _check_times(times: NDArray[np.float64], n_frames: int) -> None:
         frame = int(np.argmax(steps <= 0)) + 1
         raise InputError(
             f"times must increase, but frame {frame} ({times[frame]:g} s) "
-            f"does not come after frame {frame - 1} ({times[frame - 1]:g} s)"
+            f"is not after frame {frame - 1} ({times[frame - 1]:g} s)"
         )
 
 

@@ -1,9 +1,9 @@
-"""A map: where the sensors of a skin are, and how far that may be believed. Immutable."""
+"""A map: the positions of the sensors of a skin, and how reliable they are. Immutable."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.recording import Scalar, check_names, default_names, find_sensors
+from anisomap.wording import html_table
 
 UNPLACED = -1
-"""The component of a sensor that the map leaves out."""
+"""The component label of a sensor without a position."""
 
 UNSCALED = ("", "arbitrary")
-"""Units of positions whose scale nobody knows."""
+"""Units of positions whose scale is unknown."""
 
 DEFAULT_FRAME = "skin"
 
@@ -26,7 +27,7 @@ def _not_given() -> NDArray[np.intp]:
     return np.empty(0, dtype=np.intp)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SensorMap:
     """Positions of N sensors, known up to rotation, translation, scale and mirror image.
 
@@ -35,28 +36,37 @@ class SensorMap:
     positions : array_like of shape (N, k)
         A row a sensor, in the order of the recording; NaN for sensors that were not placed.
     names : sequence of str, optional
-        One unique name a sensor; ``s0, s1, ...`` unless given.
+        Unique names, one per sensor; ``s0, s1, ...`` by default.
     component : array_like of int, shape (N,), optional
-        Which connected piece a sensor belongs to: 0 is the largest, -1 a sensor not placed.
-        Pieces share no frame of reference: where one lies beside another is not known.
+        Connected component of each sensor: 0 is the largest, -1 marks a sensor without a position.
+        Components share no frame of reference: their relative positions are unknown.
     health : sequence of str, optional
-        A word a sensor, from `anisomap.health`: ``"ok"`` unless given.
-    excluded : array_like of bool, shape (N,), optional
-        Sensors that take part in the map but not in its scores.
+        Status of each sensor, from `anisomap.health`; ``"ok"`` by default.
     units : str
-        Unit of `positions`. The statistics of readings know no millimetres: ``"arbitrary"``.
+        Unit of `positions`; ``"arbitrary"`` until the map is given a scale.
+    frame : str
+        Name of the coordinate frame, for robot software.
     method : str
         Name of the method that made the map.
     stress : float
         Stress-1 of the scaling (Borg & Groenen 2005, eq. 3.9): 0 is a perfect fit of the metric.
+    n_iterations : int
+        Iterations of SMACOF; the largest number over all components.
     confidence : float
-        Mantel r that the map is expected to reach with the truth, judged by how alike maps of
-        halves of the recording are (`anisomap.evaluation.confidence`). It is that of the largest
-        piece; NaN if nobody can tell.
+        Expected Mantel r of the largest component with the truth, estimated from maps of halves of
+        the recording (`anisomap.diagnose`). NaN if unknown.
+    approximate : bool
+        Whether only some pairs of sensors were compared.
+    uneven : bool
+        Whether neighbours lie at very unequal distances on the largest component, which the method
+        would have corrected but could not.
+    mirrored : bool
+        Whether the map was reflected after it was made.
     notes : sequence of str
-        Why the map may be weaker than it looks; empty if nothing speaks against it.
+        Caveats; empty if none are known.
     provenance : mapping of str to str, int, float or bool
-        What it takes to make the map again: source, parameters, seed, version.
+        Source, parameters, seed and version, to make the map again. For readers only: the program
+        never acts on it.
 
     Raises
     ------
@@ -68,18 +78,22 @@ class SensorMap:
     names: tuple[str, ...] = ()
     component: NDArray[np.intp] = field(default_factory=_not_given)
     health: tuple[str, ...] = ()
-    excluded: NDArray[np.bool_] = field(default_factory=lambda: _not_given().astype(bool))
     units: str = "arbitrary"
+    frame: str = DEFAULT_FRAME
     method: str = ""
     stress: float = float("nan")
+    n_iterations: int = 0
     confidence: float = float("nan")
+    approximate: bool = False
+    uneven: bool = False
+    mirrored: bool = False
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Scalar] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
         if positions.ndim != 2 or 0 in positions.shape:
-            raise InputError(f"positions have shape {positions.shape}; they must be (N, k)")
+            raise InputError(f"positions must be of shape (N, k), got {positions.shape}")
         n_sensors = len(positions)
         names = tuple(str(name) for name in self.names) or default_names(n_sensors)
         check_names(names, n_sensors)
@@ -87,39 +101,38 @@ class SensorMap:
         component = np.array(self.component, dtype=np.intp)
         if not component.size:
             component = np.where(placed, 0, UNPLACED)
-        excluded = np.array(self.excluded, dtype=bool)
-        if not excluded.size:
-            excluded = np.zeros(n_sensors, dtype=bool)
         health = tuple(self.health) or ("ok",) * n_sensors
         for what, size in (
             ("component", component.size),
-            ("excluded", excluded.size),
             ("health", len(health)),
         ):
             if size != n_sensors:
-                raise InputError(f"{what} has {size} entries for {n_sensors} sensors")
+                raise InputError(
+                    f"{what} must have {n_sensors} entries, one per sensor, got {size}"
+                )
         if ((component == UNPLACED) == placed).any():
-            raise InputError("a sensor has a finite position exactly if its component is not -1")
-        for array in (positions, component, excluded):
+            raise InputError(
+                "sensors must have a finite position if and only if their component is not -1"
+            )
+        for array in (positions, component):
             array.setflags(write=False)
         for name, value in {
             "positions": positions,
             "names": names,
             "component": component,
             "health": health,
-            "excluded": excluded,
             "notes": tuple(self.notes),
             "provenance": MappingProxyType(dict(self.provenance)),
         }.items():
             object.__setattr__(self, name, value)
 
     def __reduce__(self) -> tuple[Callable[..., SensorMap], tuple[dict[str, object]]]:
-        # A read-only view of a mapping cannot be pickled (and so sent to another process) itself.
+        # A mappingproxy cannot be pickled.
         return _rebuilt, ({**vars(self), "provenance": dict(self.provenance)},)
 
     @property
     def n_sensors(self) -> int:
-        """Number of sensors, N, placed or not."""
+        """Number of sensors, N, with or without a position."""
         return len(self.names)
 
     @property
@@ -129,36 +142,55 @@ class SensorMap:
 
     @property
     def known_up_to(self) -> str:
-        """What its readings cannot tell of it; a map in millimetres has been given its scale."""
+        """Transformations that leave the map equally valid."""
         scale = ", scale" if self.units in UNSCALED else ""
-        return f"rotation, translation{scale} and mirror image"
+        return f"rotation, translation{scale} and reflection"
 
     @property
     def reference(self) -> dict[str, str]:
-        """What its coordinates are relative to, for files: scale, handedness and frame."""
+        """Scale, handedness and frame of the coordinates, for files."""
         return {
             "scale": "unknown" if self.units in UNSCALED else f"in {self.units}",
             "handedness": "right-handed axes; the map may be a mirror image of the skin",
-            "frame": str(self.provenance.get("frame", DEFAULT_FRAME)),
+            "frame": self.frame,
         }
 
     @property
     def placed(self) -> NDArray[np.bool_]:
-        """Which sensors have a position, shape (N,)."""
+        """Mask of the sensors that have a position, shape (N,)."""
         return np.asarray(self.component != UNPLACED)
 
     @property
-    def scored(self) -> NDArray[np.bool_]:
-        """Which sensors a score looks at, shape (N,): placed, and not excluded."""
-        return np.asarray(self.placed & ~self.excluded)
+    def component_sizes(self) -> tuple[int, ...]:
+        """Number of sensors of each connected component."""
+        return tuple(np.bincount(self.component[self.placed]).tolist())
 
-    @property
-    def n_components(self) -> int:
-        """Number of separate pieces."""
-        return int(self.component.max(initial=UNPLACED)) + 1
+    def __repr__(self) -> str:
+        details = [f"{np.count_nonzero(self.placed)} of {self.n_sensors} sensors placed"]
+        details.append(f"{self.dimensions}D")
+        if len(self.component_sizes) > 1:
+            details.append(f"{len(self.component_sizes)} components")
+        details.append(f"method={self.method!r}")
+        details.append(f"units={self.units!r}")
+        details.append(f"Stress-1={self.stress:.3f}")
+        details.append(f"confidence={self.confidence:.2f}")
+        return f"<SensorMap: {', '.join(details)}>"
+
+    def _repr_html_(self) -> str:
+        rows = {
+            "sensors placed": f"{np.count_nonzero(self.placed)} of {self.n_sensors}",
+            "dimensions": self.dimensions,
+            "components": len(self.component_sizes),
+            "method": self.method,
+            "units": self.units,
+            "Stress-1": f"{self.stress:.3f}",
+            "confidence": f"{self.confidence:.2f}",
+            "known up to": self.known_up_to,
+        } | {f"note {i}": note for i, note in enumerate(self.notes, 1)}
+        return html_table("SensorMap", rows)
 
     def indices(self, sensors: Iterable[str | int]) -> NDArray[np.intp]:
-        """Find sensors by name, or else by index; see `Recording.indices`."""
+        """Look sensors up by name or index; see `Recording.indices`."""
         return find_sensors(self.names, sensors)
 
     def select(self, sensors: ArrayLike) -> SensorMap:
@@ -172,29 +204,25 @@ class SensorMap:
         Returns
         -------
         SensorMap
-            Their part of this map; components keep their numbers' order but count from 0 again.
+            With components renumbered from 0, in the same order.
         """
         chosen = np.arange(self.n_sensors)[np.asarray(sensors)]
         labels = self.component[chosen]
         for new, old in enumerate(np.unique(labels[labels != UNPLACED])):
             labels = np.where(labels == old, new, labels)
-        return SensorMap(
-            self.positions[chosen],
+        return replace(
+            self,
+            positions=self.positions[chosen],
             names=tuple(self.names[i] for i in chosen),
             component=labels,
             health=tuple(self.health[i] for i in chosen),
-            excluded=self.excluded[chosen],
-            units=self.units,
-            method=self.method,
-            stress=self.stress,
-            confidence=self.confidence,
-            notes=self.notes,
-            provenance=self.provenance,
         )
 
     def split(self) -> tuple[SensorMap, ...]:
-        """Give each connected piece as a map of its own, the largest first."""
-        return tuple(self.select(self.component == label) for label in range(self.n_components))
+        """Return each connected component as a map of its own, the largest first."""
+        return tuple(
+            self.select(self.component == label) for label in range(len(self.component_sizes))
+        )
 
 
 def _rebuilt(fields: dict[str, Any]) -> SensorMap:

@@ -1,8 +1,9 @@
-"""Formatting of lists in messages."""
+"""Formatting of lists in messages, and of facts in notebooks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from html import escape
 
 
 def join_items(items: Sequence[object], max_items: int = 8) -> str:
@@ -25,3 +26,12 @@ def join_items(items: Sequence[object], max_items: int = 8) -> str:
 def noun_and_items(noun: str, items: Sequence[object], max_items: int = 5) -> str:
     """Precede `join_items` with a noun, in the plural if there are several: ``frames 3, 4``."""
     return f"{noun}{'s' if len(items) > 1 else ''} {join_items(items, max_items)}"
+
+
+def html_table(title: str, rows: Mapping[str, object]) -> str:
+    """Format facts as an HTML table, for notebooks; all text is escaped."""
+    body = "".join(
+        f"<tr><th>{escape(str(name))}</th><td>{escape(str(value))}</td></tr>"
+        for name, value in rows.items()
+    )
+    return f"<table><caption>{escape(title)}</caption>{body}</table>"

@@ -98,8 +98,7 @@ class PlacingOptions:
         if self.spacing:
             sensor_map = scaled_to_spacing(sensor_map, *parse_length(self.spacing))
         if self.frame:
-            known = {**sensor_map.provenance, "frame": self.frame}
-            sensor_map = replace(sensor_map, provenance=known)
+            sensor_map = replace(sensor_map, frame=self.frame)
         return sensor_map
 
 
@@ -150,9 +149,8 @@ Drop: TypeAlias = Annotated[
 Missing: TypeAlias = Annotated[
     Literal["error", "drop-frames", "interpolate"],
     Parameter(
-        name="--nan",
         group=method_group,
-        help="What to do about readings that are NaN or infinite.",
+        help="How to handle readings that are NaN or infinite.",
     ),
 ]
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from anisomap import io
 from anisomap.cli.console import console, number, percent, progress, show_facts, show_table
+from anisomap.diagnostics import diagnose
 from anisomap.drawing import figures, report
 from anisomap.evaluation import Score, confidence_in_words, score
 from anisomap.files import check_distinct
@@ -18,8 +19,9 @@ from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
 from anisomap.large.approximation import Related, approximate_map_of
 from anisomap.large.streaming import Gathered, map_of
 from anisomap.methods import MethodOptions
+from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
-from anisomap.runs import assess_runs, join_runs, reconstruct_runs
+from anisomap.runs import join_runs
 from anisomap.sensor_map import SensorMap
 
 _MOST_SHOWN = 100  # sensors with a fault
@@ -54,7 +56,7 @@ class Outputs:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Examined:
     """A recording, and the runs it was joined from, with what was found out before any map."""
 
     recording: Recording
@@ -70,14 +72,16 @@ def read(path: Path, how: io.ReadOptions | None = None) -> Recording:
         return replace(recording, source=recording.source or path.name)
 
 
-def read_runs(paths: Sequence[Path], how: io.ReadOptions, nan: MissingPolicy) -> list[Recording]:
+def read_runs(
+    paths: Sequence[Path], how: io.ReadOptions, missing: MissingPolicy
+) -> list[Recording]:
     """Read one recording, or several of one skin.
 
     What a preset calls absent must be silent in all of them, so it is applied to all as one.
     """
     if len(paths) == 1 or not how.preset:
-        return [read(path, how).complete(nan) for path in paths]
-    runs = [read(path, replace(how, preset="")).complete(nan) for path in paths]
+        return [read(path, how).complete(missing) for path in paths]
+    runs = [read(path, replace(how, preset="")).complete(missing) for path in paths]
     return [io.apply_preset(join_runs(runs), how.preset)]
 
 
@@ -89,65 +93,74 @@ def show_contents(path: Path, how: io.ReadOptions) -> None:
         show_table(f"In {path.name}", ("name", "what it is", "a recording"), rows)
 
 
-def examine(recording: Recording) -> Evidence:
+def examine(recording: Recording) -> Examined:
     """Assess a recording, with progress."""
     with progress("looking at every sensor"):
         health = assess(recording)
-        return Evidence(recording, health, summarise(recording, health))
+        return Examined(recording, health, summarise(recording, health))
 
 
-def examine_runs(runs: Sequence[Recording]) -> Evidence:
+def examine_runs(runs: Sequence[Recording]) -> Examined:
     """Assess one recording, or several as one, with progress."""
     if len(runs) == 1:
         return examine(runs[0])
     with progress("looking at every sensor"):
-        joined, health = join_runs(runs), assess_runs(runs)
-        return Evidence(joined, health, summarise(joined, health), tuple(runs))
+        joined, health = join_runs(runs), assess(runs)
+        return Examined(joined, health, summarise(joined, health), tuple(runs))
 
 
 def make_map(
-    evidence: Evidence,
+    examined: Examined,
     method: str,
     dimensions: int,
     *,
     options: MethodOptions | None = None,
-    exclude: Sequence[str] = (),
     drop: Sequence[str] = (),
-    judge: bool = True,
+    with_confidence: bool = True,
     gathered: Gathered | Related | None = None,
 ) -> SensorMap:
-    """Reconstruct, with progress; doubts are warned of on the way."""
+    """Reconstruct and diagnose, with progress; notes appear as warnings."""
     with progress("making the map"):
         if isinstance(gathered, Related):
-            return approximate_map_of(gathered, dimensions, options=options, exclude=exclude)
+            return approximate_map_of(gathered, dimensions, options=options)
         if gathered is not None:
-            return map_of(gathered, method, dimensions, options=options, exclude=exclude, drop=drop)
-        return reconstruct_runs(
-            evidence.runs or [evidence.recording],
-            method,
-            dimensions,
+            return map_of(gathered, method, dimensions, options=options, drop=drop)
+        runs = examined.runs or [examined.recording]
+        made = reconstruct(runs, method, dimensions, options=options, drop=drop)
+        return diagnose(
+            made,
+            runs,
             options=options,
-            exclude=exclude,
             drop=drop,
-            health=evidence.health,
-            judge=judge,
+            health=examined.health,
+            with_confidence=with_confidence,
         )
 
 
 def finish(
-    outputs: Outputs, sensor_map: SensorMap, evidence: Evidence, permutations: int, seed: int
+    outputs: Outputs,
+    sensor_map: SensorMap,
+    examined: Examined,
+    permutations: int,
+    seed: int,
+    *,
+    exclude: Sequence[str] = (),
 ) -> None:
     """Show a map with all that is known of it, and write the files asked for."""
-    result = _score_if_known(sensor_map, evidence.recording, permutations, seed)
-    show_health(evidence.health)
+    result = _score_if_known(sensor_map, examined.recording, permutations, seed, exclude)
+    show_health(examined.health)
     _show_map(sensor_map)
     if result is not None:
         show_score(result)
-    _write(outputs, sensor_map, evidence, result)
+    _write(outputs, sensor_map, examined, result)
 
 
 def _score_if_known(
-    sensor_map: SensorMap, recording: Recording, permutations: int, seed: int
+    sensor_map: SensorMap,
+    recording: Recording,
+    permutations: int,
+    seed: int,
+    exclude: Sequence[str],
 ) -> Score | None:
     if recording.positions is None:
         return None
@@ -155,6 +168,7 @@ def _score_if_known(
         return score(
             sensor_map,
             recording.positions,
+            exclude=exclude,
             units=recording.units,
             permutations=permutations,
             rng=np.random.default_rng(seed),
@@ -162,22 +176,22 @@ def _score_if_known(
         )
 
 
-def show_recording(evidence: Evidence) -> None:
+def show_recording(examined: Examined) -> None:
     """Print what is in a recording."""
-    summary = evidence.summary
+    summary = examined.summary
     rate = "unknown" if summary.rate_hz is None else f"{number(summary.rate_hz)} Hz"
     duration = "" if summary.duration is None else f", {number(summary.duration)} s"
     show_facts(
         "Recording",
         {
-            "source": evidence.recording.source or "unknown",
+            "source": examined.recording.source or "unknown",
             "frames": f"{summary.n_frames}{duration}",
             "rate": rate,
             "sensors": f"{summary.n_sensors}, of which {summary.n_constant} never vary",
             "readings": f"{number(summary.minimum)} to {number(summary.maximum)}, "
             f"{percent(summary.share_of_zeros)} zeros, {summary.missing} missing",
             "distinct values": f"{summary.distinct_values} a sensor (median)",
-            "true positions": "known" if evidence.recording.positions is not None else "not known",
+            "true positions": "known" if examined.recording.positions is not None else "not known",
         },
     )
 
@@ -217,7 +231,7 @@ def show_health(health: Sequence[SensorHealth], *, everyone: bool = False) -> No
 
 def _show_map(sensor_map: SensorMap) -> None:
     """Print what a map is, and how far it is known."""
-    how = ", approximate" if sensor_map.provenance.get("approximate") else ""
+    how = ", approximate" if sensor_map.approximate else ""
     show_facts(
         f"Map by {sensor_map.method}{how}",
         {
@@ -255,7 +269,7 @@ def show_score(result: Score) -> None:
 
 
 def _write(
-    outputs: Outputs, sensor_map: SensorMap, evidence: Evidence, result: Score | None
+    outputs: Outputs, sensor_map: SensorMap, examined: Examined, result: Score | None
 ) -> None:
     with progress("writing"):
         for path in outputs.maps:
@@ -270,8 +284,8 @@ def _write(
                 outputs.report,
                 sensor_map,
                 score=result,
-                health=evidence.health,
-                summary=evidence.summary,
+                health=examined.health,
+                summary=examined.summary,
                 figure_png=figures.figure_bytes(figure),
             )
     named: list[tuple[str, Path | None]] = [("map", path) for path in outputs.maps]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from anisomap import io
 from anisomap.cli.console import progress
 from anisomap.cli.parameters import sensors
-from anisomap.cli.pipeline import Evidence
+from anisomap.cli.pipeline import Examined
 from anisomap.errors import InputError
 from anisomap.health import summarise
 from anisomap.io.parsing.grids import with_grid
@@ -27,7 +27,7 @@ from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.large.landmarks.options import ApproximateOptions
 from anisomap.large.map_reduce import WorkerPool
 from anisomap.large.streaming import Gathered, gather_similarity
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_even_spacing
 from anisomap.recording import MissingPolicy, Recording, default_names
 
 LARGE_BYTES = 1 << 29
@@ -114,13 +114,13 @@ def examine(
     paths: Sequence[Path],
     how: io.ReadOptions,
     *,
-    nan: MissingPolicy,
+    missing: MissingPolicy,
     method: str,
     options: MethodOptions,
     large: LargeOptions,
     drop: list[str] | None = None,
     seed: int = 0,
-) -> tuple[Evidence, Gathered | Related]:
+) -> tuple[Examined, Gathered | Related]:
     """Go through recordings of the same sensors as one, with progress, for a method's map.
 
     Sensors to drop, and the seed, matter to an approximate map only.
@@ -133,13 +133,13 @@ def examine(
     with progress("looking into the files"):
         like = _like(paths, how)
     with progress("going through all frames") as tell:
-        files = _Files(tuple(paths), how, like.names, nan, tell)
+        files = _Files(tuple(paths), how, like.names, missing, tell)
         if how.preset:
             like, kept = _named(files, like, how.preset)
             files = replace(files, kept=kept)
         found: Gathered | Related
         if large.approximate:
-            check_priors(method, options, readings=False)
+            check_even_spacing(method, options, readings=False)
             found = relate(
                 files,
                 like=like,
@@ -154,7 +154,7 @@ def examine(
                 like=like,
                 pool=WorkerPool(large.workers, large.dask),
                 checkpoint=large.checkpoint,
-                source=_described(paths, how, nan),
+                source=_described(paths, how, missing),
             )
     summary = replace(
         summarise(found.excerpt, found.health),
@@ -162,7 +162,7 @@ def examine(
         duration=None if like.rate_hz is None else found.n_frames / like.rate_hz,
         n_constant=int(np.count_nonzero(~found.varying)),
     )
-    return Evidence(found.excerpt, found.health, summary), found
+    return Examined(found.excerpt, found.health, summary), found
 
 
 def _like(paths: Sequence[Path], how: io.ReadOptions) -> Recording:
@@ -210,14 +210,16 @@ class _Files:
     paths: tuple[Path, ...]
     how: io.ReadOptions
     names: tuple[str, ...]
-    nan: MissingPolicy
+    missing: MissingPolicy
     tell: Callable[[float], None]
     kept: NDArray[np.intp] | None = None
 
     def __call__(self) -> Iterator[NDArray[Any]]:
         if len(self.paths) == 1:
-            return complete_chunks(partial(self.raw, 0, self.kept), self.nan)()
-        every = (complete_chunks(partial(self.raw, i), self.nan)() for i in range(len(self.paths)))
+            return complete_chunks(partial(self.raw, 0, self.kept), self.missing)()
+        every = (
+            complete_chunks(partial(self.raw, i), self.missing)() for i in range(len(self.paths))
+        )
         chunks = chain.from_iterable(every)
         return chunks if self.kept is None else (chunk[:, self.kept] for chunk in chunks)
 
@@ -248,10 +250,14 @@ def _named(files: _Files, like: Recording, preset: str) -> tuple[Recording, NDAr
     return io.apply_preset(probe, preset), kept
 
 
-def _described(paths: Sequence[Path], how: io.ReadOptions, nan: MissingPolicy) -> str:
+def _described(paths: Sequence[Path], how: io.ReadOptions, missing: MissingPolicy) -> str:
     """Say what is counted, so that nobody goes on with what was counted of something else."""
     of = " + ".join(f"{path.name} ({_on_disk(path)} bytes)" for path in paths)
-    told = {"select": how.select, "preset": how.preset, "nan": "" if nan == "error" else nan}
+    told = {
+        "select": how.select,
+        "preset": how.preset,
+        "missing": "" if missing == "error" else missing,
+    }
     return ", ".join([of, *(f"{option} {value}" for option, value in told.items() if value)])
 
 

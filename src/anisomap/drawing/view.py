@@ -100,7 +100,7 @@ def bodies(sensor_map: SensorMap, score: Score | None = None) -> list[Body]:
         The largest first. A piece of one sensor has no shape and is left out.
     """
     found = []
-    for label in range(sensor_map.n_components):
+    for label in range(len(sensor_map.component_sizes)):
         sensors = np.flatnonzero(sensor_map.component == label)
         if label == 0 and score is not None:
             found.append(_on_the_truth(sensor_map, sensors, score))
@@ -226,11 +226,12 @@ def axis_title(axis: str, units: str) -> str:
 
 def warn_of_pieces(sensor_map: SensorMap) -> list[str]:
     """Say that separate pieces share no frame, if the map has some and does not say so itself."""
-    if sensor_map.n_components < 2 or any("piece" in note for note in sensor_map.notes):
+    count = len(sensor_map.component_sizes)
+    if count < 2 or any("component" in note for note in sensor_map.notes):
         return []
     return [
-        f"the map is in {sensor_map.n_components} separate pieces that share no frame of "
-        "reference: where one lies beside another, and how it is turned, is not known"
+        f"the map has {count} separate components that share no frame of reference: their "
+        "positions relative to one another are unknown"
     ]
 
 

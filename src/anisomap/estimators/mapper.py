@@ -1,8 +1,9 @@
-"""A transformer whose columns are sensors."""
+"""A scikit-learn transformer whose columns are sensors."""
 
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -10,46 +11,52 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from anisomap.diagnostics import diagnose
 from anisomap.errors import AnisomapWarning
-from anisomap.large.chunked_similarity import CHUNKED
-from anisomap.methods import MethodOptions, find_method
+from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.joint_values import JointValues
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
-from anisomap.reconstruction import reconstruct
+from anisomap.reconstruction import reconstruct, reconstruct_from
 from anisomap.recording import MissingPolicy, Recording
+from anisomap.sensor_map import SensorMap
 
 SAMPLE_FRAMES = 4096
-"""Frames that `SensorMapper.partial_fit` keeps, to tell where each sensor rests."""
+"""Frames that `SensorMapper.partial_fit` keeps, to estimate the rest value of each sensor."""
+
+PARTIAL_NOTE = (
+    "frames came in parts, so the similarity is Pearson's r alone, without rank correlation, and "
+    "contacts were not examined; fit on all frames uses both"
+)
 
 
 class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
-    """Map the sensors (columns) of a recording; transform frames into centres of contact.
+    """Map the sensors (columns) of a recording; transform frames to centres of contact.
 
     Parameters
     ----------
     n_components : int, default=3
         Dimensions of the map.
-    method : str, default="r-anisomap"
-        A name in `anisomap.methods.METHODS`. The default can be taken in chunks (`partial_fit`);
-        ``"covariogram"``, the default of `anisomap.reconstruct`, makes better maps.
+    method : str, default="covariogram"
+        A key of `anisomap.methods.METHODS`; the default is that of `anisomap.reconstruct`.
     mu, bins : float, int
         See `anisomap.methods.MethodOptions`.
     tol, max_iter : float, int
-        When to stop scaling: see `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
+        Stopping criteria: see `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
     missing : {"error", "drop-frames", "interpolate"}, default="error"
-        What to do about NaN in X: see `anisomap.Recording.complete`. With ``"error"`` and
-        ``"drop-frames"``, `transform` leaves missing readings out of a frame's centre.
+        How to handle NaN in X: see `anisomap.Recording.complete`. With ``"error"`` and
+        ``"drop-frames"``, `transform` ignores missing readings of a frame.
 
     Attributes
     ----------
     positions_ : ndarray of shape (n_sensors, n_components)
-        Where the sensors are; NaN for those that never vary.
+        Positions of the sensors; NaN for constant sensors.
     map_ : SensorMap
-        The map, with its health, stress and notes.
+        The map, with sensor health (after `fit`), stress and notes.
     n_features_in_ : int
         Number of sensors.
     n_iter_ : int
@@ -59,7 +66,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
     See Also
     --------
-    Anisomap : the same for objects that are rows, such as points or a dissimilarity matrix.
+    Anisomap : Embedding of rows, given as points or as a dissimilarity matrix.
 
     Examples
     --------
@@ -75,7 +82,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         self,
         n_components: int = 3,
         *,
-        method: str = "r-anisomap",
+        method: str = DEFAULT_METHOD,
         mu: float = 1.0,
         bins: int = DEFAULT_BINS,
         tol: float = SmacofOptions.tolerance,
@@ -91,19 +98,19 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         self.missing = missing
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Make a map from all frames at once.
+        """Map the sensors from all frames at once.
 
         Parameters
         ----------
         X : array_like of shape (n_frames, n_sensors)
             Readings.
         y : object
-            Not looked at.
+            Ignored.
 
         Returns
         -------
         SensorMapper
-            Itself.
+            The fitted estimator.
 
         Raises
         ------
@@ -113,56 +120,64 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         recording = self._validated(X, reset=True)
         self._begin()
         self._take_in(recording)
-        self._set_map(recording)
+        options = self._options()
+        made = reconstruct(recording, self.method, self.n_components, options=options)
+        self._set_map(diagnose(made, recording, with_confidence=False))
         return self
 
     def partial_fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Take in more frames of the same sensors, and make the map anew from all so far.
+        """Add frames of the same sensors, and map the sensors from all frames so far.
 
         Parameters
         ----------
         X : array_like of shape (n_frames, n_sensors)
             Readings that follow those seen before.
         y : object
-            Not looked at.
+            Ignored.
 
         Returns
         -------
         SensorMapper
-            Itself.
+            The fitted estimator.
 
         Raises
         ------
         InputError
             See `anisomap.reconstruct`.
 
-        Notes
-        -----
-        Frames are not kept: memory does not grow with their number. The map is that of `fit` on
-        all of them, up to rounding, but sensor health is not assessed, gaps are settled within
-        each part, and ``"covariogram"`` and ``"contact-fit"`` make their maps of Pearson's r alone,
-        as in `anisomap.large.streaming.reconstruct_chunks`. What other methods than
-        those on Pearson's r make of a reading is known only once all frames are; so the joint
-        counts of values are kept, and a warning says so if a sensor reads too many values to keep
-        them apart (`anisomap.numerics.similarity.joint_values.MAX_SERIES` in all).
-        `anisomap.large.streaming.reconstruct_chunks` reads the frames twice and keeps more.
-
         Warns
         -----
         AnisomapWarning
-            If values had to be rounded, and as `anisomap.reconstruct`.
+            If the map differs from that of `fit`, and as `anisomap.reconstruct`.
+
+        Notes
+        -----
+        Frames are not kept: memory does not grow with their number. The map is that of `fit` on all
+        frames up to rounding, with these exceptions. ``"covariogram"`` and ``"contact-fit"`` use
+        Pearson's r alone, and a note on the map says so. Sensor health is not assessed. Missing
+        readings are handled within each part. Methods on other similarities than Pearson's r keep
+        joint counts of values, which are rounded, with a warning, if sensors have too many distinct
+        values; `anisomap.large.reconstruct_chunks`, which reads the frames twice, rounds later.
         """
         first = not hasattr(self, "n_samples_seen_")
         recording = self._validated(X, reset=first)
         if first:
             self._begin()
         self._take_in(recording)
-        self._count_pairs(recording)
-        self._set_map(None)
+        pairs = self._count_pairs(recording)
+        made = reconstruct_from(
+            similarity=self._similarity(pairs),
+            method=self.method,
+            dimensions=self.n_components,
+            options=self._options(),
+            names=getattr(self, "feature_names_in_", ()),
+            drop=np.flatnonzero(~pairs.varying()).tolist(),
+        )
+        self._set_map(self._with_limitations(made))
         return self
 
     def transform(self, X: ArrayLike) -> NDArray[np.float64]:
-        """Tell where the skin is touched: the centre of contact of every frame.
+        """Compute the centre of contact of every frame.
 
         Parameters
         ----------
@@ -172,8 +187,8 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         Returns
         -------
         ndarray of shape (n_frames, n_components)
-            Mean position of the sensors, weighted by how far beyond rest they read; NaN for a
-            frame without contact. Of a map in several pieces, only the largest is looked at.
+            Mean position of the sensors of the largest component, weighted by their readings
+            beyond rest; NaN for frames without contact.
         """
         check_is_fitted(self)
         readings = validate_data(self, X, reset=False, ensure_all_finite="allow-nan")
@@ -215,7 +230,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         self._stride = 1
 
     def _take_in(self, recording: Recording) -> None:
-        # Every stride-th frame since the first: the sample is spread evenly, however many come.
+        # Every stride-th frame since the first, so that the sample is spread evenly.
         fresh = recording.readings[-self.n_samples_seen_ % self._stride :: self._stride]
         sample = fresh if self._sample is None else np.concatenate([self._sample, fresh])
         while len(sample) > SAMPLE_FRAMES:
@@ -225,47 +240,49 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         self.n_samples_seen_ += recording.n_frames
         self._rest: Rest = estimate_rest(sample)
 
-    def _count_pairs(self, recording: Recording) -> None:
-        """Add what a part of the frames tells of pairs of sensors."""
+    def _count_pairs(self, recording: Recording) -> Moments | JointValues:
+        """Add the pair statistics of a part of the frames."""
         part: Any
         if CHUNKED[find_method(self.method).similarity].of_values is None:
             part = Moments.of(recording.readings)
         else:
             part = JointValues.of(recording.readings)
         self._pairs = part if self._pairs is None else self._pairs.merged(part)
+        return self._pairs
 
-    def _similarity(self) -> Reals | None:
-        """Give the similarity from the parts, if frames came in parts."""
-        pairs = self._pairs
-        if pairs is None:
-            return None
+    def _similarity(self, pairs: Moments | JointValues) -> Reals:
+        """Compute the similarity from the pair statistics of all parts."""
         if isinstance(pairs, Moments):
             return pairs.correlation()
         if not pairs.single.exact:
             warnings.warn(
-                f"some sensors read more than {pairs.single.most} different values, which were "
-                "rounded to so many; hand all frames over at once to keep them apart",
+                f"some sensors have more than {pairs.single.most} distinct values, which were "
+                "rounded; pass all frames at once to keep them",
                 AnisomapWarning,
-                stacklevel=4,
+                stacklevel=3,
             )
         of_values = CHUNKED[find_method(self.method).similarity].of_values
-        return None if of_values is None else of_values(pairs, self.bins)
+        if of_values is None:
+            raise TypeError(f"{self.method} takes no joint values")
+        return of_values(pairs, self.bins)
 
-    def _set_map(self, recording: Recording | None) -> None:
-        constant = [] if self._pairs is None else np.flatnonzero(~self._pairs.varying()).tolist()
-        self.map_ = reconstruct(
-            recording,
-            method=self.method,
-            dimensions=self.n_components,
-            options=MethodOptions(
-                mu=self.mu,
-                bins=self.bins,
-                smacof=SmacofOptions(self.tol, self.max_iter),
-                fewest_sensors=1,
-            ),
-            similarity=self._similarity(),
-            names=getattr(self, "feature_names_in_", ()),
-            drop=constant,
+    def _with_limitations(self, made: SensorMap) -> SensorMap:
+        """Note how the map differs from that of `fit`."""
+        similarity = find_method(self.method).similarity
+        if computed_similarity(similarity) == similarity:
+            return made
+        warnings.warn(PARTIAL_NOTE, AnisomapWarning, stacklevel=3)
+        return replace(made, notes=(*made.notes, PARTIAL_NOTE))
+
+    def _options(self) -> MethodOptions:
+        return MethodOptions(
+            mu=self.mu,
+            bins=self.bins,
+            smacof=SmacofOptions(self.tol, self.max_iter),
+            min_sensors=1,
         )
-        self.positions_ = self.map_.positions
-        self.n_iter_ = int(self.map_.provenance["iterations"])
+
+    def _set_map(self, sensor_map: SensorMap) -> None:
+        self.map_ = sensor_map
+        self.positions_ = sensor_map.positions
+        self.n_iter_ = sensor_map.n_iterations

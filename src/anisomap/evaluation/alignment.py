@@ -1,4 +1,4 @@
-"""Laying a map onto the truth: similarity Procrustes analysis, mirror images included."""
+"""Alignment of a map with the truth: Procrustes analysis with scaling and reflection."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _SINGULAR = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """The similarity transform that lays a configuration best onto the truth.
+    """The similarity transform that aligns a configuration best with the truth.
 
-    ``aligned = scale * positions @ rotation.T + translation``, in the units of the truth. Where
-    the two have different numbers of dimensions, the smaller is padded with zeros first.
+    ``aligned = scale * positions @ rotation.T + translation``, in the units of the truth. If
+    dimensions differ, the smaller configuration is padded with zeros.
 
     Attributes
     ----------
@@ -28,11 +28,11 @@ class Alignment:
     translation : ndarray of shape (k,)
         In units of the truth.
     reflected : bool
-        Whether a mirror image fits better. Readings alone cannot tell left from right.
+        Whether a mirror image fits better. Readings do not determine handedness.
     aligned : ndarray of shape (N, k)
         The map in the frame of the truth.
     errors : ndarray of shape (N,)
-        Distance of every sensor from its true place.
+        Distance of each sensor from its true position.
     """
 
     rotation: NDArray[np.float64]
@@ -49,7 +49,7 @@ class Alignment:
 
 
 def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
-    """Lay a configuration onto the truth by rotation, scale, translation and mirror image.
+    """Align a configuration with the truth by rotation, scaling, translation and reflection.
 
     Parameters
     ----------
@@ -68,22 +68,22 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
 
     Notes
     -----
-    Schoenemann & Carroll (1970), Psychometrika 35: 245-255. A flat configuration is its own
-    mirror image in space; it is never called reflected there.
+    Schoenemann & Carroll (1970), Psychometrika 35: 245-255. A flat configuration in space equals
+    its mirror image and is never reported as reflected.
     """
     x, y = np.array(positions, dtype=np.float64), np.array(truth, dtype=np.float64)
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y):
-        raise InputError(f"positions of shapes {x.shape} and {y.shape} are not of the same sensors")
+        raise InputError(f"both sides must have the same sensors, got {x.shape} and {y.shape}")
     dimensions = max(x.shape[1], y.shape[1])
     x, y = _padded(x, dimensions), _padded(y, dimensions)
     x_mean, y_mean = x.mean(axis=0), y.mean(axis=0)
     x_centred, y_centred = x - x_mean, y - y_mean
     spread = float(np.vdot(x_centred, x_centred))
     if spread == 0 or not y_centred.any():
-        raise InputError("all positions coincide, so nothing can be aligned with them")
+        raise InputError("all positions coincide, so an alignment is undefined")
     left, singular, right = np.linalg.svd(y_centred.T @ x_centred)
     if np.linalg.det(left @ right) < 0 and singular[-1] <= _SINGULAR * singular[0]:
-        left[:, -1] *= -1  # flat: the mirrored and the turned fit are equally good, so turn
+        left[:, -1] *= -1  # flat: reflection and rotation fit equally well; prefer the rotation
     rotation = left @ right
     scale = float(singular @ np.diag(left.T @ rotation @ right.T) / spread)
     translation = y_mean - scale * rotation @ x_mean

@@ -1,8 +1,8 @@
-"""How far a map can be trusted where nobody knows the truth: whether it would come out again.
+"""Split-half repeatability of a map, and the Mantel r with the truth that it predicts.
 
-The recording is cut in two halves of alternating stretches of time, in two ways, and each half
-makes a map. Where such maps agree, so will the map of the whole with the truth, as far as chance
-is concerned. What bends every map alike, they cannot show.
+The recording is split into two halves of alternating blocks of time, in two ways, and each half is
+mapped. The agreement of these maps measures the effect of chance on the map. It does not measure
+systematic distortions, which both halves share.
 """
 
 from __future__ import annotations
@@ -15,20 +15,18 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from anisomap.errors import InputError
-from anisomap.evaluation.mantel_r import FEWEST_SENSORS
+from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.numerics.reliability.split_half import N_BLOCKS
 
 DOUBTFUL = 0.9
-"""Below this confidence a map is not to be relied on, and says so."""
+"""A map with a lower confidence carries a note that the evidence is insufficient."""
 
-FEWEST_TO_JUDGE = 12
-"""Maps of fewer sensors agree by chance too often."""
+MIN_SENSORS = 12
+"""Maps of fewer sensors agree too often by chance."""
 
-_FEWEST_FRAMES = 4 * N_BLOCKS
-_LOSS = (0.2, 0.1)  # of the disagreement of halves that is left in the whole, and what it spares
-_BEND = 0.01  # what bends maps of halves alike, in the median of simulated skins
-_COLLAPSE = 0.8  # halves that agree on nothing hold no evidence at all
-_SUDDEN = 8.0
+_MIN_FRAMES = 4 * N_BLOCKS
+# Coefficients of the curve in `expected_mantel_r`, fitted to simulated skins, seeds 101 to 105.
+_CONSTANT, _LINEAR, _QUADRATIC, _COLLAPSE, _COLLAPSE_POWER = 0.01, 0.2, 0.1, 0.8, 8.0
 
 Readings = NDArray[np.floating]
 
@@ -36,23 +34,22 @@ Readings = NDArray[np.floating]
 def agreement_of_halves(
     readings: Readings, place: Callable[[Readings], NDArray[np.float64]]
 ) -> float:
-    """Tell how alike the maps of the halves of a recording are.
+    """Measure how well maps of the halves of a recording agree.
 
     Parameters
     ----------
     readings : ndarray of shape (T, N)
         Finite readings.
     place : callable
-        Makes a map: ``place(readings)`` gives positions, shape (N, k); NaN of sensors that it
-        cannot place.
+        ``place(readings)`` returns positions, shape (N, k); NaN for sensors that it cannot place.
 
     Returns
     -------
     float
-        Mean Mantel r of the maps of two halves, over two ways to halve a recording; in [-1, 1].
-        0 where a half makes no map; NaN if there are fewer than 80 frames.
+        Mean Mantel r between the maps of two halves, over two splits; in [-1, 1]. 0 if a half
+        cannot be mapped; NaN if there are fewer than 80 frames.
     """
-    if len(readings) < _FEWEST_FRAMES:
+    if len(readings) < _MIN_FRAMES:
         return math.nan
     blocks = np.array_split(np.arange(len(readings)), N_BLOCKS)
     number = np.arange(N_BLOCKS)
@@ -73,12 +70,12 @@ def agreement_of_halves(
 
 
 def expected_mantel_r(agreement: float) -> float:
-    """Tell what Mantel r a map is expected to reach whose halves agree so far.
+    """Predict the Mantel r of a map with the truth from the agreement of its halves.
 
     Parameters
     ----------
     agreement : float
-        Of `agreement_of_halves`.
+        From `agreement_of_halves`.
 
     Returns
     -------
@@ -87,23 +84,23 @@ def expected_mantel_r(agreement: float) -> float:
 
     Notes
     -----
-    ``1 - r = 0.01 + 0.2 d - 0.1 d^2 + 0.8 d^8`` with the disagreement ``d = 1 - agreement``, up to
-    1: the curve was fitted to simulated skins whose halves agree to 0.4 or more (halves have half
-    the frames, so they err more than the whole), the last term lets confidence vanish where halves
-    share nothing. How it held on other seeds stands in ``docs/results.md``.
+    ``1 - r = 0.01 + 0.2 d - 0.1 d^2 + 0.8 d^8`` with the disagreement ``d = 1 - agreement``,
+    clipped at 1. The curve was fitted to simulated skins whose halves agree to 0.4 or more; the
+    last term lets the confidence vanish as the halves become unrelated. For other seeds see
+    ``docs/results.md``.
     """
     apart = min(1 - agreement, 1.0)
-    error = _BEND + _LOSS[0] * apart - _LOSS[1] * apart**2 + _COLLAPSE * apart**_SUDDEN
+    error = _CONSTANT + _LINEAR * apart - _QUADRATIC * apart**2 + _COLLAPSE * apart**_COLLAPSE_POWER
     return float(np.clip(1 - error, 0, 1))
 
 
 def confidence_in_words(confidence: float) -> str:
-    """Say in a few words what a confidence means."""
+    """Describe a confidence in a few words."""
     if math.isnan(confidence):
-        return "unknown: nothing tells how far this map can be trusted"
+        return "unknown"
     if confidence < DOUBTFUL:
-        return f"{confidence:.2f}: the evidence does not suffice"
-    return f"{confidence:.2f} (Mantel r that maps as repeatable as this one reach)"
+        return f"{confidence:.2f}: insufficient evidence"
+    return f"{confidence:.2f} (expected Mantel r; systematic distortion is not included)"
 
 
 def _agreement(
@@ -114,7 +111,7 @@ def _agreement(
     except InputError:
         return 0.0
     placed = np.isfinite(places).all(axis=1) & np.isfinite(others).all(axis=1)
-    if np.count_nonzero(placed) < FEWEST_SENSORS:
+    if np.count_nonzero(placed) < MIN_SENSORS_COMPARED:
         return 0.0
     one, other = pdist(places[placed]), pdist(others[placed])
     if np.ptp(one) == 0 or np.ptp(other) == 0:

@@ -1,4 +1,4 @@
-"""Mantel r: the correlation of two distance matrices, and its null."""
+"""Mantel r: the correlation of two distance matrices, and its null distribution."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from anisomap.errors import InputError
 from anisomap.sensor_map import SensorMap
 
 PERMUTATIONS = 10_000
-"""Size of the null distribution, as in the paper (Fig. 3)."""
+"""Size of the null distribution, as in Figure 3 of the paper."""
 
 NULL_QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.95, 1.0)
 _NULL_ROUNDING = 1e-5  # of sums of float32 products
 
-FEWEST_SENSORS = 4
-"""With three, the three distances of one triangle would be correlated with those of another."""
+MIN_SENSORS_COMPARED = 4
+"""With three sensors, only three distances would be correlated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mantel:
-    """Mantel r of two distance matrices, and what it would be if the labels meant nothing.
+    """Mantel r of two distance matrices, and its null distribution.
 
     Attributes
     ----------
     r : float
         Pearson correlation over the pairs i < j, in [-1, 1]. The paper's distance-correlation.
     null : ndarray of shape (permutations,)
-        The same after relabelling the sensors of the first matrix at random.
+        Mantel r after random permutations of the sensors of the first matrix.
     n_sensors : int
-        How many sensors were compared.
+        Number of sensors compared.
     """
 
     r: float
@@ -42,10 +42,9 @@ class Mantel:
 
     @property
     def p_value(self) -> float:
-        """Share of labellings at least as good, this one counted; NaN without a null.
+        """Share of permutations with at least this r, the identity included; NaN without a null.
 
-        Few sensors have few labellings, and some draws are the true one again: what differs from
-        r by rounding alone counts as equal to it.
+        Permutations whose r differs by rounding only count as equal.
         """
         if not self.null.size:
             return float("nan")
@@ -54,7 +53,7 @@ class Mantel:
         )
 
     def quantiles(self) -> dict[float, float]:
-        """Quantiles of the null: least, quartiles, 95 %, and greatest; empty without a null."""
+        """Minimum, quartiles, 95 % quantile and maximum of the null; empty without a null."""
         if not self.null.size:
             return {}
         return dict(
@@ -70,18 +69,19 @@ def mantel(
     rng: np.random.Generator | int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Mantel:
-    """Compare two configurations of the same sensors by their distances.
+    """Correlate the distances of two configurations of the same sensors.
 
     Parameters
     ----------
     first, second : SensorMap or array_like
-        Each a map, positions of shape (N, k), or distances of shape (N, N).
+        A map, positions of shape (N, k), or distances of shape (N, N). All sensors are compared:
+        for maps with several components or unplaced sensors, use `anisomap.score`.
     permutations : int
-        How many random labellings make up the null; 0 leaves it out.
+        Size of the null distribution; 0 skips it.
     rng : numpy.random.Generator or int, optional
-        Source of the labellings, or its seed; 0 unless given, so that a score can be repeated.
+        Generator of the permutations, or its seed; seed 0 by default.
     progress : callable, optional
-        Told the share done, from 0 to 1, as the null is made.
+        Called with the share done, from 0 to 1.
 
     Returns
     -------
@@ -100,15 +100,15 @@ def mantel(
     """
     a, b = _distances(first), _distances(second)
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
-        raise InputError("some distances are not finite; compare only sensors that are placed")
+        raise InputError("some distances are not finite; compare only sensors with positions")
     if a.shape != b.shape:
-        raise InputError(f"{len(a)} sensors cannot be compared with {len(b)}; give the same ones")
+        raise InputError(f"both sides must have the same sensors, got {len(a)} and {len(b)}")
     n_sensors = len(a)
-    if n_sensors < FEWEST_SENSORS:
-        raise InputError(f"a Mantel r of {n_sensors} sensors says nothing; it takes at least 4")
+    if n_sensors < MIN_SENSORS_COMPARED:
+        raise InputError(f"Mantel r requires at least 4 sensors, got {n_sensors}")
     a, b = _standardised(a), _standardised(b)
     null = np.empty(permutations)
-    # A null needs no more than float32, and half the memory to gather from is twice the speed.
+    # float32 suffices for the null and is twice as fast.
     a32, b32 = a.astype(np.float32), b.astype(np.float32)
     generator = np.random.default_rng(0 if rng is None else rng)
     report_every = max(1, permutations // 100)
@@ -127,8 +127,10 @@ def _distances(side: SensorMap | ArrayLike) -> NDArray[np.float64]:
         return _between(side.positions)
     values = np.asarray(side, dtype=np.float64)
     if values.ndim != 2:
-        raise InputError(f"shape {values.shape} is neither positions (N, k) nor distances (N, N)")
-    if values.shape[0] != values.shape[1] or values.shape[0] < FEWEST_SENSORS:
+        raise InputError(
+            f"expected positions of shape (N, k) or distances of shape (N, N), got {values.shape}"
+        )
+    if values.shape[0] != values.shape[1] or values.shape[0] < MIN_SENSORS_COMPARED:
         return _between(values)
     if not np.allclose(values, values.T) or np.diag(values).any():
         raise InputError("a distance matrix must be symmetric with a zero diagonal")
@@ -145,5 +147,5 @@ def _standardised(distances: NDArray[np.float64]) -> NDArray[np.float64]:
     centred = pairs - pairs.mean()
     norm = np.linalg.norm(centred)
     if norm <= 1e-12 * np.linalg.norm(pairs):
-        raise InputError("all distances are equal, so nothing can be correlated with them")
+        raise InputError("all distances are equal, so a correlation is undefined")
     return np.asarray(squareform(centred / norm))

@@ -1,8 +1,8 @@
-"""The score of a map: everything that can be said of it once the truth is known."""
+"""The score of a map against the truth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,39 +10,41 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.evaluation.alignment import Alignment, align
-from anisomap.evaluation.mantel_r import FEWEST_SENSORS, PERMUTATIONS, Mantel, mantel
+from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, PERMUTATIONS, Mantel, mantel
 from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreement
 from anisomap.sensor_map import SensorMap
 
-ALL_PAIRS = 4000
-"""Up to so many sensors Mantel r is of all pairs."""
+MAX_ALL_PAIRS = 4000
+"""Largest number of sensors of which all pairs enter Mantel r."""
 
 SAMPLED = 2000
-"""So many sensors, drawn at random, stand for more."""
+"""Number of sensors sampled from a larger map."""
 
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """How a map compares with the truth.
+    """Comparison of a map with the truth.
 
     Attributes
     ----------
     mantel : Mantel
         Mantel r and its null.
     alignment : Alignment
-        The map laid onto the truth.
+        The map aligned with the truth.
     truth : ndarray of shape (n, l)
         True positions of the sensors that were compared.
     sensors : ndarray of int, shape (n,)
-        Which sensors of the map were compared.
+        Indices of the sensors that were compared.
     spacing : float
         Median distance between true neighbours, in units of the truth.
     neighbours_kept : float
         See `neighbour_agreement`.
+    excluded : ndarray of int
+        Indices of the sensors that were excluded on request.
     units : str
         Units of the truth.
     notes : tuple of str
-        What the score leaves out, and why.
+        Sensors that were not compared, and other caveats.
     """
 
     mantel: Mantel
@@ -51,6 +53,7 @@ class Score:
     sensors: NDArray[np.intp]
     spacing: float
     neighbours_kept: float
+    excluded: NDArray[np.intp]
     units: str
     notes: tuple[str, ...]
 
@@ -69,6 +72,7 @@ def score(
     sensor_map: SensorMap,
     truth: SensorMap | ArrayLike,
     *,
+    exclude: Iterable[str | int] = (),
     units: str = "",
     permutations: int = PERMUTATIONS,
     rng: np.random.Generator | int | None = None,
@@ -79,17 +83,19 @@ def score(
     Parameters
     ----------
     sensor_map : SensorMap
-        The map. Sensors that it does not place or excludes are not compared, and of separate
-        pieces only the largest is: the others lie in frames of their own.
+        Sensors without a position are not compared, nor are those outside the largest connected
+        component, whose relative position is unknown.
     truth : SensorMap or array_like of shape (N, 2) or (N, 3)
-        True positions. An array is in the order of the map, with NaN where one is not known. A map
-        is matched by the names of its sensors, and gives the units; where no name is shared but
-        the numbers of sensors agree, by order, with a note that says so.
+        True positions. An array is in the order of the map, with NaN for unknown positions. A map
+        is matched by sensor names and gives the units; if no name is shared and the numbers of
+        sensors agree, it is matched by order, with a note.
+    exclude : iterable of str or int
+        Sensors to leave out of the comparison, by name or index; the paper excludes a failed one.
     units : str
         Units of the truth, if it is an array.
     permutations, rng, progress
-        See `mantel`. Of more than 4000 sensors, Mantel r and its null are of 2000 that are drawn at
-        random, which a note says; everything else is of all.
+        See `mantel`. For more than 4000 sensors, Mantel r and its null use a random sample of
+        2000, with a note; all other figures use all sensors.
 
     Returns
     -------
@@ -98,43 +104,48 @@ def score(
     Raises
     ------
     InputError
-        If the truth is not of this map's sensors, or fewer than 4 can be compared.
+        If the truth does not match the sensors of the map, or fewer than 4 can be compared.
     """
     notes = []
     if isinstance(truth, SensorMap):
         units = truth.units
         true_positions, by_order = _matched(sensor_map, truth)
         if by_order:
-            notes.append("no name of the truth is a name of the map: matched by order instead")
+            notes.append("map and truth share no sensor name: matched by order")
     else:
         true_positions = np.asarray(truth, dtype=np.float64)
     if true_positions.ndim != 2 or len(true_positions) != sensor_map.n_sensors:
         raise InputError(
-            f"true positions have shape {true_positions.shape}, but the map has "
-            f"{sensor_map.n_sensors} sensors; give one row for each"
+            f"true positions must have {sensor_map.n_sensors} rows, one per sensor, got shape "
+            f"{true_positions.shape}"
         )
     known = np.isfinite(true_positions).all(axis=1)
+    included = np.ones(sensor_map.n_sensors, dtype=bool)
+    included[sensor_map.indices(exclude)] = False
     largest = sensor_map.component == 0
-    chosen = np.flatnonzero(sensor_map.scored & largest & known)
+    chosen = np.flatnonzero(largest & included & known)
     for count, why in (
-        (np.count_nonzero(~sensor_map.placed), "are not on the map"),
-        (np.count_nonzero(sensor_map.placed & sensor_map.excluded), "were excluded"),
-        (np.count_nonzero(sensor_map.scored & ~largest), "lie in separate pieces of the map"),
-        (np.count_nonzero(sensor_map.scored & largest & ~known), "have no known true position"),
+        (np.count_nonzero(~sensor_map.placed), "have no position on the map"),
+        (np.count_nonzero(sensor_map.placed & ~included), "were excluded"),
+        (
+            np.count_nonzero(sensor_map.placed & ~largest & included),
+            "are outside the largest component",
+        ),
+        (np.count_nonzero(largest & included & ~known), "have no known true position"),
     ):
         if count:
             notes.append(f"{count} of {sensor_map.n_sensors} sensors {why}")
     positions, true_positions = sensor_map.positions[chosen], true_positions[chosen]
-    if len(chosen) < FEWEST_SENSORS:
+    if len(chosen) < MIN_SENSORS_COMPARED:
         raise InputError(
-            f"only {len(chosen)} sensors can be compared with the truth; it takes at least 4"
+            f"a score requires at least 4 sensors with known true positions, got {len(chosen)}"
             + (f" ({'; '.join(notes)})" if notes else "")
         )
     generator = np.random.default_rng(0 if rng is None else rng)
-    drawn = _drawn(len(chosen), generator)
+    drawn = _sample(len(chosen), generator)
     if drawn.size < len(chosen):
         notes.append(
-            f"Mantel r is of {drawn.size} of the {len(chosen)} sensors compared, drawn at random"
+            f"Mantel r uses a random sample of {drawn.size} of the {len(chosen)} sensors compared"
         )
     return Score(
         mantel=mantel(
@@ -149,26 +160,27 @@ def score(
         sensors=chosen,
         spacing=median_spacing(true_positions),
         neighbours_kept=neighbour_agreement(positions, true_positions),
+        excluded=np.flatnonzero(~included),
         units=units,
         notes=tuple(notes),
     )
 
 
-def _drawn(n_sensors: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    if n_sensors <= ALL_PAIRS:
+def _sample(n_sensors: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    if n_sensors <= MAX_ALL_PAIRS:
         return np.arange(n_sensors)
     return np.sort(rng.choice(n_sensors, SAMPLED, replace=False))
 
 
 def _matched(sensor_map: SensorMap, truth: SensorMap) -> tuple[NDArray[np.float64], bool]:
-    """Give true positions in the order of the map, and whether order is all they have in common."""
+    """Return true positions in the order of the map, and whether they were matched by order."""
     row = {name: i for i, name in enumerate(truth.names)}
     rows = [row.get(name) for name in sensor_map.names]
     if all(i is None for i in rows):
         if truth.n_sensors != sensor_map.n_sensors:
             raise InputError(
-                f"the map and the truth share no sensor name, and {sensor_map.n_sensors} sensors "
-                f"cannot be matched with {truth.n_sensors} by order; name them alike"
+                f"map and truth share no sensor name, and {sensor_map.n_sensors} sensors cannot be "
+                f"matched with {truth.n_sensors} by order; use the same names"
             )
         return truth.positions, True
     unknown = np.full(truth.dimensions, np.nan)

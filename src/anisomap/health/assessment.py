@@ -6,7 +6,7 @@ differs between skins. To add a fault, add one function and one line to `_TESTS`
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from anisomap.health.behaviour import Behaviour, Matches, observe
 from anisomap.numerics.columns import columns, count_values
 from anisomap.recording import Recording
+from anisomap.runs import as_runs
 
 STATUSES = ("ok", "dead", "stuck", "saturating", "noisy", "intermittent", "isolated")
 """Every status that a sensor can have; one that has several faults has the first."""
@@ -22,6 +23,7 @@ STATUSES = ("ok", "dead", "stuck", "saturating", "noisy", "intermittent", "isola
 FEWEST_CONTACTS = 5
 """A sensor that was touched less often has statistics made of anecdotes."""
 
+_SILENT = ("dead", "stuck", "isolated")
 _OUTLIER = 5 * 1.4826  # five standard deviations of a normal population, from its median deviation
 _CEILING_EXCESS = 0.3
 _CEILING_FRAMES = 10
@@ -68,16 +70,20 @@ class SensorHealth:
     best_match: float
 
 
-def assess(recording: Recording, *, matches: Matches | None = None) -> tuple[SensorHealth, ...]:
-    """Judge every sensor of a recording.
+def assess(
+    recording: Recording | Sequence[Recording], *, matches: Matches | None = None
+) -> tuple[SensorHealth, ...]:
+    """Assess every sensor of a recording.
 
     Parameters
     ----------
-    recording : Recording
-        Missing readings are interpolated for the judgement.
+    recording : Recording or sequence of Recording
+        Missing readings are interpolated first. If some of several recordings of one skin lack
+        sensors, each sensor is assessed in the run with most contacts, preferring runs in which it
+        is not silent or isolated.
     matches : Matches, optional
-        Which sensors are most like which, if that is known from more than this recording; then
-        none is judged to be isolated.
+        The most similar sensors, if known from more than this recording. No sensor is then
+        reported as isolated.
 
     Returns
     -------
@@ -87,8 +93,25 @@ def assess(recording: Recording, *, matches: Matches | None = None) -> tuple[Sen
     Notes
     -----
     The paper leaves out sensors that never vary, and keeps one that saturates intermittently
-    (section "Prototyping Issues"). A status is a reason to look, not a proof.
+    (section "Prototyping Issues"). A status other than "ok" calls for inspection; it is no proof.
     """
+    runs = as_runs(recording)
+    if len(runs) == 1:
+        return _assess(runs[0], matches)
+    best: dict[str, SensorHealth] = {}
+    for run in runs:
+        for sensor in _assess(run, None):
+            known = best.get(sensor.name)
+            if known is None or _informative(sensor) > _informative(known):
+                best[sensor.name] = sensor
+    return tuple(best.values())
+
+
+def _informative(sensor: SensorHealth) -> tuple[bool, int]:
+    return sensor.status not in _SILENT, sensor.contacts
+
+
+def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth, ...]:
     recording = recording.complete("interpolate")
     readings = recording.readings
     varying = recording.varying()

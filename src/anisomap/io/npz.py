@@ -23,6 +23,7 @@ from anisomap.errors import FileError
 from anisomap.io.parsing.archive import NUMBERS, SUFFIX, Archive, open_archive
 from anisomap.io.parsing.comments import python_scalar
 from anisomap.io.parsing.frames import increasing
+from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.stream import Block, ReadOptions, Stream
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
@@ -128,13 +129,12 @@ def read_map(path: Path) -> SensorMap:
             names=names,
             component=archive.list_of("component", np.dtype(np.intp)),
             health=archive.texts("health"),
-            excluded=archive.list_of("excluded", np.dtype(np.bool_)),
             units=units,
             method=archive.text("method"),
             stress=math.nan if stress is None else stress,
             confidence=math.nan if confidence is None else confidence,
             notes=archive.texts("notes"),
-            provenance=archive.mapping("provenance"),
+            **from_provenance(archive.mapping("provenance")),
         )
 
 
@@ -178,14 +178,13 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "names": np.array(sensor_map.names, dtype=str),
         "component": sensor_map.component.astype(np.int64),
         "health": np.array(sensor_map.health, dtype=str),
-        "excluded": sensor_map.excluded,
         "units": sensor_map.units,
         **sensor_map.reference,
         "method": sensor_map.method,
         "stress": sensor_map.stress,
         "confidence": sensor_map.confidence,
         "notes": np.array(sensor_map.notes, dtype=str),
-        "provenance": _packed(sensor_map.provenance),
+        "provenance": _packed(to_provenance(sensor_map)),
     }
     _write(arrays, path)
 

@@ -1,1 +1,5 @@
-"""Recordings and maps larger than memory: chunks, map-reduce, checkpoints, landmarks."""
+"""Recordings and maps that are larger than memory."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap._version import __version__
+from anisomap.description import caveats
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Matches, SensorHealth, assess, weaknesses
 from anisomap.large.chunks import CHUNK_READINGS, Chunks, Excerpt, complete_chunks, split_array
@@ -30,7 +31,6 @@ from anisomap.methods import MethodOptions
 from anisomap.numerics.similarity.search import most_similar
 from anisomap.recording import MissingPolicy, Recording, Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.wording import join_items
 
 logger = logging.getLogger(__name__)
 
@@ -90,7 +90,6 @@ def reconstruct_approximately(
     approximate: ApproximateOptions | None = None,
     names: Sequence[str] = (),
     missing: MissingPolicy = "error",
-    exclude: Iterable[str | int] = (),
     drop: Iterable[str | int] = (),
 ) -> SensorMap:
     """Make an r-ANISOMAP map of too many sensors to compare all pairs: approximately.
@@ -103,14 +102,14 @@ def reconstruct_approximately(
     dimensions : int
         Of the space to map into.
     options : MethodOptions, optional
-        Of which `mu`, `smacof` and `fewest_sensors` are used.
+        Of which `mu`, `smacof` and `min_sensors` are used.
     approximate : ApproximateOptions, optional
         How much is looked at, and the seed.
     names : sequence of str, optional
         Names of the sensors.
     missing : {"error", "drop-frames", "interpolate"}
         As for `reconstruct_chunks`.
-    exclude, drop : iterable of str or int
+    drop : iterable of str or int
         As for `anisomap.reconstruct`.
 
     Returns
@@ -137,7 +136,7 @@ def reconstruct_approximately(
     """
     chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
     found = relate(chunks, like=names, missing=missing, drop=drop, options=approximate)
-    return approximate_map_of(found, dimensions, options=options, exclude=exclude)
+    return approximate_map_of(found, dimensions, options=options)
 
 
 def relate(
@@ -202,14 +201,13 @@ def approximate_map_of(
     dimensions: int = 3,
     *,
     options: MethodOptions | None = None,
-    exclude: Iterable[str | int] = (),
 ) -> SensorMap:
     """Make an approximate map of sensors that were related.
 
     Parameters
     ----------
     found : Related
-    dimensions, options, exclude
+    dimensions, options
         As for `reconstruct_approximately`.
 
     Returns
@@ -218,15 +216,15 @@ def approximate_map_of(
     """
     chosen = options or MethodOptions()
     if dimensions < 1:
-        raise InputError(f"{dimensions} dimensions hold no map; use 2 or 3")
+        raise InputError(f"dimensions must be at least 1, got {dimensions}")
     n_sensors = len(found.varying)
     component = np.full(n_sensors, UNPLACED)
     component[found.varying] = np.unique(found.graph.component[found.varying], return_inverse=True)[
         1
     ]
-    if np.count_nonzero(component == 0) < chosen.fewest_sensors:
+    if np.count_nonzero(component == 0) < chosen.min_sensors:
         raise InputError(
-            f"no {chosen.fewest_sensors} sensors are related to one another beyond chance, so "
+            f"no {chosen.min_sensors} sensors are related to one another beyond chance, so "
             "there is nothing to map; was the skin touched during the recording?"
         )
     lengths = edge_lengths(found.links, found.graph.edges, chosen.mu)
@@ -258,8 +256,9 @@ def approximate_map_of(
         names=found.excerpt.names,
         component=component,
         health=tuple(sensor.status for sensor in found.health),
-        excluded=_mask(found.excerpt, exclude),
         method=APPROXIMATED,
+        approximate=True,
+        n_iterations=max(piece.iterations for piece in placed),
         stress=np.sqrt(sum(piece.raw_stress for piece in placed) / spread) if spread > 0 else 0.0,
         notes=notes,
         provenance=_provenance(found, chosen)
@@ -339,16 +338,7 @@ def _notes(found: Related, component: NDArray[np.intp], *, converged: bool) -> I
     )
     if found.excerpt.n_frames < found.n_frames:
         yield (f"sensor health was judged from {found.excerpt.n_frames} of {found.n_frames} frames")
-    sizes = np.bincount(component[component != UNPLACED])
-    if sizes.size > 1:
-        lost = [found.excerpt.names[i] for i in np.flatnonzero(component > 0)]
-        yield (
-            f"the sensors fall into {sizes.size} separate pieces (of {join_items(sizes.tolist())} "
-            "sensors), and how these lie to one another is not known; "
-            f"outside the largest: {join_items(lost)}"
-        )
-    if not converged:
-        yield "scaling stopped before it converged: allow it more iterations"
+    yield from caveats(component, found.excerpt.names, converged=converged)
 
 
 def _provenance(found: Related, options: MethodOptions) -> dict[str, Scalar]:
@@ -358,7 +348,6 @@ def _provenance(found: Related, options: MethodOptions) -> dict[str, Scalar]:
         "anisomap": __version__,
         "similarity": "pearson",
         "mu": options.mu,
-        "approximate": True,
         **{f"approximate_{name}": value for name, value in asdict(found.options).items()},
         **asdict(options.smacof),
     }

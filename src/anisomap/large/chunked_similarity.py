@@ -166,3 +166,8 @@ CHUNKED: Mapping[str, Chunked] = MappingProxyType(
     }
 )
 """Chunked computation of each similarity, by its name."""
+
+
+def computed_similarity(name: str) -> str:
+    """Return the name of the similarity that is computed for a similarity in chunks."""
+    return "pearson" if name == "blended-correlation" else name

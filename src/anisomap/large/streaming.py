@@ -1,4 +1,4 @@
-"""Maps of more frames than memory holds: from a file that is mapped, from many files, in chunks."""
+"""Maps of recordings that do not fit in memory: frames are read in chunks."""
 
 from __future__ import annotations
 
@@ -15,42 +15,42 @@ from numpy.typing import NDArray
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.large.checkpoints import Checkpoint
-from anisomap.large.chunked_similarity import CHUNKED
+from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
 from anisomap.large.chunks import SEGMENT_FRAMES, Chunks, Excerpt, complete_chunks, split_array
 from anisomap.large.map_reduce import SERIAL, WorkerPool, map_reduce
 from anisomap.memory import check_pair_memory, check_worker_memory
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_priors, find_method
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_even_spacing, find_method
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import MAX_SQUARED, squares_overflow
 from anisomap.numerics.similarity.value_counts import ValueCounts
-from anisomap.reconstruction import reconstruct
-from anisomap.recording import MissingPolicy, Recording
-from anisomap.refinement import notes_on_squeezing
+from anisomap.reconstruction import reconstruct_from
+from anisomap.recording import MissingPolicy, Recording, Scalar
 from anisomap.sensor_map import SensorMap
+from anisomap.stages.refinement import unexamined_unevenness
 
 logger = logging.getLogger(__name__)
 
-_MOST_TO_LOOK_AT = 2000  # sensors, for neighbours among them
+_MAX_EXAMINED = 2000  # sensors; finding the neighbours of more takes longer than the map
 
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """What a map is made from, once all frames were gone through.
+    """The similarity of all sensors over all frames, with what else a map needs.
 
     Attributes
     ----------
     similarity : ndarray of shape (N, N)
     varying : ndarray of bool, shape (N,)
-        Which sensors ever varied.
+        Mask of the sensors that vary.
     n_frames : int
-        How many frames there were.
+        Number of frames.
     excerpt : Recording
-        Pieces from all over them; all frames, if they are few.
+        Blocks of frames from the whole recording; all frames if they are few.
     health : tuple of SensorHealth
-        Judged from the excerpt; contacts are projected from it to all frames.
+        Assessed from the excerpt; numbers of contacts are extrapolated to all frames.
     notes : tuple of str
-        What was not done as with one array.
+        Differences from a map of one array.
     """
 
     similarity: Reals
@@ -69,47 +69,46 @@ def reconstruct_chunks(
     options: MethodOptions | None = None,
     names: Sequence[str] = (),
     missing: MissingPolicy = "error",
-    exclude: Iterable[str | int] = (),
     drop: Iterable[str | int] = (),
     pool: WorkerPool = SERIAL,
     checkpoint: Path | None = None,
 ) -> SensorMap:
-    """Make a map of a recording that is never in memory as a whole.
+    """Reconstruct positions from a recording that does not fit in memory.
 
     Parameters
     ----------
     readings : ndarray of shape (T, N), or callable
         A memory-mapped array (``np.load(path, mmap_mode="r")``), or a function that opens the
-        recording anew each time and gives its chunks, arrays of shape (t, N).
-    method, dimensions, options, exclude, drop
+        recording at each call and returns its chunks, arrays of shape (t, N).
+    method, dimensions, options, drop
         As for `anisomap.reconstruct`.
     names : sequence of str, optional
         Names of the sensors.
     missing : {"error", "drop-frames", "interpolate"}
-        What to do about NaN: see `complete_chunks`.
+        How to handle missing readings: see `complete_chunks`.
     pool : WorkerPool
-        Who does the work.
+        Workers that share the computation.
     checkpoint : pathlib.Path, optional
-        File to note down what was counted, and to go on from if it is there; one of other readings
-        or another method is refused.
+        File for intermediate results, to resume from if it exists. Checkpoints of other readings
+        or another method are refused.
 
     Returns
     -------
     SensorMap
-        The map that `anisomap.reconstruct` makes of all frames as one array (from 512 sensors on,
-        with a Pearson r that is more exact; the covariogram method takes r alone). Where a sensor
-        read very many different values, these are rounded for bins, ranks and rests, and a note
-        says so.
+        With sensor health, without a confidence. The map equals that of `anisomap.reconstruct`
+        with these exceptions, each with a note: "covariogram" and "contact-fit" use Pearson's r
+        alone and do not examine contacts; very many distinct values of a sensor are rounded for
+        bins, ranks and rest values.
 
     Raises
     ------
     InputError
-        As `anisomap.reconstruct`, and if chunks are not all of the same sensors.
+        As `anisomap.reconstruct`, and if chunks differ in their number of sensors.
 
     Warns
     -----
     AnisomapWarning
-        Once for each of the notes.
+        Once for each note of the map.
     """
     chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
     chosen = options or MethodOptions()
@@ -122,7 +121,7 @@ def reconstruct_chunks(
         pool=pool,
         checkpoint=checkpoint,
     )
-    return map_of(found, method, dimensions, options=chosen, exclude=exclude, drop=drop)
+    return map_of(found, method, dimensions, options=chosen, drop=drop)
 
 
 def gather_similarity(
@@ -136,22 +135,22 @@ def gather_similarity(
     checkpoint: Path | None = None,
     source: str = "",
 ) -> Gathered:
-    """Go through all frames, twice if need be, for a method's similarity.
+    """Compute the similarity of a method over all frames, in one or two passes.
 
     Parameters
     ----------
     chunks, method, options, missing, pool, checkpoint
         As for `reconstruct_chunks`.
     like : Recording or sequence of str
-        One with the sensors' names, positions and whatever else is known, or just the names.
+        A recording whose names, positions and metadata apply, or the names alone.
     source : str
-        What the frames are of, so that no checkpoint is taken for that of others.
+        Identifies the frames, so that checkpoints of other frames are refused.
 
     Returns
     -------
     Gathered
     """
-    check_priors(method, options, readings=False)
+    check_even_spacing(method, options, readings=False)
     made_by = find_method(method)
     name, refined = made_by.similarity, made_by.refine is not None
     recipe, pieces, whole = CHUNKED[name], Excerpt(), complete_chunks(chunks, missing)
@@ -159,7 +158,7 @@ def gather_similarity(
     held = Checkpoint(checkpoint, of) if checkpoint else None
 
     def watched() -> Iterator[NDArray[Any]]:
-        """Take the excerpt in passing; the second time, there is one."""
+        """Yield all chunks; the first pass collects the excerpt."""
         watching = not pieces.complete
         if watching:
             pieces.reset()
@@ -174,7 +173,7 @@ def gather_similarity(
 
     values: ValueCounts | None = None
     if recipe.needs_values:
-        logger.info("finding the values that occur")
+        logger.info("counting distinct values")
         values = map_reduce(watched, ValueCounts.of, pool=pool, checkpoint=held, stage="values")
     logger.info("comparing all pairs of sensors (%s)", name)
     take = recipe.prepare(values, options.bins)
@@ -184,7 +183,9 @@ def gather_similarity(
     excerpt = pieces.recording(like)
     notes = [] if values is None else list(_rounding(values, excerpt.names))
     if excerpt.n_frames < total.n_frames:
-        notes.append(f"sensor health was judged from {excerpt.n_frames} of {total.n_frames} frames")
+        notes.append(
+            f"sensor health was assessed from {excerpt.n_frames} of {total.n_frames} frames"
+        )
     return Gathered(
         similarity=recipe.finish(total),
         varying=varying,
@@ -204,16 +205,15 @@ def map_of(
     dimensions: int = 3,
     *,
     options: MethodOptions | None = None,
-    exclude: Iterable[str | int] = (),
     drop: Iterable[str | int] = (),
 ) -> SensorMap:
-    """Make a map of what was gathered.
+    """Reconstruct positions from a gathered similarity.
 
     Parameters
     ----------
     found : Gathered
-    method, dimensions, options, exclude, drop
-        As for `anisomap.reconstruct`; the method must have the similarity that was gathered.
+    method, dimensions, options, drop
+        As for `anisomap.reconstruct`; the method must use the similarity that was gathered.
 
     Returns
     -------
@@ -222,54 +222,69 @@ def map_of(
     dropped = set(found.excerpt.indices(drop).tolist())
     noise = None
     if find_method(method).refine is not None:
-        # The more frames, the less noise; how soon readings change, pieces tell as well.
+        # The variance is inversely proportional to the number of frames; the autocorrelation can
+        # be estimated from the excerpt.
         share = found.excerpt.n_frames / found.n_frames
         noise = share * sampling_variance(found.excerpt.readings)
-    made = reconstruct(
+    made = reconstruct_from(
         method=method,
         dimensions=dimensions,
         options=options,
         similarity=found.similarity,
         noise=noise,
         names=found.excerpt.names,
-        exclude=exclude,
         drop=sorted(dropped | set(np.flatnonzero(~found.varying).tolist())),
-        health=found.health,
     )
     kept = [sensor for i, sensor in enumerate(found.health) if i not in dropped]
-    notes = (*weaknesses(found.excerpt, kept), *found.notes, *_on_squeezing(found, made))
+    notes = (*weaknesses(found.excerpt, kept), *found.notes, *_limitations(found, made))
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
-    provenance = {"source": found.excerpt.source, "frames": found.n_frames, **made.provenance}
-    del provenance["precomputed"]
-    if provenance["similarity"] == "blended-correlation":
-        provenance["similarity"] = "pearson"  # see `anisomap.large.chunked_similarity`
-    return replace(made, notes=(*notes, *made.notes), provenance=provenance)
-
-
-def _on_squeezing(found: Gathered, made: SensorMap) -> tuple[str, ...]:
-    largest = np.flatnonzero(made.component == 0)
-    refined = find_method(made.method).refine is not None
-    if not refined or largest.size > _MOST_TO_LOOK_AT or found.excerpt.n_frames < SEGMENT_FRAMES:
-        return ()
-    return notes_on_squeezing(
-        found.excerpt.readings[:, largest],
-        made.positions[largest],
-        found.similarity[np.ix_(largest, largest)],
+    return replace(
+        made,
+        health=tuple(sensor.status for sensor in found.health),
+        notes=(*notes, *made.notes),
+        provenance=_provenance(found, made, method),
     )
+
+
+def _provenance(found: Gathered, made: SensorMap, method: str) -> dict[str, Scalar]:
+    facts = {"source": found.excerpt.source, "frames": found.n_frames, **made.provenance}
+    del facts["precomputed"]  # by this module, not by the user
+    return facts | {"similarity": computed_similarity(find_method(method).similarity)}
+
+
+def _limitations(found: Gathered, made: SensorMap) -> Iterator[str]:
+    """Describe differences from the same method on a recording in memory."""
+    recipe = find_method(made.method)
+    if computed_similarity(recipe.similarity) != recipe.similarity:
+        yield (
+            "the recording was read in blocks, so the similarity is Pearson's r alone, without "
+            "rank correlation, contacts were not examined, and no confidence was computed"
+        )
+    largest = np.flatnonzero(made.component == 0)
+    if (
+        recipe.refine is not None
+        and largest.size <= _MAX_EXAMINED
+        and found.excerpt.n_frames >= SEGMENT_FRAMES
+    ):
+        yield from unexamined_unevenness(
+            found.excerpt.readings[:, largest],
+            made.positions[largest],
+            found.similarity[np.ix_(largest, largest)],
+        )
 
 
 def _check_unit(chunk: NDArray[Any]) -> None:
-    """Refuse readings whose squares float64 does not hold: a unit is chosen for all frames."""
+    """Check that the squares of readings fit in float64; chunks cannot be rescaled."""
     if chunk.dtype != np.float64:
         return
     reach = np.abs(chunk).max(axis=0)
     beyond = np.flatnonzero(squares_overflow(reach))
     if beyond.size:
         raise InputError(
-            f"sensor {beyond[0]} reads up to {reach[beyond[0]]:g}; readings that come in chunks "
-            f"must be 0 or between {1 / MAX_SQUARED:g} and {MAX_SQUARED:g}: "
-            "use another unit"
+            f"readings in chunks must be 0 or between {1 / MAX_SQUARED:g} and "
+            f"{MAX_SQUARED:g}, but sensor {beyond[0]} reads up to {reach[beyond[0]]:g}: use "
+            "another unit"
         )
 
 
@@ -277,13 +292,13 @@ def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:
     rounded = np.flatnonzero(values.grains)
     if rounded.size:
         yield (
-            f"{rounded.size} of {len(names)} sensors read more than {values.most} different "
-            "values, which were rounded to so many to find their bins, ranks or rests"
+            f"{rounded.size} of {len(names)} sensors have more than {values.most} distinct values, "
+            "which were rounded for bins, ranks and rest values"
         )
 
 
 def _revised(sensor: SensorHealth, varies: bool, whole: float) -> SensorHealth:
-    """Make of a judgement of the excerpt one of all frames, which are so many times as many."""
+    """Extrapolate an assessment of the excerpt to all frames."""
     judged = replace(sensor, contacts=round(sensor.contacts * whole))
     if varies and sensor.status in ("dead", "stuck"):
         return replace(judged, status="ok", reason="")

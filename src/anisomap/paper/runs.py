@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from anisomap.drawing.figures.charts import METHOD_LOOKS, NullBox
 from anisomap.evaluation import Mantel, Score, score
-from anisomap.health import SensorHealth, assess
 from anisomap.methods import MethodOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.experiment import Row, Settings
@@ -140,17 +139,16 @@ def make_map(
         recording,
         method,
         dimensions,
-        exclude=exclude,
         options=options,
-        health=_health(recording),
     )
-    places = truth_of(recording, dimensions)
-    return Scored(found, score(found, places, units=recording.units, permutations=permutations))
-
-
-@lru_cache(maxsize=4)  # every method asks the same of a recording
-def _health(recording: Recording) -> tuple[SensorHealth, ...]:
-    return assess(recording)
+    result = score(
+        found,
+        truth_of(recording, dimensions),
+        exclude=exclude,
+        units=recording.units,
+        permutations=permutations,
+    )
+    return Scored(found, result)
 
 
 def truth_of(recording: Recording, dimensions: int = 3) -> NDArray[np.float64]:

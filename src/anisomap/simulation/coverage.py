@@ -183,7 +183,7 @@ def _mantel_r(recording: Recording, n_frames: int, method: str | None, dimension
         # What a short recording lacks is what the curve shows.
         warnings.simplefilter("ignore", AnisomapWarning)
         try:
-            found = reconstruct(beginning, method, dimensions, judge=False)
+            found = reconstruct(beginning, method, dimensions)
             return score(found, recording.positions, permutations=0).mantel.r
         except InputError:
             return float("nan")

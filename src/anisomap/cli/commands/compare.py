@@ -17,7 +17,7 @@ from anisomap.cli.console import console, progress, show_table
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import score
 from anisomap.files import atomic_write, check_distinct, check_target
-from anisomap.methods import PAPER_METHODS, find_method
+from anisomap.methods import DEFAULT_METHOD, PAPER_METHODS, find_method
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 
@@ -33,7 +33,7 @@ def compare(
         list[int] | None,
         Parameter(alias="-d", group=options.method_group, negative=(), validator=Number(gte=1)),
     ] = None,
-    nan: options.Missing = "error",
+    missing: options.Missing = "error",
     reading: options.Reading = options.AS_IT_COMES,
     output: Annotated[Path | None, Parameter(alias="-o", group=options.outputs_group)] = None,
 ) -> None:
@@ -42,13 +42,13 @@ def compare(
     Parameters
     ----------
     method
-        Method to compare, may be repeated; the paper's four unless given.
+        Method to compare; may be repeated. Default: the default method and the paper's four.
     dimensions
         Dimensions to map into, may be repeated; 2 and 3 unless given.
     output
         Write the table as Markdown, too.
     """
-    methods = tuple(method or PAPER_METHODS)
+    methods = tuple(method or (DEFAULT_METHOD, *PAPER_METHODS))
     for name in methods:
         find_method(name)
     if output:
@@ -56,7 +56,7 @@ def compare(
         check_distinct([output], recordings)
     rows = []
     for path in recordings:
-        recording = pipeline.read(path, reading.checked()).complete(nan)
+        recording = pipeline.read(path, reading.checked()).complete(missing)
         truth = recording.positions
         if truth is None:
             raise InputError(f"{path} holds no true positions, so no map of it can be scored")
@@ -78,7 +78,7 @@ def _mantel_r(
 ) -> float:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # one doubt would be told many times
-        sensor_map = reconstruct(recording, method, dimensions, judge=False)
+        sensor_map = reconstruct(recording, method, dimensions)
     return score(sensor_map, truth, permutations=0).mantel.r
 
 

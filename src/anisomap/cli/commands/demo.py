@@ -52,10 +52,10 @@ def demo(
     with progress(f"simulating {frames} frames of a bombarded sphere") as tell:
         recording = simulate("sphere", "bombardment", n_frames=frames, seed=seed, progress=tell)
         io.write(recording, output_dir / "recording.npz")
-    evidence = pipeline.examine(recording)
-    pipeline.show_recording(evidence)
-    sensor_map = pipeline.make_map(evidence, method, dimensions=3)
-    pipeline.finish(outputs, sensor_map, evidence, permutations, seed)
+    examined = pipeline.examine(recording)
+    pipeline.show_recording(examined)
+    sensor_map = pipeline.make_map(examined, method, dimensions=3)
+    pipeline.finish(outputs, sensor_map, examined, permutations, seed)
     console.print(
         f"\nTry the same from the file:\n  anisomap map {output_dir / 'recording.npz'} -o map.csv",
         markup=False,

@@ -33,13 +33,13 @@ def info(
     except ChoiceError as error:
         warn(str(error))  # to list what there is to choose from was all that could be asked for
         return
-    evidence = pipeline.examine(found)
-    pipeline.show_recording(evidence)
-    pipeline.show_health(evidence.health, everyone=sensors)
-    for weakness in evidence.summary.warnings:
+    examined = pipeline.examine(found)
+    pipeline.show_recording(examined)
+    pipeline.show_health(examined.health, everyone=sensors)
+    for weakness in examined.summary.warnings:
         warn(weakness)
-    if evidence.summary.missing:
+    if examined.summary.missing:
         warn(
-            f"{evidence.summary.missing} readings are NaN or infinite: "
-            "map them with --nan drop-frames or --nan interpolate"
+            f"{examined.summary.missing} readings are NaN or infinite: "
+            "map them with --missing drop-frames or --missing interpolate"
         )

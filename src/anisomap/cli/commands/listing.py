@@ -10,8 +10,9 @@ from rich.padding import Padding
 
 from anisomap.cli.console import console, number, show_table
 from anisomap.io import FORMATS
-from anisomap.methods import METHODS, PAPER_METHODS, SIMILARITIES
+from anisomap.methods import METHODS, PAPER_METHODS
 from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS, find_scenario
+from anisomap.stages.pairs import SIMILARITIES
 
 
 def methods() -> None:

@@ -35,10 +35,10 @@ def map_recording(
         int, Parameter(alias="-d", group=options.method_group, validator=Number(gte=1))
     ] = 3,
     drop: options.Drop = None,
-    nan: options.Missing = "error",
+    missing: options.Missing = "error",
     mu: Annotated[float, Parameter(group=options.method_group)] = MethodOptions.mu,
     bins: Annotated[int, Parameter(group=options.method_group)] = DEFAULT_BINS,
-    neighbours: Annotated[int | None, Parameter(group=options.method_group)] = None,
+    n_neighbours: Annotated[int | None, Parameter(group=options.method_group)] = None,
     even_spacing: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
     tolerance: Annotated[float, Parameter(group=options.method_group)] = SmacofOptions.tolerance,
     max_iterations: Annotated[
@@ -76,8 +76,8 @@ def map_recording(
         Regularisation of ANISOMAP's reciprocal; 0 leaves unrelated pieces of skin apart.
     bins
         Bins a sensor for entropies.
-    neighbours
-        Neighbours in ISOMAP's graph; as few as connect everything unless given.
+    n_neighbours
+        Neighbours per sensor in ISOMAP's graph; as few as connect everything unless given.
     even_spacing
         Declare that neighbouring sensors are evenly spaced; the map will say so.
     tolerance
@@ -98,17 +98,17 @@ def map_recording(
     chosen = MethodOptions(
         mu=mu,
         bins=bins,
-        n_neighbours=neighbours,
+        n_neighbours=n_neighbours,
         even_spacing=even_spacing,
         smacof=SmacofOptions(tolerance, max_iterations),
     )
     by = large.method(method)
     found = None
     if large.asked_for or streams.too_large(recordings, how):
-        evidence, found = streams.examine(
+        examined, found = streams.examine(
             recordings,
             how,
-            nan=nan,
+            missing=missing,
             method=by,
             options=chosen,
             large=large,
@@ -116,18 +116,18 @@ def map_recording(
             seed=seed,
         )
     else:
-        evidence = pipeline.examine_runs(pipeline.read_runs(recordings, how, nan))
-    names = evidence.recording.names
-    pipeline.show_recording(evidence)
+        examined = pipeline.examine_runs(pipeline.read_runs(recordings, how, missing))
+    names = examined.recording.names
+    pipeline.show_recording(examined)
     sensor_map = pipeline.make_map(
-        evidence,
+        examined,
         by,
         dimensions,
         options=chosen,
-        exclude=options.sensors(exclude, names),
         drop=options.sensors(drop, names),
-        judge=confidence,
+        with_confidence=confidence,
         gathered=found,
     )
     sensor_map = placing.applied(sensor_map)
-    pipeline.finish(outputs, sensor_map, evidence, permutations, seed)
+    left_out = options.sensors(exclude, names)
+    pipeline.finish(outputs, sensor_map, examined, permutations, seed, exclude=left_out)

@@ -45,14 +45,13 @@ def score_map(
         Print the figures as JSON, for a script.
     """
     sensor_map, truth = io.read_map(map_file), io.read_map(truth_file)
-    left_out = sensor_map.excluded.copy()
-    left_out[sensor_map.indices(options.sensors(exclude, sensor_map.names))] = True
     if units is None:
         units = "" if truth.units == "arbitrary" else truth.units
     with progress(f"relabelling the sensors {permutations} times") as tell:
         result = score(
-            replace(sensor_map, excluded=left_out),
+            sensor_map,
             replace(truth, units=units),
+            exclude=options.sensors(exclude, sensor_map.names),
             permutations=permutations,
             rng=np.random.default_rng(seed),
             progress=tell,

@@ -223,7 +223,7 @@ def _entitle(axes: Axes, title: str) -> None:
 def _title(sensor_map: SensorMap, score: Score | None) -> str:
     sensors = f"{int(sensor_map.placed.sum())} sensors"
     parts = [shown(sensor_map.method, 60) or "map", sensors]
-    if sensor_map.provenance.get("approximate"):
+    if sensor_map.approximate:
         parts.insert(1, "approximate")
     if score is None:
         if np.isfinite(sensor_map.stress):
@@ -258,7 +258,7 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
     if unplaced:
         notes.append(f"Not on the map: {join_items(unplaced, 12)}.")
     single = np.count_nonzero(np.bincount(sensor_map.component[sensor_map.placed]) == 1)
-    if single and sensor_map.n_components > 1:
+    if single and len(sensor_map.component_sizes) > 1:
         notes.append(f"Pieces of a single sensor, not drawn: {single}.")
     if hidden > 0:
         notes.append(f"Smaller pieces, not drawn: {hidden}.")

@@ -135,7 +135,7 @@ def map_panel(
         laid,
         places,
         placed=sensor_map.placed & (sensor_map.component == 0),
-        excluded=sensor_map.excluded,
+        excluded=np.isin(np.arange(sensor_map.n_sensors), score.excluded),
         units=score.units,
         labels=labels or {},
         with_ghosts=False,

@@ -93,7 +93,7 @@ def number(value: float | None, digits: int = 3, unit: str = "") -> str:
 def verdict(sensor_map: SensorMap, score: Score | None) -> list[str]:
     """Say how good the map is: the first sentence is the headline."""
     sentences = _verdict(sensor_map, score)
-    if sensor_map.provenance.get("approximate"):
+    if sensor_map.approximate:
         sentences.append("This map is approximate: not all pairs of sensors were compared.")
     return sentences
 
@@ -240,7 +240,7 @@ def sensor_table(
     statuses = find_statuses(sensor_map, health)
     errors = {} if score is None else dict(zip(score.sensors, score.alignment.errors, strict=True))
     columns = []
-    if sensor_map.n_components > 1 or not sensor_map.placed.all():
+    if len(sensor_map.component_sizes) > 1 or not sensor_map.placed.all():
         columns.append(Fact("Piece", "", "which separate piece of the map it is in"))
     if score is not None:
         unit = f" ({score.units})" if score.units else ""

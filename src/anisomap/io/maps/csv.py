@@ -1,6 +1,6 @@
 """Maps and true positions as delimited text.
 
-Ours has comments at the top, then ``name, x, y, z, component, health, excluded``. Read is any
+Ours has comments at the top, then ``name, x, y, z, component, health``. Read is any
 table that has columns x and y (and z), and what else of those it has; or, without a header, two or
 three columns of numbers, with names before them or not.
 """
@@ -21,6 +21,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing import comments, delimited
+from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.parsing.source import opened_text, quoted
 from anisomap.io.parsing.table import LineError, parse_number
 from anisomap.io.recordings.text import MAP_TITLE
@@ -31,7 +32,7 @@ Value = TypeVar("Value")
 
 _AXES = "xyz"
 _NAMES = ("name", "sensor", "taxel", "label", "id")
-_OURS = ("component", "health", "excluded")
+_OURS = ("component", "health")
 _AXIS = re.compile(r"(x\d*|y|z)(?:[ _]*[\[(]?(mm|cm|m|um|\u00b5m|in|px|pixels?)[\])]?)?")
 _TRUTH = {"true": True, "false": False, "1": True, "0": False}
 
@@ -97,7 +98,6 @@ def read_map(path: Path) -> SensorMap:
             read(places["component"], int, "a whole number") if ours else (), np.intp
         ),
         health=read(places["health"], str) if ours else (),
-        excluded=np.array(read(places["excluded"], _truth, "0 or 1") if ours else (), bool),
         **_described(lines, columns.units),
     )
 
@@ -122,7 +122,9 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     ]
     title = f"{MAP_TITLE}, known up to {sensor_map.known_up_to}"
     with path.open("w", encoding="utf-8", newline="") as stream:
-        stream.write(comments.write_comments(title, entries, "provenance", sensor_map.provenance))
+        stream.write(
+            comments.write_comments(title, entries, "provenance", to_provenance(sensor_map))
+        )
         table = csv.writer(
             stream,
             delimiter="\t" if path.suffix.lower() == ".tsv" else ",",
@@ -130,15 +132,14 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
             lineterminator="\n",
         )
         table.writerow(("name", *axis_names(sensor_map.dimensions), *_OURS))
-        for name, position, component, health, excluded in zip(
+        for name, position, component, health in zip(
             sensor_map.names,
             sensor_map.positions.tolist(),
             sensor_map.component.tolist(),
             sensor_map.health,
-            sensor_map.excluded.tolist(),
             strict=True,
         ):
-            table.writerow((name, *position, component, health, int(excluded)))
+            table.writerow((name, *position, component, health))
 
 
 def _without_empty_end(rows: list[delimited.Record]) -> list[delimited.Record]:
@@ -199,13 +200,6 @@ def _column(
     return tuple(values)
 
 
-def _truth(field: str) -> bool:
-    word = field.strip().lower()
-    if word not in _TRUTH:
-        raise ValueError(word)
-    return _TRUTH[word]
-
-
 def _number(value: Scalar | None) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
 
@@ -231,5 +225,5 @@ def _described(lines: Sequence[str], units: str) -> dict[str, Any]:
         "stress": _number(known.get("stress")),
         "confidence": _number(known.get("confidence")),
         "notes": tuple(str(value) for key, value in entries if key == "note"),
-        "provenance": provenance,
+        **from_provenance(provenance),
     }

@@ -11,6 +11,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.comments import python_scalar
+from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.parsing.source import opened_text, quoted
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
@@ -64,7 +65,6 @@ def read_map(path: Path) -> SensorMap:
         names=tuple(row.value("name", (str,)) for row in rows) if named else (),
         component=np.array([row.value("component", (int,)) for row in rows if placed], np.intp),
         health=tuple(row.value("health", (str,), "ok") for row in rows),
-        excluded=np.array([row.value("excluded", (bool,), False) for row in rows]),
         **_described(path, document),
     )
 
@@ -88,7 +88,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "stress": _strict(float(sensor_map.stress)),
         "confidence": _strict(float(sensor_map.confidence)),
         "notes": list(sensor_map.notes),
-        "provenance": {k: _strict(value) for k, value in sensor_map.provenance.items()},
+        "provenance": {k: _strict(value) for k, value in to_provenance(sensor_map).items()},
         "dimensions": sensor_map.dimensions,
         "sensors": [
             {
@@ -96,14 +96,12 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
                 "position": [_strict(coordinate) for coordinate in position],
                 "component": component,
                 "health": health,
-                "excluded": excluded,
             }
-            for name, position, component, health, excluded in zip(
+            for name, position, component, health in zip(
                 sensor_map.names,
                 sensor_map.positions.tolist(),
                 sensor_map.component.tolist(),
                 sensor_map.health,
-                sensor_map.excluded.tolist(),
                 strict=True,
             )
         ],
@@ -169,10 +167,12 @@ def _described(path: Path, document: dict[str, Any]) -> dict[str, Any]:
             "stress": _loose(document.get("stress")),
             "confidence": _loose(document.get("confidence")),
             "notes": tuple(map(str, notes)),
-            "provenance": {
-                key: value if isinstance(value, Scalar) else _loose(value)
-                for key, value in provenance.items()
-            },
+            **from_provenance(
+                {
+                    key: value if isinstance(value, Scalar) else _loose(value)
+                    for key, value in provenance.items()
+                }
+            ),
         }
     except (ValueError, TypeError, AttributeError) as error:
         raise FileError(

@@ -6,12 +6,15 @@ import numpy as np
 
 from anisomap.drawing.figures.charts import METHOD_LOOKS, CurvePanel, curves_figure
 from anisomap.drawing.figures.gallery import Panel, gallery_figure, map_panel, truth_panel
-from anisomap.methods import compute_stages
+from anisomap.methods import MethodOptions, find_method
+from anisomap.numerics.precision import Reals
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
 from anisomap.paper.experiments.stimuli import PHOTOGRAPHS, cochlea, retina
 from anisomap.paper.measures import chosen_dimension, spectrum
 from anisomap.paper.runs import CASES, METHODS, make_map, patch_run, truth_of
+from anisomap.reconstruction import dissimilarities
 from anisomap.recording import Recording
+from anisomap.stages.pairs import compare
 
 _SCORES = {
     "sense": "sense",
@@ -81,6 +84,13 @@ def figure_cochlea(settings: Settings, _: Tables) -> Outcome:
     return Outcome((Picture("cochlea", caption, figure),), (table,))
 
 
+def _metric(recording: Recording, method: str) -> Reals:
+    recipe, options = find_method(method), MethodOptions()
+    varying = recording.select(recording.varying())
+    pairs = compare([varying], recipe.similarity, bins=options.bins, with_noise=False)
+    return recipe.metric(dissimilarities(pairs, method, options))
+
+
 def dimensions(settings: Settings, _: Tables) -> Outcome:
     """Choose the number of dimensions of every body, the patch, and the senses."""
     seed, n_frames = settings.seed, settings.n_frames
@@ -94,8 +104,7 @@ def dimensions(settings: Settings, _: Tables) -> Outcome:
     for name, recording, true in runs:
         curves, chosen = {}, []
         for method in METHODS:
-            varying = recording.readings[:, recording.varying()]
-            variances = spectrum(compute_stages(varying, method).metric)
+            variances = spectrum(_metric(recording, method))
             chosen.append(chosen_dimension(variances))
             share = variances[:_MOST_DIMENSIONS] / variances[variances > 0].sum()
             curves[method] = share[:, None]

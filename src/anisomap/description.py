@@ -1,0 +1,68 @@
+"""Notes and provenance of a map: what its stages report, in text and in plain values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap._version import __version__
+from anisomap.methods import MethodOptions, find_method
+from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.recording import Scalar
+from anisomap.sensor_map import UNPLACED
+from anisomap.stages.refinement import RefinementFacts
+from anisomap.wording import join_items, noun_and_items
+
+
+def caveats(component: NDArray[np.intp], names: Sequence[str], *, converged: bool) -> Iterator[str]:
+    """Yield a note if the map has several components, and if scaling did not converge."""
+    sizes = np.bincount(component[component != UNPLACED])
+    if sizes.size > 1:
+        outside = [names[i] for i in np.flatnonzero(component > 0).tolist()]
+        yield (
+            f"the sensors form {sizes.size} separate components (of {join_items(sizes.tolist())} "
+            "sensors), whose positions relative to one another are unknown; outside the largest: "
+            f"{join_items(outside)}"
+        )
+    if not converged:
+        yield "scaling stopped before it converged: allow more iterations"
+
+
+def unknown_pairs(known: NDArray[np.bool_], names: Sequence[str]) -> Iterator[str]:
+    """Yield a note if some pairs of sensors were never recorded together."""
+    if not known.all():
+        concerned = [names[i] for i in np.flatnonzero(~known.all(axis=1)).tolist()]
+        yield (
+            f"{np.count_nonzero(np.triu(~known))} pairs of sensors were never recorded together; "
+            f"their distances follow from other pairs only: {noun_and_items('sensor', concerned)}"
+        )
+
+
+def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]:
+    """Return the parameters that make a map again."""
+    recipe, defaults = find_method(method), MethodOptions()
+    facts: dict[str, Scalar] = {
+        "anisomap": __version__,
+        "similarity": recipe.similarity,
+        "mu": options.mu,
+        "bins": options.bins,
+    }
+    if options.n_neighbours is not None:
+        facts["n_neighbours"] = options.n_neighbours
+    if recipe.refine is not None:
+        usual = asdict(CovariogramOptions())
+        changed = {k: v for k, v in asdict(options.covariogram).items() if v != usual[k]}
+        facts |= {f"covariogram_{name}": value for name, value in changed.items()}
+        for name in ("split_unrelated", "independent_frames"):
+            if getattr(options, name) != getattr(defaults, name):
+                facts[name] = getattr(options, name)
+    return facts | asdict(options.smacof)
+
+
+def refinement_provenance(facts: RefinementFacts) -> dict[str, Scalar]:
+    """Keep the facts that differ from those of an unrefined map."""
+    unrefined = asdict(RefinementFacts())
+    return {k: v for k, v in asdict(facts).items() if v != unrefined[k]}

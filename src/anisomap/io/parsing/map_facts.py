@@ -1,0 +1,32 @@
+"""Typed facts of a map, stored among its provenance in every map format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from anisomap.recording import Scalar
+from anisomap.sensor_map import DEFAULT_FRAME, SensorMap
+
+_FLAGS = ("approximate", "uneven", "mirrored")
+
+
+def to_provenance(sensor_map: SensorMap) -> dict[str, Scalar]:
+    """Return the provenance of a map with its frame and those flags that are set."""
+    flags: dict[str, Scalar] = {name: True for name in _FLAGS if getattr(sensor_map, name)}
+    frame = {} if sensor_map.frame == DEFAULT_FRAME else {"frame": sensor_map.frame}
+    return {**sensor_map.provenance, **flags, **frame}
+
+
+def from_provenance(stored: Mapping[str, Scalar]) -> dict[str, Any]:
+    """Split stored provenance into arguments of `SensorMap`."""
+    facts: dict[str, Any] = {name: stored[name] is True for name in _FLAGS if name in stored}
+    if "frame" in stored:
+        facts["frame"] = str(stored["frame"])
+    iterations = stored.get("iterations")
+    if isinstance(iterations, int):
+        facts["n_iterations"] = int(iterations)
+    return {
+        **facts,
+        "provenance": {k: v for k, v in stored.items() if k not in (*_FLAGS, "frame")},
+    }

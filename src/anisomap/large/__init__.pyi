@@ -1,0 +1,3 @@
+from .approximation import reconstruct_approximately as reconstruct_approximately
+from .landmarks.options import ApproximateOptions as ApproximateOptions
+from .streaming import reconstruct_chunks as reconstruct_chunks

@@ -1,0 +1,226 @@
+"""The first stage: similarity of all pairs of sensors, and how reliable it is."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anisomap.errors import InputError
+from anisomap.numerics.graph.dissimilarity import as_symmetric
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.sampling_noise import sampling_variance
+from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
+from anisomap.numerics.similarity.information import mutual_information
+from anisomap.recording import Recording
+
+logger = logging.getLogger(__name__)
+
+_ROUNDING = 1e-6  # by which a computed correlation may exceed 1
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """A pairwise statistic.
+
+    Attributes
+    ----------
+    summary : str
+    compute : callable
+        ``compute(readings, bins)`` returns the similarity, shape (n, n).
+    """
+
+    summary: str
+    compute: Callable[[ArrayLike, int], Reals]
+
+
+SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
+    {
+        "pearson": Similarity("linear correlation", lambda x, _: pearson(x)),
+        "spearman": Similarity("rank correlation", lambda x, _: spearman(x)),
+        "co-activation": Similarity(
+            "correlation of contact, yes or no (phi)", lambda x, _: co_activation(x)
+        ),
+        "mutual-information": Similarity(
+            "mutual information of binned readings", mutual_information
+        ),
+        "blended-correlation": Similarity(
+            "linear correlation where it is reliable, else rank correlation",
+            lambda x, _: blended_correlation(x),
+        ),
+    }
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PairStatistics:
+    """Similarity of all pairs of n sensors, and what is known about its reliability.
+
+    Attributes
+    ----------
+    similarity : ndarray of shape (n, n)
+        Symmetric.
+    noise : ndarray of shape (n, n)
+        Sampling variance of each similarity.
+    known : ndarray of bool, shape (n, n)
+        Pairs that were recorded together.
+    readings : ndarray of shape (T, n), optional
+        Readings in temporal order; None if only the similarity is known, or not all pairs are.
+    """
+
+    similarity: Reals
+    noise: Reals
+    known: NDArray[np.bool_]
+    readings: NDArray[np.generic] | None = None
+
+    @classmethod
+    def from_similarity(
+        cls,
+        similarity: ArrayLike,
+        *,
+        noise: ArrayLike,
+        known: NDArray[np.bool_] | None = None,
+        readings: NDArray[np.generic] | None = None,
+    ) -> PairStatistics:
+        """Check and complete a similarity.
+
+        Parameters
+        ----------
+        similarity : array_like of shape (n, n)
+        noise : array_like of shape (n, n), or float
+            Its sampling variance.
+        known : ndarray of bool, shape (n, n), optional
+            Pairs that are known; all by default. The similarity of the others is ignored, whatever
+            its value.
+        readings : ndarray of shape (T, n), optional
+
+        Raises
+        ------
+        InputError
+            If the similarity or its noise is not symmetric.
+        """
+        if known is not None and not known.all():
+            known = known | np.eye(len(known), dtype=bool)
+            similarity = np.where(known, similarity, 0)
+            readings = None
+        checked = as_symmetric(similarity, "similarity")
+        noise = np.asarray(noise)
+        noise = as_symmetric(noise, "noise") if noise.ndim else noise
+        # Constant matrices are broadcast, which takes no memory.
+        return cls(
+            checked,
+            np.broadcast_to(noise, checked.shape),
+            np.broadcast_to(np.array(True), checked.shape) if known is None else known,
+            readings,
+        )
+
+    @property
+    def weights(self) -> NDArray[np.float64] | None:
+        """Weights of distances in scaling: 0 for unknown pairs; None if all pairs are known."""
+        return None if self.known.all() else self.known.astype(np.float64)
+
+    def select(self, sensors: NDArray[np.bool_]) -> PairStatistics:
+        """Keep some sensors, given as a mask of shape (n,)."""
+        if sensors.all():
+            return self
+        inside = np.ix_(sensors, sensors)
+        readings = None if self.readings is None else self.readings[:, sensors]
+        return replace(
+            self,
+            similarity=self.similarity[inside],
+            noise=self.noise[inside],
+            known=self.known[inside],
+            readings=readings,
+        )
+
+    def check_correlations(self) -> None:
+        """Check that the similarity is a correlation.
+
+        Raises
+        ------
+        InputError
+            If it exceeds 1 in magnitude.
+        """
+        largest = np.abs(self.similarity).max(initial=0)
+        if largest > 1 + _ROUNDING:
+            raise InputError(
+                f"the similarity reaches {largest:g}, but this method requires correlations, from "
+                "-1 to 1; r-anisomap takes any similarity"
+            )
+
+
+def compare(
+    runs: Sequence[Recording], similarity: str, *, bins: int, with_noise: bool
+) -> PairStatistics:
+    """Compare all pairs of sensors: the similarity S.
+
+    Parameters
+    ----------
+    runs : sequence of Recording
+        Complete recordings of the sensors to compare. If some lack sensors, each pair is compared
+        over the runs that hold both of its sensors; sensors are then in order of appearance.
+    similarity : str
+        A key of `SIMILARITIES`.
+    bins : int
+        Bins per sensor, for entropies.
+    with_noise : bool
+        Whether to estimate the sampling variance, too; for correlations only.
+
+    Returns
+    -------
+    PairStatistics
+    """
+    logger.info("comparing all pairs of sensors (%s)", similarity)
+    compute = SIMILARITIES[similarity].compute
+    if len({frozenset(run.names) for run in runs}) == 1:
+        readings = _joined(runs, runs[0].names)
+        return PairStatistics.from_similarity(
+            compute(readings, bins),
+            noise=sampling_variance(readings) if with_noise else np.nan,
+            readings=readings if with_noise else None,
+        )
+    names = tuple(dict.fromkeys(name for run in runs for name in run.names))
+    shared = _shared_runs(runs, names)
+    values, noise = np.eye(len(names)), np.ones(shared.shape)
+    for runs_of_pair, readings, sensors in _groups(runs, names, shared):
+        inside = np.ix_(sensors, sensors)
+        asked = shared[inside] == runs_of_pair
+        values[inside] = np.where(asked, compute(readings, bins), values[inside])
+        if with_noise:
+            noise[inside] = np.where(asked, sampling_variance(readings), noise[inside])
+    return PairStatistics.from_similarity(values, noise=noise, known=shared > 0)
+
+
+def _joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.floating]:
+    """Concatenate the readings of runs, sensors in the order of the names."""
+    ordered = [
+        run.readings
+        if run.names == names
+        else run.readings[:, [run.names.index(name) for name in names]]
+        for run in runs
+    ]
+    return ordered[0] if len(ordered) == 1 else np.concatenate(ordered)
+
+
+def _shared_runs(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.int64]:
+    """Encode the runs that hold both sensors of each pair: one bit per run, shape (N, N)."""
+    present = np.zeros(len(names), dtype=np.int64)
+    column = {name: i for i, name in enumerate(names)}
+    for bit, run in enumerate(runs):
+        present[[column[name] for name in run.names]] |= 1 << bit
+    return present[:, None] & present
+
+
+def _groups(
+    runs: Sequence[Recording], names: tuple[str, ...], shared: NDArray[np.int64]
+) -> Iterator[tuple[int, NDArray[np.floating], NDArray[np.intp]]]:
+    """Yield every set of runs that some pair shares, its frames, and the sensors in all of it."""
+    for code in np.unique(shared[shared > 0]).tolist():
+        chosen = [run for bit, run in enumerate(runs) if code >> bit & 1]
+        sensors = np.flatnonzero((np.diag(shared) & code) == code)
+        yield code, _joined(chosen, tuple(names[i] for i in sensors)), sensors

@@ -1,0 +1,218 @@
+"""The last stage: positions refined by the covariogram, by geodesic lengths, by contacts."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.numerics.contacts import ContactOptions, fit_contacts
+from anisomap.numerics.covariogram.fit import fit_covariogram
+from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
+from anisomap.numerics.geodesic.refinement import (
+    GeodesicOptions,
+    refine_by_contact_peaks,
+    refine_by_even_spacing,
+)
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.reliability.sampling_noise import typical_variance
+from anisomap.stages.pairs import PairStatistics
+
+logger = logging.getLogger(__name__)
+
+_MIN_SENSORS = 8  # fewer have hardly more pairs than coordinates
+_MIN_FRAMES = 40  # fewer hold no contacts that could be told apart
+
+_UNEVEN = "the covariogram map has very unequal distances between neighbours"
+_CONTACT_PEAKS = (
+    f"{_UNEVEN}, so its lengths were taken from the peak heights of contacts that pass over "
+    "neighbours; this assumes that ground or touch is equally rough in both directions"
+)
+_SQUEEZED = (
+    f"{_UNEVEN}, and contacts give no better ones: neighbourhoods may be right, but do not trust "
+    "the map's scale along one direction relative to another"
+)
+_NOT_EXAMINED = (
+    f"{_UNEVEN}; peak heights of contacts, which may give better ones, were not examined: map a "
+    "part of the recording that fits in memory"
+)
+_EVEN = "even spacing of neighbours was declared, not measured, and the map relies on it"
+_NOT_EVEN = (
+    f"{_UNEVEN}, and the halves of the recording disagree about who is a neighbour, so the "
+    "declared even spacing could not be used: do not trust the map's scale along one direction "
+    "relative to another"
+)
+_TOO_FEW = "even spacing was declared, but there are too few sensors or frames to use it"
+
+
+@dataclass(frozen=True)
+class RefinementFacts:
+    """How a map was refined.
+
+    Attributes
+    ----------
+    contact_peaks : bool
+        Lengths were taken from the peak heights of contacts.
+    even_spacing : bool or None
+        Lengths were taken from declared even spacing; False if it was declared but could not be
+        used, None if it was not declared.
+    uneven : bool
+        Neighbours lie at very unequal distances, and nothing corrected them.
+    n_contacts : int or None
+        Number of fitted contacts; 0 if the fit was rejected, None if it was not tried.
+    """
+
+    contact_peaks: bool = False
+    even_spacing: bool | None = None
+    uneven: bool = False
+    n_contacts: int | None = None
+
+    @property
+    def elongated(self) -> bool:
+        """Whether contacts are longer than compact ones, which a fit of contacts assumes."""
+        return self.contact_peaks or bool(self.even_spacing) or self.uneven
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """Refined positions.
+
+    Attributes
+    ----------
+    positions : ndarray of shape (n, k)
+    facts : RefinementFacts
+    notes : tuple of str
+        Caveats for users.
+    """
+
+    positions: Reals
+    facts: RefinementFacts = field(default_factory=RefinementFacts)
+    notes: tuple[str, ...] = ()
+
+
+def refine_by_covariogram(
+    pairs: PairStatistics,
+    metric: Reals,
+    positions: Reals,
+    options: CovariogramOptions | None = None,
+    *,
+    evenly_spaced: bool = False,
+) -> Refined:
+    """Fit a covariogram; where it leaves neighbours uneven, take lengths from a neighbour graph.
+
+    Parameters
+    ----------
+    pairs : PairStatistics
+    metric : ndarray of shape (n, n)
+    positions : ndarray of shape (n, k)
+        From scaling the metric.
+    options : CovariogramOptions, optional
+    evenly_spaced : bool
+        Whether even spacing of neighbours was declared.
+
+    Returns
+    -------
+    Refined
+        Fewer than 8 sensors keep their positions.
+    """
+    unused = Refined(positions)
+    if evenly_spaced:
+        unused = Refined(positions, RefinementFacts(even_spacing=False), (_TOO_FEW,))
+    if len(positions) < _MIN_SENSORS:
+        return unused
+    fit = fit_covariogram(
+        pairs.similarity,
+        positions,
+        metric,
+        noise=typical_variance(pairs.noise),
+        known=pairs.known,
+        options=options,
+    )
+    logger.info(
+        "covariogram %.2f exp(-d^%.2f) %+.2f after %d steps",
+        fit.amplitude,
+        fit.exponent,
+        fit.offset,
+        fit.iterations,
+    )
+    readings = pairs.readings if positions.shape[1] > 1 else None  # a line has no directions
+    if readings is None or len(readings) < _MIN_FRAMES:
+        return replace(unused, positions=fit.positions)
+    correct = refine_by_even_spacing if evenly_spaced else refine_by_contact_peaks
+    found = correct(readings, fit.positions, similarity=pairs.similarity)
+    logger.info("unevenness %.2f; geodesic lengths used: %s", found.unevenness, found.applied)
+    if evenly_spaced:
+        facts = RefinementFacts(even_spacing=found.applied)
+        return Refined(found.positions, facts, (_EVEN if found.applied else _NOT_EVEN,))
+    if found.applied:
+        return Refined(found.positions, RefinementFacts(contact_peaks=True), (_CONTACT_PEAKS,))
+    if found.unevenness > GeodesicOptions.max_unevenness:
+        return Refined(found.positions, RefinementFacts(uneven=True), (_SQUEEZED,))
+    return Refined(found.positions)
+
+
+def unexamined_unevenness(
+    readings: NDArray[np.generic], positions: Reals, similarity: Reals
+) -> tuple[str, ...]:
+    """Return a caveat if a map has uneven neighbours whose contact peaks were not examined.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, n)
+        Excerpts of the recording, in temporal order.
+    positions : ndarray of shape (n, k)
+    similarity : ndarray of shape (n, n)
+
+    Returns
+    -------
+    tuple of str
+        Empty if neighbours lie at similar distances.
+    """
+    if len(positions) < _MIN_SENSORS or positions.shape[1] < 2:
+        return ()
+    joined = neighbour_graph(readings, positions, similarity=similarity).adjacency
+    uneven = unevenness(positions, joined) > GeodesicOptions.max_unevenness
+    return (_NOT_EXAMINED,) if uneven else ()
+
+
+def refine_by_contacts(
+    pairs: PairStatistics, mapped: Refined, options: ContactOptions | None = None
+) -> Refined:
+    """Fit the contacts that made the readings, if they are compact and explain the readings.
+
+    Parameters
+    ----------
+    pairs : PairStatistics
+        Without readings, the map is returned unchanged.
+    mapped : Refined
+        A nearly correct map.
+    options : ContactOptions, optional
+
+    Returns
+    -------
+    Refined
+        With the number of contacts among its facts, or 0 and a note why the map is unchanged.
+    """
+    if pairs.readings is None:
+        return _rejected(mapped, "readings of all sensors in the same frames were not given")
+    if len(mapped.positions) < _MIN_SENSORS:
+        return _rejected(mapped, f"{len(mapped.positions)} sensors are too few")
+    if mapped.facts.elongated:
+        return _rejected(mapped, "the contacts are elongated, and the fit assumes compact ones")
+    fit = fit_contacts(pairs.readings, mapped.positions, options)
+    logger.info("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
+    if not fit.used:
+        return _rejected(mapped, fit.reason)
+    return replace(
+        mapped,
+        positions=fit.positions,
+        facts=replace(mapped.facts, n_contacts=fit.n_contacts),
+    )
+
+
+def _rejected(mapped: Refined, reason: str) -> Refined:
+    note = f"contacts did not refine the map, which is that of the covariogram method: {reason}"
+    return replace(mapped, facts=replace(mapped.facts, n_contacts=0), notes=(*mapped.notes, note))
