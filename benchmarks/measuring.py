@@ -19,11 +19,11 @@ from anisomap.numerics.compiled import parallel
 
 Result = TypeVar("Result")
 
-LONG = 5.0
+MAX_REPEATED_SECONDS = 5.0
 """Seconds after which a run is not repeated: what disturbs it is a small part of it."""
 
-_LEAST = 0.3
-_MOST_RUNS = 10
+MIN_SECONDS = 0.3
+MAX_RUNS = 10
 _OWN = Path("/proc/self")
 _KILOBYTES_A_MEGABYTE = 1000 / 1.024
 
@@ -80,7 +80,7 @@ def measured(run: Callable[[], Result]) -> tuple[Cost, Result]:
 def least(run: Callable[[], object]) -> Cost:
     """Give the least of some runs, since what disturbs a run only ever slows it."""
     costs: list[Cost] = []
-    while not costs or (sum(cost.clock for cost in costs) < _LEAST and len(costs) < _MOST_RUNS):
+    while not costs or (sum(cost.clock for cost in costs) < MIN_SECONDS and len(costs) < MAX_RUNS):
         costs.append(measured(run)[0])
     return Cost(
         min(cost.cpu for cost in costs),
@@ -93,7 +93,7 @@ def on_one_thread(run: Callable[[], Result]) -> tuple[Cost, Result]:
     """Give the least cost on one thread, and the result; the first run warms up, unless long."""
     with threads(1):
         first, result = measured(run)
-        return (first if first.clock > LONG else least(run)), result
+        return (first if first.clock > MAX_REPEATED_SECONDS else least(run)), result
 
 
 def _begin_peak() -> float:

@@ -30,7 +30,7 @@ def recordings(tmp_path):
 
 @pytest.fixture
 def hasty(monkeypatch):
-    monkeypatch.setattr(measuring, "_LEAST", 0)
+    monkeypatch.setattr(measuring, "MIN_SECONDS", 0)
     monkeypatch.setattr(race, "cores", lambda: 1)
     monkeypatch.setattr(similarities, "PAIRS", 20)
     monkeypatch.setattr(scalings, "MOST_STEPS", 50)

@@ -1,14 +1,12 @@
-"""How the work grows, in operations, not in seconds: these do not depend on the machine."""
+"""Growth of the work, counted in operations: unlike seconds, independent of the machine."""
 
 import numpy as np
 import pytest
 from benchmarks.inputs import flat_skin, stroked_skin
 from benchmarks.tables import growth_exponent
-from scipy.sparse.linalg import LinearOperator, eigsh
 
 from anisomap.numerics.graph import shortest_paths
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling import classical
 from anisomap.numerics.scaling.classical import torgerson
 from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.numerics.similarity import co_occurrence
@@ -27,19 +25,12 @@ def metrics(skins):
     return {size: metricise(lengths) for size, lengths in skins.items()}
 
 
-def test_of_a_skin_a_few_edges_a_sensor_are_followed(skins, monkeypatch):
-    followed = []
-    relax = shortest_paths._relax
-
-    def counted(paths, order, edges, *more):
-        followed.append(len(edges.ends))
-        relax(paths, order, edges, *more)
-
-    monkeypatch.setattr(shortest_paths, "_relax", counted)
-    monkeypatch.setattr(shortest_paths, "through_all_nodes", None)  # would be N^3
-    for lengths in skins.values():
-        shortest_paths.shortest_paths(lengths)
-    essential = followed[1::2]
+def test_few_edges_of_a_skin_are_shortest_paths(skins, metrics):
+    for size, lengths in skins.items():
+        found = shortest_paths.along_few_edges(lengths)
+        assert found is not None, "few edges lead to all shortest paths"
+        np.testing.assert_allclose(found, metrics[size], rtol=1e-12)
+    essential = [np.count_nonzero(metrics[size] == lengths) for size, lengths in skins.items()]
     assert max(essential) / SIZES[-1] < 50
     assert growth_exponent(SIZES, essential) < 1.3
 
@@ -55,24 +46,6 @@ def test_few_steps_of_lbfgs_lead_near_the_best(metrics):
     assert growth_exponent(SIZES, bent) < 1
 
 
-def test_torgerson_takes_a_number_of_products_that_hardly_grows(metrics, monkeypatch):
-    products = []
-
-    def counted(operator, **options):
-        def multiply(vector):
-            products[-1] += 1
-            return operator.matvec(vector)
-
-        return eigsh(LinearOperator(operator.shape, multiply, dtype=operator.dtype), **options)
-
-    monkeypatch.setattr(classical, "eigsh", counted)
-    for metric in metrics.values():
-        products.append(0)
-        torgerson(metric, 3)
-    assert min(products) > 0
-    assert max(products) < 100
-
-
 def laid_out(n_sensors, bins):
     codes = maximum_entropy_codes(stroked_skin(n_sensors, 2000)[0], bins)
     counts = co_occurrence.code_counts(codes, int(codes.max()) + 1)
@@ -80,19 +53,15 @@ def laid_out(n_sensors, bins):
 
 
 def meetings(n_sensors, bins):
-    """Steps from entry to entry: pairs of sensors that are on in the same frame."""
+    """Count pairs of sensors that are on in the same frame."""
     codes, layout = laid_out(n_sensors, bins)
     on = np.count_nonzero(codes != layout.reference, axis=1)
-    listed = co_occurrence._entries(codes, layout)
-    assert len(listed[0]) == on.sum()
     return float((on.astype(np.float64) ** 2).sum())
 
 
-def words(n_sensors, bins):
-    """Words of bits that are counted if every series meets every other."""
-    codes, layout = laid_out(n_sensors, bins)
-    bits = co_occurrence._bits(codes, layout)
-    return float(len(bits)) ** 2 / 2 * bits.shape[1]
+def pairs_of_series(n_sensors, bins):
+    _, layout = laid_out(n_sensors, bins)
+    return float(layout.n_series) ** 2 / 2
 
 
 def test_where_few_sensors_are_on_bins_cost_nothing():
@@ -101,7 +70,8 @@ def test_where_few_sensors_are_on_bins_cost_nothing():
     assert growth_exponent(sizes, [meetings(n, 4) for n in sizes]) == pytest.approx(2, abs=0.2)
 
 
-def test_words_of_bits_grow_as_pairs_of_series():
-    assert [words(100, bins) / words(100, 2) for bins in (2, 4, 8)] == [1, 9, 49]
+def test_pairs_of_series_grow_with_the_squares_of_bins_and_of_sensors():
+    two_bins = pairs_of_series(100, 2)
+    assert [pairs_of_series(100, bins) / two_bins for bins in (2, 4, 8)] == [1, 9, 49]
     sizes = (100, 200, 400)
-    assert growth_exponent(sizes, [words(n, 4) for n in sizes]) == pytest.approx(2)
+    assert growth_exponent(sizes, [pairs_of_series(n, 4) for n in sizes]) == pytest.approx(2)

@@ -11,7 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
@@ -263,17 +265,16 @@ def test_drawing_leaves_no_trace_in_matplotlib() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_a_failure_leaves_the_old_picture_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+class Undrawable(Artist):
+    def draw(self, renderer: RendererBase) -> None:
+        raise MemoryError
+
+
+def test_a_failure_leaves_the_old_picture_whole(tmp_path: Path) -> None:
     path = tmp_path / "map.png"
     path.write_bytes(b"old")
     figure = map_figure(SensorMap(spread(5, 2)))
-
-    def fail(*_: object, **__: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr(figure, "savefig", fail)
+    figure.add_artist(Undrawable())
     with pytest.raises(MemoryError):
         save_figure(figure, path)
     assert path.read_bytes() == b"old"
