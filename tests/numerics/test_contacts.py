@@ -13,7 +13,12 @@ from anisomap.numerics.contacts.bundle_adjustment import ReducedSystem
 from anisomap.numerics.contacts.detection import Contacts, find_contacts
 from anisomap.numerics.contacts.levels import assign_levels
 from anisomap.numerics.contacts.localisation import evaluate, leave_one_out, locate
-from anisomap.numerics.contacts.profile import Profile, _loss, fit_profile, level_terms
+from anisomap.numerics.contacts.profile import (
+    Profile,
+    fit_profile,
+    level_log_likelihood,
+    negative_log_likelihood,
+)
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from skins import lattice
@@ -53,9 +58,9 @@ def some_contacts(dimensions, seed=0):
 @given(st.integers(0, 3), st.floats(-2, 3))
 def test_slopes_of_readings_are_those_of_finite_differences(level, inside):
     def score(u):
-        return float(level_terms([level], [u], PROFILE)[0][0])
+        return float(level_log_likelihood([level], [u], PROFILE)[0][0])
 
-    _, slope, curvature = level_terms([level], [inside], PROFILE)
+    _, slope, curvature = level_log_likelihood([level], [inside], PROFILE)
     difference = (score(inside + 1e-5) - score(inside - 1e-5)) / 2e-5
     assert slope[0] == pytest.approx(difference, rel=1e-5, abs=1e-6)
     assert curvature[0] >= 0
@@ -63,7 +68,9 @@ def test_slopes_of_readings_are_those_of_finite_differences(level, inside):
 
 def test_levels_share_out_all_probability():
     inside = np.linspace(-3, 4, 50)
-    total = sum(np.exp(level_terms(np.full(50, level), inside, PROFILE)[0]) for level in range(4))
+    total = sum(
+        np.exp(level_log_likelihood(np.full(50, level), inside, PROFILE)[0]) for level in range(4)
+    )
     np.testing.assert_allclose(total, 1, atol=1e-9)
 
 
@@ -72,8 +79,10 @@ def test_the_profiles_gradient_is_that_of_finite_differences(seed):
     rng = np.random.default_rng(seed)
     levels, inside, weights = rng.integers(0, 4, 50), rng.normal(0.5, 1, 50), rng.uniform(size=50)
     at = np.array([0.1, np.log(0.5), np.log(0.3), np.log(0.25)])
-    value, gradient = _loss(at, levels, inside, weights)
-    expected = approx_fprime(at, lambda p: _loss(p, levels, inside, weights)[0], 1e-7)
+    value, gradient = negative_log_likelihood(at, levels, inside, weights)
+    expected = approx_fprime(
+        at, lambda p: negative_log_likelihood(p, levels, inside, weights)[0], 1e-7
+    )
     np.testing.assert_allclose(gradient, expected, atol=1e-4 * abs(value))
 
 
@@ -149,7 +158,7 @@ def test_the_reduced_curvature_is_what_a_whole_system_leaves_and_steps_solve_it(
     np.testing.assert_allclose(dense, expected, atol=1e-9)
     np.testing.assert_allclose(reduced.gradient, pulls[:size] - back.T @ pulls[size:], atol=1e-9)
     strays = np.random.default_rng(0).normal(size=places.shape)
-    step = reduced.step(strays, share=0.3, prior_sd=0.5)
+    step = reduced.step(strays, contact_weight=0.3, prior_sd=0.5)
     damped = 0.3 * dense + 4 * np.eye(size)
     own = 0.01 * (0.3 * np.diag(whole)[:size] + 4)
     np.testing.assert_allclose(
@@ -231,7 +240,7 @@ def test_labels_and_units_do_not_matter(seed):
     places = lattice(7, 7)
     readings = pressed(places, 300, seed=seed)
     rough = places + rng.normal(0, 0.2, places.shape)
-    options = ContactOptions(rounds=1, steps=2)
+    options = ContactOptions(n_rounds=1, n_steps=2)
     found = fit_contacts(readings, rough, options)
     order = rng.permutation(49)
     other = fit_contacts(5 - 7 * readings[:, order], 3 * rough[order] + 8, options)
@@ -269,12 +278,12 @@ def test_an_untouched_skin_has_no_contacts():
 @pytest.mark.parametrize(
     ("readings", "positions", "message"),
     [
-        (np.zeros(5), np.zeros((5, 2)), r"shape \(5,\)"),
-        (np.zeros((9, 5)), np.zeros((4, 2)), r"must be \(5, k\)"),
+        (np.zeros(5), np.zeros((5, 2)), r"got \(5,\)"),
+        (np.zeros((9, 5)), np.zeros((4, 2)), r"shape \(5, k\)"),
         (np.full((9, 5), np.nan), np.eye(5), "finite"),
         (np.zeros((9, 5)), np.full((5, 2), np.inf), "finite"),
-        (np.zeros((9, 2)), np.eye(2), "too few"),
-        (np.eye(9)[:, :5], np.zeros((5, 2)), "share their place"),
+        (np.zeros((9, 2)), np.eye(2), "at least 3 sensors"),
+        (np.eye(9)[:, :5], np.zeros((5, 2)), "same position"),
     ],
 )
 def test_nonsense_is_refused(readings, positions, message):
@@ -284,8 +293,8 @@ def test_nonsense_is_refused(readings, positions, message):
 
 @pytest.mark.parametrize(
     "options",
-    [{"levels": 0}, {"levels": 200}, {"share": 0}, {"share": np.nan}, {"prior_sd": 0},
-     {"prior_sd": np.inf}, {"rounds": 0}, {"steps": -1}, {"min_sensors": 1},
+    [{"n_levels": 0}, {"n_levels": 200}, {"contact_weight": 0}, {"contact_weight": np.nan},
+     {"prior_sd": 0}, {"prior_sd": np.inf}, {"n_rounds": 0}, {"n_steps": -1}, {"min_sensors": 1},
      {"max_readings": 0}, {"max_gain_spread": np.nan}],
 )  # fmt: skip
 def test_nonsense_options_are_refused(options):

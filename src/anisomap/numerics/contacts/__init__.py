@@ -1,4 +1,4 @@
-"""Contacts that nobody saw: found in the readings, located on a map, and used to refine it."""
+"""Refinement of maps by contacts that are detected in the readings and located on the map."""
 
 from anisomap.numerics.contacts.fit import ContactFit, ContactOptions, fit_contacts
 

@@ -1,4 +1,4 @@
-"""Contacts in readings: which sensors one thing presses at one time, and which it just misses."""
+"""Detection of contacts: sensors pressed together in a frame, and those at rest around them."""
 
 from __future__ import annotations
 
@@ -17,32 +17,33 @@ from anisomap.numerics.contacts.levels import Levels
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_NEIGHBOURS = 6
-_LONGEST_LINK = 2.5  # median links; a longer one joins parts of a skin only where nothing else does
-_BESIDE = 2.2  # median links; so near are the resting sensors that bound a contact
-_APART = 2.2  # median links; peaks that are nearer are one
-_CLEAR = 1.3  # a sensor between two peaks belongs to neither unless so many times nearer to one
-_MOST_TOUCHED = 0.7  # of all sensors; more is no contact but a posture, or a fault
-_FEWEST_AT_REST = 2
-_SAMPLE = 200  # frames that tell how many contacts to expect
+# Chosen by hand on simulated skins, seeds 101 to 105; lengths in median links between neighbours.
+_N_NEIGHBOURS = 6  # as on a triangular lattice
+_MAX_LINK = 2.5  # longer links are kept only in the spanning tree
+_BORDER_WIDTH = 2.2  # within which resting sensors bound a contact
+_MIN_PEAK_DISTANCE = 2.2  # nearer peaks belong to one contact
+_MIN_DISTANCE_RATIO = 1.3  # to the second nearest peak over the nearest; ambiguous below
+_MAX_TOUCHED = 0.7  # of all sensors; above it a posture or a fault
+_MIN_AT_REST = 2
+_SAMPLE_FRAMES = 200  # from which the number of contacts is predicted
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """E contacts, and the M readings that tell of them.
+    """E contacts and their M readings.
 
     Attributes
     ----------
     sensors : ndarray of int, shape (M,)
-        Which sensor each reading is of, contact after contact.
+        Sensor of each reading, ordered by contact.
     levels : ndarray of int, shape (M,)
-        The readings: 0 where a sensor beside the contact rests.
+        Level of each reading; 0 for sensors at rest beside the contact.
     starts : ndarray of int, shape (E,)
-        Where each contact's readings begin.
+        Index of the first reading of each contact.
     frames : ndarray of int, shape (E,)
-        When each contact was.
+        Frame of each contact.
     max_level : int
-        The highest level there can be.
+        Highest possible level.
     """
 
     sensors: Indices
@@ -53,90 +54,90 @@ class Contacts:
 
     @property
     def sizes(self) -> Indices:
-        """How many readings each contact has, shape (E,)."""
+        """Number of readings of each contact, shape (E,)."""
         return np.diff(self.starts, append=len(self.sensors))
 
     @cached_property
     def contact_index(self) -> Indices:
-        """Which contact each reading belongs to, shape (M,)."""
+        """Contact of each reading, shape (M,)."""
         return np.repeat(np.arange(len(self.starts)), self.sizes)
 
     def total(self, values: Matrix) -> Matrix:
-        """Sum something over the readings of each contact: (M, ...) to (E, ...)."""
+        """Sum values over the readings of each contact: (M, ...) to (E, ...)."""
         return np.asarray(np.add.reduceat(values, self.starts, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
-class _Surroundings:
-    """What is near what on a map."""
+class _Neighbourhood:
+    """Distances and neighbour links on a map."""
 
     distances: Matrix
     link: float
-    joined: csr_array
+    adjacency: csr_array
 
     @cached_property
     def smoothing(self) -> csr_array:
-        kept = self.joined + 2 * eye_array(len(self.distances))
-        return csr_array(kept / np.asarray(kept.sum(axis=1))[:, None])
+        weights = self.adjacency + 2 * eye_array(len(self.distances))
+        return csr_array(weights / np.asarray(weights.sum(axis=1))[:, None])
 
 
 def find_contacts(
-    levels: Levels, places: ArrayLike, *, min_sensors: int, max_readings: int
+    levels: Levels, positions: ArrayLike, *, min_sensors: int, max_readings: int
 ) -> Contacts | None:
-    """Find contacts: touched neighbours, cut apart where there are several peaks among them.
+    """Find patches of touched neighbours, and split those with several peaks.
 
     Parameters
     ----------
     levels : Levels
-    places : array_like of shape (N, k)
-        A map; only what is near what matters.
+    positions : array_like of shape (N, k)
+        A map, of which only the neighbourhoods are used.
     min_sensors : int
-        Fewer touched sensors do not tell where a contact is.
+        Fewest touched sensors of a contact.
     max_readings : int
-        About how many readings of contacts to look for. Frames are left out evenly if there are
-        more: those that follow each other tell nearly the same.
+        Approximate number of readings to return. If there are more, frames are skipped evenly,
+        since consecutive frames are redundant.
 
     Returns
     -------
     Contacts or None
-        None if there are none.
+        None if no contact is found.
     """
-    around = _survey(np.asarray(places, dtype=np.float64))
+    nearby = _neighbourhood(np.asarray(positions, dtype=np.float64))
     n_frames = len(levels.values)
-    sample = np.arange(0, n_frames, max(1, n_frames // _SAMPLE))
-    few = _gather(levels, around, sample, min_sensors)
-    if few is None:
+    sample = np.arange(0, n_frames, max(1, n_frames // _SAMPLE_FRAMES))
+    sampled = _detect(levels, nearby, sample, min_sensors)
+    if sampled is None:
         return None
-    expected = len(few.sensors) * n_frames / len(sample)
+    expected = len(sampled.sensors) * n_frames / len(sample)
     stride = max(1, round(expected / max_readings))
-    return _gather(levels, around, np.arange(0, n_frames, stride), min_sensors)
+    return _detect(levels, nearby, np.arange(0, n_frames, stride), min_sensors)
 
 
-def _survey(places: Matrix) -> _Surroundings:
-    distances = cdist(places, places)
+def _neighbourhood(positions: Matrix) -> _Neighbourhood:
+    distances = cdist(positions, positions)
     n_sensors = len(distances)
-    near = np.argsort(distances, axis=1)[:, 1 : min(_NEIGHBOURS, n_sensors - 1) + 1]
-    joined = np.zeros(distances.shape, dtype=bool)
-    np.put_along_axis(joined, near, values=True, axis=1)
-    joined &= joined.T
-    # Edges must be positive: scipy reads a dense 0 as no edge.
+    near = np.argsort(distances, axis=1)[:, 1 : min(_N_NEIGHBOURS, n_sensors - 1) + 1]
+    adjacency = np.zeros(distances.shape, dtype=bool)
+    np.put_along_axis(adjacency, near, values=True, axis=1)
+    adjacency &= adjacency.T
+    # scipy.sparse.csgraph reads a dense 0 as no edge.
     tree = minimum_spanning_tree(np.maximum(distances, np.finfo(float).tiny)).toarray() > 0
     tree |= tree.T
-    link = float(np.median(distances[joined | tree]))
-    joined = (joined & (distances < _LONGEST_LINK * link)) | tree
-    return _Surroundings(distances, link, csr_array(joined.astype(np.float64)))
+    link = float(np.median(distances[adjacency | tree]))
+    adjacency = (adjacency & (distances < _MAX_LINK * link)) | tree
+    return _Neighbourhood(distances, link, csr_array(adjacency.astype(np.float64)))
 
 
-def _gather(
-    levels: Levels, around: _Surroundings, frames: Indices, min_sensors: int
+def _detect(
+    levels: Levels, nearby: _Neighbourhood, frames: Indices, min_sensors: int
 ) -> Contacts | None:
-    smoothed = np.asarray((around.smoothing @ levels.values[frames].T).T)
-    # Sensors of equal height are no two peaks: the outer one counts, in any order of sensors.
-    smoothed = smoothed + 1e-6 * around.distances.mean(axis=1) / around.distances.mean()
+    smoothed = np.asarray((nearby.smoothing @ levels.values[frames].T).T)
+    # Of sensors of equal height only the outer one is a peak, whatever their order.
+    smoothed = smoothed + 1e-6 * nearby.distances.mean(axis=1) / nearby.distances.mean()
     found = [
         (frame, pressed, resting)
         for frame, heights in zip(frames, smoothed, strict=True)
-        for pressed, resting in _contacts_of(levels.values[frame] > 0, heights, around, min_sensors)
+        for pressed, resting in _contacts_of(levels.values[frame] > 0, heights, nearby, min_sensors)
     ]
     if not found:
         return None
@@ -156,31 +157,31 @@ def _gather(
 
 
 def _contacts_of(
-    touched: NDArray[np.bool_], heights: Matrix, around: _Surroundings, min_sensors: int
+    touched: NDArray[np.bool_], heights: Matrix, nearby: _Neighbourhood, min_sensors: int
 ) -> Iterator[tuple[Indices, Indices]]:
-    """Give the pressed sensors of each contact of a frame, and those at rest beside them."""
+    """Yield the pressed sensors of each contact of a frame, and those at rest beside them."""
     active = np.flatnonzero(touched)
-    if not min_sensors <= len(active) <= _MOST_TOUCHED * len(touched):
+    if not min_sensors <= len(active) <= _MAX_TOUCHED * len(touched):
         return
-    n_patches, patch_of = connected_components(around.joined[active][:, active], directed=False)
+    n_patches, patch_of = connected_components(nearby.adjacency[active][:, active], directed=False)
     for patch in range(n_patches):
         inside = active[patch_of == patch]
         if len(inside) < min_sensors:
             continue
-        for pressed in _cut_apart(inside, heights[inside], around):
-            beside = (around.distances[pressed] < _BESIDE * around.link).any(axis=0)
+        for pressed in _split_at_peaks(inside, heights[inside], nearby):
+            beside = (nearby.distances[pressed] < _BORDER_WIDTH * nearby.link).any(axis=0)
             resting = np.flatnonzero(beside & ~touched)
-            if len(pressed) >= min_sensors and len(resting) >= _FEWEST_AT_REST:
+            if len(pressed) >= min_sensors and len(resting) >= _MIN_AT_REST:
                 yield pressed, resting
 
 
-def _cut_apart(inside: Indices, heights: Matrix, around: _Surroundings) -> list[Indices]:
-    distances = around.distances[np.ix_(inside, inside)]
-    near = distances < _APART * around.link
+def _split_at_peaks(inside: Indices, heights: Matrix, nearby: _Neighbourhood) -> list[Indices]:
+    distances = nearby.distances[np.ix_(inside, inside)]
+    near = distances < _MIN_PEAK_DISTANCE * nearby.link
     peaks = np.flatnonzero(heights >= np.where(near, heights, -np.inf).max(axis=1))
     if len(peaks) == 1:
         return [inside]
     to_peaks = distances[:, peaks]
     nearest, second = np.sort(to_peaks, axis=1)[:, :2].T
-    owner, clear = to_peaks.argmin(axis=1), second > _CLEAR * nearest
+    owner, clear = to_peaks.argmin(axis=1), second > _MIN_DISTANCE_RATIO * nearest
     return [inside[(owner == peak) & clear] for peak in range(len(peaks))]

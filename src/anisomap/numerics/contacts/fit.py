@@ -1,4 +1,4 @@
-"""Maps refined by contacts: where each contact was, how readings fall about it, and the sensors."""
+"""Joint refinement of sensor positions, contact locations and the profile that relates them."""
 
 from __future__ import annotations
 
@@ -12,61 +12,67 @@ from anisomap.errors import InputError
 from anisomap.numerics.contacts.bundle_adjustment import ReducedSystem
 from anisomap.numerics.contacts.detection import Contacts, find_contacts
 from anisomap.numerics.contacts.levels import Levels, assign_levels
-from anisomap.numerics.contacts.localisation import choose, evaluate, leave_one_out, locate
-from anisomap.numerics.contacts.profile import Profile, fit_profile, level_terms
+from anisomap.numerics.contacts.localisation import evaluate, leave_one_out, locate, select
+from anisomap.numerics.contacts.profile import Profile, fit_profile, level_log_likelihood
 
 Matrix = NDArray[np.float64]
 
-_FEWEST = 0.5  # contacts a sensor
-_WARMING_UP = 4  # rounds of contacts and profile before sensors move
-_STEPS_AT_FIRST, _STEPS = 12, 10
-_OFF_THE_SURFACE = 0.7  # of a contact's radius
-_WORST = 4.0  # contacts whose score lies so many times the upper quartile below the median go
-_MOST_DROPPED = 0.4
-_SOFTEST = 0.05  # spacings
-_SAMEST = 0.02  # of the reach
-_FARTHEST_STEP = 0.45  # spacings
-_SETTLED = 0.02  # spacings
+# Chosen by hand on simulated skins, seeds 101 to 105; lengths in sensor spacings.
+_MIN_CONTACTS = 0.5  # per sensor
+_WARM_UP_ROUNDS = 4  # of contacts and profile before sensors move
+_INITIAL_LOCATION_STEPS, _LOCATION_STEPS = 12, 10
+_SURFACE_OFFSET = 0.7  # of a contact's radius; initial distance of its centre from the skin
+_OUTLIER_FACTOR = 4.0  # times the upper quartile range; contacts that score lower are dropped
+_MAX_DROPPED = 0.4  # of all contacts
+_MIN_SOFTNESS = 0.05
+_MIN_REACH_SD = 0.02  # of the reach
+_MAX_STEP = 0.45  # keeps neighbours from changing places in one step
+_TOLERANCE = 0.02  # largest displacement of a sensor at convergence
 
 
 @dataclass(frozen=True)
 class ContactOptions:
-    """Parameters of the fit; the defaults were chosen on simulated skins, once for all.
+    """Parameters of the contact fit, tuned on simulated skins, seeds 101 to 105.
 
     Parameters
     ----------
-    levels : int
-        Most levels that readings are sorted into, rest aside; 1 to 100.
+    n_levels : int
+        Greatest number of levels above rest into which readings are quantised, 1 to 100.
     max_gain_spread : float
-        Spread of the gains of sensors, as a standard deviation of logarithms, up to which readings
-        of different sensors are compared as they are.
+        Standard deviation of the log gains of sensors up to which readings are not normalised.
     max_readings, readings_per_sensor : int
-        About how many readings of contacts to fit, at least 1: in all, or for each sensor,
-        whichever is more.
+        Approximate number of readings to fit, at least 1: in total or per sensor, whichever gives
+        more.
     min_sensors : int
-        Fewer touched sensors make no contact; at least 2.
-    share : float
-        How much each contact counts, in (0, 1]: contacts of frames that follow each other are not
-        independent.
+        Fewest touched sensors of a contact, at least 2.
+    contact_weight : float
+        Weight of each contact, in (0, 1], since consecutive frames are not independent.
     prior_sd : float
-        How far a sensor is expected to stray from the given map, in spacings, above 0.
-    rounds, steps : int
-        How often contacts are looked for, and how often sensors are moved each time.
+        Standard deviation of the displacement of a sensor from the given map, in sensor spacings,
+        above 0.
+    n_rounds, n_steps : int
+        Number of times that contacts are detected, and greatest number of steps of the sensors
+        each time.
     min_explained : float
-        Share of the entropy of readings that contacts must explain to be believed.
+        Share of the entropy of the readings that contacts must explain for the fit to be used.
     min_at_rest : float
-        Share of readings that must lie at rest for contacts to be believed.
+        Share of readings at rest below which contacts are not fitted.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
     """
 
-    levels: int = 8
+    n_levels: int = 8
     max_gain_spread: float = 0.3
     max_readings: int = 30_000
     readings_per_sensor: int = 150
     min_sensors: int = 3
-    share: float = 0.2
+    contact_weight: float = 0.2
     prior_sd: float = 0.5
-    rounds: int = 2
-    steps: int = 8
+    n_rounds: int = 2
+    n_steps: int = 8
     min_explained: float = 0.45
     min_at_rest: float = 0.2
 
@@ -75,41 +81,43 @@ class ContactOptions:
             ("max_readings", 1),
             ("readings_per_sensor", 1),
             ("min_sensors", 2),
-            ("rounds", 1),
-            ("steps", 1),
+            ("n_rounds", 1),
+            ("n_steps", 1),
             ("max_gain_spread", 0),
         ):
             if not getattr(self, name) >= least:
-                raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}")
-        if not 1 <= self.levels <= 100:
-            raise InputError(f"levels is {self.levels}; it must be 1 to 100")
-        if not 0 < self.share <= 1:
-            raise InputError(f"share is {self.share}; it must be above 0 and at most 1")
+                raise InputError(f"{name} must be at least {least}, got {getattr(self, name)}")
+        if not 1 <= self.n_levels <= 100:
+            raise InputError(f"n_levels must be between 1 and 100, got {self.n_levels}")
+        if not 0 < self.contact_weight <= 1:
+            raise InputError(
+                f"contact_weight must be above 0 and at most 1, got {self.contact_weight}"
+            )
         if not (np.isfinite(self.prior_sd) and self.prior_sd > 0):
-            raise InputError(f"prior_sd is {self.prior_sd}; it must be above 0")
+            raise InputError(f"prior_sd must be positive and finite, got {self.prior_sd}")
 
 
 @dataclass(frozen=True, eq=False)
 class ContactFit:
-    """A map refined by contacts, or left as it was.
+    """A map refined by contacts, or the given map with the reason why it was not refined.
 
     Attributes
     ----------
     positions : ndarray of shape (N, k)
-        In the unit and about the centre of the given ones; the very same where not `used`.
+        In the unit and around the centre of the given positions; equal to them if not `used`.
     n_contacts : int
-        How many were found.
+        Number of contacts found.
     explained : float
-        Share of the entropy of the readings of contacts that distance from the contact explains,
-        each reading left out of its own contact's fit; at most 1. NaN where it was not fitted.
+        Share of the entropy of the readings that the distance from their contact explains, each
+        reading left out of its own contact's fit; at most 1. NaN if contacts were not fitted.
     at_rest : float
-        Share of all readings that lie at rest.
+        Share of all readings at rest.
     gains : ndarray of shape (N,)
-        How strongly each sensor reads, over the median.
+        Gain of each sensor relative to the median.
     used : bool
-        Whether the contacts were believed.
+        Whether the fit passed the checks of `ContactOptions`.
     reason : str
-        Why not, if not.
+        Why it was not used; empty if it was.
     """
 
     positions: Matrix
@@ -123,9 +131,9 @@ class ContactFit:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """What is believed of sensors, contacts, and the profile that connects them."""
+    """Estimates of positions, contact states and the profile, and which contacts are included."""
 
-    places: Matrix
+    positions: Matrix
     contacts: Matrix
     profile: Profile
     kept: NDArray[np.bool_]
@@ -134,21 +142,21 @@ class _State:
 def fit_contacts(
     readings: ArrayLike, positions: ArrayLike, options: ContactOptions | None = None
 ) -> ContactFit:
-    """Refine a map by the contacts that made the readings.
+    """Refine a map by fitting the contacts that caused the readings.
 
     Parameters
     ----------
     readings : array_like of shape (T, N)
-        Finite readings, of any unit.
+        Finite readings in any unit.
     positions : array_like of shape (N, k)
-        A nearly correct map in any unit, for example from
+        An approximately correct map in any unit, for example from
         `anisomap.numerics.covariogram.fit.fit_covariogram`.
     options : ContactOptions, optional
 
     Returns
     -------
     ContactFit
-        With the given positions where contacts cannot be believed.
+        With the given positions if the checks of `ContactOptions` fail.
 
     Raises
     ------
@@ -157,48 +165,49 @@ def fit_contacts(
 
     Notes
     -----
-    Contact e is at y_e and reaches R_e far. Sensor i reads level l or higher with probability
-    ``expit((R_e - |p_i - y_e| - rho_l) / s)``, but for outliers; ``R_e ~ N(R0, tau^2)``. In turns,
+    Contact e is at y_e with reach R_e. Sensor i reads level l or higher with probability
+    ``expit((R_e - |p_i - y_e| - rho_l) / s)``, except for outliers; ``R_e ~ N(R0, tau^2)``. These
+    steps alternate:
 
-    1. each contact (y, R) is moved to where its readings are most likely, in space from both sides
-       of the skin (`locate`);
-    2. the worst contacts are dropped, and rho and s are learned from distances that leave each
-       reading out of its own contact's fit (`fit_profile`);
-    3. R0 and tau are those of the contacts; tau^2 is divided by how many reaches the readings
-       determine (MacKay 1992, Neural Computation 4: 415-447);
-    4. all sensors make one Gauss-Newton step, the contacts following (`ReducedSystem`), with the
+    1. the likelihood of each contact (y, R) is maximised, in 3D from both sides of the skin
+       (`locate`);
+    2. the contacts with the lowest likelihoods are dropped, and rho and s are located to distances
+       that leave each reading out of its own contact's fit (`fit_profile`);
+    3. R0 and tau are set to the moments of the reaches, tau^2 divided by the number of reaches that
+       the readings determine (MacKay 1992, Neural Computation 4: 415-447);
+    4. all sensors make one Gauss-Newton step with the contacts eliminated (`ReducedSystem`) and the
        prior ``p_i ~ N(given, prior_sd^2)``.
 
-    Contacts are looked for again on the refined map. What is given up is said by `ContactOptions`.
+    Contacts are then detected again on the refined map.
     """
     chosen = options or ContactOptions()
     values, given = np.asarray(readings), np.asarray(positions, dtype=np.float64)
     _check(values, given)
-    levels = assign_levels(values, chosen.levels, chosen.max_gain_spread)
+    levels = assign_levels(values, chosen.n_levels, chosen.max_gain_spread)
     if levels.at_rest < chosen.min_at_rest:
         reason = (
-            f"only {levels.at_rest:.0%} of the readings are at rest, where "
-            f"{chosen.min_at_rest:.0%} must be for contacts to stand out"
+            f"only {levels.at_rest:.0%} of the readings are at rest; detecting contacts needs "
+            f"{chosen.min_at_rest:.0%}"
         )
         return _unused(given, levels, reason)
     centre, unit = given.mean(axis=0), _spacing(given)
     start = (given - centre) / unit
-    places, n_contacts, explained = start, 0, np.nan
-    for _ in range(chosen.rounds):
-        contacts = _found(levels, places, chosen)
+    refined, n_contacts, explained = start, 0, np.nan
+    for _ in range(chosen.n_rounds):
+        contacts = _detect(levels, refined, chosen)
         n_contacts = 0 if contacts is None else len(contacts.starts)
-        if contacts is None or n_contacts < _FEWEST * len(places):
-            reason = f"{n_contacts} contacts were found, too few for {len(places)} sensors"
+        if contacts is None or n_contacts < _MIN_CONTACTS * len(refined):
+            reason = f"{n_contacts} contacts were found, too few for {len(refined)} sensors"
             return _unused(given, levels, reason, n_contacts)
-        state = _adjusted(contacts, places, start, chosen)
-        places, explained = state.places, _explained(contacts, state)
+        state = _alternate(contacts, refined, start, chosen)
+        refined, explained = state.positions, _explained(contacts, state)
     if not explained >= chosen.min_explained:
         reason = (
-            f"the distance from contacts explains {max(explained, 0.0):.0%} of what the sensors "
-            f"about them read, where {chosen.min_explained:.0%} make contacts believable"
+            f"the distance from contacts explains {max(explained, 0.0):.0%} of the entropy of the "
+            f"readings around them; {chosen.min_explained:.0%} are required"
         )
         return _unused(given, levels, reason, n_contacts, explained)
-    refined = places * unit + centre
+    refined = refined * unit + centre
     refined.setflags(write=False)
     return ContactFit(
         positions=refined,
@@ -218,130 +227,141 @@ def _unused(
     return ContactFit(kept, n_contacts, explained, levels.at_rest, levels.gains, False, reason)
 
 
-def _found(levels: Levels, places: Matrix, options: ContactOptions) -> Contacts | None:
+def _detect(levels: Levels, positions: Matrix, options: ContactOptions) -> Contacts | None:
     return find_contacts(
         levels,
-        places,
+        positions,
         min_sensors=options.min_sensors,
-        max_readings=max(options.max_readings, options.readings_per_sensor * len(places)),
+        max_readings=max(options.max_readings, options.readings_per_sensor * len(positions)),
     )
 
 
-def _adjusted(contacts: Contacts, places: Matrix, start: Matrix, options: ContactOptions) -> _State:
-    """Move sensors, contacts and profile in turns until the sensors settle."""
-    state = _first_guess(contacts, places)
-    for _ in range(_WARMING_UP):
-        state = _relearned(contacts, state)
-    for _ in range(options.steps):
-        fitted = evaluate(contacts, state.places, state.contacts, state.profile)
-        reduced = ReducedSystem(contacts, fitted, state.kept, len(start))
-        moves = reduced.step(state.places - start, share=options.share, prior_sd=options.prior_sd)
-        farthest = float(np.linalg.norm(moves, axis=1).max())
-        places = state.places + moves * min(1.0, _FARTHEST_STEP / max(farthest, _SETTLED))
-        state = _relearned(contacts, _same_size(places, start, state))
-        if farthest < _SETTLED:
+def _alternate(
+    contacts: Contacts, positions: Matrix, start: Matrix, options: ContactOptions
+) -> _State:
+    """Alternate between profile, contacts and sensors until the sensors converge."""
+    state = _initial_state(contacts, positions)
+    for _ in range(_WARM_UP_ROUNDS):
+        state = _relocated(contacts, state)
+    for _ in range(options.n_steps):
+        located = evaluate(contacts, state.positions, state.contacts, state.profile)
+        reduced = ReducedSystem(contacts, located, state.kept, len(start))
+        steps = reduced.step(
+            state.positions - start,
+            contact_weight=options.contact_weight,
+            prior_sd=options.prior_sd,
+        )
+        largest = float(np.linalg.norm(steps, axis=1).max())
+        positions = state.positions + steps * min(1.0, _MAX_STEP / max(largest, _TOLERANCE))
+        state = _relocated(contacts, _rescaled(positions, start, state))
+        if largest < _TOLERANCE:
             break
     return state
 
 
-def _first_guess(contacts: Contacts, places: Matrix) -> _State:
-    """Put contacts amid the sensors that they touch, or off the surface on the better side."""
-    k = places.shape[1]
-    points, pressed = places[contacts.sensors], contacts.levels > 0
+def _initial_state(contacts: Contacts, positions: Matrix) -> _State:
+    """Start from the centre of the touched sensors, in 3D on the more likely side of the skin."""
+    k = positions.shape[1]
+    points, pressed = positions[contacts.sensors], contacts.levels > 0
     mass = contacts.total(contacts.levels.astype(np.float64))
     centres = contacts.total(contacts.levels[:, None] * points) / mass[:, None]
-    apart = np.linalg.norm(points - centres[contacts.contact_index], axis=1) * pressed
-    radii = np.maximum.reduceat(apart, contacts.starts)
+    offsets = np.linalg.norm(points - centres[contacts.contact_index], axis=1) * pressed
+    radii = np.maximum.reduceat(offsets, contacts.starts)
     reach = 1.05 * float(np.median(radii)) * (1.22 if k > 2 else 1.0)
     thresholds = np.linspace(0, 0.7 * reach, contacts.max_level)
     profile = Profile(thresholds, 0.1 * reach, reach, 0.2 * reach)
     offset = np.zeros_like(centres)
     if k > 2:
-        offset = _OFF_THE_SURFACE * radii[:, None] * _normals(contacts, points)
+        offset = _SURFACE_OFFSET * radii[:, None] * _normals(contacts, points)
     above, below = (
         locate(
             contacts,
-            places,
+            positions,
             np.column_stack([centres + side * offset, np.full(len(radii), reach)]),
             profile,
-            steps=_STEPS_AT_FIRST,
+            steps=_INITIAL_LOCATION_STEPS,
         )
         for side in (1, -1)
     )
-    best = choose(contacts, above.scores >= below.scores, above, below)
-    return _State(places, best.states, profile, np.ones(len(radii), dtype=bool))
+    best = select(contacts, above.scores >= below.scores, above, below)
+    return _State(positions, best.states, profile, np.ones(len(radii), dtype=bool))
 
 
 def _normals(contacts: Contacts, points: Matrix) -> Matrix:
-    """Give the direction in which the sensors about each contact spread least, shape (E, k)."""
+    """Return the direction of least variance of the sensors around each contact, shape (E, k)."""
     centres = contacts.total(points) / contacts.sizes[:, None]
-    apart = points - centres[contacts.contact_index]
-    _, vectors = np.linalg.eigh(contacts.total(apart[:, :, None] * apart[:, None, :]))
+    offsets = points - centres[contacts.contact_index]
+    _, vectors = np.linalg.eigh(contacts.total(offsets[:, :, None] * offsets[:, None, :]))
     return np.asarray(vectors[:, :, 0])
 
 
-def _relearned(contacts: Contacts, state: _State) -> _State:
-    """Locate all contacts, drop the worst, and learn the profile from what is left."""
-    fitted = locate(contacts, state.places, state.contacts, state.profile, steps=_STEPS)
-    scores = fitted.scores / contacts.sizes
-    lowest, middle, upper = np.quantile(scores, [_MOST_DROPPED, 0.5, 0.75])
-    kept = scores >= min(middle - _WORST * (upper - middle), lowest)
-    learned = fit_profile(
+def _relocated(contacts: Contacts, state: _State) -> _State:
+    """Locate all contacts, drop the least likely, and fit the profile to the rest."""
+    located = locate(
+        contacts, state.positions, state.contacts, state.profile, steps=_LOCATION_STEPS
+    )
+    scores = located.scores / contacts.sizes
+    lowest, middle, upper = np.quantile(scores, [_MAX_DROPPED, 0.5, 0.75])
+    kept = scores >= min(middle - _OUTLIER_FACTOR * (upper - middle), lowest)
+    profile_fit = fit_profile(
         contacts.levels,
-        leave_one_out(contacts, fitted),
+        leave_one_out(contacts, located),
         kept[contacts.contact_index],
         state.profile,
     )
-    shift = learned.thresholds[0]
-    states = fitted.states.copy()
+    shift = profile_fit.thresholds[0]
+    states = located.states.copy()
     states[:, -1] -= shift
     reaches = states[kept, -1]
     reach = float(reaches.mean())
-    certain = np.linalg.inv(fitted.precisions[kept])[:, -1, -1] / state.profile.spread**2
+    certain = np.linalg.inv(located.precisions[kept])[:, -1, -1] / state.profile.spread**2
     determined = max(float((1 - np.minimum(certain, 1)).sum()), 1e-3 * len(reaches))
+    reach_sd = float(np.sqrt(((reaches - reach) ** 2).sum() / determined))
     profile = Profile(
-        learned.thresholds - shift,
-        max(learned.softness, _SOFTEST),
+        profile_fit.thresholds - shift,
+        max(profile_fit.softness, _MIN_SOFTNESS),
         reach,
-        max(float(np.sqrt(((reaches - reach) ** 2).sum() / determined)), _SAMEST * abs(reach)),
+        max(reach_sd, _MIN_REACH_SD * abs(reach)),
     )
-    return _State(state.places, states, profile, kept)
+    return _State(state.positions, states, profile, kept)
 
 
-def _same_size(places: Matrix, start: Matrix, state: _State) -> _State:
-    """Centre a map, and give it the size that it set out with: contacts tell no scale."""
-    centre = places.mean(axis=0)
-    factor = float(np.sqrt((start**2).sum() / ((places - centre) ** 2).sum()))
+def _rescaled(positions: Matrix, start: Matrix, state: _State) -> _State:
+    """Centre a map and restore its initial size, which contacts do not determine."""
+    centre = positions.mean(axis=0)
+    factor = float(np.sqrt((start**2).sum() / ((positions - centre) ** 2).sum()))
     contacts = (state.contacts - np.append(centre, 0.0)) * factor
-    return _State((places - centre) * factor, contacts, state.profile.scaled(factor), state.kept)
+    return _State((positions - centre) * factor, contacts, state.profile.scaled(factor), state.kept)
 
 
 def _explained(contacts: Contacts, state: _State) -> float:
-    """Compare the entropy of levels with what is left of it when the distance is known."""
-    fitted = evaluate(contacts, state.places, state.contacts, state.profile)
-    scores, _, _ = level_terms(contacts.levels, leave_one_out(contacts, fitted), state.profile)
-    counted = state.kept[contacts.contact_index]
-    shares = np.bincount(contacts.levels[counted]) / counted.sum()
+    """Return the share of the entropy of the levels that distances explain."""
+    located = evaluate(contacts, state.positions, state.contacts, state.profile)
+    scores, _, _ = level_log_likelihood(
+        contacts.levels, leave_one_out(contacts, located), state.profile
+    )
+    included = state.kept[contacts.contact_index]
+    shares = np.bincount(contacts.levels[included]) / included.sum()
     entropy = -float((shares[shares > 0] * np.log(shares[shares > 0])).sum())
-    return 1 + float(scores[counted].mean()) / entropy
+    return 1 + float(scores[included].mean()) / entropy
 
 
-def _spacing(places: Matrix) -> float:
-    """Give the median distance from a sensor to its nearest."""
-    distances, _ = KDTree(places).query(places, k=2)
+def _spacing(positions: Matrix) -> float:
+    """Return the median distance from a sensor to its nearest neighbour."""
+    distances, _ = KDTree(positions).query(positions, k=2)
     unit = float(np.median(np.asarray(distances)[:, 1]))
     if not unit > 0:
-        raise InputError("most sensors share their place with another; contacts refine a map only")
+        raise InputError("most sensors have the same position as another; contacts need a map")
     return unit
 
 
 def _check(values: NDArray[np.generic], given: Matrix) -> None:
     if values.ndim != 2 or not values.size:
-        raise InputError(f"the readings have shape {values.shape}; they must be (T, N)")
+        raise InputError(f"readings must have shape (T, N), got {values.shape}")
     n_sensors = values.shape[1]
     if given.ndim != 2 or len(given) != n_sensors or not given.shape[1]:
-        raise InputError(f"the positions have shape {given.shape}; they must be ({n_sensors}, k)")
+        raise InputError(f"positions must have shape ({n_sensors}, k), got {given.shape}")
     if n_sensors < 3:
-        raise InputError(f"{n_sensors} sensors are too few for contacts; give 3 or more")
+        raise InputError(f"contacts need at least 3 sensors, got {n_sensors}")
     if not np.isfinite(given).all() or not np.isfinite(values).all():
-        raise InputError("the readings and positions must be finite")
+        raise InputError("readings and positions must be finite")

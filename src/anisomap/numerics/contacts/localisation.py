@@ -1,4 +1,4 @@
-"""Where each contact is, given where the sensors are; and where it would be without a reading."""
+"""Maximum-likelihood location of contacts, and leave-one-out predictions of their readings."""
 
 from __future__ import annotations
 
@@ -8,40 +8,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.contacts.detection import Contacts
-from anisomap.numerics.contacts.profile import Profile, level_terms
+from anisomap.numerics.contacts.profile import Profile, level_log_likelihood
 
 Matrix = NDArray[np.float64]
 
-_SETTLED = 1e-5  # of a score
-_FIRST_DAMPING = 1e-2
-_LEAST_DAMPING = 1e-6
-_STIFFNESS = 1e-3  # of 1 / softness^2: holds a centre of which readings say nothing
-_MOST_LEVERAGE = 0.8
-_FARTHEST_SHIFT = 1.5  # spacings
-_NEAREST = 1e-6  # spacings
+# Levenberg-Marquardt parameters, chosen by hand; lengths in sensor spacings.
+_TOLERANCE = 1e-5  # largest gain in a log-likelihood at convergence
+_INITIAL_DAMPING = 1e-2
+_MIN_DAMPING = 1e-6
+_PRIOR_PRECISION = 1e-3  # of 1 / softness^2; keeps undetermined centres in place
+_MAX_LEVERAGE = 0.8
+_MAX_SHIFT = 1.5
+_MIN_DISTANCE = 1e-6  # keeps directions finite
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
-    """Contacts where their readings are most likely, and how readings change about there.
+class LocatedContacts:
+    """Contacts at given states, with the derivatives of their log-likelihoods.
 
     Attributes
     ----------
     states : ndarray of shape (E, k + 1)
         Centre y and reach R of each contact.
     scores : ndarray of shape (E,)
-        Log probability of a contact's readings and of its reach.
+        Log-likelihood of each contact's readings and reach.
     pulls : ndarray of shape (E, k + 1)
-        Derivative of the scores by the states: about 0.
+        Gradient of the scores by the states, nearly 0 after `locate`.
     precisions : ndarray of shape (E, k + 1, k + 1)
-        Minus their second derivative, positive definite.
+        Negative Hessian of the scores (Gauss-Newton), positive definite.
     inside : ndarray of shape (M,)
-        How far each sensor lies inside the reach, ``u = R - |p - y|``.
+        Distance of each sensor inside the reach, ``u = R - |p - y|``.
     directions : ndarray of shape (M, k + 1)
-        Derivative of u by the state, ``((p - y) / |p - y|, 1)``; minus that of the centre is its
-        derivative by p.
+        Gradient of u by the state, ``((p - y) / |p - y|, 1)``; the negative of its first k
+        components is the gradient by p.
     slopes, curvatures : ndarray of shape (M,)
-        Of the readings' scores by u; see `level_terms`.
+        Derivatives of the readings' log-likelihoods by u; see `level_log_likelihood`.
     """
 
     states: Matrix
@@ -54,87 +55,93 @@ class Fitted:
     curvatures: Matrix
 
 
-def evaluate(contacts: Contacts, places: Matrix, states: Matrix, profile: Profile) -> Fitted:
-    """Score contacts at given states."""
-    k = places.shape[1]
-    apart = places[contacts.sensors] - states[contacts.contact_index, :k]
-    distances = np.sqrt((apart**2).sum(axis=1) + _NEAREST**2)
+def evaluate(
+    contacts: Contacts, positions: Matrix, states: Matrix, profile: Profile
+) -> LocatedContacts:
+    """Evaluate the log-likelihoods of contacts at given states, and their derivatives."""
+    k = positions.shape[1]
+    apart = positions[contacts.sensors] - states[contacts.contact_index, :k]
+    distances = np.sqrt((apart**2).sum(axis=1) + _MIN_DISTANCE**2)
     directions = np.column_stack([apart / distances[:, None], np.ones(len(apart))])
     inside = states[contacts.contact_index, k] - distances
-    score, slopes, curvatures = level_terms(contacts.levels, inside, profile)
-    strays = (states[:, k] - profile.reach) / profile.spread
+    score, slopes, curvatures = level_log_likelihood(contacts.levels, inside, profile)
+    deviations = (states[:, k] - profile.reach) / profile.spread
     pulls = contacts.total(slopes[:, None] * directions)
-    pulls[:, k] -= strays / profile.spread
+    pulls[:, k] -= deviations / profile.spread
     precisions = contacts.total(
         curvatures[:, None, None] * directions[:, :, None] * directions[:, None, :]
     )
-    stiffness = np.append(np.full(k, _STIFFNESS / profile.softness**2), profile.spread**-2)
-    precisions += np.diag(stiffness)
-    scores = contacts.total(score) - strays**2 / 2
-    return Fitted(states, scores, pulls, precisions, inside, directions, slopes, curvatures)
+    prior = np.append(np.full(k, _PRIOR_PRECISION / profile.softness**2), profile.spread**-2)
+    precisions += np.diag(prior)
+    scores = contacts.total(score) - deviations**2 / 2
+    return LocatedContacts(
+        states, scores, pulls, precisions, inside, directions, slopes, curvatures
+    )
 
 
 def locate(
-    contacts: Contacts, places: Matrix, states: Matrix, profile: Profile, *, steps: int = 12
-) -> Fitted:
-    """Move contacts to where their readings are most likely (Levenberg-Marquardt, each by itself).
+    contacts: Contacts, positions: Matrix, states: Matrix, profile: Profile, *, steps: int = 12
+) -> LocatedContacts:
+    """Maximise the likelihood of each contact separately (Levenberg-Marquardt).
 
     Parameters
     ----------
     contacts : Contacts
-    places : ndarray of shape (N, k)
+    positions : ndarray of shape (N, k)
     states : ndarray of shape (E, k + 1)
-        Where to set out from.
+        Initial states.
     profile : Profile
     steps : int
 
     Returns
     -------
-    Fitted
-        No score is below that of the start.
+    LocatedContacts
+        No score is lower than at the initial state.
     """
-    best = evaluate(contacts, places, states, profile)
-    damping = np.full(len(states), _FIRST_DAMPING)
+    best = evaluate(contacts, positions, states, profile)
+    damping = np.full(len(states), _INITIAL_DAMPING)
     diagonal = np.arange(states.shape[1])
     for _ in range(steps):
-        stiff = best.precisions.copy()
-        stiff[:, diagonal, diagonal] *= 1 + damping[:, None]
-        moves = np.linalg.solve(stiff, best.pulls[:, :, None])[:, :, 0]
-        tried = evaluate(contacts, places, best.states + moves, profile)
+        damped = best.precisions.copy()
+        damped[:, diagonal, diagonal] *= 1 + damping[:, None]
+        moves = np.linalg.solve(damped, best.pulls[:, :, None])[:, :, 0]
+        tried = evaluate(contacts, positions, best.states + moves, profile)
         gained = tried.scores - best.scores
-        best = choose(contacts, gained > 0, tried, best)
-        damping = np.where(gained > 0, np.maximum(damping / 5, _LEAST_DAMPING), damping * 6)
-        if np.abs(gained).max() < _SETTLED:
+        best = select(contacts, gained > 0, tried, best)
+        damping = np.where(gained > 0, np.maximum(damping / 5, _MIN_DAMPING), damping * 6)
+        if np.abs(gained).max() < _TOLERANCE:
             break
     return best
 
 
-def choose(contacts: Contacts, which: NDArray[np.bool_], one: Fitted, other: Fitted) -> Fitted:
-    """Take some contacts of one fit, and the rest of another."""
-    by_reading = which[contacts.contact_index]
+def select(
+    contacts: Contacts, first: NDArray[np.bool_], one: LocatedContacts, other: LocatedContacts
+) -> LocatedContacts:
+    """Select contacts from one fit where `first` is true, and from another elsewhere."""
+    by_reading = first[contacts.contact_index]
 
-    def mixed(mask: NDArray[np.bool_], a: Matrix, b: Matrix) -> Matrix:
+    def merged(mask: NDArray[np.bool_], a: Matrix, b: Matrix) -> Matrix:
         return np.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b)
 
-    return Fitted(
-        mixed(which, one.states, other.states),
-        mixed(which, one.scores, other.scores),
-        mixed(which, one.pulls, other.pulls),
-        mixed(which, one.precisions, other.precisions),
-        mixed(by_reading, one.inside, other.inside),
-        mixed(by_reading, one.directions, other.directions),
-        mixed(by_reading, one.slopes, other.slopes),
-        mixed(by_reading, one.curvatures, other.curvatures),
+    return LocatedContacts(
+        merged(first, one.states, other.states),
+        merged(first, one.scores, other.scores),
+        merged(first, one.pulls, other.pulls),
+        merged(first, one.precisions, other.precisions),
+        merged(by_reading, one.inside, other.inside),
+        merged(by_reading, one.directions, other.directions),
+        merged(by_reading, one.slopes, other.slopes),
+        merged(by_reading, one.curvatures, other.curvatures),
     )
 
 
-def leave_one_out(contacts: Contacts, fitted: Fitted) -> Matrix:
-    """Tell how far inside each sensor would lie, had its contact been fitted without its reading.
+def leave_one_out(contacts: Contacts, fitted: LocatedContacts) -> Matrix:
+    """Predict how far inside each sensor lies if its reading is left out of the contact's fit.
 
     Parameters
     ----------
     contacts : Contacts
-    fitted : Fitted
+    fitted : LocatedContacts
 
     Returns
     -------
@@ -142,11 +149,11 @@ def leave_one_out(contacts: Contacts, fitted: Fitted) -> Matrix:
 
     Notes
     -----
-    One Newton step away from the fit of all readings: with the direction n, the contact's
-    precision C and ``h = n' C^-1 n``, u becomes ``u - h slope / (1 - h curvature)``.
+    One Newton step from the fit to all readings: with the direction n, the contact's precision C
+    and ``h = n' C^-1 n``, u becomes ``u - h slope / (1 - h curvature)``.
     """
     inverse = np.linalg.inv(fitted.precisions)[contacts.contact_index]
     n = fitted.directions
-    lever = np.einsum("mi,mij,mj->m", n, inverse, n)
-    shift = lever * fitted.slopes / (1 - np.minimum(lever * fitted.curvatures, _MOST_LEVERAGE))
-    return np.asarray(fitted.inside - np.clip(shift, -_FARTHEST_SHIFT, _FARTHEST_SHIFT))
+    leverage = np.einsum("mi,mij,mj->m", n, inverse, n)
+    shift = leverage * fitted.slopes / (1 - np.minimum(leverage * fitted.curvatures, _MAX_LEVERAGE))
+    return np.asarray(fitted.inside - np.clip(shift, -_MAX_SHIFT, _MAX_SHIFT))
