@@ -1,3 +1,3 @@
-"""The version, in one place: hatchling reads it for the package, users read it as a name."""
+"""Version of the package; hatchling reads it from here."""
 
 __version__ = "0.1.0"
