@@ -196,13 +196,13 @@ def test_threads_change_nothing(n_threads, monkeypatch):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"noise": 0.0}, "noise is 0"),
-        ({"noise": np.nan}, "noise is nan"),
-        ({"start": np.zeros((3, 2))}, "start has shape"),
-        ({"metric": np.ones((3, 3))}, "metric has shape"),
+        ({"noise": 0.0}, "noise .* got 0"),
+        ({"noise": np.nan}, "noise .* got nan"),
+        ({"start": np.zeros((3, 2))}, "start must have shape"),
+        ({"metric": np.ones((3, 3))}, "metric must have the shape"),
         ({"metric": np.zeros((40, 40))}, "positive between"),
         ({"start": np.full((40, 2), np.inf)}, "must be finite"),
-        ({"known": np.ones((2, 2))}, "mask of known pairs"),
+        ({"known": np.ones((2, 2))}, "known must have the shape"),
     ],
 )
 def test_nonsense_is_refused(change, message):

@@ -1,1 +1,1 @@
-"""Positions at which one function of distance explains all correlations."""
+"""Fit of one covariogram and of the sensor positions to all correlations."""

@@ -1,7 +1,7 @@
-"""Positions at which one falling function of distance explains all correlations at once.
+"""Joint fit of a covariogram and of the sensor positions to correlations.
 
-A covariogram is the covariance of two places as a function of their distance. Here the function and
-the places are fitted together, to correlations whose errors are themselves correlated.
+A covariogram is the covariance of two points as a function of their distance (geostatistics). It is
+fitted together with the positions, to correlations whose errors are themselves correlated.
 """
 
 from __future__ import annotations
@@ -24,36 +24,34 @@ from anisomap.numerics.covariogram.objective import (
     Block,
     CovariogramOptions,
     Problem,
-    linear,
     objective,
+    solve_amplitude_and_offset,
 )
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
 
 Matrix: TypeAlias = Reals
 
-_ENOUGH = 4000  # sensors, to tell how far correlations reach
-_HALF_WAY = (0.15, 0.45)
-"""Pairs that are correlated so much are about one range of the covariogram apart."""
-
-_COARSER = 100
-_EXPONENTS = (0.3, 4.0)
+_MAX_RANGE_SENSORS = 4000  # from which the range is estimated; bounds time and memory
+_RANGE_CORRELATIONS = (0.15, 0.45)  # around 1 / e; pairs with these are about one range apart
+_BLOCK_TOLERANCE = 100  # times the tolerance, with several blocks; chosen by hand
+_EXPONENT_BOUNDS = (0.3, 4.0)  # wider than all fitted values; chosen by hand
 
 
 @dataclass(frozen=True, eq=False)
 class Covariogram:
-    """A fitted covariogram, ``amplitude exp(-d^exponent) + offset``, and the places it is of.
+    """A fitted covariogram, ``amplitude exp(-d^exponent) + offset``, and the positions.
 
     Attributes
     ----------
     positions : ndarray of shape (N, k)
         Centred; in units of the covariogram's range.
     amplitude, exponent, offset : float
-        Of the function of the distance d.
+        Parameters of the function of the distance d.
     objective : float
-        What was minimised; see `fit_covariogram`.
+        Minimum of the objective of `fit_covariogram`.
     iterations : int
-        Steps taken.
+        Number of iterations.
     converged : bool
         Whether the tolerance was met before the iterations ran out.
     """
@@ -67,7 +65,7 @@ class Covariogram:
     converged: bool
 
     def at(self, distances: ArrayLike) -> Matrix:
-        """Give the correlation that is expected at distances, in units of `positions`."""
+        """Return the expected correlation at distances in units of `positions`."""
         d = np.asarray(distances, dtype=np.float64)
         return np.asarray(self.amplitude * np.exp(-(d**self.exponent)) + self.offset)
 
@@ -81,22 +79,22 @@ def fit_covariogram(
     known: ArrayLike | None = None,
     options: CovariogramOptions | None = None,
 ) -> Covariogram:
-    """Move sensors to where one falling function of distance explains their correlations best.
+    """Fit positions such that one decreasing function of distance explains all correlations.
 
     Parameters
     ----------
     similarity : array_like of shape (N, N)
-        Correlations S in [-1, 1], symmetric; the diagonal is not looked at.
+        Correlations S in [-1, 1], symmetric; the diagonal is ignored.
     start : array_like of shape (N, k)
-        Where to set out from, in any unit.
+        Initial positions in any unit.
     metric : array_like of shape (N, N)
-        Distances D that the map is drawn to where correlations say little, finite, in the unit of
-        `start`.
+        Distances D, finite and in the unit of `start`, which determine the map where correlations
+        do not.
     noise : float
         Sampling variance s^2 of a correlation, above 0: see
         `anisomap.numerics.reliability.sampling_noise.sampling_variance`.
     known : array_like of bool, shape (N, N), optional
-        Which correlations are known; all unless given.
+        Mask of the known correlations; all by default.
     options : CovariogramOptions, optional
 
     Returns
@@ -110,64 +108,67 @@ def fit_covariogram(
 
     Notes
     -----
-    Minimises over positions x and the function's amplitude a, exponent b and offset c ::
+    Minimises over positions x and the covariogram's amplitude a, exponent b and offset c ::
 
         1/2 tr(R W R W) + s^2 sum_{i<j} (lambda (d_ij / D_ij - g)^2 - alpha log d_ij)
         R_ij = a exp(-d_ij^b) + c - S_ij,  R_ii = 0,  g = mean of d_ij / D_ij
 
-    Errors of correlations are correlated: to second order, the likelihood of a covariance S under
-    the model C is ``-T/4 tr(R C^-1 R C^-1)`` (Wishart). W stands for C^-1 and is made from S and a
-    ridge, ``(S + ridge I)^-1``, less what it knows of a signal that all sensors share
-    (``W - W11'W / 1'W1``): a hum, a change of posture. Given distances, a and c solve two linear
-    equations, so only positions and the exponent are searched (variable projection; Golub &
-    Pereyra 1973, SIAM Journal on Numerical Analysis 10: 413-432), by L-BFGS. Both priors scale
-    with the noise and vanish as recordings grow.
+    with lambda the `prior_weight` and alpha the `repulsion` of `CovariogramOptions`.
 
-    More than `CovariogramOptions.block` sensors are fitted as a composite likelihood: the sum of
-    the same objective over blocks of neighbours, over blocks shifted by half their size, and over
-    blocks that span the whole skin. The cores share the blocks.
+    Errors of correlations are correlated: to second order, the log-likelihood of a covariance S
+    under the model C is ``-T/4 tr(R C^-1 R C^-1)`` (Wishart). W replaces C^-1; it is
+    ``(S + ridge I)^-1`` with the component of a signal common to all sensors, such as a hum or a
+    change of posture, projected out: ``W - W11'W / 1'W1``. Given the distances, a and c solve two
+    linear equations, so L-BFGS searches only positions and exponent (variable projection; Golub &
+    Pereyra 1973, SIAM Journal on Numerical Analysis 10: 413-432). Both priors scale with the noise
+    and vanish as recordings grow.
+
+    More than `CovariogramOptions.block` sensors are fitted by composite likelihood: the sum of the
+    objective over blocks of neighbours, over blocks shifted by half their size, and over blocks
+    that span the whole skin. Blocks are evaluated in parallel.
     """
     chosen = options or CovariogramOptions()
-    alike = as_symmetric(similarity, "similarity")
-    places = np.array(start, dtype=np.float64)
-    apart = as_symmetric(metric, "metric")
-    mask = np.ones(alike.shape, dtype=bool) if known is None else np.array(known, dtype=bool)
-    _check(alike, places, apart, mask, noise)
-    unit = _range(alike, places, mask)
-    places = (places - places.mean(axis=0)) / unit
+    correlation = as_symmetric(similarity, "similarity")
+    positions = np.array(start, dtype=np.float64)
+    lengths = as_symmetric(metric, "metric")
+    mask = np.ones(correlation.shape, dtype=bool) if known is None else np.array(known, dtype=bool)
+    _check(correlation, positions, lengths, mask, noise)
+    unit = _estimate_range(correlation, positions, mask)
+    positions = (positions - positions.mean(axis=0)) / unit
     np.fill_diagonal(mask, val=False)
-    problem = Problem(alike, apart / unit, mask, noise, chosen)
-    in_one = len(places) <= chosen.block
-    size = chosen.block if in_one else max(3, chosen.block // 2)
-    blocks = [Block(sensors, problem) for sensors in overlapping_blocks(places, size)]
-    bounds = [(None, None)] * places.size + [(np.log(_EXPONENTS[0]), np.log(_EXPONENTS[1]))]
-    shape = places.shape
-    with _shared_out(len(places)) as spread_over:
+    problem = Problem(correlation, lengths / unit, mask, noise, chosen)
+    one_block = len(positions) <= chosen.block
+    size = chosen.block if one_block else max(3, chosen.block // 2)
+    blocks = [Block(sensors, problem) for sensors in overlapping_blocks(positions, size)]
+    exponent_bounds = (np.log(_EXPONENT_BOUNDS[0]), np.log(_EXPONENT_BOUNDS[1]))
+    shape = positions.shape
+    with _parallel_blocks(len(positions)) as map_blocks:
 
-        def at(parameters: Matrix) -> tuple[float, Matrix]:
+        def value_and_gradient(parameters: Matrix) -> tuple[float, Matrix]:
             x, log_exponent = parameters[:-1].reshape(shape), float(parameters[-1])
-            return objective(blocks, x, log_exponent, spread_over)
+            return objective(blocks, x, log_exponent, map_blocks)
 
         found = minimize(
-            at,
-            np.append(places.ravel(), 0.0),
+            value_and_gradient,
+            np.append(positions.ravel(), 0.0),
             jac=True,
             method="L-BFGS-B",
-            bounds=bounds,
+            bounds=[(None, None)] * positions.size + [exponent_bounds],
             options={
                 "maxiter": chosen.max_iterations,
                 "maxfun": 2 * chosen.max_iterations + 20,
                 "maxcor": 20,
-                "ftol": chosen.tolerance * (1 if in_one else _COARSER),
+                "ftol": chosen.tolerance * (1 if one_block else _BLOCK_TOLERANCE),
             },
         )
-    places = found.x[:-1].reshape(shape)
-    terms = (block.terms(places, float(found.x[-1])) for block in blocks)
-    amplitude, offset = linear(np.sum([term.products for term in terms], axis=0))
-    places = places - places.mean(axis=0)
-    places.setflags(write=False)
+    positions = found.x[:-1].reshape(shape)
+    terms = (block.terms(positions, float(found.x[-1])) for block in blocks)
+    products = np.sum([term.products for term in terms], axis=0)
+    amplitude, offset = solve_amplitude_and_offset(products)
+    positions = positions - positions.mean(axis=0)
+    positions.setflags(write=False)
     return Covariogram(
-        positions=places,
+        positions=positions,
         amplitude=amplitude,
         exponent=float(np.exp(found.x[-1])),
         offset=offset,
@@ -178,45 +179,46 @@ def fit_covariogram(
 
 
 @contextmanager
-def _shared_out(n_sensors: int) -> Iterator[MapFunction]:
-    """Let the cores share blocks; linear algebra has one thread meanwhile, or all would fight."""
+def _parallel_blocks(n_sensors: int) -> Iterator[MapFunction]:
+    """Yield a parallel map; BLAS is single-threaded meanwhile, to avoid oversubscription."""
     with (
-        parallel_map(n_sensors) as spread_over,
+        parallel_map(n_sensors) as map_blocks,
         threadpool_limits(1 if is_parallel(n_sensors) else None),
     ):
-        yield spread_over
+        yield map_blocks
 
 
-def _range(similarity: Matrix, places: Matrix, known: NDArray[np.bool_]) -> float:
-    """Give about how far apart sensors are whose correlation has fallen to a third."""
-    step = -(-len(places) // _ENOUGH)
-    places, similarity, known = places[::step], similarity[::step, ::step], known[::step, ::step]
-    distances = cdist(places, places)
-    pairs = known & ~np.eye(len(places), dtype=bool)
-    half_way = pairs & (similarity > _HALF_WAY[0]) & (similarity < _HALF_WAY[1])
-    chosen = distances[half_way] if half_way.any() else distances[pairs]
+def _estimate_range(similarity: Matrix, positions: Matrix, known: NDArray[np.bool_]) -> float:
+    """Return the median distance of pairs whose correlation is about 1 / e."""
+    step = -(-len(positions) // _MAX_RANGE_SENSORS)
+    similarity, known = similarity[::step, ::step], known[::step, ::step]
+    distances = cdist(positions[::step], positions[::step])
+    pairs = known & ~np.eye(len(distances), dtype=bool)
+    lowest, highest = _RANGE_CORRELATIONS
+    one_range = pairs & (similarity > lowest) & (similarity < highest)
+    chosen = distances[one_range] if one_range.any() else distances[pairs]
     unit = float(np.median(chosen)) if chosen.size else 0.0
     return unit if unit > 0 else 1.0
 
 
 def _check(
-    similarity: Matrix, places: Matrix, metric: Matrix, known: NDArray[np.bool_], noise: float
+    similarity: Matrix, positions: Matrix, metric: Matrix, known: NDArray[np.bool_], noise: float
 ) -> None:
     n_sensors = len(similarity)
-    if places.ndim != 2 or len(places) != n_sensors or not places.shape[1]:
-        raise InputError(f"the start has shape {places.shape}; it must be ({n_sensors}, k)")
-    for what, matrix in (("metric", metric), ("mask of known pairs", known)):
+    if positions.ndim != 2 or len(positions) != n_sensors or not positions.shape[1]:
+        raise InputError(f"start must have shape ({n_sensors}, k), got {positions.shape}")
+    for name, matrix in (("metric", metric), ("known", known)):
         if matrix.shape != similarity.shape:
             raise InputError(
-                f"the {what} has shape {matrix.shape}; it must be {similarity.shape}, as the "
-                "similarity"
+                f"{name} must have the shape of the similarity, {similarity.shape}, "
+                f"got {matrix.shape}"
             )
     n_positive = np.count_nonzero(metric > 0) - np.count_nonzero(np.diag(metric) > 0)
     if n_positive < n_sensors * (n_sensors - 1) or not np.isfinite(metric).all():
-        raise InputError("the metric must be finite, and positive between different sensors")
+        raise InputError("metric must be finite, and positive between different sensors")
     n_unknown = np.count_nonzero(~np.isfinite(similarity))
     n_unknown -= np.count_nonzero(~np.isfinite(np.diag(similarity)))
-    if not np.isfinite(places).all() or n_unknown:
-        raise InputError("the start and the similarity must be finite")
+    if not np.isfinite(positions).all() or n_unknown:
+        raise InputError("start and similarity must be finite")
     if not (np.isfinite(noise) and noise > 0):
-        raise InputError(f"the noise is {noise}; it must be positive")
+        raise InputError(f"noise must be finite and positive, got {noise}")

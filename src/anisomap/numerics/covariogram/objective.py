@@ -1,4 +1,4 @@
-"""What a covariogram is fitted by: whitened residuals of correlations, summed over blocks."""
+"""Objective of the covariogram fit: whitened residuals of correlations, summed over blocks."""
 
 from __future__ import annotations
 
@@ -18,34 +18,42 @@ from anisomap.numerics.precision import Reals
 
 Matrix: TypeAlias = Reals
 
-_NEAREST = 1e-6  # of a range
-_AMPLITUDES = (1e-3, 10.0)
-_SMALLEST_EIGENVALUE = 0.5
+_MIN_DISTANCE = 1e-6  # ranges; keeps logarithms and gradients finite
+_AMPLITUDE_BOUNDS = (1e-3, 10.0)
+"""Below, the function is flat; above, all pairs lie beyond its range."""
+
+_MIN_EIGENVALUE = 0.5  # of the ridge; chosen by hand, for similarities that are not correlations
 
 
 @dataclass(frozen=True)
 class CovariogramOptions:
-    """Parameters of the fit; the defaults were chosen on simulated skins, once for all.
+    """Parameters of the covariogram fit, tuned on simulated skins, seeds 101 to 103.
+
+    ``docs/explanation/covariogram.md`` gives the error without each part.
 
     Parameters
     ----------
     prior_weight : float
-        Weight of the metric that the fit sets out from, at least 0, in units of the noise.
+        Weight of the prior towards the initial metric, at least 0, in units of the noise.
     repulsion : float
-        Weight of the force that keeps sensors apart and unfolds the map, at least 0, in units of
-        the noise.
+        Weight of the logarithmic repulsion that unfolds the map, at least 0, in units of the noise.
     ridge : float
-        Variance, above 0, that is added to every reading before correlations are whitened, as a
-        share of its own.
+        Variance added to each reading before correlations are whitened, relative to its own; above
+        0.
     tolerance : float
-        Stop when a step lowers the objective by less than this share of it; in blocks, by less
-        than a hundred times that.
+        Relative decrease of the objective below which the fit stops; a hundred times as large with
+        several blocks.
     max_iterations : int
-        Stop after so many steps at the latest.
+        Greatest number of L-BFGS iterations.
     block : int
-        Most sensors whose correlations are whitened together; more are fitted in overlapping
-        blocks of half as many. Whitening takes time in cubes: blocks of 150 to 500 of 1,200 and
-        2,000 sensors made equally good maps.
+        Greatest number of sensors whose correlations are whitened together, at least 3; more are
+        fitted in overlapping blocks of half as many, since whitening takes cubic time. Blocks of
+        150 to 500 of 1,200 and 2,000 sensors gave equally good maps.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
     """
 
     prior_weight: float = 1.0
@@ -58,18 +66,18 @@ class CovariogramOptions:
     def __post_init__(self) -> None:
         for name in ("prior_weight", "repulsion", "tolerance"):
             if not (np.isfinite(value := getattr(self, name)) and value >= 0):
-                raise InputError(f"{name} is {value}; it must be at least 0")
+                raise InputError(f"{name} must be finite and at least 0, got {value}")
         if not (np.isfinite(self.ridge) and self.ridge > 0):
-            raise InputError(f"ridge is {self.ridge}; it must be above 0")
+            raise InputError(f"ridge must be finite and above 0, got {self.ridge}")
         if self.max_iterations < 0:
-            raise InputError(f"max_iterations is {self.max_iterations}; it must be at least 0")
+            raise InputError(f"max_iterations must be at least 0, got {self.max_iterations}")
         if self.block < 3:
-            raise InputError(f"block is {self.block}; a block holds at least 3 sensors")
+            raise InputError(f"block must be at least 3, got {self.block}")
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is to be explained, in units of the covariogram's range."""
+    """Data and parameters of the fit, with lengths in units of the covariogram's range."""
 
     similarity: Matrix
     metric: Matrix
@@ -79,11 +87,11 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Terms:
-    """What one block adds, at given positions: whitened products, and matrices for the gradient.
+class BlockTerms:
+    """Contribution of one block at given positions: whitened products, and gradient matrices.
 
-    With ``<A, B> = tr(A W B W)``, `products` holds <E,E>, <E,O>, <E,S>, <O,O>, <O,S>, <S,S> of
-    the model's shape E, the offset's O (ones where known) and the similarity S.
+    With ``<A, B> = tr(A W B W)``, `products` holds <E,E>, <E,O>, <E,S>, <O,O>, <O,S>, <S,S> for the
+    shape E of the covariogram, the offset O (1 where a pair is known) and the similarity S.
     """
 
     products: Matrix
@@ -95,39 +103,39 @@ class Terms:
 
 
 class Block:
-    """The part of the objective that is about some sensors, with what does not change of it."""
+    """Contribution of some sensors to the objective, with its constant matrices."""
 
     def __init__(self, sensors: NDArray[np.intp], problem: Problem) -> None:
         inside = np.ix_(sensors, sensors)
         self.sensors, self._options = sensors, problem.options
         self._known = problem.known[inside]
-        self._alike = np.where(self._known, problem.similarity[inside], 0.0).astype(np.float64)
-        self._whitening = _whitening(self._alike, problem.options.ridge)
+        self._similarity = np.where(self._known, problem.similarity[inside], 0.0).astype(np.float64)
+        self._whitening = _whitening(self._similarity, problem.options.ridge)
         self._pairs = ~np.eye(len(sensors), dtype=bool)
-        apart = problem.metric[inside].astype(np.float64)
-        self._closeness = np.divide(1.0, apart, out=np.zeros_like(apart), where=self._pairs)
+        metric = problem.metric[inside].astype(np.float64)
+        self._inverse_metric = np.divide(1.0, metric, out=np.zeros_like(metric), where=self._pairs)
         self._noise = problem.noise / 2  # each pair stands in a matrix twice
 
     @cached_property
     def whitened_similarity(self) -> Matrix:
-        """The similarity S of the block, as W S W."""
-        return self._whitened(self._alike)
+        """W S W, with the similarity S of the block."""
+        return self._whitened(self._similarity)
 
     @cached_property
     def whitened_offset(self) -> Matrix:
-        """The offset's ones O, where a pair is known, as W O W."""
+        """W O W, with the offset O: 1 where a pair is known, else 0."""
         return self._whitened(self._known.astype(np.float64))
 
     @cached_property
     def _fixed_products(self) -> tuple[float, float, float]:
         ones = self.whitened_offset[self._known].sum()
         cross = self.whitened_similarity[self._known].sum()
-        return float(ones), float(cross), float(np.vdot(self._alike, self.whitened_similarity))
+        return float(ones), float(cross), float(np.vdot(self._similarity, self.whitened_similarity))
 
-    def terms(self, places: Matrix, log_exponent: float) -> Terms:
-        """Work out what the block adds with all sensors at `places`, shape (N, k)."""
-        points = places[self.sensors]
-        distances = np.maximum(cdist(points, points), _NEAREST)
+    def terms(self, positions: Matrix, log_exponent: float) -> BlockTerms:
+        """Evaluate the block at positions of all sensors, shape (N, k)."""
+        points = positions[self.sensors]
+        distances = np.maximum(cdist(points, points), _MIN_DISTANCE)
         np.fill_diagonal(distances, 1.0)
         logarithms = np.log(distances)
         powers = np.exp(np.exp(log_exponent) * logarithms)
@@ -141,12 +149,12 @@ class Block:
                 *self._fixed_products,
             ]
         )
-        return Terms(products, shape, whitened, distances, logarithms, powers)
+        return BlockTerms(products, shape, whitened, distances, logarithms, powers)
 
     def gradient(
-        self, terms: Terms, places: Matrix, exponent: float, amplitude: float, offset: float
+        self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float, offset: float
     ) -> tuple[float, Matrix, float]:
-        """Give the priors' value, and gradients by positions and by the exponent's logarithm."""
+        """Return the priors, and the gradient by the positions and by the log exponent."""
         residual = (
             amplitude * terms.whitened_shape
             + offset * self.whitened_offset
@@ -154,26 +162,26 @@ class Block:
         )
         slope = -amplitude * exponent * residual * terms.shape * terms.powers
         by_exponent = float(np.vdot(slope, terms.logarithms))
-        value, pull = self._priors(terms)
-        # Each coordinate difference is divided by the distance twice: once of d d/dx, once of db.
-        force = (slope / terms.distances + pull) / terms.distances
+        value, slope_of_priors = self._priors(terms)
+        # Divided by the distance twice: in the derivatives of the distance and of its power.
+        force = (slope / terms.distances + slope_of_priors) / terms.distances
         np.fill_diagonal(force, 0.0)
-        points = places[self.sensors]
-        by_places = 2 * (force.sum(axis=1)[:, None] * points - force @ points)
-        return value, by_places, by_exponent
+        points = positions[self.sensors]
+        by_positions = 2 * (force.sum(axis=1)[:, None] * points - force @ points)
+        return value, by_positions, by_exponent
 
-    def _priors(self, terms: Terms) -> tuple[float, Matrix]:
+    def _priors(self, terms: BlockTerms) -> tuple[float, Matrix]:
         options = self._options
-        ratios = terms.distances * self._closeness
-        strays = np.where(self._pairs, ratios - ratios.sum() / self._pairs.sum(), 0.0)
-        value = options.prior_weight * np.vdot(strays, strays) - options.repulsion * np.sum(
+        ratios = terms.distances * self._inverse_metric
+        deviations = np.where(self._pairs, ratios - ratios.sum() / self._pairs.sum(), 0.0)
+        value = options.prior_weight * np.vdot(deviations, deviations) - options.repulsion * np.sum(
             terms.logarithms
         )
-        pull = (
-            2 * options.prior_weight * strays * self._closeness
+        slope_of_priors = (
+            2 * options.prior_weight * deviations * self._inverse_metric
             - options.repulsion / terms.distances
         )
-        return float(self._noise * value), self._noise * pull
+        return float(self._noise * value), self._noise * slope_of_priors
 
     def _whitened(self, matrix: Matrix) -> Matrix:
         return np.asarray(self._whitening @ matrix @ self._whitening)
@@ -181,30 +189,30 @@ class Block:
 
 def objective(
     blocks: Sequence[Block],
-    places: Matrix,
+    positions: Matrix,
     log_exponent: float,
     spread_over: MapFunction = serial_map,
 ) -> tuple[float, Matrix]:
-    """Give what is minimised, and its gradient.
+    """Return the objective and its gradient.
 
     Parameters
     ----------
     blocks : sequence of Block
-    places : ndarray of shape (N, k)
+    positions : ndarray of shape (N, k)
     log_exponent : float
         Logarithm of the covariogram's exponent.
     spread_over : callable
-        Goes through the blocks.
+        Maps a function over the blocks.
 
     Returns
     -------
     value : float
     gradient : ndarray of shape (N k + 1,)
-        By the coordinates, and by the exponent's logarithm.
+        By the coordinates, then by the log exponent.
     """
-    terms = spread_over(lambda block: block.terms(places, log_exponent), blocks)
+    terms = spread_over(lambda block: block.terms(positions, log_exponent), blocks)
     products = np.sum([term.products for term in terms], axis=0)
-    amplitude, offset = linear(products)
+    amplitude, offset = solve_amplitude_and_offset(products)
     ee, eo, es, oo, os, ss = products
     value = (
         amplitude**2 * ee
@@ -214,26 +222,27 @@ def objective(
     ) / 2
     exponent = float(np.exp(log_exponent))
     slopes = spread_over(
-        lambda pair: pair[0].gradient(pair[1], places, exponent, amplitude, offset),
+        lambda pair: pair[0].gradient(pair[1], positions, exponent, amplitude, offset),
         zip(blocks, terms, strict=True),
     )
-    by_places = np.zeros_like(places)
+    by_positions = np.zeros_like(positions)
     by_exponent = 0.0
-    for block, (priors, moved, bent) in zip(blocks, slopes, strict=True):
+    for block, (priors, by_position, by_log_exponent) in zip(blocks, slopes, strict=True):
         value += priors
-        by_places[block.sensors] += moved
-        by_exponent += bent
-    return float(value), np.append(by_places.ravel(), by_exponent)
+        by_positions[block.sensors] += by_position
+        by_exponent += by_log_exponent
+    return float(value), np.append(by_positions.ravel(), by_exponent)
 
 
-def linear(products: Matrix) -> tuple[float, float]:
-    """Solve for the amplitude and offset that leave the least whitened residual."""
+def solve_amplitude_and_offset(products: Matrix) -> tuple[float, float]:
+    """Return the amplitude and offset that minimise the whitened residual."""
     ee, eo, es, oo, os, _ = products
     determinant = ee * oo - eo * eo
-    alone = es / ee if ee > 0 else 0.0
-    amplitude = (es * oo - eo * os) / determinant if determinant > 1e-12 * ee * oo else alone
-    # Below, the function does not fall, and above, sensors are out of one another's sight.
-    amplitude = float(np.clip(amplitude, *_AMPLITUDES))
+    without_offset = es / ee if ee > 0 else 0.0
+    amplitude = (
+        (es * oo - eo * os) / determinant if determinant > 1e-12 * ee * oo else without_offset
+    )
+    amplitude = float(np.clip(amplitude, *_AMPLITUDE_BOUNDS))
     return amplitude, float((os - amplitude * eo) / oo) if oo > 0 else 0.0
 
 
@@ -244,9 +253,9 @@ def _whitening(similarity: Matrix, ridge: float) -> Matrix:
     try:
         inverse = cho_solve(cho_factor(covariance), identity)
     except np.linalg.LinAlgError:
-        # Not a matrix of correlations: some pairs are unknown, or it is another similarity.
+        # Not positive definite: pairs are unknown, or the similarity is not a correlation.
         values, vectors = np.linalg.eigh(covariance)
-        inverse = (vectors / np.maximum(values, _SMALLEST_EIGENVALUE * ridge)) @ vectors.T
+        inverse = (vectors / np.maximum(values, _MIN_EIGENVALUE * ridge)) @ vectors.T
     shared = inverse.sum(axis=1)
     total = shared.sum()
     if total > 0:
