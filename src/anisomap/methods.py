@@ -136,7 +136,7 @@ def _direct(pairs: PairStatistics, options: MethodOptions) -> Reals:
         return regularised_reciprocal(pairs.similarity, options.mu)
     direct = direct_dissimilarity(pairs.similarity, pairs.noise)
     return remove_insignificant_links(
-        direct, pairs.similarity, pairs.noise, part=options.split_unrelated
+        direct, pairs.similarity, pairs.noise, split_unrelated=options.split_unrelated
     )
 
 

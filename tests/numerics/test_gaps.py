@@ -1,8 +1,8 @@
-"""Missing readings in chunks: filled or left out as in one array, to the last bit."""
+"""Missing readings in chunks: results equal those for one array."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -20,7 +20,7 @@ windows = st.integers(1, 2 * N_FRAMES * N_SENSORS)
 
 @st.composite
 def with_gaps(draw):
-    """Readings with gaps of every length: single ones, long ones, at the ends, all of a sensor."""
+    """Readings with gaps of any length, also at the ends and of whole sensors."""
     whole = draw(arrays(draw(st.sampled_from([np.float32, np.float64])), (N_FRAMES, N_SENSORS),
                         elements=readings))  # fmt: skip
     for _ in range(draw(st.integers(0, 6))):
@@ -29,8 +29,8 @@ def with_gaps(draw):
     return whole
 
 
-class Opened:
-    """Chunks that count how often they are opened."""
+class Chunked:
+    """Chunked readings that count the iterations started."""
 
     def __init__(self, whole, cut):
         self.chunks = [part for part in np.split(whole, cut) if len(part)]
@@ -42,26 +42,24 @@ class Opened:
 
 
 @given(with_gaps(), cuts, windows)
-@settings(deadline=None)
-def test_gaps_are_filled_as_in_one_array(whole, cut, window):
-    chunks = Opened(whole, cut)
+def test_gaps_are_interpolated_as_in_one_array(whole, cut, window):
+    chunks = Chunked(whole, cut)
     found = interpolate_gaps(chunks, window)
     expected = Recording(whole).complete("interpolate").readings
     for passes in range(2):
         np.testing.assert_array_equal(np.concatenate(list(found())), expected)
-        # To find where long gaps end takes one pass, however many there are.
+        # The ends of all long gaps are found in one further iteration.
         assert chunks.times <= passes + 2
 
 
 @given(with_gaps(), cuts, st.integers(N_FRAMES * N_SENSORS, 10**6))
-@settings(deadline=None)
-def test_short_gaps_take_no_pass_of_their_own(whole, cut, window):
-    chunks = Opened(whole, cut)
+def test_gaps_within_the_window_need_no_further_iteration(whole, cut, window):
+    chunks = Chunked(whole, cut)
     list(interpolate_gaps(chunks, window)())
     assert chunks.times == 1
 
 
-def test_a_window_and_the_next_are_all_that_is_read_ahead():
+def test_only_the_following_window_is_read_ahead():
     whole = np.ones((1000, 1), dtype=np.float32)
     whole[5:900] = np.nan
     whole[900:] = 3
@@ -84,13 +82,12 @@ def test_a_window_and_the_next_are_all_that_is_read_ahead():
 
 
 @given(with_gaps(), cuts)
-@settings(deadline=None)
-def test_frames_are_left_out_as_of_one_array(whole, cut):
-    found = drop_incomplete_frames(Opened(whole, cut))
+def test_incomplete_frames_are_dropped_as_in_one_array(whole, cut):
+    found = drop_incomplete_frames(Chunked(whole, cut))
     try:
         expected = Recording(whole).complete("drop-frames").readings
     except InputError:
-        with pytest.raises(InputError, match="every frame misses a reading"):
+        with pytest.raises(InputError, match="every frame has a missing reading"):
             list(found())
         return
     for _ in range(2):
@@ -98,25 +95,23 @@ def test_frames_are_left_out_as_of_one_array(whole, cut):
 
 
 @given(with_gaps(), cuts)
-@settings(deadline=None)
-def test_the_first_gap_is_named(whole, cut):
+def test_the_error_names_the_first_missing_reading(whole, cut):
     missing = np.argwhere(~np.isfinite(whole))
     if not len(missing):
         np.testing.assert_array_equal(
-            np.concatenate(list(require_no_gaps(Opened(whole, cut))())), whole
+            np.concatenate(list(require_no_gaps(Chunked(whole, cut))())), whole
         )
         return
     frame, sensor = missing[0]
-    with pytest.raises(InputError, match=f"the first of sensor {sensor} in frame {frame};"):
-        list(require_no_gaps(Opened(whole, cut))())
+    with pytest.raises(InputError, match=f"sensor {sensor} in frame {frame} is NaN or infinite"):
+        list(require_no_gaps(Chunked(whole, cut))())
 
 
 @given(arrays(np.uint8, (N_FRAMES, 2)), cuts, windows)
-@settings(deadline=None)
-def test_whole_numbers_have_no_gaps(whole, cut, window):
+def test_integers_have_no_gaps(whole, cut, window):
     for opened in (
-        interpolate_gaps(Opened(whole, cut), window),
-        drop_incomplete_frames(Opened(whole, cut)),
+        interpolate_gaps(Chunked(whole, cut), window),
+        drop_incomplete_frames(Chunked(whole, cut)),
     ):
         found = np.concatenate(list(opened()))
         assert found.dtype == np.uint8

@@ -1,24 +1,31 @@
-"""Compiled loops where nothing can be kept on disk."""
+"""Compilation of loops with and without a cache on disk."""
+
+import types
 
 import numpy as np
-from numba.core import caching
 
 from anisomap.numerics.compiled.jit import loop
 
-
+SOURCE = """
 def double(values):
     for i in range(len(values)):
         values[i] *= 2
+"""
 
 
-def test_without_a_folder_to_keep_code_in_loops_are_compiled_all_the_same(monkeypatch):
-    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+def uncacheable_function():
+    """Return a function without a source file, next to which numba could store a cache."""
+    code = compile(SOURCE, "<no file>", "exec").co_consts[0]
+    return types.FunctionType(code, {"__name__": "nowhere"}, "double")
+
+
+def test_loops_compile_without_a_cache_folder():
     values = np.arange(3.0)
-    loop()(double)(values)
+    loop()(uncacheable_function())(values)
     np.testing.assert_array_equal(values, [0, 2, 4])
 
 
-def test_flags_are_handed_on():
-    fast = loop(fastmath=True)(double)
+def test_flags_are_passed_to_numba():
+    fast = loop(fastmath=True)(uncacheable_function())
     assert fast.targetoptions["fastmath"]
     assert fast.targetoptions["nogil"]

@@ -1,4 +1,4 @@
-"""Normals against surfaces whose normals are known."""
+"""Estimated normals of surfaces with known normals."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def degrees(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
 
 
 @given(st.integers(0, 1000), st.floats(0.01, 100))
-def test_on_a_sphere_they_point_away_from_its_middle(seed: int, radius: float) -> None:
+def test_normals_of_a_sphere_point_outwards(seed: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
     turn, shift = Rotation.random(rng=rng), rng.normal(size=3)
     outward = turn.apply(sphere(300))
@@ -41,15 +41,15 @@ def test_on_a_sphere_they_point_away_from_its_middle(seed: int, radius: float) -
     assert degrees(normals, outward).max() < 8
 
 
-def test_on_a_cylinder_they_point_away_from_its_axis() -> None:
+def test_normals_of_a_cylinder_point_away_from_its_axis() -> None:
     points, outward = cylinder(20, 12)
     normals, reliable = estimate_normals(points)
     assert reliable.all()
     assert degrees(normals, outward).max() < 12
 
 
-def test_on_a_bent_sheet_neighbours_look_to_the_same_side() -> None:
-    # Three quarters of a tube: away from the middle of all would be inwards for some of it.
+def test_normals_of_a_bent_sheet_are_on_one_side() -> None:
+    # Three quarters of a tube: for some points, inwards is away from the centroid.
     points, outward = cylinder(40, 6)
     angle = np.arctan2(points[:, 1], points[:, 0])
     kept = angle < np.pi / 2
@@ -58,7 +58,7 @@ def test_on_a_bent_sheet_neighbours_look_to_the_same_side() -> None:
     assert (side > 0.8).all()
 
 
-def test_in_a_plane_they_are_its_normal() -> None:
+def test_normals_of_a_plane_are_equal() -> None:
     grid = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
     flat, reliable = estimate_normals(grid)
     np.testing.assert_array_equal(flat, np.tile([0, 0, 1], (30, 1)))
@@ -72,7 +72,7 @@ def test_in_a_plane_they_are_its_normal() -> None:
     assert len({float(sign) for sign in np.sign(normals @ across)}) == 1
 
 
-def test_relabelling_changes_nothing_but_order() -> None:
+def test_relabelling_points_relabels_normals() -> None:
     points = sphere(120)
     order = np.random.default_rng(0).permutation(120)
     np.testing.assert_allclose(
@@ -81,7 +81,7 @@ def test_relabelling_changes_nothing_but_order() -> None:
 
 
 @pytest.mark.parametrize("n_points", [1, 2, 3, 12])
-def test_points_in_a_line_have_no_plane_and_say_so(n_points: int) -> None:
+def test_normals_of_collinear_points_are_unreliable(n_points: int) -> None:
     line = np.outer(np.arange(n_points), [1.0, 2.0, 3.0])
     normals, reliable = estimate_normals(line)
     assert not reliable.any()
@@ -89,6 +89,6 @@ def test_points_in_a_line_have_no_plane_and_say_so(n_points: int) -> None:
 
 
 @pytest.mark.parametrize("positions", [np.zeros((4, 4)), np.zeros(4), [[0, 0, np.nan]]])
-def test_what_are_no_points_is_refused(positions: object) -> None:
+def test_invalid_positions_are_rejected(positions: object) -> None:
     with pytest.raises(InputError, match="normals need finite points"):
         estimate_normals(positions)

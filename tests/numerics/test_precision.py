@@ -1,4 +1,4 @@
-"""Very many sensors are held in float32: the same results, but for the last digits."""
+"""Results in float32 equal those in float64 up to rounding."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,6 @@ from anisomap import Recording, reconstruct
 from anisomap.errors import InputError
 from anisomap.evaluation import mantel
 from anisomap.numerics import precision
-from anisomap.numerics.graph import shortest_paths
 from anisomap.numerics.graph.dissimilarity import (
     as_symmetric,
     direct_dissimilarity,
@@ -19,6 +18,11 @@ from anisomap.numerics.graph.dissimilarity import (
     regularised_reciprocal,
 )
 from anisomap.numerics.graph.metric import metricise
+from anisomap.numerics.graph.shortest_paths import (
+    along_few_edges,
+    are_shortest,
+    through_all_nodes,
+)
 from anisomap.numerics.precision import is_symmetric, mirror
 from anisomap.numerics.reliability.significance import significant_components
 from anisomap.numerics.scaling.classical import torgerson
@@ -29,7 +33,7 @@ from anisomap.simulation import simulate
 
 
 @pytest.fixture
-def always_single(monkeypatch):
+def always_float32(monkeypatch):
     monkeypatch.setattr(precision, "MIN_FLOAT32_SENSORS", 1)
 
 
@@ -40,20 +44,18 @@ def readings():
 
 @pytest.mark.parametrize("tile", [1, 2, 3, 50])
 @given(size=st.integers(1, 12), seed=st.integers(0, 99), upper=st.booleans())
-def test_one_half_is_copied_to_the_other(tile, size, seed, upper):
+def test_one_triangle_is_mirrored_to_the_other(tile, size, seed, upper):
     matrix = np.random.default_rng(seed).normal(size=(size, size))
     half = np.triu(matrix) if upper else np.tril(matrix)
     expected = half + half.T - np.diag(np.diag(matrix))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(precision, "_TILE", tile)
-        assert is_symmetric(matrix) == (size == 1)
-        mirror(matrix, upper=upper)
-        assert is_symmetric(matrix)
+    assert is_symmetric(matrix, tile=tile) == (size == 1)
+    mirror(matrix, upper=upper, tile=tile)
+    assert is_symmetric(matrix, tile=tile)
     np.testing.assert_array_equal(matrix, expected)
 
 
 @pytest.mark.parametrize("similarity", [pearson, spearman, co_activation, mutual_information])
-def test_similarities(always_single, similarity, readings, monkeypatch):
+def test_similarities_are_equal(always_float32, similarity, readings, monkeypatch):
     single = similarity(readings)
     monkeypatch.setattr(precision, "MIN_FLOAT32_SENSORS", 10_000)
     assert single.dtype == np.float32
@@ -70,7 +72,7 @@ def test_similarities(always_single, similarity, readings, monkeypatch):
         lambda similarity: direct_dissimilarity(similarity, np.full_like(similarity, 1e-3)),
     ],
 )
-def test_dissimilarities_stay_as_they_come(stage, readings):
+def test_dissimilarities_keep_the_precision(stage, readings):
     similarity = pearson(readings)
     double, single = stage(similarity), stage(similarity.astype(np.float32))
     assert (double.dtype, single.dtype) == (np.float64, np.float32)
@@ -78,18 +80,17 @@ def test_dissimilarities_stay_as_they_come(stage, readings):
     np.testing.assert_allclose(single, double, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.parametrize("way", ["along_few_edges", "through_all_nodes"])
-def test_shortest_paths_stay_as_they_come(way, readings, monkeypatch):
-    monkeypatch.setattr(shortest_paths, "FEW", 1.0)
+def test_shortest_paths_keep_the_precision(readings):
     lengths = regularised_reciprocal(pearson(readings))
-    single = getattr(shortest_paths, way)(lengths.astype(np.float32))
-    assert single.dtype == np.float32
-    assert shortest_paths.holds(single, lengths.astype(np.float32))
-    np.testing.assert_allclose(single, metricise(lengths), rtol=1e-5)
+    coarse = lengths.astype(np.float32)
+    for single in (along_few_edges(coarse, max_share=1.0), through_all_nodes(coarse)):
+        assert single.dtype == np.float32
+        assert are_shortest(single, coarse)
+        np.testing.assert_allclose(single, metricise(lengths), rtol=1e-5)
 
 
-@pytest.mark.parametrize("size", [60, 300])  # both ways to eigenvectors
-def test_scaling_finds_the_same_places(size):
+@pytest.mark.parametrize("size", [60, 300])  # dense and iterative eigensolver
+def test_scaling_finds_the_same_positions(size):
     points = np.random.default_rng(0).normal(size=(size, 3))
     distances = squareform(pdist(points))
     single = distances.astype(np.float32)
@@ -97,7 +98,7 @@ def test_scaling_finds_the_same_places(size):
     assert mantel(smacof(single).positions, points, permutations=0).r > 1 - 1e-12
 
 
-def test_asymmetry_beyond_rounding_is_refused_in_either():
+def test_asymmetry_beyond_rounding_is_rejected():
     matrix = np.random.default_rng(0).uniform(size=(5, 5)).astype(np.float32)
     matrix += matrix.T
     matrix[0, 1] *= 1 + 1e-6
@@ -109,7 +110,7 @@ def test_asymmetry_beyond_rounding_is_refused_in_either():
         as_symmetric(matrix, "similarity")
 
 
-def test_pieces_are_those_of_float64(readings):
+def test_components_equal_those_in_float64(readings):
     apart = np.kron(np.eye(2), pearson(readings)[:20, :20])
     noise = np.full(apart.shape, 0.002)
     expected = significant_components(apart, noise)
@@ -120,7 +121,7 @@ def test_pieces_are_those_of_float64(readings):
 
 @pytest.mark.parametrize("method", ["covariogram", "r-anisomap", "i-anisomap", "isomap"])
 @pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
-def test_maps_are_as_good(always_single, method, readings, monkeypatch):
+def test_maps_are_equal(always_float32, method, readings, monkeypatch):
     recording = Recording(readings)
     single = reconstruct(recording, method, 2, judge=False)
     monkeypatch.setattr(precision, "MIN_FLOAT32_SENSORS", 10_000)
@@ -128,10 +129,10 @@ def test_maps_are_as_good(always_single, method, readings, monkeypatch):
     assert mantel(single.positions, double.positions, permutations=0).r > 0.9999
 
 
-@pytest.mark.parametrize("size", [30, 520])  # plainly, and by compiled loops
+@pytest.mark.parametrize("size", [30, 520])  # numpy and compiled loops
 @pytest.mark.parametrize("order", ["C", "F"])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_what_is_given_is_left_as_it_is(size, order, dtype):
+def test_inputs_are_not_modified(size, order, dtype):
     points = np.random.default_rng(0).uniform(size=(size, 2))
     distances = np.array(squareform(pdist(points)), dtype, order=order)
     distances[0, 1] = distances[1, 0] = np.inf
@@ -145,7 +146,7 @@ def test_what_is_given_is_left_as_it_is(size, order, dtype):
 
 @pytest.mark.parametrize("what", ["similarity", "dissimilarity", "metric"])
 @pytest.mark.parametrize("unit", [1e-30, 1e20, 1e39])
-def test_matrices_that_float32_cannot_hold_are_refused(always_single, what, unit):
+def test_matrices_outside_float32_are_rejected(always_float32, what, unit):
     distances = squareform(pdist(np.random.default_rng(0).uniform(size=(20, 2))))
     with pytest.raises(InputError, match=f"the {what} reaches .* so that its greatest number is 1"):
         reconstruct(method="r-anisomap", **{what: unit * distances})

@@ -1,1 +1,1 @@
-"""Arrays in, arrays out: statistics of pairs, metricising, scaling. Knows no skins and no files."""
+"""Numerical methods on arrays: similarities, graphs, scaling and their reliability."""

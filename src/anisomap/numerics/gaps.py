@@ -1,4 +1,8 @@
-"""Missing readings (NaN, infinite): filled or left out, in chunks of frames as in one array."""
+"""Missing readings (NaN or infinite) in chunks of frames.
+
+A chunked recording is a callable that starts an iteration over its chunks from the first frame.
+Results do not depend on how frames are split into chunks.
+"""
 
 from __future__ import annotations
 
@@ -14,23 +18,24 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.errors import InputError
 
 Readings: TypeAlias = NDArray[Any]
+
 Chunks: TypeAlias = Callable[[], Iterable[Readings]]
-"""Opens chunks of frames of the same sensors, from the first on, each time that it is called."""
+"""Starts an iteration over arrays of shape (t, N)."""
 
 CompleteChunks: TypeAlias = Callable[[], Iterator[Readings]]
-"""The same, of chunks in which no reading is missing."""
+"""Starts an iteration over chunks without missing readings."""
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """The next known reading of each of N sensors on one side of some frames.
+    """Nearest known reading of each of N sensors, before or after a range of frames.
 
     Attributes
     ----------
     frame : ndarray of shape (N,)
-        In which frame it is; NaN where there is none.
+        Frame number; NaN if there is no known reading.
     value : ndarray of shape (N,)
-        What it is.
+        Reading.
     """
 
     frame: NDArray[np.float64]
@@ -38,7 +43,7 @@ class Neighbours:
 
     @classmethod
     def none(cls, n_sensors: int) -> Neighbours:
-        """Give those of frames that nothing comes before, or after."""
+        """Return the neighbours at the start or the end of a recording."""
         return cls(np.full(n_sensors, np.nan), np.full(n_sensors, np.nan))
 
 
@@ -48,22 +53,21 @@ def fill_gaps(
     before: Neighbours | None = None,
     after: Neighbours | None = None,
 ) -> Readings:
-    """Fill gaps linearly between each sensor's neighbours in time.
+    """Interpolate missing readings of each sensor linearly in time.
 
     Parameters
     ----------
     readings : ndarray of shape (T, N)
-        Missing readings are NaN or infinite.
     start : int
-        The number of the first of these frames.
+        Number of the first frame.
     before, after : Neighbours, optional
-        Of all of these frames.
+        Known readings before and after these frames.
 
     Returns
     -------
     ndarray of shape (T, N)
-        Before the first known reading, that one, and after the last, that one; zeros where a
-        sensor has none at all. The readings themselves if none is missing.
+        The first and last known reading of a sensor extend to the ends of the recording; a sensor
+        without known readings is 0. The input itself if no reading is missing.
     """
     gaps = _missing(readings)
     if not gaps.any():
@@ -76,120 +80,142 @@ def fill_gaps(
         missing = gaps[:, sensor]
         one = slice(sensor, sensor + 1)
         at = np.concatenate([first.frame[one], frames[~missing], last.frame[one]])
-        of = np.concatenate([first.value[one], readings[~missing, sensor], last.value[one]])
+        values = np.concatenate([first.value[one], readings[~missing, sensor], last.value[one]])
         known = ~np.isnan(at)
         result[missing, sensor] = (
-            np.interp(frames[missing], at[known], of[known]) if known.any() else 0.0
+            np.interp(frames[missing], at[known], values[known]) if known.any() else 0.0
         )
     return result
 
 
 def interpolate_gaps(chunks: Chunks, window: int) -> CompleteChunks:
-    """Fill gaps in a recording that comes in chunks, as `filled` does in all frames at once.
+    """Interpolate missing readings of a chunked recording, as `fill_gaps` does for an array.
 
     Parameters
     ----------
     chunks : callable
-        Opens the chunks.
     window : int
-        How many readings are looked ahead for the ends of gaps; more memory than twice as many
-        take (or than two chunks, if these are larger) is never needed. Chunks are gone through
-        once more if a gap is longer.
+        Number of readings to look ahead for the end of a gap. At most twice as many readings, or
+        two chunks if these are larger, are in memory. If a gap is longer, all chunks are read
+        once more.
 
     Returns
     -------
     callable
-        Opens chunks without gaps.
+        Complete chunks, of `window` or more readings each.
     """
-    far = cache(lambda: _far_ends(chunks(), window))
+    distant_ends = cache(lambda: _find_distant_ends(chunks(), window))
 
-    def opened() -> Iterator[Readings]:
-        windows = _joined(chunks(), window)
-        here, start = next(windows, None), 0
-        before = None if here is None else Neighbours.none(here.shape[1])
-        while here is not None and before is not None:
-            ahead, stop = next(windows, None), start + len(here)
-            yield fill_gaps(here, start, before, _after(here, ahead, stop, far))
-            before = _last_known(here, start, before)
-            here, start = ahead, stop
+    def complete() -> Iterator[Readings]:
+        windows = _rechunk(chunks(), window)
+        current, start = next(windows, None), 0
+        before = None if current is None else Neighbours.none(current.shape[1])
+        while current is not None and before is not None:
+            following, stop = next(windows, None), start + len(current)
+            yield fill_gaps(current, start, before, _after(current, following, stop, distant_ends))
+            before = _last_known(current, start, before)
+            current, start = following, stop
 
-    return opened
+    return complete
 
 
 def drop_incomplete_frames(chunks: Chunks) -> CompleteChunks:
-    """Leave out every frame that misses a reading of a sensor that has any.
+    """Drop frames with missing readings.
+
+    Sensors without any finite reading do not count as missing; their readings become 0.
 
     Parameters
     ----------
     chunks : callable
-        Opens the chunks.
 
     Returns
     -------
     callable
-        Opens chunks without gaps. A sensor with no finite reading in any frame is zero in all.
-        They raise `InputError` if no frame is left.
+        Complete chunks; iterating raises `InputError` if every frame is incomplete.
     """
-    silent = cache(lambda: _silent(chunks()))
+    silent = cache(lambda: _silent_sensors(chunks()))
 
-    def opened() -> Iterator[Readings]:
-        lost = kept = 0
+    def complete() -> Iterator[Readings]:
+        n_dropped = n_kept = 0
         for chunk in chunks():
             gaps = _missing(chunk)
             if not gaps.any():
-                kept += len(chunk)
+                n_kept += len(chunk)
                 yield chunk
                 continue
-            whole = ~gaps[:, ~silent()].any(axis=1)
-            kept, lost = kept + int(whole.sum()), lost + int((~whole).sum())
-            if whole.any():
-                yield np.where(gaps, 0, chunk)[whole]
-        if lost and not kept:
+            kept = ~gaps[:, ~silent()].any(axis=1)
+            n_kept, n_dropped = n_kept + int(kept.sum()), n_dropped + int((~kept).sum())
+            if kept.any():
+                yield np.where(gaps, 0, chunk)[kept]
+        if n_dropped and not n_kept:
             raise InputError(
-                "every frame misses a reading, so dropping such frames leaves none; "
-                "interpolate instead (--nan interpolate), or drop the sensors that are to blame"
+                "every frame has a missing reading, so dropping incomplete frames leaves none; "
+                "interpolate instead, or drop the sensors with missing readings"
             )
 
-    return opened
+    return complete
 
 
 def require_no_gaps(chunks: Chunks) -> CompleteChunks:
-    """Give chunks on, and raise `InputError` at the first reading that is missing."""
+    """Raise `InputError` at the first missing reading.
 
-    def opened() -> Iterator[Readings]:
-        done = 0
+    Parameters
+    ----------
+    chunks : callable
+
+    Returns
+    -------
+    callable
+        The same chunks; iterating raises the error.
+    """
+
+    def complete() -> Iterator[Readings]:
+        start = 0
         for chunk in chunks():
             gaps = _missing(chunk)
             if gaps.any():
                 frame, sensor = np.argwhere(gaps)[0]
                 raise InputError(
-                    f"readings are NaN or infinite, the first of sensor {sensor} in frame "
-                    f"{done + frame}; choose what to do about them: drop-frames or interpolate "
-                    "(--nan)"
+                    f"the reading of sensor {sensor} in frame {start + frame} is NaN or infinite; "
+                    "drop frames with missing readings, or interpolate them"
                 )
-            done += len(chunk)
+            start += len(chunk)
             yield chunk
 
-    return opened
+    return complete
 
 
 def check_chunks(chunks: Callable[[], Iterable[ArrayLike]]) -> Iterator[Readings]:
-    """Give chunks on as arrays, empty ones left out; `InputError` if they do not fit together."""
-    n_sensors, done = None, 0
+    """Convert chunks to arrays, skip empty ones, and check that they fit together.
+
+    Parameters
+    ----------
+    chunks : callable
+
+    Yields
+    ------
+    ndarray of shape (t, N)
+
+    Raises
+    ------
+    InputError
+        If a chunk is not a 2D array of real numbers, or the number of sensors changes.
+    """
+    n_sensors, start = None, 0
     for chunk in chunks():
         array = np.asarray(chunk)
         if array.dtype.kind == "f" and array.dtype.itemsize > np.dtype(np.float64).itemsize:
             array = array.astype(np.float64)
         if array.dtype.kind not in "biuf" or array.ndim != 2:
             raise InputError(
-                f"a chunk of readings is of type {array.dtype} and shape {array.shape}; it must "
-                "be of real numbers, frames x sensors"
+                f"a chunk of readings has type {array.dtype} and shape {array.shape}; expected "
+                "real numbers, (frames, sensors)"
             )
         if array.shape[1] != (n_sensors or array.shape[1]) or not array.shape[1]:
             raise InputError(
-                f"from frame {done} on there are {array.shape[1]} sensors, but {n_sensors} before"
+                f"from frame {start} on there are {array.shape[1]} sensors, but {n_sensors} before"
             )
-        n_sensors, done = array.shape[1], done + len(array)
+        n_sensors, start = array.shape[1], start + len(array)
         if len(array):
             yield array
 
@@ -200,8 +226,8 @@ def _missing(readings: Readings) -> NDArray[np.bool_]:
     return np.asarray(~np.isfinite(readings))
 
 
-def _joined(chunks: Iterable[Readings], window: int) -> Iterator[Readings]:
-    """Put chunks together until they have so many readings."""
+def _rechunk(chunks: Iterable[Readings], window: int) -> Iterator[Readings]:
+    """Concatenate consecutive chunks to at least `window` readings each."""
     held: list[Readings] = []
     size = 0
     for chunk in chunks:
@@ -215,69 +241,73 @@ def _joined(chunks: Iterable[Readings], window: int) -> Iterator[Readings]:
 
 
 def _last_known(readings: Readings, start: int, before: Neighbours) -> Neighbours:
-    backwards = _first_known(readings[::-1])
-    seen = backwards >= 0
-    row = len(readings) - 1 - backwards
+    row_from_end = _first_known(readings[::-1])
+    found = row_from_end >= 0
+    row = len(readings) - 1 - row_from_end
     return Neighbours(
-        np.where(seen, start + row, before.frame),
-        np.where(seen, _picked(readings, row), before.value),
+        np.where(found, start + row, before.frame),
+        np.where(found, _pick(readings, row), before.value),
     )
 
 
 def _first_known(readings: Readings) -> NDArray[np.intp]:
-    """Tell in which row each sensor has a known reading for the first time; -1 if in none."""
+    """Return the first row with a known reading of each sensor; -1 if there is none."""
     if readings.dtype.kind != "f" or np.isfinite(readings[0]).all():
         return np.zeros(readings.shape[1], dtype=np.intp)
     known = np.isfinite(readings)
     return np.where(known.any(axis=0), known.argmax(axis=0), -1)
 
 
-def _picked(readings: Readings, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+def _pick(readings: Readings, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Take the reading of each sensor in its own row."""
     inside = np.minimum(rows, len(readings) - 1)
     return readings[inside, np.arange(readings.shape[1])].astype(np.float64)
 
 
-_FarEnds: TypeAlias = list[list[tuple[int, float]]]
+_DistantEnds: TypeAlias = list[list[tuple[int, float]]]
 
 
 def _after(
-    here: Readings, ahead: Readings | None, stop: int, far: Callable[[], _FarEnds]
+    current: Readings,
+    following: Readings | None,
+    stop: int,
+    distant_ends: Callable[[], _DistantEnds],
 ) -> Neighbours:
-    """Find the next known reading after a window: in the one that follows, or far away."""
-    after = Neighbours.none(here.shape[1])
-    if ahead is None:
+    """Find the first known readings after a window, in the following window or beyond it."""
+    after = Neighbours.none(current.shape[1])
+    if following is None:
         return after
-    row = _first_known(ahead)
-    seen = row >= 0
-    after.frame[seen] = stop + row[seen]
-    after.value[seen] = _picked(ahead, row)[seen]
-    for sensor in np.flatnonzero(~seen & _missing(here[-1:])[0]):
-        ends = far()[sensor]
+    row = _first_known(following)
+    found = row >= 0
+    after.frame[found] = stop + row[found]
+    after.value[found] = _pick(following, row)[found]
+    for sensor in np.flatnonzero(~found & _missing(current[-1:])[0]):
+        ends = distant_ends()[sensor]
         place = bisect_right(ends, (stop, np.inf))
         if place < len(ends):
             after.frame[sensor], after.value[sensor] = ends[place]
     return after
 
 
-def _far_ends(chunks: Iterable[Readings], window: int) -> _FarEnds:
-    """List for each sensor the known readings that come after gaps longer than a window."""
-    ends: _FarEnds = []
+def _find_distant_ends(chunks: Iterable[Readings], window: int) -> _DistantEnds:
+    """List, for each sensor, the frame and value of known readings after gaps over a window."""
+    ends: _DistantEnds = []
     last, start = np.empty(0), 0
     for chunk in chunks:
         if not ends:
             ends = [[] for _ in range(chunk.shape[1])]
             last = np.full(chunk.shape[1], -1.0)
         row = _first_known(chunk)
-        far = (row >= 0) & ((start + row - last) * chunk.shape[1] >= window)
-        for sensor in np.flatnonzero(far):
+        distant = (row >= 0) & ((start + row - last) * chunk.shape[1] >= window)
+        for sensor in np.flatnonzero(distant):
             ends[sensor].append((start + int(row[sensor]), float(chunk[row[sensor], sensor])))
         last = _last_known(chunk, start, Neighbours(last, last)).frame
         start += len(chunk)
     return ends
 
 
-def _silent(chunks: Iterable[Readings]) -> NDArray[np.bool_]:
-    """Tell which sensors have no finite reading; only as many frames are read as that takes."""
+def _silent_sensors(chunks: Iterable[Readings]) -> NDArray[np.bool_]:
+    """Find sensors without finite readings; stop reading when every sensor has one."""
     silent = np.array(True)
     for chunk in chunks:
         silent = silent & _missing(chunk).all(axis=0)

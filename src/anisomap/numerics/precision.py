@@ -1,4 +1,4 @@
-"""How matrices of pairs are held: in float64, and in float32 where there are very many pairs."""
+"""Precision and symmetry of (N, N) matrices: float64, or float32 for many sensors."""
 
 from __future__ import annotations
 
@@ -9,32 +9,31 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Reals: TypeAlias = NDArray[np.floating[Any]]
-"""An array of float32 or float64."""
+"""Array of float32 or float64."""
 
 MIN_FLOAT32_SENSORS = 8000
-"""From so many sensors on, what is worked out for all pairs is held in float32.
+"""Minimum number of sensors for which (N, N) matrices are float32.
 
-Rounding is then about 1e-7, far below what a recording leaves unsure; and 20,000 sensors, of which
-one matrix takes 1.6 GB, fit into memory.
+The rounding error, about 1e-7, is far below the sampling noise of a recording. One float32 matrix
+of 20,000 sensors takes 1.6 GB.
 """
 
-_ROWS_BYTES = 1 << 26
-_TILE = 1024
+_BLOCK_BYTES = 1 << 26
 
 
 def float_type(n_sensors: int) -> type[np.float32] | type[np.float64]:
-    """Give the type in which matrices of so many sensors are held."""
+    """Return the float type of (N, N) matrices of so many sensors."""
     return np.float32 if n_sensors >= MIN_FLOAT32_SENSORS else np.float64
 
 
 def as_reals(values: ArrayLike, *, copy: bool = True) -> Reals:
-    """Give an array in float32 if that is what it is, else in float64; a copy unless told not to.
+    """Convert to a C-contiguous array of float64, or of float32 if the input is float32.
 
     Parameters
     ----------
     values : array_like
     copy : bool
-        If not, it may be the array itself, which must not be changed then.
+        If False, the input itself may be returned and must not be modified.
     """
     single = getattr(values, "dtype", None) == np.float32
     return np.array(
@@ -43,32 +42,41 @@ def as_reals(values: ArrayLike, *, copy: bool = True) -> Reals:
 
 
 def row_blocks(n_rows: int, n_columns: int | None = None) -> Iterator[slice]:
-    """Cut the rows of a matrix so that work on some takes little memory beside it."""
+    """Split the rows of a matrix into blocks of at most 64 MiB of float64."""
     width = n_rows if n_columns is None else n_columns
-    step = max(1, _ROWS_BYTES // (8 * max(width, 1)))
+    step = max(1, _BLOCK_BYTES // (8 * max(width, 1)))
     for begin in range(0, n_rows, step):
         yield slice(begin, min(begin + step, n_rows))
 
 
-def mirror(matrix: NDArray[Any], *, upper: bool) -> None:
-    """Copy one half of a square matrix, above or below the diagonal, to the other."""
-    for rows, columns in _tiles_above(len(matrix)):
+def mirror(matrix: NDArray[Any], *, upper: bool, tile: int = 1024) -> None:
+    """Make a square matrix symmetric in place by copying one triangle to the other.
+
+    Parameters
+    ----------
+    matrix : ndarray of shape (N, N)
+    upper : bool
+        Whether the upper triangle is the source.
+    tile : int
+        Rows and columns copied at a time; 1024 squared float64 fit into a processor's cache.
+    """
+    for rows, columns in _upper_tiles(len(matrix), tile):
         above, below = matrix[rows, columns], matrix[columns, rows].T
-        kept, other = (above, below) if upper else (below, above)
+        source, target = (above, below) if upper else (below, above)
         if rows == columns:
-            half = np.triu(kept, 1)
-            kept = half + half.T + np.diag(np.diag(kept))
-        other[...] = kept
+            half = np.triu(source, 1)
+            source = half + half.T + np.diag(np.diag(source))
+        target[...] = source
 
 
-def is_symmetric(matrix: NDArray[Any]) -> bool:
-    """Tell whether a square matrix equals its transpose to the last bit."""
+def is_symmetric(matrix: NDArray[Any], *, tile: int = 1024) -> bool:
+    """Return whether a square matrix equals its transpose exactly."""
     return all(
         np.array_equal(matrix[rows, columns], matrix[columns, rows].T)
-        for rows, columns in _tiles_above(len(matrix))
+        for rows, columns in _upper_tiles(len(matrix), tile)
     )
 
 
-def _tiles_above(n_rows: int) -> Iterator[tuple[slice, slice]]:
-    tiles = [slice(begin, begin + _TILE) for begin in range(0, n_rows, _TILE)]
+def _upper_tiles(n_rows: int, tile: int) -> Iterator[tuple[slice, slice]]:
+    tiles = [slice(begin, begin + tile) for begin in range(0, n_rows, tile)]
     return ((rows, columns) for i, rows in enumerate(tiles) for columns in tiles[i:])

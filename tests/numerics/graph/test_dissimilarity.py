@@ -1,4 +1,4 @@
-"""The paper's formulas, pair by pair, and the axioms of what they give."""
+"""Dissimilarities: the paper's formulas, and the axioms of metrics."""
 
 import numpy as np
 import pytest
@@ -14,26 +14,26 @@ R = np.array([[1, 0.5, -0.2], [0.5, 1, 0.1], [-0.2, 0.1, 1]])
 
 
 @pytest.mark.parametrize("mu", [1.0, 0.1, 0.01])
-def test_the_formula_of_the_paper(mu):
+def test_the_reciprocal_follows_the_paper(mu):
     expected = [[0, 1 / (0.5 + mu * 0.1), 1 / (mu * 0.1)], [0, 0, 1 / (0.1 + mu * 0.1)], [0, 0, 0]]
     found = regularised_reciprocal(R, mu)
     np.testing.assert_allclose(np.triu(found), expected, rtol=1e-15)
     np.testing.assert_array_equal(found, found.T)
 
 
-def test_without_regularisation_the_unrelated_are_infinitely_apart():
+def test_without_regularisation_unrelated_pairs_are_infinitely_far_apart():
     found = regularised_reciprocal(R, 0)
     assert np.isinf(found[0, 2])
     assert found[0, 1] == 2
 
 
-def test_rounding_errors_are_no_similarity():
+def test_rounding_errors_count_as_zero_similarity():
     similarity = R.copy()
     similarity[0, 2] = similarity[2, 0] = 1e-17
     np.testing.assert_array_equal(regularised_reciprocal(similarity), regularised_reciprocal(R))
 
 
-def test_if_nothing_is_alike_everything_is_apart():
+def test_without_positive_similarities_all_pairs_are_infinitely_far_apart():
     assert np.isinf(regularised_reciprocal(-np.ones((3, 3)))[0, 1])
 
 
@@ -46,15 +46,15 @@ def test_information_distance_is_a_metric(codes):
     assert (distance <= through + 1e-12).all()
 
 
-def test_information_distance_of_copies_and_strangers():
-    strangers = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
-    distance = information_distance(information_from_codes(strangers))
+def test_information_distance_of_copies_and_independent_series():
+    independent = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+    distance = information_distance(information_from_codes(independent))
     assert distance[0, 1] == pytest.approx(2 * np.log(2))
-    copies = information_distance(information_from_codes(strangers[:, [0, 0]]))
+    copies = information_distance(information_from_codes(independent[:, [0, 0]]))
     assert copies[0, 1] == 0
 
 
 @pytest.mark.parametrize("mu", [-1, np.nan, np.inf])
-def test_an_impossible_mu_is_refused(mu):
+def test_an_invalid_mu_is_rejected(mu):
     with pytest.raises(InputError, match="mu"):
         regularised_reciprocal(R, mu)

@@ -1,8 +1,8 @@
-"""Metricising and graphs: the theorems of the paper's Text S3, and scipy as an oracle."""
+"""Metricising and graphs: theorems of the paper's Text S3, and scipy as an oracle."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.sparse.csgraph import floyd_warshall
@@ -34,7 +34,7 @@ def test_the_triangle_inequality_holds_afterwards(dissimilarity):
 
 
 @given(semi_metrics())
-def test_nothing_grows_and_symmetry_is_kept_to_the_last_bit(dissimilarity):
+def test_no_length_grows_and_symmetry_is_exact(dissimilarity):
     metric = metricise(dissimilarity)
     assert (metric <= dissimilarity).all()
     np.testing.assert_array_equal(metric, metric.T)
@@ -42,19 +42,19 @@ def test_nothing_grows_and_symmetry_is_kept_to_the_last_bit(dissimilarity):
 
 
 @given(semi_metrics())
-def test_a_metric_is_left_as_it_is(dissimilarity):
+def test_a_metric_is_unchanged(dissimilarity):
     metric = metricise(dissimilarity)
     np.testing.assert_allclose(metricise(metric), metric, rtol=1e-12)
 
 
 @given(arrays(np.float64, (6, 3), elements=st.floats(-10, 10)))
-def test_euclidean_distances_are_left_as_they_are(points):
+def test_euclidean_distances_are_unchanged(points):
     distances = squareform(pdist(points))
     np.testing.assert_allclose(metricise(distances), distances, rtol=1e-12, atol=1e-300)
 
 
 @given(arrays(np.float64, (6, 3), elements=st.floats(-10, 10)), semi_metrics())
-def test_no_metric_lies_between_the_result_and_what_it_was_made_from(points, added):
+def test_the_result_is_the_greatest_metric_below_the_input(points, added):
     n = len(added)
     metric = squareform(pdist(points))[:n, :n]
     added = added[: len(metric), : len(metric)]
@@ -62,7 +62,7 @@ def test_no_metric_lies_between_the_result_and_what_it_was_made_from(points, add
 
 
 @given(semi_metrics(), st.randoms(use_true_random=False))
-def test_relabelling_changes_nothing_but_order(dissimilarity, random):
+def test_relabelling_objects_relabels_the_metric(dissimilarity, random):
     order = list(range(len(dissimilarity)))
     random.shuffle(order)
     relabelled = np.ix_(order, order)
@@ -72,15 +72,15 @@ def test_relabelling_changes_nothing_but_order(dissimilarity, random):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_equal_to_scipy_where_scipy_can_be_asked(seed):
+def test_equal_to_scipy(seed):
     rng = np.random.default_rng(seed)
     dissimilarity = squareform(rng.uniform(0.01, 1, size=60 * 59 // 2))
     expected = floyd_warshall(dissimilarity, directed=False)
     np.testing.assert_allclose(metricise(dissimilarity), expected, rtol=1e-12)
 
 
-def test_lengths_of_every_magnitude_count():
-    # Read densely, scipy would take a length below 1e-8 for "no edge".
+def test_small_lengths_are_not_missing_edges():
+    # In dense graphs, scipy reads a length below 1e-8 as "no edge".
     dissimilarity = squareform(np.random.default_rng(0).exponential(size=45) ** 12)
     expected = dissimilarity.copy()
     for k in range(10):
@@ -88,8 +88,8 @@ def test_lengths_of_every_magnitude_count():
     np.testing.assert_allclose(metricise(dissimilarity), expected, rtol=1e-12)
 
 
-def test_identical_sensors_stay_together():
-    # scipy reads a dense 0 as "no edge", and would put the twins 10 apart.
+def test_identical_sensors_have_distance_zero():
+    # In dense graphs, scipy reads 0 as "no edge", which gives a distance of 10.
     dissimilarity = np.array([[0.0, 0, 5], [0, 0, 7], [5, 7, 0]])
     np.testing.assert_array_equal(metricise(dissimilarity), [[0, 0, 5], [0, 0, 5], [5, 5, 0]])
 
@@ -106,8 +106,7 @@ def test_components_are_numbered_by_size():
 
 
 @given(st.integers(2, 12), st.integers(0, 10_000))
-@settings(deadline=None)
-def test_the_neighbour_graph_is_the_smallest_that_connects(n, seed):
+def test_the_neighbour_graph_is_the_smallest_connected_one(n, seed):
     similarity = squareform(np.random.default_rng(seed).uniform(size=n * (n - 1) // 2))
     joined, k = smallest_connected_neighbour_graph(similarity)
     reached = components(np.where(joined, 1.0, np.inf))
@@ -117,7 +116,7 @@ def test_the_neighbour_graph_is_the_smallest_that_connects(n, seed):
         assert components(np.where(fewer, 1.0, np.inf)).max() > 0
 
 
-def test_everyone_has_its_neighbours_and_they_have_it():
+def test_every_object_is_joined_to_its_most_similar_ones():
     similarity = squareform(np.random.default_rng(0).uniform(size=45))
     joined = neighbour_graph(similarity, 3)
     np.testing.assert_array_equal(joined, joined.T)
@@ -131,20 +130,20 @@ def test_everyone_has_its_neighbours_and_they_have_it():
     ("matrix", "message"),
     [
         (np.zeros((2, 3)), "square"),
-        ([[0, -1], [-1, 0]], "must not be < 0"),
+        ([[0, -1], [-1, 0]], "must be at least 0"),
         ([[0, 1], [2, 0]], "not symmetric"),
         ([[0, np.nan], [np.nan, 0]], "0 and 1 is NaN"),
         ([[1, 2], [2, 1]], "to itself"),
     ],
 )
-def test_what_is_no_semi_metric_is_refused(matrix, message):
+def test_matrices_that_are_not_semi_metrics_are_rejected(matrix, message):
     with pytest.raises(InputError, match=message):
         metricise(matrix)
 
 
 @given(semi_metrics(st.floats(0.0, 100)))
-def test_minimax_paths_are_those_of_brute_force(dissimilarity):
-    # Floyd's algorithm with the longest step in place of the sum.
+def test_minimax_paths_equal_brute_force(dissimilarity):
+    # Floyd's algorithm with the maximum in place of the sum.
     expected = dissimilarity.copy()
     for k in range(len(expected)):
         expected = np.minimum(expected, np.maximum.outer(expected[:, k], expected[k]))
@@ -153,6 +152,6 @@ def test_minimax_paths_are_those_of_brute_force(dissimilarity):
     assert (found <= dissimilarity).all()
 
 
-def test_minimax_paths_through_nothing_are_refused():
-    with pytest.raises(InputError, match="infinite"):
+def test_minimax_paths_of_infinite_lengths_are_rejected():
+    with pytest.raises(InputError, match="must be finite"):
         minimax_paths([[0, np.inf], [np.inf, 0]])

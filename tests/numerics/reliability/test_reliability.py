@@ -1,4 +1,4 @@
-"""How far correlations can be believed: noise, reliability, and what belongs together."""
+"""Sampling noise, split-half reliability and significance of correlations."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def autoregressive(n_frames: int, n_sensors: int, memory: float, seed: int) -> n
 
 
 @given(st.integers(2, 500))
-def test_the_halves_share_all_frames(n_frames):
+def test_the_halves_partition_the_frames(n_frames):
     even, odd = split_blocks(n_frames)
     np.testing.assert_array_equal(np.sort(np.concatenate([even, odd])), np.arange(n_frames))
     assert abs(len(even) - len(odd)) <= max(1, n_frames // 20 + 1)
@@ -37,7 +37,7 @@ def test_the_variance_is_that_of_correlations_of_unrelated_series(memory):
     observed = np.mean([pearson(x)[np.triu_indices(40, 1)].var() for x in found])
     estimated = np.mean([typical_variance(sampling_variance(x)) for x in found])
     assert estimated == pytest.approx(observed, rel=0.2)
-    # Closed form: (1 + a^2) / (1 - a^2) / T of two autoregressive series of memory a.
+    # Closed form for two autoregressive series of memory a: (1 + a^2) / (1 - a^2) / T.
     assert estimated == pytest.approx((1 + memory**2) / (1 - memory**2) / n_frames, rel=0.2)
 
 
@@ -48,7 +48,7 @@ def test_the_variance_does_not_depend_on_the_frame_rate():
 
 
 @given(st.integers(0, 99))
-def test_the_variance_is_symmetric_and_never_below_that_of_independent_frames(seed):
+def test_the_variance_is_symmetric_and_at_least_that_of_independent_frames(seed):
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((60, 5)) * rng.integers(0, 2, 5)
     found = sampling_variance(x)
@@ -57,21 +57,21 @@ def test_the_variance_is_symmetric_and_never_below_that_of_independent_frames(se
     np.testing.assert_allclose(sampling_variance(7 - 3 * x), found, rtol=1e-6)
 
 
-def test_one_frame_has_no_variance():
-    with pytest.raises(InputError, match="2 or more"):
+def test_one_frame_is_rejected():
+    with pytest.raises(InputError, match="at least 2 frames"):
         sampling_variance(np.ones((1, 4)))
 
 
-def test_too_little_to_tell_is_not_reliable():
+def test_short_recordings_have_no_reliability():
     readings = flat_skin(n_frames=300).readings
     assert split_half_reliability(readings[:3]) == 0
     assert split_half_reliability(readings[:, :2]) == 0
     assert blended_correlation(readings[:1]).shape == (42, 42)
-    with pytest.raises(InputError, match="no halves"):
+    with pytest.raises(InputError, match="split-half needs at least 2 frames"):
         split_blocks(1)
 
 
-def test_noise_is_not_reliable_and_a_long_recording_is():
+def test_a_long_recording_is_reliable_and_noise_is_not():
     noise = np.random.default_rng(0).standard_normal((2000, 30))
     assert abs(split_half_reliability(noise)) < 0.2
     assert split_half_reliability(flat_skin().readings) > 0.9
@@ -90,7 +90,7 @@ def test_the_blend_lies_between_linear_and_rank_correlation():
     np.testing.assert_allclose(moved, blend, atol=1e-9)
 
 
-def test_noise_at_rest_does_not_spoil_the_blend():
+def test_noise_at_rest_hardly_changes_the_blend():
     readings = np.array(flat_skin().readings)
     noisy = readings + np.random.default_rng(0).normal(0, 0.02 * np.ptp(readings), readings.shape)
     pairs = np.triu_indices(readings.shape[1], 1)
@@ -103,7 +103,7 @@ def test_noise_at_rest_does_not_spoil_the_blend():
     assert lost["blended_correlation"] < 0.1 * np.ptp(clean)
 
 
-def test_skins_touched_independently_are_mostly_pieces_and_one_skin_is_one():
+def test_skins_touched_independently_are_separate_components():
     parted = []
     for seed in range(8):
         first, second = (flat_skin(seed=s).readings for s in (seed, seed + 10))
@@ -119,7 +119,7 @@ def test_skins_touched_independently_are_mostly_pieces_and_one_skin_is_one():
     assert np.mean(parted) > 0.5
 
 
-def test_noise_alone_holds_nothing_together():
+def test_noise_has_no_large_components():
     noise = np.random.default_rng(1).standard_normal((2000, 40))
     found = significant_components(blended_correlation(noise), sampling_variance(noise))
     assert np.bincount(found).max() <= 6

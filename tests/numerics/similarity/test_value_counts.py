@@ -8,7 +8,11 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.stats import rankdata
 
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
-from anisomap.numerics.similarity.rest import _quantile, estimate_rest, rest_from_counts
+from anisomap.numerics.similarity.rest import (
+    estimate_rest,
+    quantile_from_counts,
+    rest_from_counts,
+)
 from anisomap.numerics.similarity.value_counts import ValueCounts
 
 shapes = array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=20)
@@ -93,7 +97,8 @@ def test_what_is_made_of_counts_is_what_is_made_of_readings(readings, bins):
 def test_quantiles_of_counts_are_those_of_numpy(values, data, level):
     counts = data.draw(arrays(np.int64, len(values), elements=st.integers(1, 9)))
     expected = np.quantile(np.repeat(values, counts), level)
-    assert _quantile(np.array(values), counts, level) == pytest.approx(expected, rel=1e-12)
+    found = quantile_from_counts(np.array(values), counts, level)
+    assert found == pytest.approx(expected, rel=1e-12)
 
 
 def test_continuous_readings_are_binned_almost_as_if_all_were_kept():

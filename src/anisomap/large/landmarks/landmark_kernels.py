@@ -51,26 +51,6 @@ def add_products(
 
 
 @loop()
-def count_shared(offsets: Ints, ends: Ints, starts: Ints, shared: Ints) -> None:
-    """Count, for each edge of a graph, the neighbours that its two ends have in common.
-
-    The edges of node u lead to ``ends[offsets[u]:offsets[u + 1]]``, in increasing order.
-    """
-    for edge in range(len(ends)):
-        i, j = starts[edge], ends[edge]
-        a, b = offsets[i], offsets[j]
-        while a < offsets[i + 1] and b < offsets[j + 1]:
-            if ends[a] == ends[b]:
-                shared[edge] += 1
-                a += 1
-                b += 1
-            elif ends[a] < ends[b]:
-                a += 1
-            else:
-                b += 1
-
-
-@loop()
 def relax_from(
     tile: Singles, sources: Ints, order: Ints, edges: tuple[Ints, Ints, Singles]
 ) -> None:

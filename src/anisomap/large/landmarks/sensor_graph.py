@@ -12,16 +12,13 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from anisomap.large.landmarks.correlations import SensorPairs, correlations, pairs_of
-from anisomap.large.landmarks.options import loops
 from anisomap.large.landmarks.sketch import Sketch
 from anisomap.numerics.graph.connectivity import labels_by_size
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
+from anisomap.numerics.reliability.shared_neighbours import MIN_SHARED, count_shared_neighbours
 from anisomap.numerics.similarity.search import most_similar
 
 logger = logging.getLogger(__name__)
-
-SHARED = 0.3
-"""Share of their neighbours that two sensors have in common at least if they lie side by side."""
 
 WEAK = 0.4
 """SensorPairs below this share of the best that either of their sensors has are not followed."""
@@ -101,12 +98,10 @@ def build_graph(links: SensorPairs, known: Sketch, n_neighbours: int) -> SensorG
 def _borne_out(links: SensorPairs, n_sensors: int) -> NDArray[np.bool_]:
     """Tell which links join sensors that have neighbours in common."""
     graph = adjacency_matrix(links, np.arange(1.0, len(links.r) + 1), n_sensors)
-    starts = np.repeat(np.arange(n_sensors), np.diff(graph.indptr))
-    ends, offsets = graph.indices.astype(np.int64), graph.indptr.astype(np.int64)
-    shared = np.zeros(len(ends), dtype=np.int64)
-    loops().count_shared(offsets, ends, starts, shared)
-    degrees = np.diff(offsets)
-    enough = shared >= SHARED * (np.minimum(degrees[starts], degrees[ends]) - 1)
+    shared = count_shared_neighbours(graph)
+    starts, ends = graph.tocoo().coords
+    degrees = np.diff(graph.indptr)
+    enough = shared >= MIN_SHARED * (np.minimum(degrees[starts], degrees[ends]) - 1)
     found = np.zeros(len(links.r), dtype=bool)
     found[graph.data[enough].astype(np.int64) - 1] = True
     return found

@@ -1,23 +1,26 @@
-"""Compiled inner loops that count how often pairs of series are on together.
+"""Compiled loops that count co-occurrences of binary series.
 
-Plain numba is enough here: LLVM recognises the arithmetic in `dense_panel` as a population count
-and vectorises it. Loops are compiled when they are first asked for, and kept on disk. They let go
-of the interpreter's lock, so that threads can share the panels.
+M series belong to N sensors; see `anisomap.numerics.similarity.co_occurrence.Layout`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
-from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-WORDS = 256
-"""Words of a series that are counted at a time: a panel of them stays in a core's own cache."""
+from anisomap.numerics.compiled.jit import loop
 
+Ints = NDArray[np.int64]
+Words = NDArray[np.uint64]
+Counts = NDArray[np.uint32]
+
+WORDS = 256
+"""Words of a series counted at a time: a panel of 96 series then fits into a second-level cache."""
+
+# Constants of the population count of 64 bits (Warren 2012, Hacker's Delight, figure 5-2), which
+# LLVM recognises and vectorises.
 _ONES, _TWOS = np.uint64(1), np.uint64(2)
 _FOURS, _TOP = np.uint64(4), np.uint64(56)
 _PAIRS = np.uint64(0x5555555555555555)
@@ -26,90 +29,23 @@ _OCTETS = np.uint64(0x0F0F0F0F0F0F0F0F)
 _BYTES = np.uint64(0x0101010101010101)
 
 
-class Entries(NamedTuple):
-    """What is on in a recording, as lists of E entries.
+@loop()
+def tally_codes(codes: NDArray[Any], counts: Ints) -> None:
+    """Add the number of frames in which each sensor has each code to `counts`, shape (N, b).
 
-    Attributes
-    ----------
-    series : ndarray of uint32, shape (E,)
-        What is on, frame after frame, in increasing order in each.
-    ends : ndarray of int64, shape (E,)
-        Where in `series` the frame of each entry ends.
-    entries : ndarray of int64, shape (E,)
-        Where in `series` each series stands, series after series.
-    starts : ndarray of int64, shape (M + 1,)
-        Where in `entries` each series begins.
-    """
-
-    series: NDArray[np.uint32]
-    ends: NDArray[np.int64]
-    entries: NDArray[np.int64]
-    starts: NDArray[np.int64]
-
-
-class Tallies(NamedTuple):
-    """What is known of single series.
-
-    Attributes
-    ----------
-    first : ndarray of int64, shape (N + 1,)
-        Where the series of each sensor begin. Frames in which none of them is on are its rest.
-    marginals : ndarray of int64, shape (M,)
-        Frames in which each is on.
-    logs : ndarray of shape (T + 1,)
-        n log n.
-    """
-
-    first: NDArray[np.int64]
-    marginals: NDArray[np.int64]
-    logs: NDArray[np.float64]
-
-
-@cache
-def compiled(loop: Callable[..., None]) -> Callable[..., None]:
-    """Compile one of the loops of this module.
-
-    Parameters
-    ----------
-    loop : callable
-        `tally_codes`, `pack_bits`, `dense_panel`, `list_entries`, `sparse_panel` or `fold_panel`.
-
-    Returns
-    -------
-    callable
-        The same, fast.
-    """
-    compiler: Any = import_module("anisomap.numerics.compiled.jit")
-    fast: Callable[..., None] = compiler.loop()(loop)
-    return fast
-
-
-def tally_codes(codes: NDArray[Any], counts: NDArray[np.int64]) -> None:
-    """Count how often every sensor has every code.
-
-    Parameters
-    ----------
-    codes : ndarray of int, shape (T, N)
-        What every sensor read.
-    counts : ndarray of int64, shape (N, b)
-        Zeros; filled.
+    `codes` has shape (T, N).
     """
     for frame in range(codes.shape[0]):
         for sensor in range(codes.shape[1]):
             counts[sensor, codes[frame, sensor]] += 1
 
 
-def pack_bits(codes: NDArray[Any], position: NDArray[np.int64], bits: NDArray[np.uint64]) -> None:
-    """Pack what is on into a bit a frame.
+@loop()
+def pack_bits(codes: NDArray[Any], position: Ints, bits: Words) -> None:
+    """Set one bit per frame in which a series is on.
 
-    Parameters
-    ----------
-    codes : ndarray of int, shape (T, N)
-        What every sensor read.
-    position : ndarray of int64, shape (N, b)
-        See `anisomap.numerics.similarity.co_occurrence.Layout`.
-    bits : ndarray of uint64, shape (M + 1, words)
-        Zeros; filled. What is no series goes to the last row, which saves asking.
+    `codes` has shape (T, N), `position` (N, b), `bits` (M + 1, words), initially zero. Codes
+    without a series have position -1, the last row, which avoids a branch.
     """
     for frame in range(codes.shape[0]):
         word, bit = frame // 64, _ONES << np.uint64(frame % 64)
@@ -117,19 +53,12 @@ def pack_bits(codes: NDArray[Any], position: NDArray[np.int64], bits: NDArray[np
             bits[position[sensor, codes[frame, sensor]], word] |= bit
 
 
-def dense_panel(
-    bits: NDArray[np.uint64], start: int, stop: int, counts: NDArray[np.uint32]
-) -> None:
-    """Count in how many frames both of two series are on, by their bits.
+@loop()
+def count_bits(bits: Words, start: int, stop: int, counts: Counts) -> None:
+    """Count frames in which two series are on, from their bits.
 
-    Parameters
-    ----------
-    bits : ndarray of uint64, shape (M, words)
-        A bit a frame of each series.
-    start, stop : int
-        The series of the panel.
-    counts : ndarray of uint32, shape (stop - start, M)
-        Zeros; filled where the column is not less than the row's series.
+    `bits` has shape (M, words). `counts`, shape (stop - start, M) and initially zero, is filled
+    for the series from `start` to `stop` and all series not before them.
     """
     n_series, n_words = bits.shape
     for begin in range(0, n_words, WORDS):
@@ -148,67 +77,73 @@ def dense_panel(
                 counts[p - start, q] += np.uint32(total)
 
 
-def sparse_panel(on: Entries, start: int, stop: int, counts: NDArray[np.uint32]) -> None:
-    """Count the same frame by frame, of what is on only.
-
-    Parameters
-    ----------
-    on : Entries
-    start, stop, counts
-        As for `dense_panel`.
-    """
-    for p in range(start, stop):
-        row = counts[p - start]
-        for k in range(on.starts[p], on.starts[p + 1]):
-            entry = on.entries[k]
-            for other in range(entry, on.ends[entry]):
-                row[on.series[other]] += np.uint32(1)
-
-
+@loop()
 def list_entries(
-    codes: NDArray[Any], reference: NDArray[np.intp], position: NDArray[np.int64], on: Entries
+    codes: NDArray[Any],
+    reference: NDArray[np.intp],
+    position: Ints,
+    entries: tuple[Counts, Ints, Ints, Ints],
 ) -> None:
-    """List what is on, frame by frame.
+    """List the series that are on, frame by frame.
 
-    Parameters
-    ----------
-    codes : ndarray of int, shape (T, N)
-        What every sensor read.
-    reference, position
-        See `anisomap.numerics.similarity.co_occurrence.Layout`.
-    on : Entries
-        With `starts` known; the rest is filled.
+    `codes` has shape (T, N); `reference` and `position` are those of the layout. Of `entries`,
+
+    - ``series``, shape (E,): series that are on, by frame and increasing series;
+    - ``ends``, shape (E,): index at which the frame of each entry ends;
+    - ``places``, shape (E,): indices of the entries of each series;
+    - ``starts``, shape (M + 1,): index in ``places`` of the first entry of each series,
+
+    only ``starts`` is given; the others are filled.
     """
-    free, entry = on.starts.copy(), 0
+    series, ends, places, starts = entries
+    free, entry = starts.copy(), 0
     for frame in range(codes.shape[0]):
         begin = entry
         for sensor in range(codes.shape[1]):
             code = codes[frame, sensor]
             if code != reference[sensor]:
                 p = position[sensor, code]
-                on.series[entry] = p
-                on.entries[free[p]] = entry
+                series[entry] = p
+                places[free[p]] = entry
                 free[p] += 1
                 entry += 1
-        on.ends[begin:entry] = entry
+        ends[begin:entry] = entry
 
 
-def fold_panel(
-    counts: NDArray[np.uint32], known: Tallies, start: int, stop: int, joint: NDArray[np.float64]
+@loop()
+def count_entries(
+    entries: tuple[Counts, Ints, Ints, Ints], start: int, stop: int, counts: Counts
 ) -> None:
-    """Sum n log n over all cells of the table of two sensors, from the cells that were counted.
+    """Count frames in which two series are on, from the lists of `list_entries`.
 
-    Parameters
-    ----------
-    counts : ndarray of uint32, shape (first[stop] - first[start], M)
-        A panel, of whole sensors.
-    known : Tallies
-    start, stop : int
-        The sensors of the panel.
-    joint : ndarray of shape (N, N)
-        Filled for its sensors as rows, and greater ones as columns.
+    The other arguments are those of `count_bits`.
     """
-    first, marginals, logs = known.first, known.marginals, known.logs
+    series, ends, places, starts = entries
+    for p in range(start, stop):
+        row = counts[p - start]
+        for k in range(starts[p], starts[p + 1]):
+            entry = places[k]
+            for other in range(entry, ends[entry]):
+                row[series[other]] += np.uint32(1)
+
+
+@loop()
+def sum_logarithms(
+    counts: Counts,
+    tallies: tuple[Ints, Ints, NDArray[np.float64]],
+    start: int,
+    stop: int,
+    joint: NDArray[np.float64],
+) -> None:
+    """Sum n log n over the contingency tables of sensors from `start` to `stop` and later ones.
+
+    `counts` holds the joint counts of all series of these sensors with all M series. Of `tallies`,
+    ``first``, shape (N + 1,), is the index of the first series of each sensor, ``marginals``,
+    shape (M,), the number of frames in which each series is on, and ``logs``, shape (T + 1,), the
+    values of n log n. Cells of the reference codes follow from the marginals. The upper triangle
+    of `joint`, shape (N, N), is filled.
+    """
+    first, marginals, logs = tallies
     n_frames, above = len(logs) - 1, first[start]
     for i in range(start, stop):
         for j in range(i + 1, len(first) - 1):

@@ -1,4 +1,4 @@
-"""How inner loops are compiled: with numba, without the interpreter's lock, and kept on disk."""
+"""Decorator of compiled loops."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
 def loop(**flags: Any) -> Callable[[Loop], Loop]:
-    """Compile a function when it is first called, and keep what comes out for the next time.
+    """Compile a function on its first call, without the interpreter's lock, and cache the code.
 
     Parameters
     ----------
     **flags
-        More for ``numba.njit``.
+        Further options of ``numba.njit``.
 
     Returns
     -------
     callable
-        A decorator. Where there is no folder that compiled code could be kept in, as for a user
-        without a home and an installation that only others may write to, it is compiled each time.
+        A decorator. If no cache folder is writable, for example without a home folder and in a
+        read-only installation, functions are compiled in every process.
     """
 
     def compiled(function: Loop) -> Loop:

@@ -1,4 +1,4 @@
-"""When compiled loops are worth their start, and how they are spread over cores."""
+"""Lazy import of compiled loops, and threads that share their work."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, Protocol, TypeVar
 
-Piece = TypeVar("Piece")
+Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 MIN_COMPILED_ROWS = 500
-"""Matrices of so many rows go through compiled loops; below, loading them would cost more."""
+"""Minimum rows of a matrix for compiled loops; below, importing numba costs more than it saves."""
 
 MIN_PARALLEL_ROWS = 1500
-"""From so many rows a pass takes long enough to be shared between threads."""
+"""Minimum rows of a matrix for threads; below, starting them takes longer than they save."""
 
 
 class MapFunction(Protocol):
-    """What `spread` gives."""
+    """Function that applies another to every item of an iterable."""
 
-    def __call__(self, task: Callable[[Piece], Result], pieces: Iterable[Piece], /) -> list[Result]:
-        """Run the task on every piece; list the results in the order of the pieces."""
+    def __call__(self, task: Callable[[Task], Result], items: Iterable[Task], /) -> list[Result]:
+        """Return the results in the order of the items."""
         ...
 
 
@@ -38,33 +38,32 @@ def load_loops(name: str) -> Any:
 
 
 def thread_count() -> int:
-    """Give the number of threads that compiled loops may use.
+    """Return the number of threads for compiled loops.
 
-    ``NUMBA_NUM_THREADS`` sets it, as it does for numba, and as joblib does for its workers.
+    The environment variable ``NUMBA_NUM_THREADS`` sets it; joblib sets it for its workers.
     """
     return int(import_module("numba").config.NUMBA_NUM_THREADS)
 
 
 def is_parallel(n_rows: int) -> bool:
-    """Tell whether `spread` shares work on so many rows between threads."""
+    """Return whether `parallel_map` uses threads for so many rows."""
     return n_rows >= MIN_PARALLEL_ROWS and thread_count() > 1
 
 
 @contextmanager
 def parallel_map(n_rows: int) -> Iterator[MapFunction]:
-    """Give a `map` that runs pieces on all cores if the matrix has rows enough.
+    """Provide a map function that uses threads if the matrix has enough rows.
 
-    Threads of our own, not numba's: its pools abort the process when two threads call them at
-    once, or after a fork. Pieces must not depend on how many threads there are, so that results
-    do not either.
+    Numba's own thread pools are not used: they abort the process when two threads call them at
+    once, or after a fork. Tasks must not depend on the number of threads, so that results do not.
     """
     if not is_parallel(n_rows):
         yield serial_map
         return
     with ThreadPoolExecutor(thread_count()) as pool:
-        yield lambda task, pieces: list(pool.map(task, pieces))
+        yield lambda task, items: list(pool.map(task, items))
 
 
-def serial_map(task: Callable[[Piece], Result], pieces: Iterable[Piece], /) -> list[Result]:
-    """Run the task on one piece after the other."""
-    return [task(piece) for piece in pieces]
+def serial_map(task: Callable[[Task], Result], items: Iterable[Task], /) -> list[Result]:
+    """Apply a function to every item, one after the other."""
+    return [task(item) for item in items]

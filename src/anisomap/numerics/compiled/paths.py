@@ -1,10 +1,4 @@
-"""The compiled inner loops of metricising and SMACOF, and only those.
-
-Numba takes its time to start and to compile, so this module is loaded by `compiled.kernels`, when a
-matrix is large enough to be worth it, and by the loops of approximate maps. Nothing is checked
-here. All loops run without the interpreter's lock: threads that work on separate rows or columns
-run at the same time.
-"""
+"""Compiled loops of shortest paths."""
 
 from __future__ import annotations
 
@@ -19,23 +13,22 @@ Reals = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
 Range = tuple[int, int]  # from the first to before the last
 
-WIDTH = 512  # so many columns at a time stay in the first-level cache
-# Sums may be taken in any order, which vector units need; infinities keep their meaning.
+WIDTH = 512  # columns at a time, which fit into the first-level cache
 
 
 @loop()
 def shorten(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Range) -> None:
-    """Lower ``paths[i, j]`` to the least ``left[i, k] + right[k, j]``: a product of (min, +).
+    """Lower ``paths[i, j]`` to the least ``left[i, k] + right[k, j]``, a (min, +) product.
 
-    Only those `rows` and `columns` of `paths` are looked at and changed.
+    Only the given `rows` and `columns` of `paths` are used.
     """
     (first, last), (begin, end) = rows, columns
     n_middles = len(right)
     for start in range(begin, end, WIDTH):
         stop = min(start + WIDTH, end)
         for i in range(first, last, 2):
-            # Two rows and four middles a pass: eight results for six loads. Where the numbers are
-            # not even the last is taken twice, which changes nothing.
+            # Two rows and four middles at a time give eight sums for six loads. At the end the
+            # last row or middle is repeated, which does not change the minimum.
             upper, lower = paths[i, start:stop], paths[min(i + 1, last - 1), start:stop]
             from_upper, from_lower = left[i], left[min(i + 1, last - 1)]
             for k in range(0, n_middles, 4):
@@ -53,7 +46,7 @@ def shorten(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Range
 
 @loop()
 def close(paths: Reals) -> None:
-    """Replace a small matrix of lengths by that of its shortest paths: Floyd and Warshall."""
+    """Replace lengths by those of shortest paths, by the Floyd-Warshall algorithm."""
     for k in range(len(paths)):
         for i in range(len(paths)):
             for j in range(len(paths)):
@@ -62,7 +55,7 @@ def close(paths: Reals) -> None:
 
 @loop()
 def nearest(lengths: Reals, count: int) -> Ints:
-    """Give, for each node, the ends of its `count` shortest edges; itself where it has fewer."""
+    """Return the ends of the `count` shortest edges of each node; the node itself if fewer."""
     n_nodes = len(lengths)
     ends = np.empty((n_nodes, count), np.int64)
     shortest = np.empty(count)
@@ -86,24 +79,24 @@ def nearest(lengths: Reals, count: int) -> Ints:
 def sweep_nodes(
     tile: Reals, order: Ints, edges: tuple[Ints, Ints, Reals], stamps: Ints, clock: int
 ) -> bool:
-    """Lower the paths to each node by those to its neighbours; tell whether any became shorter.
+    """Relax the edges of all nodes once; return whether a path became shorter.
 
-    Row u of `tile` holds the paths to node u. ``stamps[u]`` tells when they last became shorter and
-    when they were last looked at: of a neighbour that is as it was then there is nothing to gain.
+    Row u of `tile` holds the lengths of the paths to node u. ``stamps[u]`` holds the times of the
+    last improvement and of the last visit: a neighbour not improved since the visit is skipped.
     """
     offsets, ends, lengths = edges
     any_shorter = False
     for node in order:
         clock += 1
-        mine = tile[node]
+        row = tile[node]
         shorter = 0
         for edge in range(offsets[node], offsets[node + 1]):
             if stamps[ends[edge], 0] > stamps[node, 1]:
-                theirs, length = tile[ends[edge]], lengths[edge]
-                for source in range(len(mine)):
-                    through = theirs[source] + length
-                    shorter |= through < mine[source]
-                    mine[source] = min(mine[source], through)
+                other, length = tile[ends[edge]], lengths[edge]
+                for source in range(len(row)):
+                    through = other[source] + length
+                    shorter |= through < row[source]
+                    row[source] = min(row[source], through)
         stamps[node, 1] = clock
         if shorter:
             stamps[node, 0] = clock
@@ -117,13 +110,13 @@ def relax(
     sources: Ints,
     order: Ints,
     edges: tuple[Ints, Ints, Reals],
-    most_sweeps: int,
+    max_sweeps: int,
 ) -> None:
-    """Lower paths along edges until no edge helps any more: Bellman and Ford, many sources at once.
+    """Relax edges until no path becomes shorter: Bellman-Ford for many sources at once.
 
-    Row s of `paths` holds the paths from source s to every node; those of `sources` are changed. Of
-    `edges` (offsets, ends, lengths) those of node u stand from ``offsets[u]`` to
-    ``offsets[u + 1]``. Nodes are swept in `order` and back again.
+    Row s of `paths` holds the lengths of the paths from source s; rows of `sources` are updated.
+    The `edges` (offsets, ends, lengths) of node u are those from ``offsets[u]`` to
+    ``offsets[u + 1]``. Sweeps follow `order`, alternately forwards and backwards.
     """
     n_nodes = len(paths)
     tile = np.empty((n_nodes, len(sources)), paths.dtype)
@@ -133,9 +126,9 @@ def relax(
     stamps = np.zeros((n_nodes, 2), np.int64)
     stamps[:, 0] = 1
     backwards = order[::-1].copy()
-    for sweep in range(most_sweeps):
-        towards = order if sweep % 2 == 0 else backwards
-        if not sweep_nodes(tile, towards, edges, stamps, 1 + sweep * n_nodes):
+    for sweep in range(max_sweeps):
+        direction = order if sweep % 2 == 0 else backwards
+        if not sweep_nodes(tile, direction, edges, stamps, 1 + sweep * n_nodes):
             break
     for node in range(n_nodes):
         for place in range(len(sources)):

@@ -11,20 +11,19 @@ from anisomap.numerics.compiled.jit import loop
 
 Reals = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
-Range = tuple[int, int]  # from the first to before the last
 
 
 @loop()
 def add_products(panel: Reals, first: int, sensors: Ints, values: Reals, begins: Ints) -> None:
-    """Add products of values of the same frame to ``panel[i - first, j]`` for all j >= i.
+    """Add products of values in the same frame to ``panel[i - first, j]`` for all j >= i.
 
-    The values of frame f, by increasing sensor, stand from ``begins[f]`` to ``begins[f + 1]``.
+    Values of frame f, by increasing sensor, are those from ``begins[f]`` to ``begins[f + 1]``.
     """
     last = first + len(panel)
     for frame in range(len(begins) - 1):
         entry, end = begins[frame], begins[frame + 1]
         beyond = end
-        while entry < beyond:  # halve it until `entry` is the first from `first` on
+        while entry < beyond:  # bisection for the first sensor of the panel
             middle = (entry + beyond) // 2
             if sensors[middle] < first:
                 entry = middle + 1

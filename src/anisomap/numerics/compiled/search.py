@@ -1,4 +1,4 @@
-"""Compiled inner loop of the search for the most similar rows."""
+"""Compiled loop of the search for the greatest entries of each row of a matrix."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Ints = NDArray[np.int64]
 def keep_greatest(
     block: Singles, left: int, own: Ints, groups: Ints, greatest: tuple[Ints, Singles]
 ) -> None:
-    """Keep, for each row of a block of a matrix, its greatest entries in falling order.
+    """Update the greatest entries of each row with a block of columns.
 
-    The block begins with column `left` of the matrix. Of row i, row i of `greatest` is what was
-    kept so far: columns and entries. Columns of its `own` group are passed over.
+    `block` holds the columns of the matrix from `left` on. `greatest` holds column numbers and
+    entries per row, in decreasing order. Columns of the row's `own` group are skipped.
     """
     ends, values = greatest
     count = ends.shape[1]

@@ -10,33 +10,33 @@ from numpy.typing import NDArray
 from anisomap.numerics.compiled.jit import loop
 
 Reals = NDArray[np.floating[Any]]
-Ints = NDArray[np.int64]
 Range = tuple[int, int]  # from the first to before the last
 
-WIDTH = 512
-
-
+WIDTH = 512  # columns at a time, which fit into the first-level cache
+# Vector units need sums in any order; infinities must keep their meaning.
 REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
 @loop(fastmath=REORDERED, error_model="numpy")
 def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope: Reals) -> float:
-    """Sum the raw stress over the pairs i < j with i in those `rows`.
+    """Return the raw stress of the pairs i < j with i in `rows`.
 
-    `points` is (k, N), a row a coordinate. `weights` is (N, N), or (1, N) if one row serves all.
-    Half the gradient is added to `slope`, shaped like `points`. Points that coincide pull each
-    other nowhere: their difference is 0, and the tiny number keeps its factor finite.
+    Half its gradient is added to `slope`.
+
+    `points` and `slope` have shape (k, N), one row per coordinate; `weights` has shape (N, N), or
+    (1, N) if all rows are equal. Coincident points add nothing to the gradient: their difference
+    is 0, and the smallest normal number keeps its factor finite.
     """
     dimensions, n_points = points.shape
     tiny, one = np.finfo(points.dtype).tiny, points.dtype.type(1)
-    room = np.empty(WIDTH, points.dtype)
+    buffer = np.empty(WIDTH, points.dtype)
     total = 0.0
     for i in range(rows[0], rows[1]):
         weighted = i if len(weights) > 1 else 0
         for start in range(i + 1, n_points, WIDTH):
             stop = min(start + WIDTH, n_points)
             size = stop - start
-            factors = room[:size]
+            factors = buffer[:size]
             factors[:] = tiny
             for axis in range(dimensions):
                 mine, theirs = points[axis, i], points[axis, start:stop]

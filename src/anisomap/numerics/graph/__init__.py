@@ -1,1 +1,1 @@
-"""Dissimilarities as edges of a graph: shortest paths, components, neighbour graphs."""
+"""Dissimilarities, their shortest paths, connected components and neighbour graphs."""

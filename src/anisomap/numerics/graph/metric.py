@@ -1,4 +1,4 @@
-"""Dissimilarities as edges of a graph: components, neighbours, shortest paths."""
+"""Metrics from dissimilarities: shortest and minimax paths."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from anisomap.numerics.precision import Reals
 
 
 def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
-    """Check that a matrix can be read as lengths of edges.
+    """Check that a matrix is a semi-metric.
 
     Parameters
     ----------
     dissimilarity : array_like of shape (N, N)
         Infinite where there is no edge.
     copy : bool
-        If not, it may be returned itself, and must not be changed then.
+        If False, the input itself may be returned and must not be modified.
 
     Returns
     -------
     ndarray of shape (N, N)
-        A copy, symmetric to the last bit.
+        Exactly symmetric.
 
     Raises
     ------
     InputError
-        If it is not symmetric, holds NaN or a negative length, or its diagonal is not zero.
+        If it is not symmetric, holds NaN or negative values, or its diagonal is not zero.
     """
     lengths = as_symmetric(dissimilarity, "dissimilarity", copy=copy)
     if lengths.min() < 0:
         i, j = np.argwhere(lengths < 0)[0]
         raise InputError(
-            f"the dissimilarity of {i} and {j} is {lengths[i, j]:g}; it must not be < 0"
+            f"the dissimilarity of {i} and {j} is {lengths[i, j]:g}; it must be at least 0"
         )
     if np.diag(lengths).any():
         i = int(np.flatnonzero(np.diag(lengths))[0])
@@ -48,19 +48,18 @@ def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
 
 
 def metricise(dissimilarity: ArrayLike) -> Reals:
-    """Replace every dissimilarity by the length of the shortest path through all pairs.
+    """Replace every dissimilarity by the length of the shortest path between its objects.
 
     Parameters
     ----------
     dissimilarity : array_like of shape (N, N)
-        A semi-metric: symmetric, zero diagonal, elsewhere non-negative; infinite where there is
-        no direct evidence.
+        A semi-metric: symmetric, zero diagonal, elsewhere non-negative; infinite where unknown.
 
     Returns
     -------
     ndarray of shape (N, N)
-        The greatest metric that nowhere exceeds the input. Symmetric to the last bit; infinite
-        between separate components (an extended metric). A metric comes back unchanged.
+        The greatest metric that nowhere exceeds the input; exactly symmetric, infinite between
+        connected components. A metric is returned unchanged.
 
     Raises
     ------
@@ -69,15 +68,14 @@ def metricise(dissimilarity: ArrayLike) -> Reals:
 
     Notes
     -----
-    McGregor et al. (2011), section "ANISOMAP", step 2, and Text S3. Floyd (1962), Warshall (1962).
-    From 500 objects on the same by compiled loops: see
-    `anisomap.numerics.graph.shortest_paths`. Matrices in float32 are then computed in float32,
-    with a relative error of about 1e-6.
+    McGregor et al. (2011), section "ANISOMAP", step 2, and Text S3; Floyd (1962), Warshall (1962).
+    From 500 objects on, `anisomap.numerics.graph.shortest_paths` is used; float32 input is then
+    processed in float32, with a relative error of about 1e-6.
     """
     lengths = check_semi_metric(dissimilarity, copy=False)
     if len(lengths) >= MIN_COMPILED_ROWS:
         return shortest_paths(lengths)
-    # Only inf means "no edge": a dense 0 would be read as none, and twins would come out far apart.
+    # null_value: scipy would read a dense 0 as "no edge" and separate identical sensors.
     graph = csgraph_from_dense(lengths, null_value=np.inf)
     metric = floyd_warshall(graph, directed=False)
     np.minimum(metric, metric.T, out=metric)
@@ -85,17 +83,17 @@ def metricise(dissimilarity: ArrayLike) -> Reals:
 
 
 def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
-    """Give the longest step of the path between every two objects whose longest step is shortest.
+    """Return the minimax path distances: the least possible longest edge between two objects.
 
     Parameters
     ----------
     dissimilarity : array_like of shape (N, N)
-        A semi-metric, finite: symmetric, zero diagonal, elsewhere non-negative.
+        A finite semi-metric: symmetric, zero diagonal, elsewhere non-negative.
 
     Returns
     -------
     ndarray of shape (N, N)
-        The greatest ultrametric that nowhere exceeds the input; symmetric, zero diagonal.
+        The greatest ultrametric that nowhere exceeds the input.
 
     Raises
     ------
@@ -109,7 +107,9 @@ def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
     """
     lengths = check_semi_metric(dissimilarity)
     if not np.isfinite(lengths).all():
-        raise InputError("some dissimilarities are infinite: look at each component by itself")
+        raise InputError(
+            "dissimilarities must be finite for minimax paths; split connected components first"
+        )
     if len(lengths) < 2:
         return np.zeros_like(lengths)
     return np.asarray(squareform(cophenet(single(squareform(lengths)))))

@@ -1,4 +1,4 @@
-"""Shortest paths between all pairs of many nodes, by compiled loops."""
+"""Shortest paths between all pairs of nodes of large graphs, by compiled loops."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from anisomap.numerics.precision import Reals, row_blocks
 
 logger = logging.getLogger(__name__)
 
-NEAREST = 12
-"""Edges a node along which paths are first looked for."""
+N_NEAREST = 12
+"""Edges per node of the first search; chosen by hand, does not affect the result."""
 
 FIRST_SWEEPS = 2
-"""There and back along the nearest edges: enough to tell nearly all edges that are detours."""
+"""Sweeps of the first search, forwards and backwards; chosen by hand."""
 
-FEW = 1 / 16
-"""With a greater share of edges that may matter, going through all nodes is faster."""
+MAX_EDGE_SHARE = 1 / 16
+"""Maximum share of the pairs followed as edges; with more, `through_all_nodes` is faster."""
 
 SOURCES = 256
-"""Sources relaxed together: long enough for vector units, and few enough for the cache."""
+"""Sources relaxed together: long enough for vector units, few enough for the cache."""
 
 TILE = 64
-"""Nodes gone through together, and twice as many rows are one piece of work."""
+"""Nodes per tile of `through_all_nodes`, which fit into the first-level cache."""
 
 ROUNDING = {np.float64: 1e-12, np.float32: 1e-5}
-"""By which share the lengths of paths of many edges may differ."""
+"""Relative rounding error of the length of a path of many edges."""
 
-CHECKED = 8
-"""Sources whose paths are tried against every edge."""
+N_CHECKED = 8
+"""Sources of the final check."""
 
 
 class Edges(NamedTuple):
-    """Edges by the node they start from: those of u are ``offsets[u]`` to ``offsets[u + 1]``."""
+    """Edges by start node: those of node u are ``offsets[u]`` to ``offsets[u + 1]``."""
 
     offsets: NDArray[np.int64]
     ends: NDArray[np.int64]
@@ -46,124 +46,144 @@ class Edges(NamedTuple):
 
 
 def shortest_paths(lengths: Reals) -> Reals:
-    """Give the lengths of the shortest paths between all nodes.
+    """Return the lengths of the shortest paths between all nodes.
 
     Parameters
     ----------
     lengths : ndarray of shape (N, N)
-        Symmetric **to the last bit**, zero diagonal, non-negative; infinite where there is no edge.
+        **Exactly** symmetric, zero diagonal, non-negative; infinite where there is no edge.
 
     Returns
     -------
     ndarray of shape (N, N)
-        Symmetric to the last bit.
+        Exactly symmetric.
 
     Notes
     -----
-    In a skin few edges are shortest paths themselves, and those alone are followed where that is
-    so. The result is checked and, should the check ever fail, found through all nodes instead.
+    On skins few edges are shortest paths, and only these are followed. Should the check of the
+    result fail, it is computed by `through_all_nodes`.
     """
     found = along_few_edges(lengths)
-    if found is not None and holds(found, lengths):
-        return found
+    if found is not None:
+        if are_shortest(found, lengths):
+            return found
+        logger.warning("shortest paths along few edges failed the check; using all nodes")
     return through_all_nodes(lengths)
 
 
-def along_few_edges(lengths: Reals) -> Reals | None:
-    """Follow only edges that may be shortest paths themselves; None if they are not few.
+def along_few_edges(
+    lengths: Reals, *, n_nearest: int = N_NEAREST, max_share: float = MAX_EDGE_SHARE
+) -> Reals | None:
+    """Find shortest paths along the edges that may be shortest paths themselves.
+
+    Parameters
+    ----------
+    lengths : ndarray of shape (N, N)
+        See `shortest_paths`.
+    n_nearest : int
+        Edges per node of the first search.
+    max_share : float
+        Maximum share of the pairs that are followed as edges.
+
+    Returns
+    -------
+    ndarray of shape (N, N), or None
+        None if too many edges would have to be followed.
 
     Notes
     -----
-    Paths start as M itself and only ever fall, so an edge is of use only where ``paths == M`` (it
-    is *tight*): elsewhere a detour is shorter. A first look along the nearest edges leaves few
-    such. Paths that no tight edge lowers are the shortest: an edge that is tight at the end was
-    tight before, so none is missing.
+    Path lengths start as M and only decrease, so an edge is useful only where ``paths == M`` (it
+    is *tight*): elsewhere a detour is shorter. A first search along the nearest edges leaves few
+    tight edges. Paths that no tight edge shortens are the shortest, since every edge that is tight
+    at the end was tight before.
     """
     n_nodes = len(lengths)
-    near = _edges(lengths, np.repeat(np.arange(n_nodes), NEAREST), _nearest(lengths).ravel())
-    order = _from_neighbour_to_neighbour(near)
+    near = _edges(lengths, *nearest_edges(lengths, n_nearest))
+    order = _bandwidth_order(near)
     paths = lengths.copy()
     _relax(paths, order, near, FIRST_SWEEPS)
-    most = int(FEW * n_nodes**2)
-    tight = _tight(paths, lengths, most)
+    tight = tight_edges(paths, lengths, max_share)
     if tight is None:
         return None
-    _relax(paths, order, _edges(lengths, *tight), np.iinfo(np.int64).max)
+    _relax(paths, order, tight, np.iinfo(np.int64).max)
     for rows in _blocks(n_nodes, SOURCES):
         paths[rows] = np.minimum(paths[rows], paths[:, rows].T)
         paths[:, rows] = paths[rows].T
     return paths
 
 
-def holds(paths: Reals, lengths: Reals) -> bool:
-    """Tell whether no edge at all shortens the paths from a few sources (Bellman's condition)."""
-    sources = np.unique(np.linspace(0, len(paths) - 1, CHECKED).astype(int))
+def are_shortest(paths: Reals, lengths: Reals) -> bool:
+    """Check for a few sources that no edge shortens their paths (Bellman's condition)."""
+    sources = np.unique(np.linspace(0, len(paths) - 1, N_CHECKED).astype(int))
     chosen = paths[sources]
     shorter = chosen.copy()
     load_loops("paths").shorten(shorter, chosen, lengths, (0, len(chosen)), (0, len(paths)))
-    if (shorter >= chosen * (1 - ROUNDING[paths.dtype.type])).all():
-        return True
-    logger.warning("shortest paths along few edges were not the shortest: going through all nodes")
-    return False
+    return bool((shorter >= chosen * (1 - ROUNDING[paths.dtype.type])).all())
 
 
-def through_all_nodes(lengths: Reals) -> Reals:
-    """Go through all nodes, a block of them at a time: Floyd and Warshall in tiles.
+def through_all_nodes(lengths: Reals, *, tile: int = TILE) -> Reals:
+    """Find shortest paths by the tiled Floyd-Warshall algorithm.
+
+    Parameters
+    ----------
+    lengths : ndarray of shape (N, N)
+        See `shortest_paths`.
+    tile : int
+        Nodes per tile.
 
     Notes
     -----
     Venkataraman, Sahni & Mukhopadhyaya (2003), ACM Journal of Experimental Algorithmics 8: 2.2.
-    Paths are the same there and back, so only blocks on and above the diagonal are worked out.
+    Only tiles on and above the diagonal are computed.
     """
     loops = load_loops("paths")
     n_nodes = len(lengths)
     paths = lengths.copy()
-    with parallel_map(n_nodes) as spread_over:
-        for nodes in _blocks(n_nodes, TILE):
-            among = paths[nodes, nodes].copy()
-            loops.close(among)
-            direct = np.hstack([paths[: nodes.start, nodes].T, among, paths[nodes, nodes.stop :]])
-            onward = direct.copy()
-            loops.shorten(onward, among, direct, (0, len(among)), (0, n_nodes))
-            towards = np.ascontiguousarray(onward.T)
+    with parallel_map(n_nodes) as map_threads:
+        for nodes in _blocks(n_nodes, tile):
+            within = paths[nodes, nodes].copy()
+            loops.close(within)
+            direct = np.hstack([paths[: nodes.start, nodes].T, within, paths[nodes, nodes.stop :]])
+            from_tile = direct.copy()
+            loops.shorten(from_tile, within, direct, (0, len(within)), (0, n_nodes))
+            to_tile = np.ascontiguousarray(from_tile.T)
 
             def shorten(
-                rows: slice,
-                towards: Reals = towards,
-                onward: Reals = onward,
+                rows: slice, to_tile: Reals = to_tile, from_tile: Reals = from_tile
             ) -> None:
-                on_and_above = (rows.start, n_nodes)
-                loops.shorten(paths, towards, onward, (rows.start, rows.stop), on_and_above)
+                upper = (rows.start, n_nodes)
+                loops.shorten(paths, to_tile, from_tile, (rows.start, rows.stop), upper)
 
-            spread_over(shorten, _blocks(n_nodes, 2 * TILE))
-    for rows in _blocks(n_nodes, 2 * TILE):
+            map_threads(shorten, _blocks(n_nodes, 2 * tile))
+    for rows in _blocks(n_nodes, 2 * tile):
         paths[rows.stop :, rows] = paths[rows, rows.stop :].T
     return paths
 
 
-def _tight(
-    paths: Reals, lengths: Reals, most: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """List the edges that no detour shortens, each once; None if there are too many."""
+def nearest_edges(lengths: Reals, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the start and end nodes of the shortest edges of each node."""
+    ends = np.asarray(load_loops("paths").nearest(lengths, count))
+    return np.repeat(np.arange(len(lengths)), count), ends.ravel()
+
+
+def tight_edges(paths: Reals, lengths: Reals, max_share: float = MAX_EDGE_SHARE) -> Edges | None:
+    """Return the edges that no path shortens; None if they exceed a share of the pairs."""
+    limit = int(max_share * len(paths) ** 2)
     starts, ends, count = [], [], 0
     for rows in row_blocks(len(paths)):
-        after = np.arange(rows.start, rows.stop)[:, None] < np.arange(len(paths))
-        same = after & (paths[rows] == lengths[rows]) & np.isfinite(lengths[rows])
-        start, end = np.nonzero(same)
+        upper = np.arange(rows.start, rows.stop)[:, None] < np.arange(len(paths))
+        tight = upper & (paths[rows] == lengths[rows]) & np.isfinite(lengths[rows])
+        start, end = np.nonzero(tight)
         starts.append(start + rows.start)
         ends.append(end)
         count += len(end)
-        if 2 * count > most:
+        if 2 * count > limit:
             return None
-    return np.concatenate(starts), np.concatenate(ends)
-
-
-def _nearest(lengths: Reals) -> NDArray[np.int64]:
-    return np.asarray(load_loops("paths").nearest(lengths, NEAREST))
+    return _edges(lengths, np.concatenate(starts), np.concatenate(ends))
 
 
 def _edges(lengths: Reals, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> Edges:
-    """Give edges in both directions, each once, without loops and those of infinite length."""
+    """Return edges in both directions, without duplicates, loops and infinite lengths."""
     n_nodes = len(lengths)
     pairs = np.unique(np.concatenate([starts * n_nodes + ends, ends * n_nodes + starts]))
     starts, ends = np.divmod(pairs, n_nodes)
@@ -172,8 +192,8 @@ def _edges(lengths: Reals, starts: NDArray[np.int64], ends: NDArray[np.int64]) -
     return Edges(np.searchsorted(starts, np.arange(n_nodes + 1)), ends, lengths[starts, ends])
 
 
-def _from_neighbour_to_neighbour(edges: Edges) -> NDArray[np.int64]:
-    """Order nodes so that neighbours follow closely: a sweep then carries paths far."""
+def _bandwidth_order(edges: Edges) -> NDArray[np.int64]:
+    """Order nodes so that neighbours are close together; a sweep then extends paths far."""
     n_nodes = len(edges.offsets) - 1
     joined = csr_array(
         (np.ones(len(edges.ends)), edges.ends, edges.offsets), shape=(n_nodes, n_nodes)
@@ -181,13 +201,13 @@ def _from_neighbour_to_neighbour(edges: Edges) -> NDArray[np.int64]:
     return reverse_cuthill_mckee(joined, symmetric_mode=True).astype(np.int64)
 
 
-def _relax(paths: Reals, order: NDArray[np.int64], edges: Edges, most_sweeps: int) -> None:
-    def relax(together: slice) -> None:
-        # Sources that follow one another in `order` are near: much of the graph can be passed over.
-        load_loops("paths").relax(paths, order[together], order, tuple(edges), most_sweeps)
+def _relax(paths: Reals, order: NDArray[np.int64], edges: Edges, max_sweeps: int) -> None:
+    def relax(block: slice) -> None:
+        # Consecutive sources in `order` are close, so that sweeps skip much of the graph.
+        load_loops("paths").relax(paths, order[block], order, tuple(edges), max_sweeps)
 
-    with parallel_map(len(paths)) as spread_over:
-        spread_over(relax, _blocks(len(paths), SOURCES))
+    with parallel_map(len(paths)) as map_threads:
+        map_threads(relax, _blocks(len(paths), SOURCES))
 
 
 def _blocks(n_nodes: int, size: int) -> list[slice]:

@@ -1,1 +1,1 @@
-"""How reliable a correlation is: its sampling noise and its significance."""
+"""Reliability of correlations: sampling noise, split-half reliability and significance."""

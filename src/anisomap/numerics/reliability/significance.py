@@ -1,4 +1,4 @@
-"""Links between sensors that chance does not explain: what they hold together, and join."""
+"""Statistically significant links between sensors, and the components that they connect."""
 
 from __future__ import annotations
 
@@ -14,32 +14,44 @@ from scipy.sparse.csgraph import connected_components
 
 from anisomap.numerics.precision import Reals, as_reals, row_blocks
 from anisomap.numerics.reliability.sampling_noise import typical_variance
+from anisomap.numerics.reliability.shared_neighbours import MIN_SHARED, count_shared_neighbours
 
-_BEYOND_CHANCE = 1.2
+_MIN_BRIDGE = 1.2
+"""Minimum strength of a link that connects components, over the strongest of unrelated sensors.
+
+Tuned on simulated skins, seeds 101-105: see `significant_components`.
+"""
 
 MIN_FILTERED_SENSORS = 500
-"""Of more, only links that chance does not explain are followed."""
+"""Components of more sensors lose their insignificant links; chosen by hand."""
 
-FOLLOWED = 1.5
-"""Links this many times stronger than the strongest that chance gives may be followed."""
+MIN_LINK = 1.5
+"""Minimum strength of a significant link, over the strongest of unrelated sensors; by hand."""
 
-SHARED = 0.3
-"""Share of its links that the sensor with fewer has in common with the other, if they are near."""
+MAX_ROUNDS = 4
+"""Maximum number of passes that remove links without shared neighbours; chosen by hand."""
 
-ROUNDS = 4
-"""Times that links are looked through: each leaves fewer that bear one another out by chance."""
+MIN_COVERED, MIN_LINKS = 0.95, 8
+"""Share of the sensors that the significant links must connect, and their median per sensor.
 
-TOGETHER, SEVERAL = 0.95, 8
-"""Share of a skin that these links must hold together, and how many of a sensor (the median)."""
+With fewer, contacts are too small or the recording too short to tell links apart. Chosen by hand.
+"""
 
-MOST_PRODUCTS = 1e10
-"""With more, contacts cover so much of the skin that a few steps lead anywhere without chance."""
+MAX_PRODUCTS = 1e10
+"""Sum of squared numbers of links above which shared neighbours are not counted.
+
+Contacts then cover so much of the skin that a few steps connect any two sensors.
+"""
 
 
 def remove_insignificant_links(
-    dissimilarity: Reals, similarity: ArrayLike, variance: ArrayLike, *, part: bool = True
+    dissimilarity: Reals,
+    similarity: ArrayLike,
+    variance: ArrayLike,
+    *,
+    split_unrelated: bool = True,
 ) -> Reals:
-    """Take sensors for infinitely far apart where chance alone may have made them alike.
+    """Make dissimilarities infinite between components and along insignificant links.
 
     Parameters
     ----------
@@ -49,31 +61,31 @@ def remove_insignificant_links(
         Correlations.
     variance : array_like of shape (N, N)
         Their sampling variances, above 0.
-    part : bool
-        Whether sensors may fall into pieces (`significant_components`).
+    split_unrelated : bool
+        Whether to split sensors into `significant_components`.
 
     Returns
     -------
     ndarray of shape (N, N)
-        Infinite between pieces and, in those of more than 500 sensors, but for `significant_links`.
+        Within components of more than 500 sensors, only `significant_links` are finite.
     """
     n_sensors = len(dissimilarity)
-    pieces = np.zeros(n_sensors, dtype=np.intp)
-    if part:
-        pieces = significant_components(similarity, variance)
-    if pieces.any():
-        dissimilarity[np.not_equal.outer(pieces, pieces)] = np.inf
-    alike, noise = np.asarray(similarity), np.asarray(variance)
-    for label in np.flatnonzero(np.bincount(pieces) > MIN_FILTERED_SENSORS):
-        inside = ... if not pieces.any() else np.ix_(pieces == label, pieces == label)
-        followed = significant_links(alike[inside], noise[inside])
-        np.fill_diagonal(followed, val=True)
-        dissimilarity[inside] = np.where(followed, dissimilarity[inside], np.inf)
+    component = np.zeros(n_sensors, dtype=np.intp)
+    if split_unrelated:
+        component = significant_components(similarity, variance)
+    if component.any():
+        dissimilarity[np.not_equal.outer(component, component)] = np.inf
+    correlation, noise = np.asarray(similarity), np.asarray(variance)
+    for label in np.flatnonzero(np.bincount(component) > MIN_FILTERED_SENSORS):
+        inside = ... if not component.any() else np.ix_(component == label, component == label)
+        kept = significant_links(correlation[inside], noise[inside])
+        np.fill_diagonal(kept, val=True)
+        dissimilarity[inside] = np.where(kept, dissimilarity[inside], np.inf)
     return dissimilarity
 
 
 def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.intp]:
-    """Part sensors that are related to one another from those related by chance alone.
+    """Label the components connected by statistically significant links.
 
     Parameters
     ----------
@@ -85,83 +97,114 @@ def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArra
     Returns
     -------
     ndarray of int, shape (N,)
-        Which piece each sensor belongs to; 0 is the largest, then by the first sensor.
+        Component of each sensor; 0 is the largest, ties by the first sensor.
 
     Notes
     -----
-    Pieces grow along the strongest links, correlations in units of their noise (as in single
-    linkage). Among m independent links the strongest is about ``sqrt(2 log m)`` by chance; a piece
-    of n sensors has m = n (N - n) to the rest. Links count from 1.2 times that on: on simulated
-    and real skins of 500 frames and more, the weakest link that held a skin together was 1.22.
-    Between two skins that were touched independently, the strongest was 0.8 to 1.1, and 1.0 to
-    1.4 where few large contacts made many pairs meet by one and the same chance: such skins may
-    be taken for one.
+    Components grow along the strongest links, as in single linkage, where the strength of a link
+    is its correlation in standard deviations. The strongest of m independent links between
+    unrelated sensors is about ``sqrt(2 log m)``; a component of n sensors has m = n (N - n) links
+    to the others. Links are significant from 1.2 times this strength on. On simulated and real
+    skins of 500 frames and more, the weakest link needed to connect a skin was 1.22 times as
+    strong. Between two skins touched independently, the strongest was 0.8 to 1.1, or 1.0 to 1.4 if
+    few large contacts made many pairs coincide: such skins may be taken for one.
     """
     links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
     if n_sensors < 2:
         return np.zeros(n_sensors, dtype=np.intp)
-    pieces = DisjointSet(range(n_sensors))
-    for strength, i, j in sorted(_strongest_links(links), reverse=True):
-        smaller = min(pieces.subset_size(i), pieces.subset_size(j))
-        by_chance = math.sqrt(2 * math.log(max(2, smaller * (n_sensors - smaller))))
-        if strength >= _BEYOND_CHANCE * by_chance:
-            pieces.merge(i, j)
+    components = DisjointSet(range(n_sensors))
+    for strength, i, j in sorted(_maximum_spanning_tree(links), reverse=True):
+        smaller = min(components.subset_size(i), components.subset_size(j))
+        if strength >= _MIN_BRIDGE * _expected_maximum(smaller * (n_sensors - smaller)):
+            components.merge(i, j)
     labels = np.empty(n_sensors, dtype=np.intp)
-    ordered = sorted(pieces.subsets(), key=lambda piece: (-len(piece), min(piece)))
-    for label, piece in enumerate(ordered):
-        labels[list(piece)] = label
+    ordered = sorted(components.subsets(), key=lambda members: (-len(members), min(members)))
+    for label, members in enumerate(ordered):
+        labels[list(members)] = label
     return labels
 
 
 def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:
-    """Tell which links are direct evidence that two sensors of a large skin are near.
+    """Select the links that show that two sensors of a large skin are close.
 
     Parameters
     ----------
-    similarity : array_like of shape (N, N)
-        Correlations.
-    variance : array_like of shape (N, N)
-        Their sampling variances, above 0.
+    similarity, variance
+        See `significant_components`.
 
     Returns
     -------
     ndarray of bool, shape (N, N)
-        Symmetric, False on the diagonal; they connect all sensors.
+        Symmetric, False on the diagonal; the links connect all sensors.
 
     Notes
     -----
-    Of a million pairs of sensors some hundreds are alike by chance alone, and each is a short cut
-    across the skin: the more sensors, the more of them, and the longer the way that they cut. A
-    link is followed if it is 1.5 times as strong as chance makes the strongest of all pairs,
-    ``(2 log P)^(1/2)`` standard deviations, and if both sensors have enough links in common: side
-    by side on a line they share half of them, in a plane a third or more. Sensors that are left
-    without a link keep their strongest. Where so few links are left that they hardly hold the skin
-    together (contacts are small, or the recording is short), all are followed.
+    Of a million pairs of sensors some hundreds are correlated by chance, and each shortens paths
+    across the skin. A link is significant if it is 1.5 times as strong as the strongest of P
+    unrelated pairs, ``sqrt(2 log P)`` standard deviations, and if its sensors have enough
+    neighbours in common (`MIN_SHARED`). Every sensor keeps its strongest link. If the remaining
+    links hardly connect the skin (`MIN_COVERED`), all links are kept.
     """
     links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
-    n_pairs = max(2, n_sensors * (n_sensors - 1) // 2)
-    strong = links >= FOLLOWED * math.sqrt(2 * math.log(n_pairs))
+    n_pairs = n_sensors * (n_sensors - 1) // 2
+    strong = links >= MIN_LINK * _expected_maximum(n_pairs)
     np.fill_diagonal(strong, val=False)
-    followed = _borne_out(strong)
-    graph: Any = csr_array(followed)
-    parts = connected_components(graph, directed=False)[1]
-    together = np.bincount(parts).max() / n_sensors
-    if together < TOGETHER or np.median(np.count_nonzero(followed, axis=1)) < SEVERAL:
+    kept = links_with_shared_neighbours(strong)
+    graph: Any = csr_array(kept)
+    component = connected_components(graph, directed=False)[1]
+    covered = np.bincount(component).max() / n_sensors
+    if covered < MIN_COVERED or np.median(np.count_nonzero(kept, axis=1)) < MIN_LINKS:
         return ~np.eye(n_sensors, dtype=bool)
     groups = DisjointSet(range(n_sensors))
-    first = np.unique(parts, return_index=True)[1][parts]
-    for sensor, leader in enumerate(first.tolist()):
-        groups.merge(leader, sensor)
-    for _, i, j in sorted(_strongest_links(links), reverse=True):
+    first = np.unique(component, return_index=True)[1][component]
+    for sensor, representative in enumerate(first.tolist()):
+        groups.merge(representative, sensor)
+    for _, i, j in sorted(_maximum_spanning_tree(links), reverse=True):
         if groups.merge(i, j):
-            followed[i, j] = followed[j, i] = True
-    return followed
+            kept[i, j] = kept[j, i] = True
+    return kept
+
+
+def links_with_shared_neighbours(
+    links: NDArray[np.bool_], max_products: float = MAX_PRODUCTS
+) -> NDArray[np.bool_]:
+    """Remove links whose sensors share too few other links, until none is left.
+
+    Parameters
+    ----------
+    links : ndarray of bool, shape (N, N)
+        Symmetric, False on the diagonal.
+    max_products : float
+        Sum of squared numbers of links above which nothing more is removed.
+
+    Returns
+    -------
+    ndarray of bool, shape (N, N)
+        At most 4 passes are made, since removing links removes shared neighbours of others.
+    """
+    kept = links
+    for _ in range(MAX_ROUNDS):
+        degree = np.count_nonzero(kept, axis=1)
+        if float(np.vdot(degree, degree)) > max_products:
+            return kept
+        graph: Any = csr_array(kept)
+        shared = count_shared_neighbours(graph)
+        start, end = graph.tocoo().coords
+        enough = shared >= MIN_SHARED * np.minimum(degree[start], degree[end])
+        if enough.all():
+            return kept
+        kept = np.zeros_like(links)
+        kept[start[enough], end[enough]] = True
+    return kept
 
 
 def standardised_correlation(similarity: ArrayLike, variance: ArrayLike) -> Reals:
-    """Divide correlations by their standard deviations, which are at least the typical one."""
+    """Divide correlations by their standard deviations, which are at least the typical one.
+
+    Sensors with few contacts have an underestimated variance.
+    """
     links, noise = as_reals(similarity), np.asarray(variance)
     least = typical_variance(noise)
     for rows in row_blocks(len(links)):
@@ -169,29 +212,18 @@ def standardised_correlation(similarity: ArrayLike, variance: ArrayLike) -> Real
     return links
 
 
-def _borne_out(strong: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Keep the links of sensors that have enough other links in common."""
-    kept = strong
-    for _ in range(ROUNDS):
-        count = np.count_nonzero(kept, axis=1)
-        if float(np.vdot(count, count)) > MOST_PRODUCTS:
-            return kept
-        graph: Any = csr_array(kept, dtype=np.float32)
-        common = (graph @ graph).multiply(graph).tocoo()
-        enough = common.data >= SHARED * np.minimum(count[common.row], count[common.col])
-        if np.count_nonzero(enough) == graph.nnz:
-            return kept
-        kept = np.zeros_like(strong)
-        kept[common.row[enough], common.col[enough]] = True
-    return kept
+def _expected_maximum(n_links: int) -> float:
+    """Return the asymptotic maximum of so many standard normal variables."""
+    return math.sqrt(2 * math.log(max(2, n_links)))
 
 
-def _strongest_links(links: Reals) -> Iterator[tuple[float, int, int]]:
-    """Give the N - 1 strongest links that hold all together: a maximum spanning tree.
+def _maximum_spanning_tree(links: Reals) -> Iterator[tuple[float, int, int]]:
+    """Iterate over the strength and the sensors of the edges of the maximum spanning tree.
 
     Notes
     -----
-    Prim (1957), Bell System Technical Journal 36: 1389-1401.
+    Prim (1957), Bell System Technical Journal 36: 1389-1401. Negative and zero links count, which
+    sparse graphs of scipy cannot represent.
     """
     strongest, towards = links[0].astype(np.float64), np.zeros(len(links), dtype=np.intp)
     outside = np.ones(len(links), dtype=bool)

@@ -8,21 +8,23 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.errors import InputError
 from anisomap.numerics.similarity.correlation import pearson
 
-_ENOUGH = 4000  # sensors, to tell what pairs are like
-
-
 N_BLOCKS = 20
-"""Stretches of time that a recording is cut into, to compare one half of them with the other."""
+"""Number of blocks of consecutive frames that are dealt to the two halves; chosen by hand."""
 
+MIN_FRAMES = 4
+"""Minimum number of frames for a reliability: 2 per half."""
 
-_FEWEST_FRAMES = 4
+MIN_SENSORS = 3
+"""Minimum number of sensors for a reliability: a correlation over 3 pairs."""
 
-
-_FEWEST_SENSORS = 3
+_MAX_SENSORS = 4000  # sampled sensors; their 8 million pairs determine the reliability
 
 
 def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Share the frames out into two halves of alternating stretches of time.
+    """Split frames into two halves of alternating blocks of consecutive frames.
+
+    Consecutive frames overlap heavily, so halves of alternating frames would be nearly equal;
+    halves of alternating blocks are nearly independent.
 
     Parameters
     ----------
@@ -32,34 +34,37 @@ def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     Returns
     -------
     even, odd : ndarray of int
-        Frames of the blocks 0, 2, ... and 1, 3, ... of `N_BLOCKS` (fewer if T is smaller). The
-        halves are nearly independent, where alternating frames would be nearly the same.
+        Frames of the even and the odd of `N_BLOCKS` blocks, or of T blocks if T is smaller.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 2 frames.
     """
     if n_frames < 2:
-        raise InputError(f"{n_frames} frames have no halves; give 2 or more")
+        raise InputError(f"split-half needs at least 2 frames, got {n_frames}")
     blocks = np.array_split(np.arange(n_frames), min(N_BLOCKS, n_frames))
     return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
 
 
 def split_half_reliability(readings: ArrayLike) -> float:
-    """Tell how well the correlations of one half of a recording predict those of the other.
+    """Correlate Pearson's r of one half of a recording with that of the other, over pairs.
 
     Parameters
     ----------
     readings : array_like of shape (T, N)
-        Finite readings, T >= 4, N >= 3.
+        Finite readings.
 
     Returns
     -------
     float
-        Correlation over pairs of sensors of Pearson's r in the two halves of `split_blocks`; in
-        [-1, 1]. Of more than 4,000 sensors, evenly chosen ones are compared. 0 where all pairs are
-        alike in a half, and where there are fewer than 4 frames or 3 sensors.
+        In [-1, 1]. 0 for fewer than 4 frames or 3 sensors, and if all pairs of a half are equal.
+        Of more than 4,000 sensors, a regular sample is used.
     """
     values = np.asarray(readings)
-    if len(values) < _FEWEST_FRAMES or values.shape[1] < _FEWEST_SENSORS:
+    if len(values) < MIN_FRAMES or values.shape[1] < MIN_SENSORS:
         return 0.0
-    values = values[:, :: -(-values.shape[1] // _ENOUGH)]
+    values = values[:, :: -(-values.shape[1] // _MAX_SENSORS)]
     pairs = np.triu_indices(values.shape[1], 1)
     first, second = (pearson(values[half])[pairs] for half in split_blocks(len(values)))
     if np.ptp(first) == 0 or np.ptp(second) == 0:

@@ -1,1 +1,1 @@
-"""Pairwise statistics of readings: correlations and mutual information."""
+"""Similarities of sensors: correlations and mutual information of their readings."""

@@ -7,28 +7,31 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import xlogy
 
 from anisomap.numerics.precision import Reals, float_type, row_blocks
-from anisomap.numerics.similarity.accumulators import CHUNK_FRAMES
 from anisomap.numerics.similarity.binning import DEFAULT_BINS, maximum_entropy_codes
-from anisomap.numerics.similarity.co_occurrence import MIN_COMPILED_SENSORS, joint_logarithms
+from anisomap.numerics.similarity.co_occurrence import (
+    CHUNK_FRAMES,
+    MIN_COMPILED_SENSORS,
+    joint_logarithms,
+)
 
-_MANY_CODES = 64  # more would make panels of counts too large
+_MAX_COMPILED_CODES = 64  # of a sensor; joint counts of more would take too much memory
 
 
 def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
-    """Measure what the binned readings of every pair of sensors tell of each other.
+    """Mutual information of the binned readings of every pair of sensors.
 
     Parameters
     ----------
     readings : array_like of shape (T, N)
         Finite readings.
     bins : int
-        Bins a sensor, b >= 2, of maximum entropy.
+        Maximum number of maximum-entropy bins per sensor, b >= 2.
 
     Returns
     -------
     ndarray of shape (N, N)
-        I(A; B) in nats, at least 0 and at most the lesser entropy, symmetric to the last bit. On
-        the diagonal stands the sensors' entropy, since I(A; A) = H(A).
+        I(A; B) in nats, between 0 and min(H(A), H(B)), exactly symmetric. The diagonal holds the
+        entropies, I(A; A) = H(A).
 
     Raises
     ------
@@ -37,19 +40,19 @@ def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
 
     Notes
     -----
-    McGregor et al. (2011), section "Information Theory"; the plug-in estimate, without any
+    McGregor et al. (2011), section "Information Theory". This is the plug-in estimate, without
     correction for the number of frames.
     """
     return information_from_codes(maximum_entropy_codes(readings, bins))
 
 
 def information_from_codes(codes: ArrayLike) -> Reals:
-    """Measure the mutual information of discrete series, in nats.
+    """Mutual information of every pair of discrete series.
 
     Parameters
     ----------
     codes : array_like of int, shape (T, N)
-        Small numbers from 0.
+        Small non-negative integers.
 
     Returns
     -------
@@ -64,15 +67,15 @@ def information_from_codes(codes: ArrayLike) -> Reals:
     values = np.asarray(codes)
     n_frames, n_sensors = values.shape
     n_codes = int(values.max()) + 1
-    if n_sensors >= MIN_COMPILED_SENSORS and n_codes <= _MANY_CODES:
+    if n_sensors >= MIN_COMPILED_SENSORS and n_codes <= _MAX_COMPILED_CODES:
         joint = joint_logarithms(values, n_codes)
     else:
-        joint = _joint_logarithms(values, n_codes)
+        joint = _joint_logarithms_by_products(values, n_codes)
     return information_from_logarithms(joint, n_frames)
 
 
 def information_from_logarithms(joint: NDArray[np.float64], n_frames: int) -> Reals:
-    """Give the mutual information, in nats, of sums of n log n over joint counts.
+    """Mutual information from the sums of n log n over joint counts.
 
     Parameters
     ----------
@@ -86,7 +89,7 @@ def information_from_logarithms(joint: NDArray[np.float64], n_frames: int) -> Re
     ndarray of shape (N, N)
         See `mutual_information`.
     """
-    # A sensor meets itself only in equal codes, so the diagonal holds its own sum n_a log n_a.
+    # On the diagonal both codes are equal, so it holds the marginal sums of n_a log n_a.
     marginal = np.diag(joint)
     entropy = (np.log(n_frames) - marginal / n_frames).clip(0)
     information = np.empty(joint.shape, float_type(len(joint)))
@@ -94,32 +97,35 @@ def information_from_logarithms(joint: NDArray[np.float64], n_frames: int) -> Re
         shared = joint[rows] - np.add.outer(marginal[rows], marginal)
         shared /= n_frames
         shared += np.log(n_frames)
-        # Rounding can leave the bounds 0 <= I <= min(H, H) by some 1e-16.
+        # Rounding can exceed the bounds 0 <= I <= min(H, H) by about 1e-16.
         information[rows] = np.clip(shared, 0, np.minimum.outer(entropy[rows], entropy))
     np.fill_diagonal(information, entropy)
     return information
 
 
-def _joint_logarithms(codes: NDArray[np.generic], n_codes: int) -> NDArray[np.float64]:
-    """Sum n log n over joint counts, plainly: a matrix product for each pair of codes."""
+def _joint_logarithms_by_products(codes: NDArray[np.generic], n_codes: int) -> NDArray[np.float64]:
+    """Sum n log n over joint counts, by one matrix product per pair of codes.
+
+    Memory does not grow with the number of codes.
+    """
     joint = np.zeros((codes.shape[1],) * 2)
     for a in range(n_codes):
-        counts = _co_occurrences(codes, a, a)
+        counts = _count_pair(codes, a, a)
         joint += xlogy(counts, counts)
         for b in range(a + 1, n_codes):
-            counts = _co_occurrences(codes, a, b)
+            counts = _count_pair(codes, a, b)
             terms = xlogy(counts, counts)
             joint += terms + terms.T
     return joint
 
 
-def _co_occurrences(codes: NDArray[np.generic], first: int, second: int) -> NDArray[np.float64]:
-    """Count in how many frames one sensor has the first code while another has the second."""
+def _count_pair(codes: NDArray[np.generic], first: int, second: int) -> NDArray[np.float64]:
+    """Count frames in which sensor i has the first code and sensor j the second, shape (N, N)."""
     n_sensors = codes.shape[1]
     counts = np.zeros((n_sensors, n_sensors))
     for start in range(0, len(codes), CHUNK_FRAMES):
         chunk = codes[start : start + CHUNK_FRAMES]
-        # float32 holds every count of so few frames exactly, and multiplies fastest.
+        # float32 products are fastest, and exact for counts of up to 2^24 frames.
         left = (chunk == first).astype(np.float32)
         right = left if first == second else (chunk == second).astype(np.float32)
         counts += left.T @ right

@@ -1,8 +1,8 @@
-"""How often pairs of values were read together: all that any similarity asks, in one pass.
+"""Joint counts of the values of every pair of sensors, in one pass over the frames.
 
-Bins, rests and ranks follow from all frames, so whoever sees each frame only once cannot settle
-them before. Where sensors read few values, as 0 and 1, the joint counts of values themselves are
-kept instead, and put together as bins in the end: the same counts as of two passes.
+Bins, rest and ranks depend on all frames, so a single pass cannot apply them. If sensors have few
+distinct values, such as 0 and 1, joint counts of the values are stored instead and combined to
+bins, activity or ranks at the end. The result equals that of two passes.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from anisomap.numerics.similarity.co_occurrence import Counts, Layout
 from anisomap.numerics.similarity.value_counts import Recoding, ValueCounts
 
 MAX_SERIES = 8192
-"""Values that are kept of all sensors together: 256 MiB of joint counts."""
+"""Maximum number of values of all sensors together: 256 MiB of joint counts."""
 
-_FEWEST_VALUES = 4  # of one sensor, however many sensors there are
+_MIN_VALUES = 4  # limit per sensor, however many sensors there are
 
 
 @dataclass(frozen=True, eq=False)
 class JointValues:
-    """How often each two values of N sensors were read together.
+    """Joint counts of the values of N sensors.
 
     Attributes
     ----------
     single : ValueCounts
-        The values, V of all sensors together; rounded where a sensor has too many.
+        The values of each sensor, V in all; rounded if a sensor has too many.
     counts : ndarray of uint32 or uint64, shape (V, V)
-        Frames in which both were read.
+        Frames with both values.
     """
 
     single: ValueCounts
@@ -40,32 +40,21 @@ class JointValues:
 
     @classmethod
     def of(cls, readings: ArrayLike) -> JointValues:
-        """Count the pairs of values in an array of finite readings, shape (T, N), T >= 1."""
+        """Count in an array of finite readings, shape (T, N), T >= 1."""
         array = np.asarray(readings)
-        single = ValueCounts.of(array, max(_FEWEST_VALUES, MAX_SERIES // array.shape[1]))
-        first = _first(single)
+        single = ValueCounts.of(array, max(_MIN_VALUES, MAX_SERIES // array.shape[1]))
+        first = _first_value(single)
         sizes = np.diff(first)
         numbers = np.arange(sizes.max())
         position = np.where(numbers < sizes[:, None], first[:-1, None] + numbers, -1)
-        every = Layout(np.full(array.shape[1], -1), position, first)
+        layout = Layout(np.full(array.shape[1], -1), position, first)
         recoding = Recoding.of(single.values, [np.arange(size) for size in sizes], np.uint16)
-        return cls(single, CoOccurrences.of(recoding(array), every).counts)
+        return cls(single, CoOccurrences.of(recoding(array), layout).counts)
 
     def merged(self, other: JointValues) -> JointValues:
-        """Join the counts of two disjoint sets of frames of the same sensors.
-
-        Parameters
-        ----------
-        other : JointValues
-            Of the same N sensors.
-
-        Returns
-        -------
-        JointValues
-            Of all frames; the order of merging does not matter at all.
-        """
+        """Merge with the counts of other frames of the same sensors, in any order."""
         single = self.single.merged(other.single)
-        size = int(_first(single)[-1])
+        size = int(_first_value(single)[-1])
         dtype = np.uint32 if single.n_frames <= np.iinfo(np.uint32).max else np.uint64
         counts = np.zeros((size, size), dtype=dtype)
         for part in (self, other):
@@ -76,64 +65,65 @@ class JointValues:
         return JointValues(single, counts)
 
     def varying(self) -> NDArray[np.bool_]:
-        """Tell which sensors ever varied, shape (N,)."""
+        """Return which sensors vary, shape (N,)."""
         return self.single.varying()
 
     def of_series(self, codes: list[NDArray[np.intp]], layout: Layout) -> CoOccurrences:
-        """Put values together to series.
+        """Combine values to series.
 
         Parameters
         ----------
         codes : list of ndarray of int
-            For each sensor the code of each of its values.
+            Code of each value of each sensor.
         layout : Layout
 
         Returns
         -------
         CoOccurrences
-            The same as of all frames, had their codes been known.
+            As if the frames had been recoded before counting.
         """
         series = np.concatenate([layout.position[i][code] for i, code in enumerate(codes)])
-        there = np.flatnonzero(series >= 0)
+        exists = np.flatnonzero(series >= 0)
         shape = (layout.n_series, series.size)
-        groups = csr_array((np.ones(there.size, np.int64), (series[there], there)), shape=shape)
+        groups = csr_array((np.ones(exists.size, np.int64), (series[exists], exists)), shape=shape)
         return CoOccurrences(
-            self.single.n_frames, layout.first, self._combined(groups).astype(self.counts.dtype)
+            self.single.n_frames, layout.first, self._combine(groups).astype(self.counts.dtype)
         )
 
-    def comoments(self, worth: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Sum products of deviations from the mean, had each value been worth something else.
+    def comoments(self, scores: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Compute the co-moments of scores that replace the values.
 
         Parameters
         ----------
-        worth : list of ndarray
-            For each sensor, what each of its values counts as.
+        scores : list of ndarray
+            Score of each value of each sensor.
 
         Returns
         -------
         ndarray of shape (N, N)
+            Sums over frames of products of deviations from the mean scores.
         """
-        first = _first(self.single)
         means = [
-            np.average(value, weights=counts)
-            for value, counts in zip(worth, self.single.counts, strict=True)
+            np.average(score, weights=counts)
+            for score, counts in zip(scores, self.single.counts, strict=True)
         ]
-        deviations = np.concatenate([v - mean for v, mean in zip(worth, means, strict=True)])
-        weights = csr_array((deviations, np.arange(deviations.size), first))
-        product = self._combined(weights)
+        deviations = np.concatenate([v - mean for v, mean in zip(scores, means, strict=True)])
+        weights = csr_array((deviations, np.arange(deviations.size), _first_value(self.single)))
+        product = self._combine(weights)
         return np.asarray((product + product.T) / 2)
 
-    def _combined(self, weights: csr_array) -> NDArray[np.float64]:
+    def _combine(self, weights: csr_array) -> NDArray[np.float64]:
         return np.asarray(weights @ (weights @ self.counts).T)
 
 
-def _first(single: ValueCounts) -> NDArray[np.int64]:
+def _first_value(single: ValueCounts) -> NDArray[np.int64]:
+    """Return the index of the first value of each sensor, and the number of values, (N + 1,)."""
     return np.concatenate([[0], np.cumsum([values.size for values in single.values])])
 
 
 def _places(part: ValueCounts, whole: ValueCounts) -> NDArray[np.int64]:
-    """Find where the values of some frames stand among those of all."""
-    first = _first(whole)
+    """Locate the values of some frames among those of all frames."""
+    first = _first_value(whole)
     return np.concatenate(
         [
             first[i] + np.searchsorted(whole.values[i], values, side="right") - 1

@@ -1,4 +1,4 @@
-"""Which sensors may be most like which: by their sketches, all pairs, a block at a time."""
+"""Search for the most similar sensors by inner products, block by block."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from threadpoolctl import threadpool_limits
 from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 
 ROWS = 512
-"""Rows of products at a time."""
+"""Rows of a block of inner products."""
 
 COLUMNS = 4096
-"""Columns at a time: a block stays in the cache while its greatest entries are looked for."""
+"""Columns of a block of inner products; 8 MiB, which stay in the cache while searched."""
 
 NO_SENSOR = -1
+"""Index that marks the absence of a sensor."""
 
 
 def most_similar(
@@ -24,44 +25,41 @@ def most_similar(
     groups: ArrayLike | None = None,
     sensors: ArrayLike | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Find for each sensor the sensors whose rows have the greatest inner products with its own.
+    """Find the sensors whose rows have the greatest inner products with those of each sensor.
 
     Parameters
     ----------
     rows : ndarray of float32, shape (N, s)
-        Sketches, or anything else whose inner products say how alike sensors are.
+        For example sketches of the readings.
     count : int
-        How many to find; fewer where there are fewer.
+        Number of sensors to find.
     groups : array_like of int, shape (N,), optional
-        A sensor is never matched with one of its own group. All are groups of their own unless
-        given.
+        Sensors of the same group are not matched. By default each sensor is its own group.
     sensors : array_like of int, shape (n,), optional
-        For which sensors, in increasing order; all unless given.
+        Sensors to find matches for, in increasing order; by default all.
 
     Returns
     -------
     found : ndarray of int, shape (n, count)
-        The most alike first; -1 where there are no more.
+        By decreasing inner product; -1 where there are fewer candidates.
     products : ndarray of float32, shape (n, count)
-        -inf where there are no more.
+        Inner products; -inf where there are fewer candidates.
     """
     n_sensors = len(rows)
-    whom = np.arange(n_sensors) if sensors is None else np.asarray(sensors, dtype=np.int64)
-    kinds = np.arange(n_sensors) if groups is None else np.asarray(groups, dtype=np.int64)
-    found = np.full((len(whom), count), NO_SENSOR, dtype=np.int64)
+    queries = np.arange(n_sensors) if sensors is None else np.asarray(sensors, dtype=np.int64)
+    labels = np.arange(n_sensors) if groups is None else np.asarray(groups, dtype=np.int64)
+    found = np.full((len(queries), count), NO_SENSOR, dtype=np.int64)
     products = np.full(found.shape, -np.inf, dtype=np.float32)
 
-    def look(begin: int) -> None:
+    def search(begin: int) -> None:
         part = slice(begin, begin + ROWS)
-        mine = rows[whom[part]]
+        mine = rows[queries[part]]
         for left in range(0, n_sensors, COLUMNS):
             block = mine @ rows[left : left + COLUMNS].T
-            own = kinds[whom[part]]
-            load_loops("search").keep_greatest(
-                block, left, own, kinds, (found[part], products[part])
-            )
+            kept = found[part], products[part]
+            load_loops("search").keep_greatest(block, left, labels[queries[part]], labels, kept)
 
-    # Threads of ours, not of the library of products, so that sums do not depend on their number.
-    with threadpool_limits(1), parallel_map(len(whom)) as spread_over:
-        spread_over(look, range(0, len(whom), ROWS))
+    # One BLAS thread, so that sums do not depend on the number of threads.
+    with threadpool_limits(1), parallel_map(len(queries)) as map_threads:
+        map_threads(search, range(0, len(queries), ROWS))
     return found, products

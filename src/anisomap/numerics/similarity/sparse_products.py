@@ -1,7 +1,7 @@
-"""Products of readings that mostly rest: of what does not rest alone, exact and many times faster.
+"""Co-moments of readings that mostly equal their rest value.
 
-A skin is touched in few places at a time. Of a frame in which a of N sensors do not read what they
-read at rest, only a^2 products are not 0.
+A skin is touched in few places at a time. In a frame in which a of N sensors differ from rest,
+only a^2 products of deviations from rest are not 0.
 """
 
 from __future__ import annotations
@@ -16,15 +16,20 @@ from anisomap.numerics.precision import mirror
 
 Floats = NDArray[np.float64]
 
-DENSE_PRODUCTS = 60
-"""Products of whole matrices that take as long as one of single readings."""
-
-_SAMPLED = 63  # frames that tell what a sensor reads at rest
-_ROWS = 96  # of the result, which stay in a core's own cache
+_DENSE_PER_SPARSE = 60  # dense products in the time of one sparse product; measured
+_SAMPLE_FRAMES = 63  # frames from which the rest value is estimated
+_PANEL_ROWS = 96  # rows of the result per task, which fit into a second-level cache
 
 
-def products_of_few(readings: NDArray[Any]) -> tuple[Floats, Floats] | None:
-    """Sum the products of readings of every pair of sensors, if few of them are not at rest.
+def is_sparse(readings: NDArray[Any]) -> bool:
+    """Return whether `sparse_comoments` is faster than a matrix product, for shape (T, N)."""
+    n_frames, n_sensors = readings.shape
+    active = np.count_nonzero(readings != _rest(readings), axis=1).astype(np.float64)
+    return bool(_DENSE_PER_SPARSE * np.vdot(active, active) <= float(n_sensors) ** 2 * n_frames)
+
+
+def sparse_comoments(readings: NDArray[Any]) -> tuple[Floats, Floats]:
+    """Compute means and co-moments from the readings that differ from rest.
 
     Parameters
     ----------
@@ -35,30 +40,33 @@ def products_of_few(readings: NDArray[Any]) -> tuple[Floats, Floats] | None:
     -------
     mean : ndarray of shape (N,)
     comoment : ndarray of shape (N, N)
-        Sums over frames of the products of deviations from the means, symmetric to the last bit;
-        exact zeros for a sensor that never varied. None instead of both where matrix products
-        would be faster.
+        Sums over frames of products of deviations from the means, in float64; exactly symmetric,
+        and exactly zero for constant sensors.
     """
     n_frames, n_sensors = readings.shape
-    sample = readings[np.linspace(0, n_frames - 1, min(n_frames, _SAMPLED)).astype(int)]
-    rest = np.sort(sample, axis=0)[len(sample) // 2]
-    touched = readings != rest
-    together = np.count_nonzero(touched, axis=1).astype(np.float64)
-    if DENSE_PRODUCTS * np.vdot(together, together) > float(n_sensors) ** 2 * n_frames:
-        return None
-    sensors = np.nonzero(touched)[1].astype(np.uint32)
-    depths = readings[touched].astype(np.float64) - rest[sensors]
-    begins = np.concatenate([[0], np.cumsum(together)]).astype(np.int64)
+    rest = _rest(readings)
+    active = readings != rest
+    sensors = np.nonzero(active)[1].astype(np.uint32)
+    depths = readings[active].astype(np.float64) - rest[sensors]
+    per_frame = np.count_nonzero(active, axis=1)
+    begins = np.concatenate([[0], np.cumsum(per_frame)]).astype(np.int64)
     sums = np.bincount(sensors, weights=depths, minlength=n_sensors)
     products = np.empty((n_sensors, n_sensors))
 
     def add(begin: int) -> None:
-        rows = slice(begin, min(begin + _ROWS, n_sensors))
+        rows = slice(begin, min(begin + _PANEL_ROWS, n_sensors))
         panel = np.outer(sums[rows], sums / -n_frames)
         load_loops("products").add_products(panel, begin, sensors, depths, begins)
         products[rows] = panel
 
-    with parallel_map(n_sensors) as spread_over:
-        spread_over(add, range(0, n_sensors, _ROWS))
+    with parallel_map(n_sensors) as map_threads:
+        map_threads(add, range(0, n_sensors, _PANEL_ROWS))
     mirror(products, upper=True)
     return rest + sums / n_frames, products
+
+
+def _rest(readings: NDArray[Any]) -> NDArray[Any]:
+    """Estimate the most frequent reading of each sensor by the median of some frames."""
+    n_frames = len(readings)
+    frames = np.linspace(0, n_frames - 1, min(n_frames, _SAMPLE_FRAMES)).astype(int)
+    return np.asarray(np.sort(readings[frames], axis=0)[len(frames) // 2])

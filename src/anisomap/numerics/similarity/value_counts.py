@@ -1,8 +1,8 @@
-"""Which values every sensor read, and how often: what bins, rests and ranks are made from.
+"""Counts of the distinct values of each sensor, from which bins, rest and ranks follow.
 
-Counts of values add, so that they can be taken in chunks of frames, in any order. A sensor whose
-readings are continuous has as many values as frames; beyond a bound its values are rounded, always
-by as little as keeps the bound, so that chunks and their order do not matter even then.
+Counts of chunks of frames merge in any order. A sensor with continuous readings has as many values
+as frames; above a limit, values are rounded by as many bits as needed, and the result still does
+not depend on the chunks or their order.
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.numerics.columns import columns, count_values
 from anisomap.numerics.similarity.binning import maximum_entropy_bins
 
 MAX_VALUES = 1 << 24
-"""Values that are kept of all sensors together: 256 MiB."""
+"""Maximum number of values of all sensors together: 256 MiB of values and counts."""
 
-_CHUNK_FRAMES = 256  # what is worked out on the way stays in the processor's cache
-_FEWEST_VALUES = 256  # of one sensor, however many sensors there are
+_CHUNK_FRAMES = 256  # intermediate arrays of so few frames stay in the processor's cache
+_MIN_VALUES = 256  # limit per sensor, however many sensors there are
 _MAGNITUDE = np.int64(np.iinfo(np.int64).max)
 
 
 @dataclass(frozen=True, eq=False)
 class ValueCounts:
-    """How often each of N sensors read each value.
+    """Distinct values of each of N sensors, and how often each occurs.
 
     Attributes
     ----------
     n_frames : int
-        How many frames they are of, T.
+        T.
     values : tuple of ndarray
-        For each sensor its distinct values in increasing order; if rounded, the least of those
-        that are taken for one.
+        Distinct values of each sensor in increasing order; of values rounded to one, the least.
     counts : tuple of ndarray of int
-        How often each occurred.
+        How often each value occurs.
     grains : ndarray of int, shape (N,)
-        How many bits of a sensor's values, as float64, were rounded off: 0 is exact.
+        Number of bits rounded off the float64 values of each sensor; 0 if exact.
     most : int
-        How many values a sensor may have before they are rounded.
+        Maximum number of values per sensor.
     """
 
     n_frames: int
@@ -58,42 +58,30 @@ class ValueCounts:
         readings : array_like of shape (T, N)
             Finite readings, T >= 1.
         most : int, optional
-            How many values, at least 2, a sensor may have before they are rounded; `MAX_VALUES`
-            shared out equally unless given.
-
-        Returns
-        -------
-        ValueCounts
+            Maximum number of values per sensor, at least 2; by default an equal share of
+            `MAX_VALUES`.
         """
         array = np.asarray(readings)
-        bound = most or max(_FEWEST_VALUES, MAX_VALUES // array.shape[1])
-        found = [_bounded(*distinct(column), 0, bound) for column in array.T]
+        limit = most or max(_MIN_VALUES, MAX_VALUES // array.shape[1])
+        found = [_round_to(*count_values(column), 0, limit) for column in columns(array)]
         values, counts, grains = zip(*found, strict=True)
-        return cls(len(array), values, counts, np.array(grains), bound)
+        return cls(len(array), values, counts, np.array(grains), limit)
 
     def merged(self, other: ValueCounts) -> ValueCounts:
-        """Join the counts of two disjoint sets of frames of the same sensors.
+        """Merge with the counts of other frames of the same sensors, with the same limit.
 
-        Parameters
-        ----------
-        other : ValueCounts
-            Of the same N sensors, with the same bound.
-
-        Returns
-        -------
-        ValueCounts
-            Of all frames; the order of merging does not matter at all.
+        The order of merging does not affect the result.
         """
         grains = np.maximum(self.grains, other.grains)
         found = [
-            _bounded(np.concatenate([a, b]), np.concatenate([m, n]), int(grain), self.most)
+            _round_to(np.concatenate([a, b]), np.concatenate([m, n]), int(grain), self.most)
             for a, b, m, n, grain in zip(
                 self.values, other.values, self.counts, other.counts, grains, strict=True
             )
         ]
-        values, counts, settled = zip(*found, strict=True)
+        values, counts, rounded = zip(*found, strict=True)
         return ValueCounts(
-            self.n_frames + other.n_frames, values, counts, np.array(settled), self.most
+            self.n_frames + other.n_frames, values, counts, np.array(rounded), self.most
         )
 
     @property
@@ -107,18 +95,18 @@ class ValueCounts:
         return not self.grains.any()
 
     def varying(self) -> NDArray[np.bool_]:
-        """Tell which sensors ever varied, shape (N,)."""
+        """Return which sensors vary, shape (N,)."""
         return np.array([values.size > 1 for values in self.values])
 
     def bins(self, bins: int) -> Recoding:
-        """Give every value the number of its maximum-entropy bin."""
-        return self._recoded(lambda _, counts: maximum_entropy_bins(counts, bins), np.uint16)
+        """Map every value to its maximum-entropy bin."""
+        return self._recode(lambda _, counts: maximum_entropy_bins(counts, bins), np.uint16)
 
     def ranks(self) -> Recoding:
-        """Give every value the mean of its ranks, from 1 to T."""
-        return self._recoded(lambda _, counts: np.cumsum(counts) - (counts - 1) / 2, np.float64)
+        """Map every value to the mean of its ranks, from 1 to T."""
+        return self._recode(lambda _, counts: np.cumsum(counts) - (counts - 1) / 2, np.float64)
 
-    def _recoded(
+    def _recode(
         self, outcome: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]], dtype: type
     ) -> Recoding:
         pairs = zip(self.values, self.counts, strict=True)
@@ -127,15 +115,14 @@ class ValueCounts:
 
 @dataclass(frozen=True, eq=False)
 class Recoding:
-    """What to replace the readings of N sensors by.
+    """Step function of the readings of each of N sensors.
 
     Attributes
     ----------
     starts : tuple of ndarray
-        For each sensor, in increasing order, the values from which on the next outcome holds;
-        below all of them the first does.
+        Readings of each sensor at which the next outcome begins, in increasing order.
     outcomes : tuple of ndarray
-        One more for each sensor than `starts`.
+        Outcomes of each sensor; one more than `starts`.
     """
 
     starts: tuple[NDArray[np.float64], ...]
@@ -148,7 +135,7 @@ class Recoding:
         outcomes: Iterable[NDArray[Any]],
         dtype: type,
     ) -> Recoding:
-        """Recode sorted values by an outcome each; what lies between two goes with the lower."""
+        """Map increasing values to outcomes; readings between two values go with the lower."""
         starts, kept = [], []
         for levels, results in zip(values, outcomes, strict=True):
             changes = np.flatnonzero(np.diff(results)) + 1
@@ -168,67 +155,43 @@ class Recoding:
         return recoded
 
     def _look_up(self, array: NDArray[Any], recoded: NDArray[Any]) -> None:
-        """Recode readings of which there are no more than 256, by a table of all of them."""
+        """Recode one-byte readings by a table of all 256 values."""
         every = np.arange(256, dtype=np.uint8).view(array.dtype)
         table = np.concatenate([self._of_sensor(i, every) for i in range(array.shape[1])])
-        own = 256 * np.arange(array.shape[1])
+        offsets = 256 * np.arange(array.shape[1])
         for start in range(0, len(array), _CHUNK_FRAMES):
             frames = slice(start, start + _CHUNK_FRAMES)
-            table.take(array[frames].view(np.uint8) + own, out=recoded[frames], mode="clip")
+            table.take(array[frames].view(np.uint8) + offsets, out=recoded[frames], mode="clip")
 
     def _of_sensor(self, sensor: int, column: NDArray[Any]) -> NDArray[Any]:
         where = np.searchsorted(self.starts[sensor], column.astype(np.float64), side="right")
         return np.asarray(self.outcomes[sensor][where])
 
 
-def distinct(column: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Find the distinct values of one sensor.
-
-    Parameters
-    ----------
-    column : ndarray of shape (T,)
-        Finite readings.
-
-    Returns
-    -------
-    values : ndarray of shape (m,)
-        In increasing order.
-    counts : ndarray of int, shape (m,)
-        How often each occurs.
-    """
-    if _is_byte(column.dtype):
-        lowest = int(column.min())
-        counts = np.bincount(column.astype(np.intp) - lowest)
-        there = np.flatnonzero(counts)
-        return (there + lowest).astype(np.float64), counts[there].astype(np.int64)
-    values, counts = np.unique(column, return_counts=True)
-    return values.astype(np.float64), counts.astype(np.int64)
-
-
 def _is_byte(dtype: np.dtype[Any]) -> bool:
     return dtype.kind in "biu" and dtype.itemsize == 1
 
 
-def _bounded(
-    values: NDArray[np.float64], counts: NDArray[np.int64], grain: int, most: int
+def _round_to(
+    values: NDArray[Any], counts: NDArray[np.int64], grain: int, most: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], int]:
-    """Round values, at least by `grain` bits, until there are no more than `most` of them."""
+    """Round values by at least `grain` bits, and by more until at most `most` are distinct."""
     order = np.argsort(values, kind="stable")
-    sorted_values, weights = values[order] + 0.0, counts[order]
-    keys = _ordered(sorted_values) >> grain
-    begins = _begins(keys)
+    sorted_values, weights = values[order].astype(np.float64) + 0.0, counts[order]
+    keys = _ordered_integers(sorted_values) >> grain
+    begins = _run_starts(keys)
     while begins.size > most:
         grain += 1
         keys >>= 1
-        begins = _begins(keys)
+        begins = _run_starts(keys)
     return sorted_values[begins], np.add.reduceat(weights, begins), grain
 
 
-def _begins(keys: NDArray[np.int64]) -> NDArray[np.intp]:
+def _run_starts(keys: NDArray[np.int64]) -> NDArray[np.intp]:
     return np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
 
 
-def _ordered(values: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Turn floats into whole numbers of the same order."""
+def _ordered_integers(values: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Reinterpret the bits of floats as integers in the same order."""
     bits = values.view(np.int64)
     return np.asarray(np.where(bits < 0, bits ^ _MAGNITUDE, bits))

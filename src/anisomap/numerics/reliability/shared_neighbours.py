@@ -1,0 +1,37 @@
+"""Common neighbours of connected sensors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from anisomap.numerics.compiled.parallel import load_loops
+
+MIN_SHARED = 0.3
+"""Minimum share of the neighbours that adjacent sensors have in common.
+
+On a line adjacent sensors share half of their neighbours, in a plane a third or more.
+"""
+
+
+def count_shared_neighbours(graph: csr_array[Any, tuple[int, int]]) -> NDArray[np.int64]:
+    """Count the common neighbours of the two ends of each edge.
+
+    Parameters
+    ----------
+    graph : csr_array of shape (N, N)
+        Symmetric, without loops; entries are edges, whatever their value.
+
+    Returns
+    -------
+    ndarray of int64, shape (n_edges,)
+        In the order of ``graph.indices``, which is sorted in place.
+    """
+    graph.sort_indices()
+    shared = np.zeros(graph.nnz, dtype=np.int64)
+    offsets, ends = graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
+    load_loops("neighbours").count_shared(offsets, ends, shared)
+    return shared
