@@ -1,21 +1,16 @@
-<<<<<<< HEAD
 """Growth of the work, counted in operations: unlike seconds, independent of the machine."""
-=======
-"""Growth of the number of operations with the number of sensors."""
->>>>>>> 31f2163 (Describe similarities, reliability and graphs in standard terms)
 
 import numpy as np
 import pytest
-from benchmarks.inputs import flat_skin
+from benchmarks.inputs import flat_skin, stroked_skin
 from benchmarks.tables import growth_exponent
 
+from anisomap.numerics.graph import shortest_paths
 from anisomap.numerics.graph.metric import metricise
-<<<<<<< HEAD
-=======
-from anisomap.numerics.graph.shortest_paths import along_few_edges, tight_edges
->>>>>>> 31f2163 (Describe similarities, reliability and graphs in standard terms)
 from anisomap.numerics.scaling.classical import torgerson
 from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.similarity import co_occurrence
+from anisomap.numerics.similarity.binning import maximum_entropy_codes
 
 SIZES = (400, 700, 1000)
 
@@ -31,7 +26,6 @@ def metrics(skins):
 
 
 def test_few_edges_of_a_skin_are_shortest_paths(skins, metrics):
-<<<<<<< HEAD
     for size, lengths in skins.items():
         found = shortest_paths.along_few_edges(lengths)
         assert found is not None, "few edges lead to all shortest paths"
@@ -39,16 +33,6 @@ def test_few_edges_of_a_skin_are_shortest_paths(skins, metrics):
     essential = [np.count_nonzero(metrics[size] == lengths) for size, lengths in skins.items()]
     assert max(essential) / SIZES[-1] < 50
     assert growth_exponent(SIZES, essential) < 1.3
-=======
-    n_edges = [len(tight_edges(metrics[size], skins[size]).ends) for size in SIZES]
-    assert max(n_edges) / SIZES[-1] < 50
-    assert growth_exponent(SIZES, n_edges) < 1.3
-
-
-def test_shortest_paths_of_skins_do_not_need_all_nodes(skins):
-    for lengths in skins.values():
-        assert along_few_edges(lengths) is not None
->>>>>>> 31f2163 (Describe similarities, reliability and graphs in standard terms)
 
 
 def test_few_steps_of_lbfgs_reach_the_minimum(metrics):
@@ -60,7 +44,6 @@ def test_few_steps_of_lbfgs_reach_the_minimum(metrics):
     assert max(flat) <= 10
     # A step takes N^2 operations, so that all steps take less than N^3.
     assert growth_exponent(SIZES, bent) < 1
-<<<<<<< HEAD
 
 
 def laid_out(n_sensors, bins):
@@ -92,5 +75,3 @@ def test_pairs_of_series_grow_with_the_squares_of_bins_and_of_sensors():
     assert [pairs_of_series(100, bins) / two_bins for bins in (2, 4, 8)] == [1, 9, 49]
     sizes = (100, 200, 400)
     assert growth_exponent(sizes, [pairs_of_series(n, 4) for n in sizes]) == pytest.approx(2)
-=======
->>>>>>> 31f2163 (Describe similarities, reliability and graphs in standard terms)

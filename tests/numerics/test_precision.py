@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist, squareform
 
-from anisomap import Recording, reconstruct
+from anisomap import Recording, reconstruct, reconstruct_from
 from anisomap.errors import InputError
 from anisomap.evaluation import mantel
 from anisomap.numerics import precision
@@ -123,9 +123,9 @@ def test_components_equal_those_in_float64(readings):
 @pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
 def test_maps_are_equal(always_float32, method, readings, monkeypatch):
     recording = Recording(readings)
-    single = reconstruct(recording, method, 2, judge=False)
+    single = reconstruct(recording, method, 2)
     monkeypatch.setattr(precision, "MIN_FLOAT32_SENSORS", 10_000)
-    double = reconstruct(recording, method, 2, judge=False)
+    double = reconstruct(recording, method, 2)
     assert mantel(single.positions, double.positions, permutations=0).r > 0.9999
 
 
@@ -148,5 +148,5 @@ def test_inputs_are_not_modified(size, order, dtype):
 @pytest.mark.parametrize("unit", [1e-30, 1e20, 1e39])
 def test_matrices_outside_float32_are_rejected(always_float32, what, unit):
     distances = squareform(pdist(np.random.default_rng(0).uniform(size=(20, 2))))
-    with pytest.raises(InputError, match=f"the {what} reaches .* so that its greatest number is 1"):
-        reconstruct(method="r-anisomap", **{what: unit * distances})
+    with pytest.raises(InputError, match=f"the {what} reaches .*single precision"):
+        reconstruct_from(method="r-anisomap", **{what: unit * distances})
