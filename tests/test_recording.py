@@ -1,4 +1,4 @@
-"""What a recording accepts, refuses and keeps."""
+"""Recordings: accepted input, refused input, and conversions."""
 
 import pickle
 
@@ -39,13 +39,13 @@ def test_nothing_of_a_recording_can_be_changed():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"readings": [1, 2, 3]}, "1 dimensions"),
-        ({"readings": np.zeros((0, 3))}, "nothing in them"),
+        ({"readings": [1, 2, 3]}, r"\(T, N\).*got shape \(3,\)"),
+        ({"readings": np.zeros((0, 3))}, "must not be empty"),
         ({"readings": np.array([["a"]])}, "real numbers"),
         ({"readings": np.zeros((2, 2), complex)}, "complex"),
         ({"readings": np.zeros((2, 2), object)}, "object"),
-        ({"names": ["a"]}, "1 names for 2 sensors"),
-        ({"names": ["a", "a"]}, "more than one sensor has the name a"),
+        ({"names": ["a"]}, "2 sensors need 2 names, got 1"),
+        ({"names": ["a", "a"]}, "several sensors have the name a"),
         ({"times": [0, 1, 2]}, r"\(2,\)"),
         ({"times": [1, 1]}, "frame 1"),
         ({"times": [0, np.inf]}, "frame 1 is not finite"),
@@ -54,7 +54,7 @@ def test_nothing_of_a_recording_can_be_changed():
         ({"positions": np.zeros((2, 4))}, r"\(2, 2\) or \(2, 3\)"),
     ],
 )
-def test_what_is_no_recording_is_refused_in_words(arguments, message):
+def test_invalid_recordings_are_refused(arguments, message):
     with pytest.raises(InputError, match=message):
         Recording(**{"readings": np.zeros((2, 2)), **arguments})
 
@@ -89,7 +89,7 @@ HOLES = arrays(
 
 @given(HOLES)
 def test_interpolation_fills_only_holes_and_stays_in_range(readings):
-    filled = Recording(readings).complete("interpolate").readings
+    filled = Recording(readings).complete(missing="interpolate").readings
     known = np.isfinite(readings)
     np.testing.assert_array_equal(filled[known], readings[known])
     assert np.isfinite(filled).all()
@@ -104,18 +104,18 @@ def test_dropping_frames_keeps_whole_frames_only(readings):
     known = np.isfinite(readings)
     sound = known[:, known.any(axis=0)].all(axis=1)
     if sound.any():
-        kept = Recording(readings, times=np.arange(8.0)).complete("drop-frames")
+        kept = Recording(readings, times=np.arange(8.0)).complete(missing="drop-frames")
         np.testing.assert_array_equal(kept.times, np.flatnonzero(sound))
         assert np.isfinite(kept.readings).all()
     else:
         with pytest.raises(InputError, match="leaves none"):
-            Recording(readings).complete("drop-frames")
+            Recording(readings).complete(missing="drop-frames")
 
 
 def test_missing_readings_are_named():
     readings = np.zeros((4, 3))
     readings[2, 1] = readings[3, 1] = np.nan
-    with pytest.raises(InputError, match=r"2 readings .* sensor s1, frames 2, 3; .*--nan"):
+    with pytest.raises(InputError, match=r"2 readings .* sensor s1, frames 2, 3; .*missing"):
         Recording(readings).complete()
 
 
