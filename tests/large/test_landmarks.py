@@ -295,5 +295,5 @@ def test_options_out_of_range_are_refused(options):
 
 
 def test_no_frame_is_no_map():
-    with pytest.raises(InputError, match="no frame"):
+    with pytest.raises(InputError, match="no frames"):
         compute_sketch([], 16, np.random.default_rng(0))

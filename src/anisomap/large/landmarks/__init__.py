@@ -1,9 +1,9 @@
-"""Maps of more sensors than pairs can be kept of: one file a step, in the order of the steps.
+"""Approximate maps of so many sensors that not all pairs can be stored.
 
-Frames are gone through twice. The first time, the readings of each sensor are projected onto a few
-hundred numbers (`sketch`), from which those sensors are found that may be most like it
-(`candidates`). The second time, Pearson r of these pairs is worked out exactly (`correlations`).
-The best of them are the edges of a graph (`joining`); from about a thousand landmarks the shortest
-paths to all sensors are found (`paths`); the landmarks are scaled, the others triangulated
-(`triangulation`), and all are refined together (`refinement`).
+Frames are read at least twice. The first pass projects the readings of each sensor onto a few
+hundred numbers (`sketch`), from which candidates for its nearest sensors are chosen. The second
+computes Pearson r of these pairs (`correlations`). The best become the edges of a graph
+(`sensor_graph`). Shortest paths are computed from about a thousand landmarks to all sensors; the
+landmarks are scaled, the others triangulated (`landmark_mds`), and all are refined together
+(`landmark_stress`).
 """

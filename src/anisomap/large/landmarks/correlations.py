@@ -1,4 +1,4 @@
-"""A second pass over all frames: Pearson r of some pairs of sensors, exactly."""
+"""Pearson r of selected pairs of sensors, in one pass over all frames."""
 
 from __future__ import annotations
 
@@ -13,49 +13,49 @@ from anisomap.large.landmarks.sketch import Sketch
 from anisomap.numerics.compiled.parallel import parallel_map
 from anisomap.numerics.similarity.search import NO_SENSOR
 
-PIECES = 64
-"""Pieces that the pairs are shared out to."""
+N_TASKS = 64
+"""Number of parallel tasks; more than any common number of cores, for an even load."""
 
 
 class SensorPairs(NamedTuple):
-    """Pairs of sensors i < j, each once, in increasing order; and r of each."""
+    """Pairs of sensors i < j, each once, in increasing order, and r of each."""
 
     firsts: NDArray[np.int64]
     seconds: NDArray[np.int64]
     r: NDArray[np.float64]
 
     def concatenate(self, others: SensorPairs) -> SensorPairs:
-        """Put pairs and other pairs together."""
+        """Append other pairs."""
         return SensorPairs(
             np.concatenate([self.firsts, others.firsts]),
             np.concatenate([self.seconds, others.seconds]),
             np.concatenate([self.r, others.r]),
         )
 
-    def select(self, which: NDArray[np.bool_]) -> SensorPairs:
-        """Keep some pairs only."""
-        return SensorPairs(self.firsts[which], self.seconds[which], self.r[which])
+    def select(self, mask: NDArray[np.bool_]) -> SensorPairs:
+        """Return the pairs where a mask is true."""
+        return SensorPairs(self.firsts[mask], self.seconds[mask], self.r[mask])
 
 
 def pairs_of(
     found: NDArray[np.int64], sensors: ArrayLike | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """List the pairs of sensors with those found for them, each pair once.
+    """List the pairs of sensors and their candidates, each pair once.
 
     Parameters
     ----------
     found : ndarray of int, shape (n, c)
         See `most_similar`.
     sensors : array_like of int, shape (n,), optional
-        For whom they were found; for sensors 0, 1, ... unless given.
+        Sensor of each row of `found`; 0, 1, ... by default.
 
     Returns
     -------
     firsts, seconds : ndarray of int, shape (P,)
         With ``firsts < seconds``, in increasing order.
     """
-    whom = np.arange(len(found)) if sensors is None else np.asarray(sensors, dtype=np.int64)
-    pairs = np.stack([np.repeat(whom, found.shape[1]), found.ravel()])
+    owners = np.arange(len(found)) if sensors is None else np.asarray(sensors, dtype=np.int64)
+    pairs = np.stack([np.repeat(owners, found.shape[1]), found.ravel()])
     pairs = np.sort(pairs[:, pairs[1] != NO_SENSOR], axis=0)
     base = int(pairs.max(initial=0)) + 1
     firsts, seconds = np.divmod(np.unique(pairs[0] * base + pairs[1]), base)
@@ -64,16 +64,16 @@ def pairs_of(
 
 def correlations(
     chunks: Iterable[NDArray[Any]],
-    known: Sketch,
+    sketch: Sketch,
     pairs: tuple[NDArray[np.int64], NDArray[np.int64]],
 ) -> SensorPairs:
-    """Work out Pearson r of some pairs of sensors.
+    """Compute Pearson r of pairs of sensors.
 
     Parameters
     ----------
     chunks : iterable of ndarray, shape (t, N)
         The frames that were sketched.
-    known : Sketch
+    sketch : Sketch
         Moments of all frames.
     pairs : tuple of ndarray of int, shape (P,)
         See `pairs_of`.
@@ -81,25 +81,25 @@ def correlations(
     Returns
     -------
     SensorPairs
-        Products are of float32 readings that were standardised in float64, summed in float64 over
-        the chunks: r errs by some 1e-7. It is 0 where a sensor never varies.
+        Readings are standardised in float64, multiplied in float32 and summed in float64 over the
+        chunks; the rounding error of r is about 1e-7. r is 0 where a sensor never varies.
     """
     totals = np.zeros(len(pairs[0]))
-    scale = np.divide(1, known.deviation, out=np.zeros(len(known.mean)), where=known.varying)
-    parts = np.linspace(0, len(totals), PIECES + 1).astype(int).tolist()
+    scale = np.divide(1, sketch.deviation, out=np.zeros(len(sketch.mean)), where=sketch.varying)
+    bounds = np.linspace(0, len(totals), N_TASKS + 1).astype(int).tolist()
     add = loops().add_products
-    with parallel_map(len(known.mean)) as spread_over:
+    with parallel_map(len(sketch.mean)) as map_tasks:
         for chunk in chunks:
             still = (chunk == chunk[0]).all(axis=0)
             values = np.ascontiguousarray(chunk.T)
-            series = ((values - known.mean[:, None]) * scale[:, None]).astype(np.float32)
+            series = ((values - sketch.mean[:, None]) * scale[:, None]).astype(np.float32)
 
-            def take(
-                piece: int,
+            def add_task(
+                task: int,
                 series: NDArray[np.float32] = series,
                 still: NDArray[np.bool_] = still,
             ) -> None:
-                add(series, still, pairs, totals, (parts[piece], parts[piece + 1]))
+                add(series, still, pairs, totals, (bounds[task], bounds[task + 1]))
 
-            spread_over(take, range(PIECES))
-    return SensorPairs(*pairs, np.clip(totals / known.n_frames, -1, 1))
+            map_tasks(add_task, range(N_TASKS))
+    return SensorPairs(*pairs, np.clip(totals / sketch.n_frames, -1, 1))

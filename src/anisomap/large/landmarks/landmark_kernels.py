@@ -1,7 +1,7 @@
-"""The compiled inner loops of approximate maps, and only those.
+"""Compiled inner loops of approximate maps.
 
 Imported on first use, as the modules of `anisomap.numerics.compiled`. Arguments are not
-checked. All loops run without the interpreter's lock.
+checked. All loops release the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from anisomap.numerics.compiled.paths import sweep_nodes
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
-Range = tuple[int, int]  # from the first to before the last
+Range = tuple[int, int]  # half-open
 
-# Sums may be taken in any order, which vector units need; infinities keep their meaning.
+# Allows sums in any order, for vectorisation; infinities keep their meaning.
 REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
@@ -27,7 +27,7 @@ def add_products(
 ) -> None:
     """Add to `totals` the inner products of pairs of rows of `series`.
 
-    Most sensors of a skin are `still` for a while: their row is one number throughout.
+    Rows that are `still` are constant, as those of most sensors are for a while.
     """
     firsts, seconds = pairs
     n_frames = series.shape[1]
@@ -54,10 +54,10 @@ def add_products(
 def relax_from(
     tile: Singles, sources: Ints, order: Ints, edges: tuple[Ints, Ints, Singles]
 ) -> None:
-    """Fill ``tile[u, s]`` with the length of the shortest path to node u from ``sources[s]``.
+    """Fill ``tile[u, s]`` with the length of the shortest path from ``sources[s]`` to node u.
 
-    Bellman and Ford, many sources at once: nodes are swept in `order` and back again until no
-    path becomes shorter.
+    Bellman-Ford from several sources: sweeps over the nodes in alternating `order` until no path
+    becomes shorter.
     """
     tile[:] = np.inf
     stamps = np.zeros((len(tile), 2), np.int64)
@@ -77,9 +77,9 @@ def add_rows_stress(
 ) -> float:
     """Sum the raw stress of points i in `rows` with all anchors.
 
-    `points` is (k, N), `anchors` (k, L), a row a coordinate; `targets` is (N, L). Half the gradient
-    is added to `slopes`, of the points (k, N) and of the anchors (k, L). Points that coincide pull
-    each other nowhere: their difference is 0, and the tiny number keeps its factor finite.
+    `points` is (k, N), `anchors` (k, L), one row per coordinate; `targets` is (N, L). Half the
+    gradient is added to `slopes`, by the points (k, N) and by the anchors (k, L). The gradient of
+    coincident points is 0: their difference is 0, and the tiny constant keeps its factor finite.
     """
     slope, pulled = slopes
     dimensions, n_anchors = anchors.shape
@@ -109,7 +109,7 @@ def add_rows_stress(
                 pull += share
                 back[j] -= share
             slope[axis, i] += pull
-        if i % 256 == 255 or i == rows[1] - 1:  # single precision holds no long sums
+        if i % 256 == 255 or i == rows[1] - 1:  # bounds the rounding error of float32 sums
             pulled += pulls
             pulls[:] = 0
     return total
@@ -119,10 +119,10 @@ def add_rows_stress(
 def add_edges_stress(
     points: Floats, edges: tuple[Ints, Ints, Singles], weight: float, slope: Floats, rows: Range
 ) -> float:
-    """Sum the weighted raw stress along the edges of some nodes, each edge from either end.
+    """Sum the weighted raw stress of the edges of some nodes, each edge from both ends.
 
-    `points` and `slope` are (k, N). Half the gradient of the sum over all nodes, in which every
-    edge occurs twice and counts half, is added to `slope`.
+    `points` and `slope` are (k, N). Half the gradient is added to `slope`. Each edge occurs
+    twice in the sum over all nodes, with half its weight.
     """
     offsets, ends, lengths = edges
     dimensions = len(points)

@@ -1,4 +1,4 @@
-"""From the graph of a piece to places: landmarks, their map, all others, and all together."""
+"""Landmark MDS of a connected graph, followed by a joint refinement of all sensors."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 
 logger = logging.getLogger(__name__)
 
-FINEST = 1e-7
-"""Tolerance that refining stops at, whatever was asked for: paths are known no better."""
+MIN_TOLERANCE = 1e-7
+"""Smallest tolerance of the refinement: path lengths are stored in float32."""
 
-TOGETHER = 64
-"""Landmarks that are gone out from together."""
+SOURCES_PER_TASK = 64
+"""Landmarks whose paths are computed together; chosen by hand."""
 
-ROWS = 4096
-"""Sensors that are placed at a time."""
+ROWS_PER_BLOCK = 4096
+"""Sensors that are triangulated together; bounds the memory of float64 copies."""
 
 
 class PlacedComponent(NamedTuple):
-    """Where the sensors of a piece are.
+    """Positions of the sensors of one connected component.
 
     Attributes
     ----------
     positions : ndarray of shape (n, k)
         Centred on the origin.
     raw_stress, spread : float
-        Over the pairs of each sensor with each landmark: sums of (d - D)^2 and of d^2.
+        Sums of (d - D)^2 and of d^2 over the pairs of each sensor with each landmark.
     converged : bool
     iterations : int
     """
@@ -55,18 +55,18 @@ def place_component(
     options: SmacofOptions,
     rng: np.random.Generator,
 ) -> PlacedComponent:
-    """Place the sensors of a connected graph.
+    """Compute the positions of the sensors of a connected graph.
 
     Parameters
     ----------
     graph : csr_array of shape (n, n)
-        Lengths of edges, above 0; symmetric, and connected.
+        Lengths of edges, above 0; symmetric and connected.
     dimensions : int
     n_landmarks : int
-        How many sensors are drawn to be landmarks; all, if there are no more.
+        Number of sensors drawn as landmarks; all if there are no more.
     options : SmacofOptions
     rng : numpy.random.Generator
-        Draws them.
+        Draws the landmarks.
 
     Returns
     -------
@@ -74,8 +74,8 @@ def place_component(
 
     Notes
     -----
-    Landmarks that are drawn at random lie about as densely as sensors do; de Silva & Tenenbaum
-    (2004) found them as good as chosen ones where there are many more than dimensions.
+    Random landmarks are about as dense as the sensors; de Silva & Tenenbaum (2004) found them as
+    good as optimised ones if they are many more than the dimensions.
     """
     n_sensors = graph.shape[0]
     if n_sensors == 1:
@@ -83,13 +83,14 @@ def place_component(
     chosen = np.sort(rng.choice(n_sensors, min(n_landmarks, n_sensors), replace=False))
     logger.info("finding shortest paths from %d landmarks", len(chosen))
     rows = paths_from(chosen, graph)
-    apart = rows[chosen].astype(np.float64)
-    anchors = smacof(np.minimum(apart, apart.T), dimensions=dimensions, options=options)
+    lengths = rows[chosen].astype(np.float64)
+    anchors = smacof(np.minimum(lengths, lengths.T), dimensions=dimensions, options=options)
     positions = triangulate(rows, anchors.positions)
     positions[chosen] = anchors.positions
     targets = Targets(chosen, rows, graph)
     logger.info("refining %d sensors in %d dimensions", n_sensors, dimensions)
-    found = refine(targets, positions, max(options.tolerance, FINEST), options.max_iterations)
+    tolerance = max(options.tolerance, MIN_TOLERANCE)
+    found = refine(targets, positions, tolerance, options.max_iterations)
     return PlacedComponent(
         found.positions - found.positions.mean(axis=0),
         *stress_of(targets, found.positions),
@@ -99,19 +100,19 @@ def place_component(
 
 
 def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> NDArray[np.float32]:
-    """Find the lengths of the shortest paths from landmarks to all sensors.
+    """Compute the lengths of the shortest paths from landmarks to all sensors.
 
     Parameters
     ----------
     landmarks : array_like of int, shape (L,)
-        Sensors.
+        Indices of sensors.
     graph : csr_array of shape (N, N)
         Lengths of edges, above 0; symmetric.
 
     Returns
     -------
     ndarray of float32, shape (N, L)
-        Infinite where there is no path. The length of a path of h edges errs by some h 1e-7 of it.
+        Infinite where there is no path. The relative rounding error of h edges is about h 1e-7.
     """
     sources = np.asarray(landmarks, dtype=np.int64)
     order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
@@ -121,51 +122,51 @@ def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> 
         graph.data.astype(np.float32),
     )
     found = np.empty((graph.shape[0], len(sources)), dtype=np.float32)
-    # Landmarks that follow one another in the order are near: they go the same ways.
-    place = np.empty(len(order), dtype=np.int64)
-    place[order] = np.arange(len(order))
-    ranked = np.argsort(place[sources], kind="stable")
+    # Landmarks adjacent in the order are near, so that their sweeps converge together.
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    ranked = np.argsort(rank[sources], kind="stable")
 
-    def go(begin: int) -> None:
-        chosen = ranked[begin : begin + TOGETHER]
+    def relax(begin: int) -> None:
+        chosen = ranked[begin : begin + SOURCES_PER_TASK]
         tile = np.empty((len(found), len(chosen)), dtype=np.float32)
         loops().relax_from(tile, sources[chosen], order, edges)
         found[:, chosen] = tile
 
-    with parallel_map(len(found)) as spread_over:
-        spread_over(go, range(0, len(sources), TOGETHER))
+    with parallel_map(len(found)) as map_tasks:
+        map_tasks(relax, range(0, len(sources), SOURCES_PER_TASK))
     return found
 
 
 def triangulate(rows: NDArray[np.float32], landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Place sensors by their distances from landmarks.
+    """Compute positions from distances to landmarks.
 
     Parameters
     ----------
     rows : ndarray of shape (N, L)
         Distance of each sensor from each landmark.
     landmarks : ndarray of shape (L, k)
-        Where these are.
+        Positions of the landmarks.
 
     Returns
     -------
     ndarray of shape (N, k)
-        In the frame of the landmarks. Where distances are those of points in k dimensions, and the
-        landmarks do not lie in fewer, that is where they are.
+        In the coordinate frame of the landmarks. Exact if the distances are those of points in k
+        dimensions that the landmarks span.
 
     Notes
     -----
     De Silva & Tenenbaum (2004), "Sparse multidimensional scaling using landmark points", section
-    3.2: ``y = -1/2 X^+ (d^2 - |x|^2)`` with centred landmarks X. Squared distances d^2 = |x|^2 -
-    2 x y + |y|^2 are linear in y but for |y|^2, which is the same for all landmarks and so drops
-    out.
+    3.2: ``y = -1/2 X^+ (d^2 - |x|^2)`` with centred landmarks X. Squared distances
+    ``d^2 = |x|^2 - 2 x y + |y|^2`` are linear in y except for |y|^2, which is the same for all
+    landmarks and cancels.
     """
-    middle = landmarks.mean(axis=0)
-    centred = landmarks - middle
+    centre = landmarks.mean(axis=0)
+    centred = landmarks - centre
     inverse = np.linalg.pinv(centred, rcond=1e-7)
     squares = (centred**2).sum(axis=1)
-    placed = np.empty((len(rows), landmarks.shape[1]))
-    for begin in range(0, len(rows), ROWS):
-        part = rows[begin : begin + ROWS].astype(np.float64)
-        placed[begin : begin + ROWS] = (squares - part**2) @ inverse.T / 2
-    return np.asarray(placed + middle)
+    positions = np.empty((len(rows), landmarks.shape[1]))
+    for begin in range(0, len(rows), ROWS_PER_BLOCK):
+        part = rows[begin : begin + ROWS_PER_BLOCK].astype(np.float64)
+        positions[begin : begin + ROWS_PER_BLOCK] = (squares - part**2) @ inverse.T / 2
+    return np.asarray(positions + centre)

@@ -1,4 +1,4 @@
-"""All sensors placed together: by their paths from landmarks, and along the edges between them."""
+"""Raw stress of the paths from landmarks and of the edges, and its minimisation."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from anisomap.numerics.compiled.parallel import parallel_map
 from anisomap.numerics.scaling.lbfgs import SolverResult, minimise_lbfgs
 from anisomap.numerics.scaling.stress import Floats
 
-PIECES = 32
-"""Pieces that the sensors are shared out to. A fixed number: sums are the same on every machine."""
+N_TASKS = 32
+"""Number of parallel tasks; fixed, so that sums are the same on every machine."""
 
 
 class Targets(NamedTuple):
-    """Distances that positions are to fit.
+    """Distances that the positions should reproduce.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Targets(NamedTuple):
     rows : ndarray of float32, shape (N, L)
         Distance of each sensor from each landmark.
     edges : csr_array of shape (N, N)
-        Distances of sensors side by side.
+        Distances of adjacent sensors.
     """
 
     landmarks: NDArray[np.int64]
@@ -35,12 +35,12 @@ class Targets(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Share of all pairs that a landmark's pairs stand for: how much an edge counts."""
+        """Share of a sensor's pairs that involve landmarks: the weight of an edge."""
         return len(self.landmarks) / len(self.rows)
 
 
 def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: int) -> SolverResult:
-    """Lower the raw stress of the pairs with landmarks and of the edges.
+    """Minimise the raw stress of the pairs with landmarks and of the edges.
 
     Parameters
     ----------
@@ -52,24 +52,25 @@ def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: in
     Returns
     -------
     SolverResult
-        No step raises the stress.
+        The stress never increases.
 
     Notes
     -----
-    The exact map has the least stress over all pairs. Here each sensor's L pairs with landmarks
-    stand for its N - 1, so they count N / L, and an edge, which stands for itself, counts 1 (all
-    this times L / N).
+    The exact map minimises the stress over all pairs. Here the L pairs of each sensor with
+    landmarks represent its N - 1 pairs, so their weight is N / L, and that of an edge is 1 (both
+    times L / N).
     """
     n_points, n_landmarks = targets.rows.shape
     degrees = np.diff(targets.edges.indptr)
     weight = n_landmarks + targets.share * degrees
     weight[targets.landmarks] += n_points
-    with parallel_map(n_points) as spread_over:
+    with parallel_map(n_points) as map_tasks:
 
         def stress(positions: Floats) -> tuple[float, Floats]:
-            return _stress(targets, positions, spread_over)
+            return _stress(targets, positions, map_tasks)
 
-        squares = sum(float(np.square(part, dtype=np.float64).sum()) for part in _parts(targets))
+        blocks = np.array_split(targets.rows, N_TASKS)
+        squares = sum(float(np.square(rows, dtype=np.float64).sum()) for rows in blocks)
         return minimise_lbfgs(
             stress,
             start,
@@ -81,39 +82,35 @@ def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: in
 
 
 def stress_of(targets: Targets, positions: Floats) -> tuple[float, float]:
-    """Give the raw stress of the pairs with landmarks, and the sum of their squared distances."""
-    raw = spread_out = 0.0
+    """Return the raw stress of the pairs with landmarks, and the sum of their squared distances."""
+    raw = squared_sum = 0.0
     anchors = positions[targets.landmarks]
     for begin in range(0, len(positions), 1024):
         part = positions[begin : begin + 1024]
         squares = ((part[:, None] - anchors) ** 2).sum(axis=2)
-        spread_out += float(squares.sum())
+        squared_sum += float(squares.sum())
         raw += float(((np.sqrt(squares) - targets.rows[begin : begin + 1024]) ** 2).sum())
-    return raw, spread_out
+    return raw, squared_sum
 
 
-def _parts(targets: Targets) -> list[NDArray[np.float32]]:
-    return np.array_split(targets.rows, PIECES)
-
-
-def _stress(targets: Targets, positions: Floats, spread_over: Any) -> tuple[float, Floats]:
+def _stress(targets: Targets, positions: Floats, map_tasks: Any) -> tuple[float, Floats]:
     n_points, dimensions = positions.shape
     middle = positions.mean(axis=0)
     exact = np.ascontiguousarray((positions - middle).T)
     points = exact.astype(np.float32)
     anchors = np.ascontiguousarray(points[:, targets.landmarks])
     slopes = np.zeros((dimensions, n_points))
-    pulled = np.zeros((PIECES, *anchors.shape))
-    cuts = np.linspace(0, n_points, PIECES + 1).astype(int).tolist()
+    anchor_slopes = np.zeros((N_TASKS, *anchors.shape))
+    cuts = np.linspace(0, n_points, N_TASKS + 1).astype(int).tolist()
     edges = targets.edges.indptr.astype(np.int64), targets.edges.indices, targets.edges.data
 
-    def add(piece: int) -> float:
-        rows = cuts[piece], cuts[piece + 1]
+    def add(task: int) -> float:
+        rows = cuts[task], cuts[task + 1]
         near = loops().add_edges_stress(exact, edges, targets.share, slopes, rows)
-        both = slopes, pulled[piece]
+        both = slopes, anchor_slopes[task]
         far = loops().add_rows_stress(points, anchors, targets.rows, rows, both)
         return float(near + far)
 
-    raw = sum(spread_over(add, range(PIECES)))
-    slopes[:, targets.landmarks] += pulled.sum(axis=0)
+    raw = sum(map_tasks(add, range(N_TASKS)))
+    slopes[:, targets.landmarks] += anchor_slopes.sum(axis=0)
     return raw, np.ascontiguousarray(2 * slopes.T)

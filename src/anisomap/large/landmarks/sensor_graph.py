@@ -1,4 +1,4 @@
-"""A graph of sensors and those most like them, without chance links."""
+"""Graph of each sensor's most similar sensors, without coincidental links."""
 
 from __future__ import annotations
 
@@ -20,34 +20,33 @@ from anisomap.numerics.similarity.search import most_similar
 
 logger = logging.getLogger(__name__)
 
-WEAK = 0.4
-"""SensorPairs below this share of the best that either of their sensors has are not followed."""
+# Chosen by hand on simulated skins and the recordings of docs/explanation/large-recordings.md.
+MIN_RELATIVE_R = 0.4
+"""Links with a smaller share of the highest r of either sensor are rejected."""
 
-STRONG = 0.7
-"""From this share on they are followed even where chance may make them."""
+STRONG_RELATIVE_R = 0.7
+"""Links with at least this share are kept even if they are not significant."""
 
-FEWEST_MEETINGS = 3.0
-"""Meetings beyond those that chance explains on average: so few are an anecdote."""
+CHANCE_MEETINGS = 3.0
+"""Coincident contacts allowed for beyond their expected number, which is unreliable if small."""
 
-STRANGERS = 8
-"""Sensors outside its piece that each sensor is compared with."""
+N_OUTSIDE = 8
+"""Sensors outside its component with which each sensor is compared."""
 
-ROUNDS = 3
-"""Times at most that frames are gone through for bridges: each joins pieces to others."""
+MAX_BRIDGE_PASSES = 3
+"""Greatest number of passes over the frames in search of links between components."""
 
-
-_BEST_OF_ONE = 0.75  # times the best of all pairs is what the best of one sensor's pairs reaches
+_SENSOR_OVER_ALL = 0.75  # expected maximum r of one sensor's pairs over that of all pairs
 
 
 class SensorGraph(NamedTuple):
-    """Sensors graph to those most like them.
+    """A graph that links sensors to their most similar sensors.
 
     Attributes
     ----------
     edges : SensorPairs
-        The edges.
     component : ndarray of int, shape (N,)
-        Which piece each sensor is in: 0 is the largest; of equal ones, the one that holds the first
+        Connected component of each sensor, by decreasing size; of equal ones, that with the first
         sensor comes first.
     """
 
@@ -55,16 +54,16 @@ class SensorGraph(NamedTuple):
     component: NDArray[np.intp]
 
 
-def build_graph(links: SensorPairs, known: Sketch, n_neighbours: int) -> SensorGraph:
-    """Join each sensor to those with the highest r, where there is no sign of chance.
+def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> SensorGraph:
+    """Link each sensor to those with the highest r, and reject pairs that may be coincidental.
 
     Parameters
     ----------
-    links : SensorPairs
-        Pairs that were looked at.
-    known : Sketch
+    pairs : SensorPairs
+        All pairs whose r is known.
+    sketch : Sketch
     n_neighbours : int
-        Sensors that each is graph to; it may be graph to more, being their neighbour.
+        Number of sensors to which each is linked; it may be linked to more as their neighbour.
 
     Returns
     -------
@@ -72,24 +71,24 @@ def build_graph(links: SensorPairs, known: Sketch, n_neighbours: int) -> SensorG
 
     Notes
     -----
-    A chance link is a short cut from one end of the skin to another, and a thousand sensors span so
-    many pairs that some are alike by chance. Three signs tell: r is much lower than the best that
-    either sensor has (from such neighbours, a detour over nearer ones is no longer); r is no higher
-    than chance may make it (`largest_null_r`; that of a sensor that was hardly touched may be its
-    best, and is kept); or the sensors have hardly any neighbour in common (on a line they share
-    half of them, in a plane a third or more).
+    A coincidental link is a shortcut across the skin, and thousands of sensors form so many pairs
+    that some are similar by coincidence. Links are rejected if r is much lower than the highest of
+    either sensor, since a path over nearer sensors is as short; if r is not significant
+    (`largest_null_r`), unless it is close to the highest of a rarely touched sensor; or if the
+    sensors share too few neighbours (on a line they share half of them, in a plane a third or
+    more).
     """
-    n_sensors = len(known.mean)
+    n_sensors = len(sketch.mean)
     best = np.zeros(n_sensors)
-    np.maximum.at(best, links.firsts, links.r)
-    np.maximum.at(best, links.seconds, links.r)
-    share = links.r / np.maximum(np.minimum(best[links.firsts], best[links.seconds]), 1e-300)
-    usable = (links.r >= NUMERICAL_ZERO) & (share >= WEAK)
-    chance = largest_null_r(links, known, meetings=0)
-    usable &= ((share >= STRONG) & (links.r >= _BEST_OF_ONE * chance)) | (
-        links.r >= largest_null_r(links, known)
+    np.maximum.at(best, pairs.firsts, pairs.r)
+    np.maximum.at(best, pairs.seconds, pairs.r)
+    share = pairs.r / np.maximum(np.minimum(best[pairs.firsts], best[pairs.seconds]), 1e-300)
+    usable = (pairs.r >= NUMERICAL_ZERO) & (share >= MIN_RELATIVE_R)
+    chance = largest_null_r(pairs, sketch, meetings=0)
+    usable &= ((share >= STRONG_RELATIVE_R) & (pairs.r >= _SENSOR_OVER_ALL * chance)) | (
+        pairs.r >= largest_null_r(pairs, sketch)
     )
-    near = links.select(usable)
+    near = pairs.select(usable)
     near = near.select(_among_best(near, n_sensors, n_neighbours))
     edges = near.select(_borne_out(near, n_sensors))
     return SensorGraph(edges, component_labels(edges, n_sensors))
@@ -108,59 +107,59 @@ def _borne_out(links: SensorPairs, n_sensors: int) -> NDArray[np.bool_]:
 
 
 def bridge_components(
-    graph: SensorGraph, known: Sketch, chunks: Callable[[], Iterable[NDArray[Any]]]
+    graph: SensorGraph, sketch: Sketch, chunks: Callable[[], Iterable[NDArray[Any]]]
 ) -> tuple[SensorGraph, SensorPairs]:
-    """Look for links between pieces: r that is beyond what chance gives the best of all pairs.
+    """Link connected components by significant r.
 
     Parameters
     ----------
     graph : SensorGraph
-    known : Sketch
+    sketch : Sketch
     chunks : callable
-        Opens the frames that were sketched, from the first on.
+        Returns an iterator over the frames that were sketched.
 
     Returns
     -------
     graph : SensorGraph
-        Pieces that are left have nothing beyond chance in common, as far as their sketches tell.
-    looked_at : SensorPairs
-        All pairs that r was worked out for on the way.
+        Between its components the sketches suggest no significant r.
+    pairs : SensorPairs
+        All pairs whose r was computed.
 
     Notes
     -----
-    Sensors that share a rigid plate are so like one another that their nearest kin are all on it.
+    The sensors of a rigid plate are so similar that the nearest sensors of each are all on it.
     """
-    looked_at = graph.edges.select(np.zeros(len(graph.edges.r), dtype=bool))
-    for _ in range(ROUNDS):
-        outside = np.flatnonzero((graph.component > 0) & known.varying)
+    compared = graph.edges.select(np.zeros(len(graph.edges.r), dtype=bool))
+    for _ in range(MAX_BRIDGE_PASSES):
+        outside = np.flatnonzero((graph.component > 0) & sketch.varying)
         if not outside.size:
             break
-        logger.info("looking for relations of %d sensors with other pieces", outside.size)
+        logger.info("searching links of %d sensors to other components", outside.size)
         found, _ = most_similar(
-            known.projections, STRANGERS, groups=graph.component, sensors=outside
+            sketch.projections, N_OUTSIDE, groups=graph.component, sensors=outside
         )
-        links = correlations(chunks(), known, pairs_of(found, outside))
-        looked_at = looked_at.concatenate(links)
-        bridges = links.select(links.r >= largest_null_r(links, known))
+        links = correlations(chunks(), sketch, pairs_of(found, outside))
+        compared = compared.concatenate(links)
+        bridges = links.select(links.r >= largest_null_r(links, sketch))
         if not bridges.r.size:
             break
         edges = graph.edges.concatenate(bridges)
-        graph = SensorGraph(edges, component_labels(edges, len(known.mean)))
-    return graph, looked_at
+        graph = SensorGraph(edges, component_labels(edges, len(sketch.mean)))
+    return graph, compared
 
 
 def largest_null_r(
-    links: SensorPairs, known: Sketch, meetings: float = FEWEST_MEETINGS
+    pairs: SensorPairs, sketch: Sketch, meetings: float = CHANCE_MEETINGS
 ) -> NDArray[np.float64]:
-    """Tell which r the best of all unrelated pairs may reach by chance.
+    """Return the expected maximum r of all unrelated pairs of sensors like each given one.
 
     Parameters
     ----------
-    links : SensorPairs
-    known : Sketch
-        How often, and for how long, sensors were touched.
+    pairs : SensorPairs
+    sketch : Sketch
+        Number and duration of the contacts of each sensor.
     meetings : float
-        So many chance meetings more are allowed for, since few events are spread wider than many.
+        Number of additional coincident contacts to allow for.
 
     Returns
     -------
@@ -168,27 +167,27 @@ def largest_null_r(
 
     Notes
     -----
-    Two sensors that are touched c and c' times in T frames, for d and d' frames each, meet about
-    ``c c' (d + d') / T`` times by chance, and r grows by ``(c c')^(-1/2)`` with each. So its
-    standard deviation is ``((d + d') / T)^(1/2)``, as of so many independent frames; of P pairs the
-    best is ``(2 log P)^(1/2)`` deviations off.
+    Two sensors touched c and c' times in T frames, for d and d' frames each, are touched together
+    about ``c c' (d + d') / T`` times by coincidence, and each time raises r by ``(c c')^(-1/2)``.
+    The null standard deviation of r is therefore ``((d + d') / T)^(1/2)``, as of ``T / (d + d')``
+    independent frames; the maximum of P pairs is ``(2 log P)^(1/2)`` standard deviations.
     """
-    n_sensors = len(known.mean)
-    touched = np.maximum(known.contacts, 1)
-    duration = known.active_frames / touched
+    n_sensors = len(sketch.mean)
+    touched = np.maximum(sketch.contacts, 1)
+    duration = sketch.active_frames / touched
     deviations = np.sqrt(2 * np.log(max(n_sensors * (n_sensors - 1) / 2, 2)))
-    together = (duration[links.firsts] + duration[links.seconds]) / known.n_frames
-    contacts = np.sqrt(touched[links.firsts] * touched[links.seconds])
+    together = (duration[pairs.firsts] + duration[pairs.seconds]) / sketch.n_frames
+    contacts = np.sqrt(touched[pairs.firsts] * touched[pairs.seconds])
     return np.asarray(deviations * np.sqrt(together) + meetings / contacts)
 
 
-def edge_lengths(links: SensorPairs, edges: SensorPairs, mu: float) -> NDArray[np.float64]:
-    """Give the length of every edge: the regularised reciprocal of its r.
+def edge_lengths(pairs: SensorPairs, edges: SensorPairs, mu: float) -> NDArray[np.float64]:
+    """Return the length of every edge, the regularised reciprocal of its r.
 
     Parameters
     ----------
-    links : SensorPairs
-        All pairs that were looked at: the smallest positive r is one of theirs.
+    pairs : SensorPairs
+        All pairs whose r is known; they determine the smallest positive r.
     edges : SensorPairs
     mu : float
         See `anisomap.numerics.graph.dissimilarity.regularised_reciprocal`.
@@ -197,14 +196,14 @@ def edge_lengths(links: SensorPairs, edges: SensorPairs, mu: float) -> NDArray[n
     -------
     ndarray of shape (E,)
     """
-    smallest = float(links.r.min(where=links.r >= NUMERICAL_ZERO, initial=1.0))
+    smallest = float(pairs.r.min(where=pairs.r >= NUMERICAL_ZERO, initial=1.0))
     return np.asarray(1 / (edges.r + mu * smallest))
 
 
 def adjacency_matrix(
     edges: SensorPairs, lengths: NDArray[np.float64], n_sensors: int
 ) -> csr_array[np.float64, tuple[int, int]]:
-    """Give edges as a symmetric sparse matrix of their lengths, columns in increasing order."""
+    """Return the symmetric sparse matrix of edge lengths, with sorted column indices."""
     ends = np.concatenate([edges.firsts, edges.seconds])
     others = np.concatenate([edges.seconds, edges.firsts])
     graph = csr_array((np.tile(lengths, 2), (ends, others)), shape=(n_sensors, n_sensors))
@@ -213,13 +212,13 @@ def adjacency_matrix(
 
 
 def component_labels(edges: SensorPairs, n_sensors: int) -> NDArray[np.intp]:
-    """Tell which sensors hang together; see `SensorGraph.component`."""
+    """Return the connected component of each sensor; see `SensorGraph.component`."""
     graph = adjacency_matrix(edges, np.ones(len(edges.r)), n_sensors)
     return labels_by_size(connected_components(graph, directed=False)[1])
 
 
 def _among_best(links: SensorPairs, n_sensors: int, neighbours: int) -> NDArray[np.bool_]:
-    """Tell which pairs are among the best of either of their sensors."""
+    """Return the mask of pairs that are among the best of either sensor."""
     whose = np.concatenate([links.firsts, links.seconds])
     order = np.lexsort((-np.tile(links.r, 2), whose))
     begins = np.searchsorted(whose[order], np.arange(n_sensors))

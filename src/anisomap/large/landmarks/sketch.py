@@ -1,4 +1,4 @@
-"""One pass over all frames: what each sensor read, projected onto a few numbers."""
+"""Random projections and moments of the readings of each sensor, in one pass over all frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from anisomap.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """What one pass over T frames tells of N sensors.
+    """Summary of T frames of N sensors.
 
     Attributes
     ----------
@@ -23,15 +23,14 @@ class Sketch:
     mean, deviation : ndarray of shape (N,)
         Exact moments of the readings; the deviation is that of the population.
     varying : ndarray of bool, shape (N,)
-        Which sensors ever vary.
+        Whether each sensor ever varies.
     contacts : ndarray of int, shape (N,)
-        How many separate times each went beyond its first reading, to the side that it went to
-        more often.
+        Number of separate excursions from the first reading, on the side with more of them.
     active_frames : ndarray of int, shape (N,)
-        In how many frames it was there, or was not, whichever are fewer.
+        Number of frames on that side or of the others, whichever is smaller.
     projections : ndarray of float32, shape (N, s)
-        Rows whose inner products are r of the sensors on average over the random signs; of unit
-        length on average. 0 where a sensor never varies.
+        Rows whose inner products are r in expectation over the random signs. 0 where a sensor never
+        varies.
     """
 
     n_frames: int
@@ -44,16 +43,16 @@ class Sketch:
 
 
 def compute_sketch(chunks: Iterable[NDArray[Any]], size: int, rng: np.random.Generator) -> Sketch:
-    """Project the standardised readings of every sensor onto a few numbers.
+    """Sketch the standardised readings of every sensor.
 
     Parameters
     ----------
     chunks : iterable of ndarray, shape (t, N)
-        Finite readings, in the order of the frames.
+        Finite readings in temporal order.
     size : int
-        How many numbers, s.
+        Length s of a sketch.
     rng : numpy.random.Generator
-        Draws a number and a sign for every frame.
+        Draws a component and a sign for every frame.
 
     Returns
     -------
@@ -62,30 +61,30 @@ def compute_sketch(chunks: Iterable[NDArray[Any]], size: int, rng: np.random.Gen
     Raises
     ------
     InputError
-        If there is no frame.
+        If there are no frames.
 
     Notes
     -----
-    Every frame is added, with a random sign, to one of the s numbers, which takes one addition a
-    reading: the count sketch of Charikar, Chen & Farach-Colton (2004), Theoretical Computer Science
-    312: 3-15. Inner products of sketches are unbiased, with a variance of at most
-    ``(1 + r^2) / s`` (Weinberger et al. 2009, arXiv:0902.2206).
+    Each frame is added, with a random sign, to one of the s components: the count sketch of
+    Charikar, Chen & Farach-Colton (2004), Theoretical Computer Science 312: 3-15. Inner products of
+    sketches are unbiased, with a variance of at most ``(1 + r^2) / s`` (Weinberger et al. 2009,
+    arXiv:0902.2206).
     """
-    found: _Running | None = None
-    # A source of its own for each, so that it does not matter how frames are cut into chunks.
+    found: _RunningSketch | None = None
+    # Separate streams, so that the result does not depend on how frames are divided into chunks.
     draw_place, draw_sign = rng.spawn(2)
     for chunk in chunks:
         if found is None:
-            found = _Running(chunk[0], size)
+            found = _RunningSketch(chunk[0], size)
         places = draw_place.integers(size, size=len(chunk))
         found.add(chunk, places, np.where(draw_sign.random(len(chunk)) < 0.5, -1.0, 1.0))
     if found is None:
-        raise InputError("there is no frame to make a map of")
+        raise InputError("the recording has no frames")
     return found.finished()
 
 
-class _Running:
-    """Sums over the frames so far, of readings less the first, which is at rest for most."""
+class _RunningSketch:
+    """Sums over the frames so far of readings relative to the first, which is mostly at rest."""
 
     def __init__(self, first: NDArray[Any], size: int) -> None:
         n_sensors = len(first)
@@ -93,10 +92,10 @@ class _Running:
         self.first = first.astype(np.float64)
         self.sums, self.squares = np.zeros((2, n_sensors))
         self.varying = np.zeros(n_sensors, dtype=bool)
-        # Above and below the first reading.
+        # Rows: above and below the first reading.
         self.beyond, self.crossings = np.zeros((2, 2, n_sensors), dtype=np.int64)
         self.was_beyond = np.zeros((2, n_sensors), dtype=bool)
-        self.weights = np.zeros(size)  # what a sensor that always reads 1 is projected onto
+        self.weights = np.zeros(size)  # sketch of a constant reading of 1
         self.projections = np.zeros((size, n_sensors), dtype=np.float32)
 
     def add(
@@ -113,11 +112,11 @@ class _Running:
             self.crossings[side] += np.count_nonzero(beyond[1:] & ~beyond[:-1], axis=0)
             self.was_beyond[side] = beyond[-1]
         used, rows = np.unique(places, return_inverse=True)
-        spread = csr_array(
+        projection = csr_array(
             (signs.astype(np.float32), (rows, np.arange(len(chunk)))),
             shape=(len(used), len(chunk)),
         )
-        self.projections[used] += spread @ values.astype(np.float32)
+        self.projections[used] += projection @ values.astype(np.float32)
         self.weights += np.bincount(places, signs, minlength=len(self.weights))
 
     def finished(self) -> Sketch:
