@@ -90,18 +90,18 @@ def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> Sensor
     )
     near = pairs.select(usable)
     near = near.select(_among_best(near, n_sensors, n_neighbours))
-    edges = near.select(_borne_out(near, n_sensors))
+    edges = near.select(_share_neighbours(near, n_sensors))
     return SensorGraph(edges, component_labels(edges, n_sensors))
 
 
-def _borne_out(links: SensorPairs, n_sensors: int) -> NDArray[np.bool_]:
-    """Tell which links join sensors that have neighbours in common."""
-    graph = adjacency_matrix(links, np.arange(1.0, len(links.r) + 1), n_sensors)
+def _share_neighbours(pairs: SensorPairs, n_sensors: int) -> NDArray[np.bool_]:
+    """Return the mask of pairs that share enough neighbours in the graph of all pairs."""
+    graph = adjacency_matrix(pairs, np.arange(1.0, len(pairs.r) + 1), n_sensors)
     shared = count_shared_neighbours(graph)
     starts, ends = graph.tocoo().coords
     degrees = np.diff(graph.indptr)
     enough = shared >= MIN_SHARED * (np.minimum(degrees[starts], degrees[ends]) - 1)
-    found = np.zeros(len(links.r), dtype=bool)
+    found = np.zeros(len(pairs.r), dtype=bool)
     found[graph.data[enough].astype(np.int64) - 1] = True
     return found
 
