@@ -1,4 +1,4 @@
-"""A map's scale and side."""
+"""Scale, handedness and normals of a map."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from anisomap.errors import InputError
 from anisomap.evaluation import align
 from anisomap.placement import (
+    median_spacing,
     mirrored,
-    normals_of,
     parse_length,
     scaled_to_spacing,
-    spacing_of,
-    taxels,
+    surface_normals,
+    to_taxels,
 )
 from anisomap.sensor_map import SensorMap
 
@@ -28,7 +28,7 @@ def some_map(seed: int, n_sensors: int = 20, dimensions: int = 3) -> SensorMap:
 def test_scaling_sets_the_spacing_and_keeps_the_shape(seed: int, spacing: float) -> None:
     before = some_map(seed)
     after = scaled_to_spacing(before, spacing, "mm")
-    assert spacing_of(after) == pytest.approx(spacing)
+    assert median_spacing(after) == pytest.approx(spacing)
     assert after.units == "mm"
     factor = after.provenance["scale"]
     np.testing.assert_allclose(after.positions, factor * before.positions)
@@ -39,31 +39,31 @@ def test_a_mirrored_map_is_a_reflection_and_twice_is_the_map(seed: int, dimensio
     before = some_map(seed, dimensions=dimensions)
     after = mirrored(before)
     assert align(after.positions, before.positions).reflected
-    assert after.provenance["mirrored"] is True
+    assert after.mirrored is True
     again = mirrored(after)
     np.testing.assert_array_equal(again.positions, before.positions)
-    assert again.provenance["mirrored"] is False
+    assert again.mirrored is False
 
 
-def test_pieces_are_scaled_together_and_have_normals_of_their_own() -> None:
+def test_components_share_a_scale_and_have_separate_normals() -> None:
     grid = np.stack(np.meshgrid(np.arange(4.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
     positions = np.vstack([grid, grid[:, ::-1] + 0.1, [[np.nan, np.nan]]])
     found = SensorMap(positions, component=[0] * 16 + [1] * 16 + [-1])
-    assert spacing_of(found) == 1  # sensors of the other piece are no neighbours
-    assert spacing_of(scaled_to_spacing(found, 6.5, "mm")) == pytest.approx(6.5)
-    normals = normals_of(found)
+    assert median_spacing(found) == 1  # sensors of the other component are not neighbours
+    assert median_spacing(scaled_to_spacing(found, 6.5, "mm")) == pytest.approx(6.5)
+    normals = surface_normals(found)
     np.testing.assert_array_equal(normals[:32], np.tile([0, 0, 1], (32, 1)))
     assert np.isnan(normals[32]).all()
 
 
 def test_taxels_are_in_metres_and_their_frames_have_z_along_the_normal() -> None:
-    skin = taxels(scaled_to_spacing(some_map(3), 4.0, "mm"), "a test")
+    skin = to_taxels(scaled_to_spacing(some_map(3), 4.0, "mm"), "a test")
     assert skin.frame == "skin"
     frames = skin.rotations.as_matrix()
     np.testing.assert_allclose(frames[:, :, 2], skin.normals, atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(frames), 1)
     spaced = SensorMap(skin.positions)
-    assert spacing_of(spaced) == pytest.approx(0.004)
+    assert median_spacing(spaced) == pytest.approx(0.004)
 
 
 @pytest.mark.parametrize(
@@ -75,20 +75,22 @@ def test_lengths_are_read(text: str, expected: tuple[float, str]) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "6.5", "mm", "-1mm", "0m", "6.5 furlong", "1e999m", "--mm"])
-def test_what_is_no_length_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="is no length; write a positive number and a unit"):
+def test_malformed_lengths_are_rejected(text: str) -> None:
+    with pytest.raises(InputError, match="is not a length; write a positive number and a unit"):
         parse_length(text)
 
 
-def test_what_cannot_be_placed_is_refused() -> None:
-    with pytest.raises(InputError, match=r"a test is in metres, but the map has no scale"):
-        taxels(some_map(0), "a test")
-    in_pieces = SensorMap(np.eye(3), component=[0, 0, 1], units="mm")
-    with pytest.raises(InputError, match="is in 2 pieces"):
-        taxels(in_pieces, "a test")
-    with pytest.raises(InputError, match="space has three"):
-        taxels(SensorMap(np.eye(4), units="m"), "a test")
-    with pytest.raises(InputError, match="no two sensors apart"):
-        spacing_of(SensorMap(np.zeros((3, 2))))
-    with pytest.raises(InputError, match="spacing is -1"):
+def test_maps_without_poses_in_metres_are_rejected() -> None:
+    with pytest.raises(
+        InputError, match="a test needs positions in metres, but the unit of the map is"
+    ):
+        to_taxels(some_map(0), "a test")
+    disconnected = SensorMap(np.eye(3), component=[0, 0, 1], units="mm")
+    with pytest.raises(InputError, match="the map has 2, and their relative poses are unknown"):
+        to_taxels(disconnected, "a test")
+    with pytest.raises(InputError, match="at most 3 dimensions, got 4"):
+        to_taxels(SensorMap(np.eye(4), units="m"), "a test")
+    with pytest.raises(InputError, match="spacing of the map is undefined"):
+        median_spacing(SensorMap(np.zeros((3, 2))))
+    with pytest.raises(InputError, match="spacing must be a positive number, got -1"):
         scaled_to_spacing(some_map(0), -1, "mm")

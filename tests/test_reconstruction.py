@@ -19,7 +19,7 @@ from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.correlation import pearson
-from anisomap.placement import spacing_of
+from anisomap.placement import median_spacing
 from skins import flat_skin, lattice, rubbed, seeing_patch
 
 QUICK = MethodOptions(contacts=ContactOptions(max_readings=6000))
@@ -242,7 +242,7 @@ def test_pieces_come_in_one_unit():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AnisomapWarning)
             made = reconstruct(both, dimensions=2, judge=False)
-        spacings = [spacing_of(piece) for piece in made.split() if piece.n_sensors > 3]
+        spacings = [median_spacing(piece) for piece in made.split() if piece.n_sensors > 3]
         assert max(spacings) < 2 * min(spacings)
 
 

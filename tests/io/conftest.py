@@ -47,7 +47,6 @@ def sensor_map() -> SensorMap:
         names=NAMES,
         component=[0, 0, 1, -1, 0],
         health=("ok", "noisy", "ok", "dead", "ok"),
-        excluded=[False, True, False, False, False],
         method="r-anisomap",
         stress=0.0625,
         confidence=0.96875,
@@ -169,6 +168,7 @@ def _images(path: Path) -> None:
 RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "skin.npz": ("npz", None),
     "numpy.npz": ("npz", _archive),
+    "skin.npy": ("npy", lambda path: np.save(path, _readings())),
     "skin.csv": ("text", None),
     "skin.tsv": ("text", None),
     "foreign.csv": ("text", _foreign),

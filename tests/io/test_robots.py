@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.placement import normals_of
+from anisomap.placement import surface_normals
 from anisomap.sensor_map import SensorMap
 
 IN_METRES = (".urdf", ".xacro", ".mjcf", ".xml", ".launch.xml", ".icub.txt")
@@ -43,7 +43,7 @@ def dome(n_sensors: int = 60) -> SensorMap:
         40 * points,
         names=tuple(f"taxel{3 * i + 1}" for i in turn),
         units="mm",
-        provenance={"frame": "l_hand"},
+        frame="l_hand",
     )
 
 
@@ -89,7 +89,7 @@ def test_mujoco_compiles_the_model_and_finds_the_sites_where_they_are(tmp_path: 
     assert names == dome().names
     np.testing.assert_allclose(data.site_xpos, dome().positions / 1000, atol=1e-9)
     z = data.site_xmat.reshape(-1, 3, 3)[:, :, 2]
-    np.testing.assert_allclose(z, normals_of(dome()), atol=1e-9)
+    np.testing.assert_allclose(z, surface_normals(dome()), atol=1e-9)
 
 
 def test_mujoco_reads_the_robot_description(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_urdf_parser_finds_the_frames_where_they_are(tmp_path: Path) -> None:
     robot = yourdfpy.URDF.load(str(path), build_scene_graph=True, load_meshes=False)
     assert robot.base_link == "l_hand"
     for name, place, normal in zip(
-        dome().names, dome().positions / 1000, normals_of(dome()), strict=True
+        dome().names, dome().positions / 1000, surface_normals(dome()), strict=True
     ):
         pose = robot.get_transform(name, "l_hand")
         np.testing.assert_allclose(pose[:3, 3], place, atol=1e-9)
@@ -125,14 +125,14 @@ def test_the_tactile_element_has_all_that_is_mandatory(tmp_path: Path) -> None:
     assert [int(taxel.get("idx")) for taxel in taxels] == list(range(60))
     turns = [[float(v) for v in taxel.get("rpy").split()] for taxel in taxels]
     z = Rotation.from_euler("xyz", turns).as_matrix()[:, :, 2]
-    np.testing.assert_allclose(z, normals_of(dome()), atol=1e-9)
+    np.testing.assert_allclose(z, surface_normals(dome()), atol=1e-9)
     assert all(taxel.find("geometry/sphere").get("radius") for taxel in taxels)
     names = [link.get("name") for link in root.iter("link")]
     assert len(set(names)) == len(names)
 
 
 def test_many_frames_are_warned_of(tmp_path: Path) -> None:
-    with pytest.warns(AnisomapWarning, match="101 sensors make as many frames"):
+    with pytest.warns(AnisomapWarning, match="101 frames, one per sensor"):
         io.write(dome(101), tmp_path / "skin.urdf")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -199,7 +199,7 @@ def test_viewers_of_clouds_read_points_and_normals(tmp_path: Path) -> None:
     assert header["FIELDS"] == ["x", "y", "z", "normal_x", "normal_y", "normal_z"]
     rows = np.array([line.split() for line in lines[lines.index("DATA ascii") + 1 :]], dtype=float)
     np.testing.assert_array_equal(rows[:, :3], dome().positions)
-    np.testing.assert_array_equal(rows[:, 3:], normals_of(dome()))
+    np.testing.assert_array_equal(rows[:, 3:], surface_normals(dome()))
     io.write(dome(), tmp_path / "skin.ply")
     meshio = pytest.importorskip("meshio", reason="an independent reader of PLY")
     cloud = meshio.read(tmp_path / "skin.ply")
@@ -209,22 +209,43 @@ def test_viewers_of_clouds_read_points_and_normals(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", IN_METRES)
-def test_a_map_without_scale_or_in_pieces_is_refused_and_nothing_is_written(
+def test_a_map_without_scale_or_with_two_components_is_rejected(
     suffix: str, tmp_path: Path
 ) -> None:
     path = tmp_path / f"skin{suffix}"
     assert io.needs_scale(path)
-    with pytest.raises(InputError, match="the map has no scale"):
+    with pytest.raises(InputError, match="needs positions in metres"):
         io.write(SensorMap(np.eye(3)), path)
-    with pytest.raises(InputError, match="is in 2 pieces"):
+    with pytest.raises(InputError, match=r"the map has 2, .*write_components"):
         io.write(SensorMap(np.eye(3), component=[0, 0, 1], units="m"), path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".urdf", ".launch.xml", ".npz"])
+def test_components_are_written_to_files_of_their_own(suffix: str, tmp_path: Path) -> None:
+    positions = np.vstack([np.eye(3), 2 * np.eye(3), np.full((1, 3), np.nan)])
+    skin = SensorMap(positions, component=[1, 0, 0, 1, 0, 1, -1], units="m")
+    files = io.write_components(skin, tmp_path / f"skin{suffix}")
+    assert [file.name for file in files] == [f"skin-1{suffix}", f"skin-2{suffix}"]
+    assert sorted(tmp_path.iterdir()) == sorted(files)
+    if suffix != ".launch.xml":
+        found = [io.read_map(file) for file in files]
+        assert [one.names for one in found] == [("s1", "s2", "s4"), ("s0", "s3", "s5")]
+        np.testing.assert_array_equal(found[1].positions, positions[[0, 3, 5]])
+        assert all((one.component == 0).all() for one in found)
+
+
+def test_components_need_a_format_and_a_placed_sensor(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="unknown suffix"):
+        io.write_components(dome(), tmp_path / "skin.xyz")
+    with pytest.raises(InputError, match="no placed sensor"):
+        io.write_components(SensorMap(np.full((2, 2), np.nan)), tmp_path / "skin.csv")
 
 
 @pytest.mark.parametrize("suffix", [".urdf", ".mjcf", ".launch.xml"])
 def test_names_that_xml_cannot_hold_are_refused(suffix: str, tmp_path: Path) -> None:
     skin = SensorMap(np.eye(3), names=["a", "b\x07", "c"], units="m")
-    with pytest.raises(FileError, match="XML cannot hold the name"):
+    with pytest.raises(FileError, match="cannot represent the name"):
         io.write(skin, tmp_path / f"skin{suffix}")
 
 
@@ -245,30 +266,30 @@ JOINT = '<joint name="{0}j" type="fixed"><parent link="{1}"/><child link="{0}"/>
         (
             "a.urdf",
             ROBOT.format(JOINT.format("b", "a", "") + JOINT.format("c", "b", "")),
-            "its fixed frames have 2 parents",
+            "one parent link, got 2",
         ),
         ("a.urdf", "<robot><link", "damaged or cut short"),
         ("a.xml", "<mujoco><worldbody/></mujoco>", "holds no sites"),
         (
             "a.xml",
             '<mujoco><body><site/></body><body name="b"><site/></body></mujoco>',
-            "its sites belong to 2 bodies",
+            "one body, got 2 bodies",
         ),
         (
             "a.xml",
             '<!DOCTYPE m [<!ENTITY a "aaaa">]><mujoco><site name="&a;"/></mujoco>',
             "damaged or cut short",
         ),
-        ("a.pcd", "VERSION 0.7\nFIELDS x y z\nPOINTS 1\nDATA binary\n", "save it as ASCII"),
+        ("a.pcd", "VERSION 0.7\nFIELDS x y z\nPOINTS 1\nDATA binary\n", "must be ascii"),
         ("a.pcd", "VERSION 0.7\nFIELDS x y z\nPOINTS 2\nDATA ascii\n0 0 0\n", "announces 2 points"),
-        ("a.pcd", "VERSION 0.7\nFIELDS x y\nPOINTS 1\nDATA ascii\n0 0\n", "without points that"),
+        ("a.pcd", "VERSION 0.7\nFIELDS x y\nPOINTS 1\nDATA ascii\n0 0\n", "no points with"),
         ("a.pcd", "VERSION 0.7\nFIELDS x y z\nPOINTS 1\nDATA ascii\n0 0 w\n", "line 5, column 3"),
-        ("a.pcd", "VERSION 0.7\nFIELDS x y z\n", "ends before the data"),
-        ("a.txt", "taxel2Repr ( 0 )\n", "has no line .calibration."),
+        ("a.pcd", "VERSION 0.7\nFIELDS x y z\n", "ends within its PCD header"),
+        ("a.txt", "taxel2Repr ( 0 )\n", "lacks the line .calibration."),
         ("a.txt", "taxel2Repr ( 0 )\n[calibration]\n0 0 0 0 0 0\n", "holds no taxel"),
-        ("a.txt", "taxel2Repr ( 0 )\n[calibration]\n1 0 0\n", "line 3 has 3 numbers"),
+        ("a.txt", "taxel2Repr ( 0 )\n[calibration]\n1 0 0\n", "line 3 has 3 fields"),
         ("a.txt", "taxel2Repr ( 0 )\n[calibration]\n1 0 0 0 0 z\n", "line 3"),
-        ("a.txt", "taxel2Repr\n[calibration]\n1 0 0 0 0 0\n", "between brackets"),
+        ("a.txt", "taxel2Repr\n[calibration]\n1 0 0 0 0 0\n", "in brackets"),
     ],
 )
 def test_what_is_no_skin_is_refused(put, name: str, content: str, message: str) -> None:
@@ -295,4 +316,4 @@ def test_points_of_a_mesh_viewer_have_the_normals_of_the_map(tmp_path: Path) -> 
     io.write(dome(), tmp_path / "skin.ply")
     cloud = meshio.read(tmp_path / "skin.ply")
     normals = np.column_stack([cloud.point_data[name] for name in ("nx", "ny", "nz")])
-    np.testing.assert_array_equal(normals, normals_of(dome()))
+    np.testing.assert_array_equal(normals, surface_normals(dome()))

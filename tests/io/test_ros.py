@@ -166,7 +166,7 @@ def test_ranges_of_several_topics_are_joined(bag: Bag, tmp_path: Path) -> None:
             )
             bag.add(f"/range/{n}", message, i)
     path = bag.write(tmp_path / f"run.{bag.kind}")
-    with pytest.raises(io.ChoiceError, match="6 topics"):
+    with pytest.raises(io.ChoiceError, match="6 possible recordings"):
         io.read(path)
     found = io.read(path, options=select("/range/*"))
     np.testing.assert_array_equal(found.readings, READINGS)
@@ -184,13 +184,13 @@ def test_fields_of_unknown_messages(bag: Bag, tmp_path: Path) -> None:
         message = bag.make("lab_msgs/Mixed", skin=row, joints=row[:2], temperature=30.0)
         bag.add("/lab", message, i)
     path = bag.write(tmp_path / f"run.{bag.kind}")
-    with pytest.raises(FileError, match=r"choose a field of /lab .*it has skin, joints"):
+    with pytest.raises(FileError, match=r"choose a field of /lab .*fields: skin, joints"):
         io.read(path)
     found = io.read(path, options=select("/lab:skin"))
     np.testing.assert_array_equal(found.readings, READINGS)
     with pytest.raises(FileError, match="no attribute 'palm'"):
         io.read(path, options=select("/lab:palm"))
-    with pytest.raises(FileError, match=r"no topic '/nothing'; it holds /lab \(lab_msgs"):
+    with pytest.raises(FileError, match=r"no topic '/nothing'; the file holds /lab \(lab_msgs"):
         io.read(path, options=select("/nothing"))
 
 
@@ -227,7 +227,7 @@ def test_definitions_by_hand(tmp_path: Path) -> None:
     tactile_state(bag)
     path = bag.write(tmp_path / "run.db3")
     forget_definitions(path)
-    with pytest.raises(FileError, match=r"does not define .*TactileState.*--msg"):
+    with pytest.raises(FileError, match=r"lacks the definition of .*TactileState.*--msg"):
         io.read(path, options=select("/tactile"))
     file = tmp_path / "tactile_msgs" / "msg" / "TactileState.msg"
     file.parent.mkdir(parents=True)
@@ -238,7 +238,7 @@ def test_definitions_by_hand(tmp_path: Path) -> None:
         found = io.read(path, options=select("/tactile", definition))
         np.testing.assert_array_equal(found.readings, READINGS)
     (tmp_path / "State.msg").write_text(file.read_text())
-    with pytest.raises(FileError, match="does not say which package"):
+    with pytest.raises(FileError, match=r"package of .* is unknown"):
         io.read(path, options=select("/tactile", tmp_path / "State.msg"))
 
 
@@ -264,7 +264,7 @@ def test_a_bag_without_an_end_gives_what_is_whole(tmp_path: Path, kind: str) -> 
     read = []
     for share in (0.4, 0.7, 0.999):
         path.write_bytes(whole[: int(share * len(whole))])
-        with pytest.warns(AnisomapWarning, match=r"cut off or never closed: its last \d+ of \d+"):
+        with pytest.warns(AnisomapWarning, match=r"not closed: .* the last \d+ of \d+"):
             found = io.read(path, options=select("/skin"))
         np.testing.assert_array_equal(found.readings, rows[1 : found.n_frames + 1])
         read.append(found.n_frames)
@@ -282,7 +282,7 @@ def test_a_bag_that_was_never_closed(tmp_path: Path) -> None:
     at = whole.index(b"index_pos=") + len("index_pos=")
     end = int.from_bytes(whole[at : at + 8], "little")
     path.write_bytes(whole[:at] + bytes(8) + whole[at + 8 : end])
-    with pytest.warns(AnisomapWarning, match="never closed: its last 0 of"):
+    with pytest.warns(AnisomapWarning, match="not closed: .* the last 0 of"):
         np.testing.assert_array_equal(io.read(path).readings, READINGS)
 
 
@@ -296,8 +296,8 @@ def test_chunks_made_to_fill_memory(
     for i in range(20):
         bag.add("/skin", bag.array(np.zeros(20_000)), i)
     path = bag.write(tmp_path / f"run.{kind}", packed)
-    monkeypatch.setattr("anisomap.io.parsing.source._SUSPICIOUS_BYTES", 1 << 18)
-    monkeypatch.setattr("anisomap.io.parsing.source._SUSPICIOUS_RATIO", 20)
+    monkeypatch.setattr("anisomap.io.parsing.source.MIN_CHECKED_BYTES", 1 << 18)
+    monkeypatch.setattr("anisomap.io.parsing.source.MAX_RATIO", 20)
     if kind == "mcap":
         assert io.read(path).n_frames == 20, "what is not packed is no bomb"
         return
@@ -305,5 +305,5 @@ def test_chunks_made_to_fill_memory(
         path.write_bytes(path.read_bytes()[:-100])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)
-        with pytest.raises(FileError, match="made to fill memory"):
+        with pytest.raises(FileError, match="decompression bomb"):
             io.read(path)

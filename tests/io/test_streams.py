@@ -38,13 +38,13 @@ def test_progress_only_goes_on_and_ends_at_all(recording_file: Path) -> None:
     io.read(recording_file, progress=told.append)
     assert told
     assert all(a <= b for a, b in itertools.pairwise(told))
-    assert all(0 <= share <= 1 for share in told)
+    assert all(0 <= fraction <= 1 for fraction in told)
     assert told[-1] == pytest.approx(1, abs=0.01)
 
 
 def test_blocks_hold_something(recording_file: Path) -> None:
     with (
-        pytest.raises(InputError, match="blocks of 0 frames"),
+        pytest.raises(InputError, match="frames must be at least 1, got 0"),
         io.open_stream(recording_file, frames=0),
     ):
         pass
@@ -121,6 +121,7 @@ LARGE = {
     "skin.csv.gz": lambda readings, path: _text(readings, path, packed=True),
     "data.log": lambda readings, path: _text(readings, path, stamps=True),
     "skin.npz": _npz,
+    "skin.npy": lambda readings, path: np.save(path, readings),
     "float64.npz": lambda readings, path: _npz(readings, path, np.float64),
     "skin.h5": _hdf5,
     "skin.parquet": _parquet,
@@ -142,11 +143,11 @@ def test_memory(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["x.csv", "data.log"])
 def test_gzip_bombs_are_not_unpacked(tmp_path: Path, monkeypatch, name: str) -> None:
-    monkeypatch.setattr("anisomap.io.parsing.source._SUSPICIOUS_BYTES", 1 << 20)
+    monkeypatch.setattr("anisomap.io.parsing.source.MIN_CHECKED_BYTES", 1 << 20)
     start = "0,0,0\n" if name == "x.csv" else "0 1300000000.5 0 0\n"
     packed = gzip.compress(start.encode() + b"\n" * (1 << 22))
     (tmp_path / name).write_bytes(packed)
-    with pytest.raises(FileError, match="made to fill memory"):
+    with pytest.raises(FileError, match="decompression bomb"):
         io.read(tmp_path / name)
 
 

@@ -161,6 +161,83 @@ def test_counter_column_by_name(put: Put, name: str) -> None:
     assert found.times is None
 
 
+@pytest.mark.parametrize("name", ["Zeit", "zeit_ms", "Zeitstempel [ms]", "temps", "\u65f6\u95f4"])
+def test_time_columns_in_other_languages(put: Put, name: str) -> None:
+    times = np.arange(30) * 0.02
+    scale = 1e3 if "ms" in name else 1
+    rows = np.column_stack([times * scale, READINGS])
+    found = io.read(put("skin.csv", f"{name},a,b,c,d\n" + table(rows)))
+    assert found.names == ("a", "b", "c", "d")
+    np.testing.assert_allclose(found.times, times, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("header", "role"),
+    [
+        ("host_time,a,b,c,d", "time"),
+        ("a,ros time ms,b,c,d", "time"),
+        ("clock,s0,s1,s2,s3", "time"),
+        ("Messung,s0,s1,s2,s3", "a frame counter"),
+        ("nr,clock,s0,s1,s2,s3", "time"),
+    ],
+)
+def test_steady_columns_with_other_names_are_taken_with_a_warning(
+    put: Put, header: str, role: str
+) -> None:
+    names = header.split(",")
+    count, clock = np.arange(3, 33), np.arange(30) * 0.02
+    columns = dict(zip([n for n in names if n in "abcd" or n[0] == "s"], READINGS.T, strict=True))
+    columns |= {"Messung": count, "nr": count}
+    rows = np.column_stack([columns.get(name, clock) for name in names])
+    with pytest.warns(AnisomapWarning, match=rf"increases steadily and is taken as {role}"):
+        found = io.read(put("skin.csv", header + "\n" + table(rows)))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert (found.times is not None) == (role == "time")
+
+
+def test_steady_sensors_named_like_the_others_stay(put: Put) -> None:
+    ramp = np.column_stack([np.arange(30) * 0.02, READINGS])
+    for header in ("s0,s1,s2,s3,s4", "left,a,b,c,d", "thumb,index1,ring2,palm3,palm4"):
+        found = io.read(put("skin.csv", header + "\n" + table(ramp)))
+        np.testing.assert_array_equal(found.readings, ramp)
+
+
+@pytest.mark.parametrize("header", ["", "label{0}a{0}b{0}c{0}d{0}note\n"])
+@pytest.mark.parametrize("dialect", [(",", "."), (";", ","), ("\t", "."), (" ", ".")])
+def test_columns_of_text_are_skipped(put: Put, header: str, dialect: tuple[str, str]) -> None:
+    delimiter, decimal = dialect
+    lines = table(READINGS, delimiter, "\n", decimal).splitlines()
+    rows = "".join(f"rest{delimiter}{line}{delimiter}x1\n" for line in lines)
+    with pytest.warns(AnisomapWarning, match=r"skipped text.* in column 1 .*, column 6 "):
+        found = io.read(put("skin.csv", header.format(delimiter) + rows))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == (("a", "b", "c", "d") if header else ("s0", "s1", "s2", "s3"))
+    assert "column 6" in found.metadata["text_columns"]
+
+
+def test_times_as_text_and_missing_labels(put: Put) -> None:
+    rows = [f"2024-05-01T12:00:{i:02d},{i % 3},{'' if i else 'wet'}" for i in range(30)]
+    rows[7] += "dry"
+    with pytest.warns(AnisomapWarning, match=r"column 1 \(time\), column 3 \(label\)"):
+        found = io.read(put("skin.csv", "time,a,label\n" + "\n".join(rows) + "\n"))
+    assert found.names == ("a",)
+    assert found.times is None
+
+
+def test_single_cells_of_text_stay_errors(put: Put) -> None:
+    rows = ["1,2,x"] * 20
+    rows[9] = "1,oops,x"
+    with pytest.warns(AnisomapWarning, match="skipped text"):
+        message = read_error(put("skin.csv", "a,b,c\n" + "\n".join(rows)))
+    assert "line 11, column 2 (b): 'oops' is not a number" in message
+    rows[9:] = ["1,2,x"] * 2000
+    rows[1500] = "1,2,7"
+    with pytest.warns(AnisomapWarning, match="skipped text"):
+        message = read_error(put("skin.csv", "a,b,c\n" + "\n".join(rows)))
+    assert "line 1502, column 3 (c): '7' is a number in a column of text" in message
+    assert "is not a number" in read_error(put("skin.csv", "a,b\nx,y\nz,w\n"))
+
+
 def test_a_finger_called_index_stays(put: Put) -> None:
     found = io.read(put("hand.csv", "index,thumb,middle,ring\n" + table(READINGS)))
     assert found.names == ("index", "thumb", "middle", "ring")
@@ -283,7 +360,7 @@ def test_long_text_is_quoted_in_short(put: Put) -> None:
 
 
 def test_header_only(put: Put) -> None:
-    assert "holds a header and nothing below it" in read_error(put("x.csv", "a,b,c\n"))
+    assert "holds only a header" in read_error(put("x.csv", "a,b,c\n"))
     assert "no line of numbers" in read_error(put("x.csv", "# a comment\n\n"))
 
 
@@ -326,7 +403,7 @@ def test_of_a_gzip_that_ends_early_all_that_is_whole_is_read(put: Put) -> None:
 
 
 def test_a_last_line_that_was_cut_off(put: Put) -> None:
-    with pytest.warns(AnisomapWarning, match=r"last line \(4\) was cut off in field 2 of 3"):
+    with pytest.warns(AnisomapWarning, match=r"last line \(4\) is truncated in field 2 of 3"):
         found = io.read(put("x.csv", "a,b,c\n1,2,3\n4,5,6\n7,8"))
     assert found.readings.tolist() == [[1, 2, 3], [4, 5, 6]]
     with pytest.warns(AnisomapWarning, match="field 3 of 3"):
@@ -337,7 +414,7 @@ def test_a_last_line_that_was_cut_off(put: Put) -> None:
 
 
 def test_quotation_marks_that_never_end(put: Put) -> None:
-    assert "quotation marks" in read_error(put("x.csv", 'a,"b\n' + "1,2\n" * 10))
+    assert "unbalanced quotation marks" in read_error(put("x.csv", 'a,"b\n' + "1,2\n" * 10))
 
 
 @given(st.floats(allow_nan=False) | st.integers(-(10**6), 10**6))

@@ -67,6 +67,13 @@ def test_unknown_positions(put: Put) -> None:
     assert found.names == ("a", "b", "c")
 
 
+def test_a_column_of_older_maps_is_ignored(put: Put) -> None:
+    text = "name,x,y,component,health,excluded\na,1,2,0,ok,1\nb,3,4,0,dead,0\n"
+    found = io.read_map(put("map.csv", text))
+    np.testing.assert_array_equal(found.positions, [[1, 2], [3, 4]])
+    assert found.health == ("ok", "dead")
+
+
 def test_trailing_delimiters(put: Put) -> None:
     found = io.read_map(put("truth.csv", "x,y,\n1,2,\n3,4,\n"))
     np.testing.assert_array_equal(found.positions, [[1, 2], [3, 4]])
@@ -78,23 +85,22 @@ def test_trailing_delimiters(put: Put) -> None:
         ("name,x,y\na,1,2\nb,one,2\n", "line 3, column 2: 'one' is not a number"),
         ("x,y\n1,2\n3,4\n5\n", "line 4 has 1 fields, but line 1 has 2"),
         ("1,2\n3,4\n5,6,7\n", "line 3 has 3 fields, but line 1 has 2"),
-        ("x,y,z\n", "a header and nothing below it"),
+        ("x,y,z\n", "holds only a header"),
         ("# nothing\n", "no line of positions"),
         ("a,b,c,d\n1,2,3,4\n", "no columns x and y"),
         ("1,2,3,4\n5,6,7,8\n", "no columns x and y"),
         ("name,x,y\na,1,2\na,3,4\n", "unique"),
         (
-            "name,x,y,component,health,excluded\na,1,2,zero,ok,0\n",
-            "column 4: 'zero' is not a whole",
+            "name,x,y,component,health\na,1,2,zero,ok\n",
+            "column 4: 'zero' is not an integer",
         ),
         (
-            "name,x,y,component,health,excluded\na,1,2,0,ok,maybe\n",
-            "column 6: 'maybe' is not 0 or 1",
+            "name,x,y,component,health\na,1,2,5,ok\n",
+            "components must be numbered",
         ),
-        ("name,x,y,component,health,excluded\na,1,2,5,ok,0\n", "components must count from 0"),
-        ("name,x,y,component,health,excluded\na,1,2,-1,ok,0\n", "finite position"),
-        (f"name,x,y,component,health,excluded\na,1,2,{10**30},ok,0\n", "too large"),
-        ('name,x,y\n"a,1,2\n', "quotation marks"),
+        ("name,x,y,component,health\na,1,2,-1,ok\n", "finite position"),
+        (f"name,x,y,component,health\na,1,2,{10**30},ok\n", "too large"),
+        ('name,x,y\n"a,1,2\n', "unbalanced quotation marks"),
     ],
 )
 def test_bad_tables(put: Put, text: str, message: str) -> None:
@@ -117,22 +123,24 @@ def test_json_needs_no_more_than_positions(put: Put) -> None:
 @pytest.mark.parametrize(
     ("document", "message"),
     [
-        ({}, "no list of sensors"),
-        ({"sensors": []}, "no list of sensors"),
-        ({"sensors": {"a": 1}}, "no list of sensors"),
+        ({}, "without a list of sensors"),
+        ({"sensors": []}, "without a list of sensors"),
+        ({"sensors": {"a": 1}}, "without a list of sensors"),
         ({"sensors": [1]}, "sensor 0: must be an object"),
-        ({"sensors": [{"name": "a"}]}, "sensor 0: position is 'None'; it must be a list"),
-        ({"sensors": [sensor(), sensor(name="b", position=[1])]}, "sensor 1: position has 1"),
+        ({"sensors": [{"name": "a"}]}, "sensor 0: position is 'None'; it must be list"),
+        (
+            {"sensors": [sensor(), sensor(name="b", position=[1])]},
+            "position must have 2 coordinates",
+        ),
         ({"sensors": [sensor(position=[1, "2"])]}, "sensor 0: position"),
         ({"sensors": [sensor(position=[1, True])]}, "sensor 0: position"),
-        ({"sensors": [sensor(name=3)]}, "sensor 0: name is '3'; it must be a str"),
+        ({"sensors": [sensor(name=3)]}, "sensor 0: name is '3'; it must be str"),
         ({"sensors": [sensor(component=0.5)]}, "sensor 0: component is '0.5'"),
         ({"sensors": [sensor(component=True)]}, "sensor 0: component is 'True'"),
         ({"sensors": [sensor(component=10**30)]}, "too large"),
         ({"sensors": [sensor(position=[10**400, 0])]}, "too large"),
-        ({"sensors": [sensor(excluded="no")]}, "sensor 0: excluded"),
         ({"sensors": [sensor(), sensor()]}, "unique"),
-        ({"sensors": [sensor()], "stress": "low"}, "stress must be a number"),
+        ({"sensors": [sensor()], "stress": "low"}, "stress and confidence must be numbers"),
         ({"sensors": [sensor()], "notes": 3}, "notes a list"),
         ({"sensors": [sensor()], "provenance": [1]}, "provenance an object"),
         ({"sensors": [sensor()], "provenance": {"a": [1]}}, "provenance an object"),
@@ -184,15 +192,19 @@ def test_vertices_need_not_come_first(put: Put) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("format ascii", "format binary_little_endian", "line 2: this PLY is binary_little_endian"),
-        ("end_header\n", "", "does not belong into a PLY header"),
+        (
+            "format ascii",
+            "format binary_little_endian",
+            "line 2: the PLY format must be ascii, got bin",
+        ),
+        ("end_header\n", "", "is not valid in a PLY header"),
         ("0 0 0 255\n1.5 0 0 128\n0 2.5 1e-3 0\n3 0 1 2\n", "", "0 of 3 vertices"),
         ("1.5 0 0 128", "1.5 0 zero 128", r"line 13, column 3 (z): 'zero' is not a number"),
         ("1.5 0 0 128", "1.5 0 0", "line 13 has 3 numbers, but the header announces 4"),
-        ("property float z", "property float w", "without vertices that have x, y and z"),
-        ("vertex 3", "vertex 0", "without vertices"),
-        ("vertex 3", "vertex 99999999999999999999", "does not belong into a PLY header"),
-        ("vertex 3", "vertex -3", "does not belong into a PLY header"),
+        ("property float z", "property float w", "no vertices with x, y and z"),
+        ("vertex 3", "vertex 0", "no vertices"),
+        ("vertex 3", "vertex 99999999999999999999", "is not valid in a PLY header"),
+        ("vertex 3", "vertex -3", "is not valid in a PLY header"),
         ("property uchar red", "property int sensor", "unique"),
         ("255\n1.5 0 0 128", "0\n1.5 0 0 0.5", None),
     ],

@@ -105,7 +105,7 @@ def too_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
         for path in paths:
             with io.open_stream(path, options=how) as stream:
                 for block in stream.blocks:
-                    total += 4 * block.readings.size / max(block.share, 1e-9)
+                    total += 4 * block.readings.size / max(block.fraction, 1e-9)
                     break
     return total > LARGE_BYTES
 
@@ -233,7 +233,7 @@ class _Files:
             in_order = np.array_equal(order, np.arange(stream.n_sensors))
             for block in stream.blocks:
                 yield block.readings if in_order else block.readings[:, order]
-                self.tell((number + block.share) / len(self.paths))
+                self.tell((number + block.fraction) / len(self.paths))
 
 
 def _named(files: _Files, like: Recording, preset: str) -> tuple[Recording, NDArray[np.intp]]:

@@ -1,4 +1,4 @@
-"""Files that hold several things: what they hold, and which of it is the recording."""
+"""Select the recording in files that hold several datasets, topics or ports."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from pathlib import Path
 from anisomap.errors import FileError
 from anisomap.wording import join_items
 
-_MOST_LISTED = 12
+_MAX_LISTED = 12
 
 
 class ChoiceError(FileError):
-    """Several things in a file could be the recording, and none was chosen."""
+    """The file holds several possible recordings, and none was selected."""
 
 
 @dataclass(frozen=True)
 class Content:
-    """One of the things that a file holds.
+    """One item in a file: a dataset, column, topic or port.
 
     Parameters
     ----------
     name : str
-        What to choose it by.
+        Name to select it by.
     summary : str
-        What it is: type and size.
+        Type and size, for display.
     usable : bool
-        Whether it could be a recording.
+        Whether it can be a recording.
     """
 
     name: str
@@ -35,19 +35,19 @@ class Content:
     usable: bool = True
 
 
-def choose(path: Path, contents: Sequence[Content], select: str, what: str) -> Content:
-    """Choose the recording: the only one that could be it, or the one that is named.
+def choose(path: Path, contents: Sequence[Content], select: str, noun: str) -> Content:
+    """Select the recording by name, or the only usable item.
 
     Parameters
     ----------
     path : pathlib.Path
         The file, for messages.
     contents : sequence of Content
-        What it holds.
+        All items in the file.
     select : str
-        The name of one, or a part of its name between ``/``; empty if none was chosen.
-    what : str
-        What such things are called: ``"dataset"``.
+        Name of an item, or a part of its name between ``/``; empty for the only usable item.
+    noun : str
+        What an item is called in messages: ``"dataset"``.
 
     Returns
     -------
@@ -56,9 +56,9 @@ def choose(path: Path, contents: Sequence[Content], select: str, what: str) -> C
     Raises
     ------
     ChoiceError
-        If several could be the recording.
+        If several items are usable and `select` is empty.
     FileError
-        If none could, or none has that name.
+        If no item is usable, or `select` does not match exactly one.
     """
     usable = [content for content in contents if content.usable]
     if select:
@@ -66,19 +66,21 @@ def choose(path: Path, contents: Sequence[Content], select: str, what: str) -> C
             content for content in usable if f"/{select.strip('/')}/" in f"/{content.name}/"
         ]
         if len(named) != 1:
-            problem = "several things go by" if named else f"there is no {what}"
-            raise FileError(f"{path}: {problem} {select!r}; it holds {_listed(named or contents)}")
+            problem = f"several {noun}s match" if named else f"there is no {noun}"
+            raise FileError(
+                f"{path}: {problem} {select!r}; the file holds {_listed(named or contents)}"
+            )
         return named[0]
     if len(usable) > 1:
         raise ChoiceError(
-            f"{path} holds {len(usable)} {what}s that could be the recording: {_listed(usable)}; "
+            f"{path} holds {len(usable)} possible recordings ({noun}s): {_listed(usable)}; "
             "choose one with --select"
         )
     if not usable:
         held = f"; it holds {_listed(contents)}" if contents else ""
-        raise FileError(f"{path} holds no {what} that could be a recording{held}")
+        raise FileError(f"{path} holds no {noun} that can be a recording{held}")
     return usable[0]
 
 
 def _listed(contents: Sequence[Content]) -> str:
-    return join_items([f"{content.name} ({content.summary})" for content in contents], _MOST_LISTED)
+    return join_items([f"{content.name} ({content.summary})" for content in contents], _MAX_LISTED)

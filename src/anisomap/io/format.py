@@ -1,4 +1,4 @@
-"""What a format is: how its files are told, and what can be done with them."""
+"""Description of a file format: how it is recognised, and its readers and writers."""
 
 from __future__ import annotations
 
@@ -15,31 +15,37 @@ from anisomap.sensor_map import SensorMap
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of file, and what can be done with it.
+    """A file format with its readers and writers.
+
+    Readers raise FileError for damaged files and files without the requested content, and
+    MissingExtraError if a required library is not installed. Writers raise InputError for things
+    that the format cannot represent.
 
     Parameters
     ----------
     name : str
-        Unique.
+        Unique identifier.
     suffixes : tuple of str
-        Lower case, with the dot. Writers are chosen by them, readers where content does not tell.
+        In lower case, with the dot. They select the writer, and the reader of files that no
+        format recognises by content.
     summary : str
-        A line for lists of formats.
+        One-line description for listings.
     recognises : callable
-        Given a path and the first bytes of the file (gunzipped; none of a folder), tells whether
-        the content is of this format. It must never raise an error.
+        ``recognises(path, head)`` returns whether the content is of this format. `head` holds the
+        first bytes of the file, decompressed, and is empty for a folder. It must not raise.
     open_recording : callable, optional
-        Given a path and `ReadOptions`, a context in which the file is open as a `Stream`.
+        ``open_recording(path, options)`` is a context manager that yields a `Stream`.
     read_map : callable, optional
-        Given a path, make a `SensorMap` of it.
+        ``read_map(path)`` returns a `SensorMap`.
     write_map, write_recording : callable, optional
-        Given a `SensorMap` or a `Recording` and a path, write the one to the other.
+        ``write_map(sensor_map, path)`` and ``write_recording(recording, path)``. Equal input
+        gives equal bytes.
     contents : callable, optional
-        Given a path and `ReadOptions`, lists what a file holds that can hold several recordings.
+        ``contents(path, options)`` lists the possible recordings in a file.
     extra : str
-        The extra that brings the library it needs; empty if it needs none.
+        Extra that installs the required library; empty if none is required.
     in_metres : bool
-        Whether a map must have a scale to be written.
+        Whether the format stores metres, so that a map needs a scale.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Several parts of one skin that were recorded side by side, each with a clock of its own."""
+"""Join recordings of several parts of one skin that were made at the same time."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from anisomap.recording import default_names
 from anisomap.wording import join_items
 
 
-def joined(streams: Mapping[str, Stream]) -> Stream:
-    """Join streams into one on the clock of the first.
+def join_streams(streams: Mapping[str, Stream]) -> Stream:
+    """Join the sensors of several streams, sampled at the times of the first.
 
     Parameters
     ----------
     streams : mapping of str to Stream
-        By the name of the part, which is put before the names of its sensors. All have times, and
-        these are of clocks that agree.
+        By the name of the part, which becomes a prefix of its sensors' names. All need times from
+        synchronised clocks.
 
     Returns
     -------
     Stream
-        Frames of the first stream, with what the others read last before each; only those
-        frames at which all were running.
+        The frames of the first stream, each with the latest earlier frame of the other streams.
+        Frames outside the recording time of any stream are left out.
     """
     (_, leader), *followers = streams.items()
     names = tuple(
@@ -51,7 +51,7 @@ def _blocks(leader: Stream, followers: list[_Follower], parts: list[str]) -> Ite
     together = False
     for block in leader.blocks:
         if block.times is None:
-            raise FileError(f"{leader.path} has no times, so nothing can be joined to it")
+            raise FileError(f"{leader.path} has no times, which joining recordings requires")
         rows, running = [block.readings], np.ones(len(block.readings), dtype=bool)
         for follower in followers:
             readings, known = follower.at(block.times)
@@ -59,13 +59,13 @@ def _blocks(leader: Stream, followers: list[_Follower], parts: list[str]) -> Ite
             running &= known
         if running.any():
             together = True
-            yield Block(np.hstack(rows)[running], block.share, block.times[running])
+            yield Block(np.hstack(rows)[running], block.fraction, block.times[running])
     if not together:
-        raise FileError(f"{leader.path}: {join_items(parts)} never ran at the same time")
+        raise FileError(f"{leader.path}: the recordings {join_items(parts)} do not overlap in time")
 
 
 class _Follower:
-    """A stream of which we know what it read last at any time, asked for in order."""
+    """Look up the latest frame of a stream at increasing times, with bounded memory."""
 
     def __init__(self, name: str, stream: Stream) -> None:
         self._name, self._stream = name, stream
@@ -74,15 +74,15 @@ class _Follower:
         self._ended = False
 
     def at(self, times: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
-        """Give what was read last at each time, and whether the stream was running then."""
+        """Return the latest readings at each time, and whether the stream covers that time."""
         self._read_until(times.max(initial=-np.inf))
         if not self._times.size:
-            raise FileError(f"{self._stream.path}: {self._name} holds no frame")
+            raise FileError(f"{self._stream.path}: {self._name} has no frame")
         last = np.searchsorted(self._times, times, side="right") - 1
         known = (last >= 0) & (times <= self._times[-1])
         readings = self._readings[last.clip(0)]
-        done = max(int(last.min(initial=0)), 0)
-        self._times, self._readings = self._times[done:], self._readings[done:]
+        unused = max(int(last.min(initial=0)), 0)
+        self._times, self._readings = self._times[unused:], self._readings[unused:]
         return readings, known
 
     def _read_until(self, time: float) -> None:
@@ -92,7 +92,10 @@ class _Follower:
                 self._ended = True
                 return
             if block.times is None:
-                raise FileError(f"{self._stream.path}: {self._name} has no times to join it by")
-            # A clock that falls back is held, so that it can be searched.
+                raise FileError(
+                    f"{self._stream.path}: {self._name} has no times, which joining recordings "
+                    "requires"
+                )
+            # searchsorted needs non-decreasing times, so a clock that steps back is held constant.
             self._times = np.fmax.accumulate(np.append(self._times, block.times))
             self._readings = np.concatenate([self._readings, block.readings])

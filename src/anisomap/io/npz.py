@@ -1,9 +1,9 @@
 """NumPy archives: recordings and maps.
 
 A recording has ``readings`` (T, N), and may have ``positions``, ``normals``,
-``surface_distances``, ``names``, ``times``, ``rate_hz``, ``units``, ``source``; single values of
-any other name are its metadata, other arrays are passed over. A map has ``positions`` instead of
-``readings``. Nothing is ever unpickled.
+``surface_distances``, ``names``, ``times``, ``rate_hz``, ``units``, ``source``. Scalars of other
+names are its metadata, and other arrays are ignored. A map has ``positions`` instead of
+``readings``. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.archive import NUMBERS, SUFFIX, Archive, open_archive
-from anisomap.io.parsing.comments import python_scalar
-from anisomap.io.parsing.frames import increasing
+from anisomap.io.parsing.comments import to_python_scalar
+from anisomap.io.parsing.frames import increasing_times
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.stream import Block, ReadOptions, Stream
 from anisomap.recording import Recording, Scalar
@@ -37,43 +37,25 @@ _RECORDING_KEYS = {
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell a zip archive by its first bytes."""
+    """Recognise a zip archive by its magic number."""
     return head.startswith(_MAGICS)
 
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in an NPZ archive.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The archive.
-    options : ReadOptions
-        None of them matters here.
-
-    Yields
-    ------
-    Stream
-
-    Raises
-    ------
-    FileError
-        If `readings` is missing, or an array is damaged, of the wrong shape, or not of numbers.
-    """
+    """Open a recording in an NPZ archive."""
     with open_archive(path) as archive:
         archive.require("readings", "recording")
         shape = archive.shape("readings", NUMBERS)
         if len(shape) != 2:
             raise FileError(
-                f"{path}: readings have {len(shape)} dimensions; "
-                "they must be frames x sensors, shape (T, N)"
+                f"{path}: readings must be frames x sensors (T, N), got {len(shape)} dimensions"
             )
         times = archive.array("times", NUMBERS)
         yield Stream(
             path,
             shape[1],
-            _blocks(archive, shape, None if times is None else increasing(times, path)),
+            _blocks(archive, shape, None if times is None else increasing_times(times, path)),
             names=archive.texts("names"),
             rate_hz=archive.number("rate_hz"),
             positions=archive.array("positions", NUMBERS),
@@ -89,34 +71,17 @@ def _blocks(
     archive: Archive, shape: tuple[int, ...], times: NDArray[np.float64] | None
 ) -> Iterator[Block]:
     if 0 in shape:
-        raise FileError(f"{archive.path}: readings have shape {shape}: there is nothing in them")
+        raise FileError(f"{archive.path}: readings are empty (shape {shape})")
     if times is not None and len(times) != shape[0]:
-        raise FileError(
-            f"{archive.path}: times have shape {times.shape}; {shape[0]} frames need ({shape[0]},)"
-        )
-    done = 0
+        raise FileError(f"{archive.path}: times must have shape ({shape[0]},), got {times.shape}")
+    stop = 0
     for rows in archive.rows("readings", NUMBERS, _BLOCK_BYTES):
-        start, done = done, done + len(rows)
-        yield Block(rows, done / shape[0], None if times is None else times[start:done])
+        start, stop = stop, stop + len(rows)
+        yield Block(rows, stop / shape[0], None if times is None else times[start:stop])
 
 
 def read_map(path: Path) -> SensorMap:
-    """Read a map, or the true positions in a recording, from an NPZ archive.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The archive. Readings in it are not read.
-
-    Returns
-    -------
-    SensorMap
-
-    Raises
-    ------
-    FileError
-        If `positions` is missing, or an array is damaged or of the wrong shape or kind.
-    """
+    """Read a map, or the true positions of a recording, without its readings."""
     with open_archive(path) as archive:
         archive.require("positions", "positions")
         positions = archive.required("positions", NUMBERS)
@@ -139,15 +104,7 @@ def read_map(path: Path) -> SensorMap:
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording as an NPZ archive; the same recording gives the same bytes.
-
-    Parameters
-    ----------
-    recording : Recording
-        What to write; all of it reads back equal.
-    path : pathlib.Path
-        Where.
-    """
+    """Write a recording as an NPZ archive; all is read back equal."""
     arrays: dict[str, Any] = {
         "readings": recording.readings,
         "names": np.array(recording.names, dtype=str),
@@ -158,21 +115,13 @@ def write_recording(recording: Recording, path: Path) -> None:
         "rate_hz": recording.rate_hz,
         "units": recording.units,
         "source": recording.source,
-        "metadata": _packed(recording.metadata),
+        "metadata": _to_json(recording.metadata),
     }
     _write(arrays, path)
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
-    """Write a map as an NPZ archive; the same map gives the same bytes.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        What to write; all of it reads back equal.
-    path : pathlib.Path
-        Where.
-    """
+    """Write a map as an NPZ archive; all is read back equal."""
     arrays: dict[str, Any] = {
         "positions": sensor_map.positions,
         "names": np.array(sensor_map.names, dtype=str),
@@ -184,13 +133,13 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "stress": sensor_map.stress,
         "confidence": sensor_map.confidence,
         "notes": np.array(sensor_map.notes, dtype=str),
-        "provenance": _packed(to_provenance(sensor_map)),
+        "provenance": _to_json(to_provenance(sensor_map)),
     }
     _write(arrays, path)
 
 
-def _packed(mapping: Mapping[str, Scalar]) -> str:
-    return json.dumps({key: python_scalar(value) for key, value in mapping.items()})
+def _to_json(mapping: Mapping[str, Scalar]) -> str:
+    return json.dumps({key: to_python_scalar(value) for key, value in mapping.items()})
 
 
 def _write(arrays: Mapping[str, Any], path: Path) -> None:
@@ -198,7 +147,7 @@ def _write(arrays: Mapping[str, Any], path: Path) -> None:
         for name, array in arrays.items():
             if array is None:
                 continue
-            # A ZipInfo of its own carries neither the clock nor the system that it was made on.
+            # An explicit ZipInfo holds neither time nor operating system, so bytes are repeatable.
             info = zipfile.ZipInfo(name + SUFFIX)
             info.compress_type, info.create_system = zipfile.ZIP_DEFLATED, 0
             with archive.open(info, "w", force_zip64=True) as member:

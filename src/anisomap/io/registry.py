@@ -1,4 +1,4 @@
-"""What can be read and written: one line a format, and the three calls that choose from them."""
+"""The registry of formats, and the functions that dispatch to it."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from anisomap.files import atomic_write, check_target
 from anisomap.io import npz
 from anisomap.io.choice import Content
 from anisomap.io.format import Format
-from anisomap.io.maps import csv, icub_positions, json, launch, mjcf, pcd, ply, urdf
-from anisomap.io.parsing import xml_files
+from anisomap.io.maps import csv, icub_positions, json, launch, mjcf, pcd, ply, urdf, xml_files
 from anisomap.io.parsing.grids import with_grid
-from anisomap.io.parsing.source import blaming, head
-from anisomap.io.recordings import arrow, hdf5, images, mat, pressure_mats, text, yarp
+from anisomap.io.parsing.source import file_errors, read_head
+from anisomap.io.recordings import arrow, hdf5, images, mat, npy, pressure_mats, text, yarp
 from anisomap.io.recordings.presets import apply_preset
 from anisomap.io.ros import bags, repair
 from anisomap.io.stream import (
@@ -27,19 +26,23 @@ from anisomap.io.stream import (
     ReadOptions,
     Stream,
     assemble,
-    recut,
+    rechunk,
 )
 from anisomap.recording import Recording
 from anisomap.sensor_map import UNPLACED, SensorMap
+from anisomap.wording import join_items
 
 Writer = TypeVar("Writer")
 
-# MATLAB comes before HDF5, since its files may be that, too; delimited text stays last, since it
-# takes any text that none before it claims.
+_MAX_LISTED = 3
+
+# MATLAB comes before HDF5, because version 7.3 files are HDF5. Delimited text is last, because it
+# accepts any text.
 # fmt: off
 FORMATS = (
     Format("npz", (".npz",), "NumPy archive", npz.recognises,
            npz.open_recording, npz.read_map, npz.write_map, npz.write_recording),
+    Format("npy", (".npy",), "NumPy array, frames x sensors", npy.recognises, npy.open_recording),
     Format("json", (".json",), "JSON", json.recognises,
            read_map=json.read_map, write_map=json.write_map),
     Format("ply", (".ply",), "PLY point cloud (ASCII)", ply.recognises,
@@ -67,16 +70,16 @@ FORMATS = (
            arrow.recognises, arrow.open_recording, contents=arrow.contents, extra=arrow.EXTRA),
     Format("ros", (".bag", ".mcap", ".db3"), "ROS 1 and 2 bags, MCAP", bags.recognises,
            bags.open_recording, contents=bags.contents, extra=repair.EXTRA),
-    Format("mat-export", (".asf",), "export of a pressure mat, a block of rows a frame",
+    Format("mat-export", (".asf",), "pressure mat export: one block of rows per frame",
            pressure_mats.recognises, pressure_mats.open_recording),
-    Format("images", (".gif", ".tif", ".tiff"), "folder of images; TIFF or GIF of several pages",
+    Format("images", (".gif", ".tif", ".tiff"), "folder of images; multi-page TIFF or GIF",
            images.recognises, images.open_recording, extra=images.EXTRA),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            text.recognises,
            text.open_recording, csv.read_map, csv.write_map, text.write_recording),
 )
 # fmt: on
-"""Every format; where several recognise a file, the first has it."""
+"""All formats; the first one that recognises a file reads it."""
 
 
 def read(
@@ -90,33 +93,33 @@ def read(
     Parameters
     ----------
     path : path-like
-        A file or folder of any format in `FORMATS` that holds recordings; text may be gzipped.
-        The format is told by the content, and by the suffix where the content does not tell.
+        A file or folder of any recording format in `FORMATS`; text may be gzipped. The format is
+        determined by content, and by suffix if the content is ambiguous.
     options : ReadOptions, optional
-        What the reader cannot find out by itself.
+        Information that the file lacks.
     progress : callable, optional
-        Called now and then with the share of the file that has been read, from 0 to 1.
+        Called repeatedly with the fraction of the file read so far, from 0 to 1.
 
     Returns
     -------
     Recording
-        Reading takes hardly more memory than this itself.
+        The peak memory of reading is about the size of its arrays.
 
     Raises
     ------
     FileError
-        If there is no such file, or it is damaged, or holds no recording.
+        If the file is missing, damaged, or holds no recording.
     MissingExtraError
         If the format needs a library that is not installed.
 
     Warns
     -----
     AnisomapWarning
-        If the end of the file is damaged: what was whole is read.
+        If the end of the file is damaged; the frames before the damage are returned.
     """
-    how = options or ReadOptions()
-    with _opened(Path(path), how) as stream, blaming(stream.path):
-        return apply_preset(with_grid(assemble(stream, progress), how.grid), how.preset)
+    options = options or ReadOptions()
+    with _open(Path(path), options) as stream, file_errors(stream.path):
+        return apply_preset(with_grid(assemble(stream, progress), options.grid), options.preset)
 
 
 @contextmanager
@@ -126,41 +129,41 @@ def open_stream(
     frames: int = BLOCK_FRAMES,
     options: ReadOptions | None = None,
 ) -> Iterator[Stream]:
-    """Open a recording to take it block by block, without ever holding the whole.
+    """Open a recording to read it block by block, in constant memory.
 
     Parameters
     ----------
     path : path-like
         As for `read`.
     frames : int
-        Frames in every block but the last, at least 1.
+        Frames per block, at least 1; the last block may be shorter.
     options : ReadOptions, optional
-        What the reader cannot find out by itself; a preset and a grid are for `read`.
+        As for `read`, but `preset` and `grid` are ignored.
 
     Yields
     ------
     Stream
-        Its `blocks` can be gone through once, and only within the context.
+        Its `blocks` can be iterated once, within the context.
 
     Raises
     ------
     FileError
-        If there is no such file, or it is damaged, or holds no recording.
+        If the file is missing, damaged, or holds no recording.
     InputError
         If `frames` is less than 1.
     MissingExtraError
         If the format needs a library that is not installed.
     """
     if frames < 1:
-        raise InputError(f"blocks of {frames} frames hold nothing; use 1 or more")
-    with _opened(Path(path), options or ReadOptions()) as stream:
-        yield replace(stream, blocks=recut(stream.blocks, frames))
+        raise InputError(f"frames must be at least 1, got {frames}")
+    with _open(Path(path), options or ReadOptions()) as stream:
+        yield replace(stream, blocks=rechunk(stream.blocks, frames))
 
 
 def contents(
     path: str | os.PathLike[str], *, options: ReadOptions | None = None
 ) -> tuple[Content, ...]:
-    """List what a file holds that can hold several recordings: topics, datasets, ports.
+    """List the datasets, columns, topics or ports in a file.
 
     Parameters
     ----------
@@ -170,93 +173,130 @@ def contents(
     Returns
     -------
     tuple of Content
-        Empty where a file is one recording.
+        Empty for formats that hold a single recording.
 
     Raises
     ------
     FileError
-        If there is no such file, or it is damaged.
+        If the file is missing or damaged.
     MissingExtraError
         If the format needs a library that is not installed.
     """
     file = Path(path)
-    with blaming(file):
+    with file_errors(file):
         chosen = _recognise(file)
         return chosen.contents(file, options or ReadOptions()) if chosen.contents else ()
 
 
 def read_map(path: str | os.PathLike[str]) -> SensorMap:
-    """Read a map, or the true positions of sensors.
+    """Read a map, or true sensor positions.
 
     Parameters
     ----------
     path : path-like
-        A map that `write` made; a text file of positions, with names or without; or an NPZ
-        recording that has positions.
+        A map written by `write`; a text file of positions, with or without names; or an NPZ
+        recording with positions.
 
     Returns
     -------
     SensorMap
-        Its units are empty where the file does not tell them.
+        Its units are empty if the file does not state them.
 
     Raises
     ------
     FileError
-        If there is no such file, or it is damaged, or holds no positions.
+        If the file is missing, damaged, or holds no positions.
+    MissingExtraError
+        If the format needs a library that is not installed.
     """
     file = Path(path)
-    with blaming(file):
+    with file_errors(file):
         chosen = _recognise(file)
         if chosen.read_map is None:
             raise FileError(
-                f"{file} is of the format {chosen.summary}, which holds no positions; "
-                f"positions are read from {_summaries(f for f in FORMATS if f.read_map)}"
+                f"{file} ({chosen.summary}) holds no positions; "
+                f"formats with positions: {_suffixes(f for f in FORMATS if f.read_map)}"
             )
         found = chosen.read_map(file)
         if found.component.min() < UNPLACED or found.component.max() >= found.n_sensors:
-            raise FileError(f"{file}: components must count from 0, or be -1 for no position")
+            raise FileError(f"{file}: components must be numbered from 0, with -1 for unplaced")
         return found
 
 
 def write(thing: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
-    """Write a map or a recording; the suffix says in which format.
+    """Write a map or a recording in the format of the suffix.
 
     Parameters
     ----------
     thing : SensorMap or Recording
-        What to write.
     path : path-like
-        ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``, ``.pcd``, and for maps with a scale
-        ``.urdf``, ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``; ``.csv``,
-        ``.tsv``, ``.npz`` for recordings. A file that stands there is replaced, but only once all
-        is written.
+        Maps: ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``, ``.pcd``; with a scale also
+        ``.urdf``, ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``. Recordings:
+        ``.csv``, ``.tsv``, ``.npz``. An existing file is replaced after writing has succeeded.
 
     Raises
     ------
     FileError
         If the suffix is unknown or the file cannot be written.
     InputError
-        If `thing` is neither a map nor a recording.
+        If `thing` is neither a map nor a recording, or the format cannot represent it.
     """
     file = Path(path)
     if isinstance(thing, SensorMap):
         _check_encodable((*thing.names, *thing.health), file)
         write_map = _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
-        with atomic_write(file) as aside:
-            write_map(thing, aside)
+        with atomic_write(file) as temporary:
+            write_map(thing, temporary)
     elif isinstance(thing, Recording):
         _check_encodable(thing.names, file)
         write_recording = _by_suffix(
             file, {s: f.write_recording for f in FORMATS for s in f.suffixes}
         )
-        with atomic_write(file) as aside:
-            write_recording(thing, aside)
+        with atomic_write(file) as temporary:
+            write_recording(thing, temporary)
     else:
-        raise InputError(f"a {type(thing).__name__} cannot be written; give a map or a recording")
+        raise InputError(
+            f"write needs a SensorMap or a Recording, got an object of type {type(thing).__name__}"
+        )
+
+
+def write_components(sensor_map: SensorMap, path: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """Write each connected component of a map to a file of its own.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        Sensors without a position are not written.
+    path : path-like
+        Template of the file names: ``skin.urdf`` gives ``skin-1.urdf``, ``skin-2.urdf``, ..., in
+        order of decreasing component size. Existing files are replaced, as by `write`.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The files written.
+
+    Raises
+    ------
+    FileError, InputError
+        As `write`, or if the map has no placed sensor.
+    """
+    check_writable(path)
+    components = sensor_map.split()
+    if not components:
+        raise InputError("the map has no placed sensor, so there is no component to write")
+    template = Path(path)
+    suffixes = [s for f in FORMATS for s in f.suffixes if template.name.lower().endswith(s)]
+    length = max(map(len, suffixes))
+    stem, suffix = template.name[:-length], template.name[-length:]
+    files = tuple(template.with_name(f"{stem}-{i + 1}{suffix}") for i in range(len(components)))
+    for component, file in zip(components, files, strict=True):
+        write(component, file)
+    return files
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Find out before the work whether a map could be written to a file.
+    """Check, before a long computation, that a map can be written to a file.
 
     Parameters
     ----------
@@ -266,14 +306,14 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     Raises
     ------
     FileError
-        If no map can be written with this suffix, or there is no such folder.
+        If the suffix is not that of a map format, or the folder does not exist.
     """
     file = check_target(path)
     _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
 
 
 def needs_scale(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a map must have a scale to be written to a file: if that is in metres.
+    """Return whether the format of a file stores metres, so that a map needs a scale.
 
     Parameters
     ----------
@@ -286,64 +326,72 @@ def needs_scale(path: str | os.PathLike[str]) -> bool:
 
 
 @contextmanager
-def _opened(file: Path, options: ReadOptions) -> Iterator[Stream]:
+def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
     with ExitStack() as stack:
-        with blaming(file):
+        with file_errors(file):
             chosen = _recognise(file)
             if chosen.open_recording is None:
                 raise FileError(
-                    f"{file} is of the format {chosen.summary}, which holds no recordings; "
-                    f"recordings are read from {_summaries(f for f in FORMATS if f.open_recording)}"
+                    f"{file} ({chosen.summary}) holds no recording; "
+                    f"recording formats: {_suffixes(f for f in FORMATS if f.open_recording)}"
                 )
             stream = stack.enter_context(chosen.open_recording(file, options))
-        yield replace(stream, blocks=_blamed(stream.blocks, file))
+        yield replace(stream, blocks=_with_file_errors(stream.blocks, file))
 
 
-def _blamed(blocks: Iterator[Block], file: Path) -> Iterator[Block]:
-    """Give blocks on; what goes wrong in reading them, and only that, is blamed on the file."""
-    with blaming(file):
+def _with_file_errors(blocks: Iterator[Block], file: Path) -> Iterator[Block]:
+    """Convert errors of reading, but not errors of the caller's loop body."""
+    with file_errors(file):
         yield from blocks
 
 
 def _recognise(file: Path) -> Format:
-    start = head(file)
+    start = read_head(file)
     *marked, text_format = FORMATS
     suffixes = [s.lower() for s in file.suffixes if s.lower() != ".gz"]
     for chosen in marked:
         if chosen.recognises(file, start):
             return chosen
     if file.is_dir():
-        raise FileError(
-            f"{file} is a folder of no known kind: it holds no data.log, no bag and no images; "
-            "give a file"
-        )
+        raise FileError(_folder_message(file))
     for chosen in FORMATS:
         if suffixes and suffixes[-1] in chosen.suffixes:
             return chosen
     if text_format.recognises(file, start):
         return text_format
-    raise FileError(f"{file} is of no known kind; known are {_summaries(FORMATS)}")
+    raise FileError(f"{file} has an unknown format; known formats: {_suffixes(FORMATS)}")
 
 
-def _summaries(formats: Iterable[Format]) -> str:
-    return "; ".join(
-        f"{f.summary} ({', '.join(f.suffixes)})" if f.suffixes else f.summary for f in formats
+def _folder_message(folder: Path) -> str:
+    """Suggest to list the recordings in a folder as several runs."""
+    known = tuple(suffix for f in FORMATS if f.open_recording for suffix in f.suffixes)
+    names = sorted(path.name for path in folder.iterdir())
+    files = [name for name in names if name.lower().removesuffix(".gz").endswith(known)]
+    if not files:
+        return f"{folder} is a folder without data.log, bag or images; give a file"
+    return (
+        f"{folder} is a folder; give its files instead, which are read as several runs of one "
+        f"skin: {join_items(files, _MAX_LISTED)}"
     )
 
 
+def _suffixes(formats: Iterable[Format]) -> str:
+    return "; ".join(", ".join(f.suffixes) if f.suffixes else f.summary for f in formats)
+
+
 def _by_suffix(file: Path, writers: Mapping[str, Writer | None]) -> Writer:
-    # The longest that fits: .launch.xml is not .xml.
-    fitting = [suffix for suffix in writers if file.name.lower().endswith(suffix)]
-    writer = writers[max(fitting, key=len)] if fitting else None
+    # The longest match, because .launch.xml also ends in .xml.
+    matching = [suffix for suffix in writers if file.name.lower().endswith(suffix)]
+    writer = writers[max(matching, key=len)] if matching else None
     if writer is None:
         known = ", ".join(suffix for suffix, able in writers.items() if able)
-        problem = f"the suffix {file.suffix!r} is unknown" if file.suffix else "it has no suffix"
-        raise FileError(f"cannot write {file}: {problem}; known are {known}")
+        problem = f"unknown suffix {file.suffix!r}" if file.suffix else "the name has no suffix"
+        raise FileError(f"cannot write {file}: {problem}; known suffixes: {known}")
     return writer
 
 
 def _check_encodable(words: Iterable[str], file: Path) -> None:
-    """Refuse text that UTF-8 or numpy cannot hold, before anything is written."""
+    """Reject text that UTF-8 or numpy cannot represent, before anything is written."""
     for word in words:
         if "\0" in word or any("\ud800" <= character <= "\udfff" for character in word):
-            raise FileError(f"cannot write {file}: {word!r} holds a character that is no text")
+            raise FileError(f"cannot write {file}: {word!r} holds a character that is not text")

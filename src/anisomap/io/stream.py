@@ -1,8 +1,7 @@
-"""Recordings as they come: blocks of frames, and how a recording is made of them.
+"""Recordings as streams of blocks of frames.
 
-A reader never holds a file: it says what the sensors are called, and then yields blocks. What is
-made of the blocks is no matter of the reader: `assemble` collects them, a caller with little
-memory takes them one by one.
+A reader returns a `Stream`: the metadata of the recording, and an iterator of blocks. `assemble`
+collects the blocks into a `Recording`; callers with little memory iterate over them.
 """
 
 from __future__ import annotations
@@ -17,32 +16,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError
-from anisomap.io.parsing.foreign import DamagedError, reason_of
-from anisomap.io.parsing.frames import increasing
+from anisomap.io.parsing.frames import increasing_times
+from anisomap.io.parsing.libraries import DamagedError, error_reason
 from anisomap.recording import Recording, Scalar
 
 BLOCK_FRAMES = 8192
-"""Frames in a block for those who ask for blocks, unless they say otherwise."""
+"""Default number of frames per block of `open_stream`."""
 
 _GROWTH = 0.25
-_WORTH_TELLING = 0.005
+_MIN_REPORTED_LOSS = 0.005
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a reader cannot find out by itself.
+    """Information for a reader that the file lacks.
 
     Parameters
     ----------
     select : str
-        Which of several recordings in the file: a dataset, a column, a port, or a topic with its
-        field (``/skin:data``). Ports and topics may be several, between commas.
+        Recording to read from a file that holds several: a dataset, column, port, or topic with
+        field (``/skin:data``). Several ports or topics are separated by commas.
     grid : (int, int), optional
-        Rows and columns of a rectangular array, sensors in row-major order: gives true positions.
+        Rows and columns of a rectangular array with sensors in row-major order; sets positions.
     definitions : tuple of pathlib.Path
-        Message definitions (``.msg``) of a bag that holds none.
+        Message definitions (``.msg``) for a bag without them.
     preset : str
-        A robot whose numbering of sensors is known: see `anisomap.io.recordings.presets`.
+        A robot with a known numbering of sensors: see `anisomap.io.recordings.presets`.
     """
 
     select: str = ""
@@ -53,54 +52,54 @@ class ReadOptions:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Some consecutive frames.
+    """Consecutive frames of a recording.
 
     Parameters
     ----------
     readings : ndarray of shape (t, N)
-        Of real numbers, of any type.
-    share : float
-        How much of the file has been read when the block is there, from 0 to 1.
+        Of any real dtype.
+    fraction : float
+        Fraction of the file read so far, from 0 to 1.
     times : ndarray of shape (t,), optional
-        Seconds, as the file has them.
-    receipts : ndarray of shape (t,), optional
-        Seconds of another clock, which steps in if `times` do not increase.
+        In seconds, as stored in the file.
+    receive_times : ndarray of shape (t,), optional
+        In seconds of the receiver's clock; used if `times` do not increase.
     """
 
     readings: NDArray[Any]
-    share: float
+    fraction: float
     times: NDArray[np.float64] | None = None
-    receipts: NDArray[np.float64] | None = None
+    receive_times: NDArray[np.float64] | None = None
 
     def part(self, start: int, stop: int | None = None) -> Block:
-        """Keep some of the frames."""
+        """Return the frames from `start` to `stop`."""
         frames = slice(start, stop)
         return replace(
             self,
             readings=self.readings[frames],
             times=None if self.times is None else self.times[frames],
-            receipts=None if self.receipts is None else self.receipts[frames],
+            receive_times=None if self.receive_times is None else self.receive_times[frames],
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """A recording that is read block by block, and what is known of it before.
+    """A recording that is read block by block, with its metadata.
 
     Parameters
     ----------
     path : pathlib.Path
         The file, for messages.
     n_sensors : int
-        N, of every block.
+        Number of sensors, N, in every block.
     blocks : iterator of Block
-        Can be gone through once.
+        Can be iterated once.
     names, rate_hz, positions, normals, surface_distances, units, source, metadata
         As for `Recording`.
     from_zero : bool
-        Whether times count from the first frame on, whatever the file has.
+        Whether to shift times so that the first frame is at 0.
     locate : callable, optional
-        Says where in the file a frame stands, such as ``"line 12"``.
+        Maps a frame index to its place in the file, such as ``"line 12"``.
     """
 
     path: Path
@@ -119,38 +118,38 @@ class Stream:
 
 
 def assemble(stream: Stream, progress: Callable[[float], None] | None = None) -> Recording:
-    """Make a recording of a stream; takes hardly more memory than the recording.
+    """Collect a stream into a recording, without copying the readings.
 
     Parameters
     ----------
     stream : Stream
     progress : callable, optional
-        Called now and then with the share of the file that has been read, from 0 to 1.
+        Called after each block with the fraction of the file read so far, from 0 to 1.
 
     Returns
     -------
     Recording
-        Without times, and with a warning, if those of the file do not increase.
+        Without times, and with a warning, if the times in the file do not increase.
 
     Raises
     ------
     FileError
-        If there is no frame.
+        If the stream has no frame.
     """
-    readings, times, receipts = _Pile(), _Pile(), _Pile()
+    readings, times, receive_times = _GrowingArray(), _GrowingArray(), _GrowingArray()
     for block in stream.blocks:
-        readings.add(block.readings)
-        for pile, clock in ((times, block.times), (receipts, block.receipts)):
+        readings.append(block.readings)
+        for array, clock in ((times, block.times), (receive_times, block.receive_times)):
             if clock is not None:
-                pile.add(clock, np.float64)
+                array.append(clock, np.float64)
         if progress:
-            progress(min(block.share, 1.0))
+            progress(min(block.fraction, 1.0))
     if not readings.n_rows:
         raise FileError(f"{stream.path} holds no frame")
     return Recording(
         readings.array(),
         names=stream.names,
-        times=_best_clock(stream, [p.array() for p in (times, receipts) if p.n_rows]),
+        times=_best_clock(stream, [p.array() for p in (times, receive_times) if p.n_rows]),
         rate_hz=stream.rate_hz,
         positions=stream.positions,
         normals=stream.normals,
@@ -161,8 +160,8 @@ def assemble(stream: Stream, progress: Callable[[float], None] | None = None) ->
     )
 
 
-def recut(blocks: Iterator[Block], n_frames: int) -> Iterator[Block]:
-    """Cut blocks anew, so that each but the last has `n_frames` frames."""
+def rechunk(blocks: Iterator[Block], n_frames: int) -> Iterator[Block]:
+    """Regroup blocks so that each but the last has `n_frames` frames."""
     held: list[Block] = []
     for block in blocks:
         held.append(block)
@@ -177,45 +176,46 @@ def recut(blocks: Iterator[Block], n_frames: int) -> Iterator[Block]:
         yield _joined(held)
 
 
-def salvaged(
+def salvage(
     blocks: Iterator[Block], path: Path, damage: tuple[type[Exception], ...] = (DamagedError,)
 ) -> Iterator[Block]:
-    """Give the blocks before the damage, and warn of what is lost; an error if there are none.
+    """Yield the blocks before the first damage, and warn about the lost rest.
 
     Parameters
     ----------
     blocks : iterator of Block
     path : pathlib.Path
-        The file to name.
+        The file, for messages.
     damage : tuple of exception types
-        What reading a damaged file raises.
+        Exceptions that indicate a damaged file. They are raised again if no frame precedes them.
     """
-    n_frames, share = 0, 0.0
+    n_frames, fraction = 0, 0.0
     try:
         for block in blocks:
-            n_frames, share = n_frames + len(block.readings), block.share
+            n_frames, fraction = n_frames + len(block.readings), block.fraction
             yield block
     except damage as error:
         if not n_frames:
             raise
-        told = reason_of(error.__cause__ or error)
-        lost = f", about {1 - share:.0%} of the file" if 1 - share > _WORTH_TELLING else ""
+        reason = error_reason(error.__cause__ or error)
+        loss = 1 - fraction
+        lost = f" (about {loss:.0%} of the file)" if loss > _MIN_REPORTED_LOSS else ""
         warnings.warn(
-            f"{path} is damaged or cut short ({told}): the {n_frames} frames before that are "
-            f"whole, what follows is lost{lost}",
+            f"{path} is damaged or cut short ({reason}): read the {n_frames} frames before the "
+            f"damage, lost the rest{lost}",
             AnisomapWarning,
             stacklevel=2,
         )
 
 
-class _Pile:
-    """An array that grows at its end without ever standing in memory twice."""
+class _GrowingArray:
+    """An array that grows in place, so that appending never needs twice its memory."""
 
     def __init__(self) -> None:
         self._array: NDArray[Any] | None = None
         self.n_rows = 0
 
-    def add(self, rows: NDArray[Any], dtype: type[np.floating] = np.float32) -> None:
+    def append(self, rows: NDArray[Any], dtype: type[np.floating] = np.float32) -> None:
         needed = self.n_rows + len(rows)
         wanted = np.float32 if _fits(rows.dtype, dtype) else np.float64
         if self._array is None:
@@ -224,7 +224,7 @@ class _Pile:
             self._array = self._array.astype(np.float64)
         if needed > len(self._array):
             capacity = max(needed, int(len(self._array) * (1 + _GROWTH)))
-            # Moves pages instead of copying them; nobody else has seen this array yet.
+            # realloc moves pages instead of copying; no other reference to the array exists yet.
             self._array.resize((capacity, *rows.shape[1:]), refcheck=False)
         self._array[self.n_rows : needed] = rows
         self.n_rows = needed
@@ -247,23 +247,23 @@ def _joined(blocks: list[Block]) -> Block:
     last = blocks[-1]
     return Block(
         np.concatenate([block.readings for block in blocks]),
-        last.share,
+        last.fraction,
         _concatenated([block.times for block in blocks]),
-        _concatenated([block.receipts for block in blocks]),
+        _concatenated([block.receive_times for block in blocks]),
     )
 
 
 def _concatenated(parts: list[NDArray[np.float64] | None]) -> NDArray[np.float64] | None:
-    there = [part for part in parts if part is not None]
-    return np.concatenate(there) if there else None
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if known else None
 
 
 def _best_clock(stream: Stream, clocks: list[NDArray[np.float64]]) -> NDArray[np.float64] | None:
-    """Take the first clock that increases, or warn of where the first does not."""
+    """Return the first clock that increases strictly, or warn that none does."""
     if not clocks:
         return None
     for times in clocks:
         with np.errstate(invalid="ignore"):
             if np.isfinite(times).all() and (np.diff(times) > 0).all():
                 return times - times[0] if stream.from_zero else times
-    return increasing(clocks[0], stream.path, stream.locate)
+    return increasing_times(clocks[0], stream.path, stream.locate)

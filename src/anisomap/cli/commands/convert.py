@@ -11,7 +11,7 @@ from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli.console import show_facts
 from anisomap.files import check_distinct
-from anisomap.placement import METRES, spacing_of
+from anisomap.placement import METRES, median_spacing
 
 
 def convert(
@@ -33,6 +33,6 @@ def convert(
     io.write(placed, output)
     facts = {"sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}"}
     if placed.units in METRES:
-        facts["neighbours"] = f"{spacing_of(placed):.4g} {placed.units} apart (median)"
+        facts["neighbours"] = f"{median_spacing(placed):.4g} {placed.units} apart (median)"
     facts["known up to"] = placed.known_up_to
     show_facts(f"Written to {output}", facts)

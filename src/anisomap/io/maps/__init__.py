@@ -1,1 +1,1 @@
-"""Readers and writers of maps: one file a format."""
+"""Readers and writers of maps, one module per format."""

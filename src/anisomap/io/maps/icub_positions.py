@@ -1,8 +1,8 @@
-"""The iCub's files of taxel positions: one line a value of the port, in metres.
+"""Taxel position files of the iCub: one line per value of a port, in metres.
 
-Four lines of header, then ``x y z nx ny nz`` for each value of the port, zeros where there is no
-taxel. ``taxel2Repr`` tells for each value which taxel stands for it, -1 for none. One program that
-reads these files drops the last line, so it is one of zeros; another trips over leading blanks.
+Four header lines are followed by ``x y z nx ny nz`` for each value, zeros without a taxel.
+``taxel2Repr`` gives the representative taxel of each value, -1 for none. The last line is zeros,
+because one reader of these files drops it; lines do not start with blanks, which another rejects.
 """
 
 from __future__ import annotations
@@ -14,53 +14,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError
-from anisomap.io.parsing.source import opened_text, quoted
+from anisomap.io.parsing.source import open_text, quoted
 from anisomap.io.parsing.table import LineError, parse_number
-from anisomap.placement import taxels
+from anisomap.placement import to_taxels
 from anisomap.sensor_map import SensorMap
 
-_BOARD = 192  # values a board: 16 triangles of 12
-_MOST_VALUES = 100_000
+_BOARD = 192  # values per board: 16 triangles of 12
+_MAX_VALUES = 100_000
 _NUMBERED = re.compile(r".*?(\d+)")
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell such a file by the word that no other has."""
+    """Recognise the file by its keyword taxel2Repr."""
     return b"taxel2Repr" in head
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
-    """Write a map for the iCub's software.
+    """Write a map with a scale and one component.
 
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        With a scale, in one piece. If every name ends in a number of its own (``taxel97``), that is
-        the index on the port; else the sensors are numbered in their order.
-    path : pathlib.Path
-
-    Raises
-    ------
-    InputError
-        If the map has no scale, is in pieces, or a number is beyond any port.
+    If all names end in unique numbers (``taxel97``), these are the indices on the port; otherwise
+    sensors are numbered in order.
     """
-    skin = taxels(sensor_map, "a file of taxel positions")
+    skin = to_taxels(sensor_map, "a file of taxel positions")
     ports = _port_indices(sensor_map.names)[skin.indices]
-    if ports.max() >= _MOST_VALUES:
+    if ports.max() >= _MAX_VALUES:
         raise InputError(
-            f"sensor {skin.names[int(ports.argmax())]} would be value {ports.max()} of a port, "
-            "and no port has so many; rename the sensors"
+            f"sensor {skin.names[int(ports.argmax())]} has port index {ports.max()}, which must be "
+            f"below {_MAX_VALUES}; rename the sensors"
         )
-    # Whole boards, and at least one line of zeros after the last taxel.
+    # A multiple of the board size, and at least one line of zeros after the last taxel.
     n_values = (int(ports.max()) // _BOARD + 1) * _BOARD
     rows = np.zeros((n_values + 1, 6))
     rows[ports] = np.hstack([skin.positions, skin.normals])
-    stands_for = np.full(n_values + 1, -1)
-    stands_for[ports] = ports
+    representatives = np.full(n_values + 1, -1)
+    representatives[ports] = ports
     lines = [
         f"name {re.sub(r'[^A-Za-z0-9_.-]', '_', skin.frame) or 'skin'}",
         "spatial_sampling taxel",
-        f"taxel2Repr ( {' '.join(map(str, stands_for.tolist()))} )",
+        f"taxel2Repr ( {' '.join(map(str, representatives.tolist()))} )",
         "[calibration]",
         *(" ".join("0" if v == 0 else repr(v) for v in row) for row in rows.tolist()),
     ]
@@ -68,55 +59,39 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
 
 def read_map(path: Path) -> SensorMap:
-    """Read taxel positions.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-
-    Returns
-    -------
-    SensorMap
-        The taxels, without the values of the port that have none, named after their index on the
-        port: ``taxel97``. Metres.
-
-    Raises
-    ------
-    FileError
-        With the line of what cannot be read, or if there is no taxel.
-    """
-    with opened_text(path) as stream:
+    """Read the taxels, named by port index (``taxel97``), without values that have no taxel."""
+    with open_text(path) as stream:
         lines = [line.strip() for line in stream]
     if "[calibration]" not in lines:
-        raise FileError(f"{path} has no line [calibration], after which the positions stand")
+        raise FileError(f"{path} lacks the line [calibration] that precedes the positions")
     start = lines.index("[calibration]") + 1
     header = " ".join(lines[: start - 1])
     listed = re.search(r"taxel2Repr\s*\(([^)]*)\)", header)
     if listed is None:
-        raise FileError(f"{path}: taxel2Repr must be followed by numbers between brackets")
-    stands_for = listed[1].split()
-    places = {}
+        raise FileError(f"{path}: taxel2Repr must be followed by numbers in brackets")
+    representatives = listed[1].split()
+    positions = {}
     body = [(start + i + 1, line) for i, line in enumerate(lines[start:]) if line]
     for value, (number, line) in enumerate(body):
         row = _row(path, number, line)
-        absent = value < len(stands_for) and stands_for[value] == "-1"
+        absent = value < len(representatives) and representatives[value] == "-1"
         if not absent and any(row):
-            places[f"taxel{value}"] = row[:3]
-    if not places:
-        raise FileError(f"{path} holds no taxel: every line is zeros")
-    return SensorMap(np.array(list(places.values())), names=tuple(places), units="m")
+            positions[f"taxel{value}"] = row[:3]
+    if not positions:
+        raise FileError(f"{path} holds no taxel: all lines are zeros")
+    return SensorMap(np.array(list(positions.values())), names=tuple(positions), units="m")
 
 
 def _row(path: Path, number: int, line: str) -> list[float]:
     fields = line.split()
     if len(fields) not in (6, 7):
-        raise LineError(path, number, f" has {len(fields)} numbers; it must be x y z nx ny nz")
+        raise LineError(path, number, f" has {len(fields)} fields; it must be x y z nx ny nz")
     try:
         row = [parse_number(field) for field in fields[:6]]
     except ValueError:
-        raise LineError(path, number, f": {quoted(line)} are not numbers") from None
+        raise LineError(path, number, f": {quoted(line)} must hold numbers") from None
     if not np.isfinite(row).all():
-        raise LineError(path, number, f": {quoted(line)} is no place")
+        raise LineError(path, number, f": {quoted(line)} must hold finite numbers")
     return row
 
 

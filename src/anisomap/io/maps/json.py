@@ -1,4 +1,4 @@
-"""Maps as JSON: what the map is, then an object a sensor; unknown numbers are null."""
+"""Maps as JSON: properties of the map, then one object per sensor; NaN is null."""
 
 from __future__ import annotations
 
@@ -10,41 +10,28 @@ from typing import Any
 import numpy as np
 
 from anisomap.errors import FileError
-from anisomap.io.parsing.comments import python_scalar
+from anisomap.io.parsing.comments import to_python_scalar
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
-from anisomap.io.parsing.source import opened_text, quoted
+from anisomap.io.parsing.source import open_text, quoted
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
 
 _MARK = "anisomap map"
-# Strict JSON has no infinities; a name tells them apart from a text of the same letters.
+# Strict JSON has no infinities; {"float": "inf"} differs from the string "inf".
 _INFINITE = "float"
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell a JSON object by its first character."""
+    """Recognise a JSON object by its first character."""
     return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
 
 
 def read_map(path: Path) -> SensorMap:
-    """Read a map from JSON.
+    """Read a map from an object with a list ``sensors`` of objects, each with a ``position``.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        An object with a list ``sensors`` of objects, each with a ``position``, and whatever else
-        `write_map` writes.
-
-    Returns
-    -------
-    SensorMap
-
-    Raises
-    ------
-    FileError
-        If it is not valid JSON (with line and column), or a sensor is not as it should be.
+    All other properties that `write_map` writes are optional.
     """
-    with opened_text(path) as stream:
+    with open_text(path) as stream:
         content = stream.read()
     try:
         document = json.loads(content)
@@ -56,7 +43,7 @@ def read_map(path: Path) -> SensorMap:
         raise FileError(f"{path}: not valid JSON ({error})") from error
     sensors = document.get("sensors") if isinstance(document, dict) else None
     if not isinstance(sensors, list) or not sensors:
-        raise FileError(f"{path} is JSON, but no map: it has no list of sensors")
+        raise FileError(f"{path} is JSON without a list of sensors, so it is not a map")
     rows = [_Sensor(path, i, sensor) for i, sensor in enumerate(sensors)]
     dimensions = len(rows[0].value("position", (list,)))
     named, placed = "name" in sensors[0], "component" in sensors[0]
@@ -65,35 +52,27 @@ def read_map(path: Path) -> SensorMap:
         names=tuple(row.value("name", (str,)) for row in rows) if named else (),
         component=np.array([row.value("component", (int,)) for row in rows if placed], np.intp),
         health=tuple(row.value("health", (str,), "ok") for row in rows),
-        **_described(path, document),
+        **_map_properties(path, document),
     )
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
-    """Write a map as strict JSON.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        What to write; all of it reads back equal.
-    path : pathlib.Path
-        Where.
-    """
+    """Write a map as strict JSON; all is read back equal."""
     document = {
         "format": _MARK,
         "known_up_to": sensor_map.known_up_to,
         "method": sensor_map.method,
         "units": sensor_map.units,
         **sensor_map.reference,
-        "stress": _strict(float(sensor_map.stress)),
-        "confidence": _strict(float(sensor_map.confidence)),
+        "stress": _to_json(float(sensor_map.stress)),
+        "confidence": _to_json(float(sensor_map.confidence)),
         "notes": list(sensor_map.notes),
-        "provenance": {k: _strict(value) for k, value in to_provenance(sensor_map).items()},
+        "provenance": {k: _to_json(value) for k, value in to_provenance(sensor_map).items()},
         "dimensions": sensor_map.dimensions,
         "sensors": [
             {
                 "name": name,
-                "position": [_strict(coordinate) for coordinate in position],
+                "position": [_to_json(coordinate) for coordinate in position],
                 "component": component,
                 "health": health,
             }
@@ -111,7 +90,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
 
 class _Sensor:
-    """One object of the list of sensors, with its number for messages."""
+    """An object in the list of sensors, with its number for messages."""
 
     def __init__(self, path: Path, number: int, content: object) -> None:
         self.where = f"{path}, sensor {number}"
@@ -122,60 +101,61 @@ class _Sensor:
     def value(self, key: str, kinds: tuple[type, ...], default: object = None) -> Any:
         value = self.content.get(key, default)
         if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-            wanted = " or ".join(kind.__name__ for kind in kinds)
-            raise FileError(f"{self.where}: {key} is {quoted(str(value))}; it must be a {wanted}")
+            expected = " or ".join(kind.__name__ for kind in kinds)
+            raise FileError(f"{self.where}: {key} is {quoted(str(value))}; it must be {expected}")
         return value
 
     def position(self, dimensions: int) -> list[float]:
         values = self.value("position", (list,))
         if len(values) != dimensions:
-            problem = f"position has {len(values)} coordinates, but that of sensor 0 {dimensions}"
-            raise FileError(f"{self.where}: {problem}")
+            raise FileError(
+                f"{self.where}: position must have {dimensions} coordinates, as that of sensor 0, "
+                f"got {len(values)}"
+            )
         try:
-            return [_loose(value) for value in values]
+            return [_from_json(value) for value in values]
         except ValueError:
-            problem = f"position {quoted(str(values))} must be of numbers or null"
+            problem = f"position must hold numbers or null, got {quoted(str(values))}"
             raise FileError(f"{self.where}: {problem}") from None
 
 
-def _strict(value: Scalar) -> object:
-    """Make of a number what strict JSON can hold."""
-    scalar = python_scalar(value)
+def _to_json(value: Scalar) -> object:
+    """Convert a scalar to a value of strict JSON."""
+    scalar = to_python_scalar(value)
     if not isinstance(scalar, float) or math.isfinite(scalar):
         return scalar
     return None if math.isnan(scalar) else {_INFINITE: repr(scalar)}
 
 
-def _loose(value: object) -> float:
-    """Undo `_strict` for a number."""
+def _from_json(value: object) -> float:
+    """Invert `_to_json` for a number."""
     if value is None:
         return math.nan
     if isinstance(value, dict) and isinstance(value.get(_INFINITE), str):
         return float(value[_INFINITE])
     if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
-    raise ValueError(f"{value!r} is no number")
+    raise ValueError(f"{value!r} is not a number")
 
 
-def _described(path: Path, document: dict[str, Any]) -> dict[str, Any]:
-    """Give what the document says of the map as a whole."""
+def _map_properties(path: Path, document: dict[str, Any]) -> dict[str, Any]:
     notes, provenance = document.get("notes", []), document.get("provenance", {})
     try:
         return {
             "units": str(document.get("units", "")),
             "method": str(document.get("method", "")),
-            "stress": _loose(document.get("stress")),
-            "confidence": _loose(document.get("confidence")),
+            "stress": _from_json(document.get("stress")),
+            "confidence": _from_json(document.get("confidence")),
             "notes": tuple(map(str, notes)),
             **from_provenance(
                 {
-                    key: value if isinstance(value, Scalar) else _loose(value)
+                    key: value if isinstance(value, Scalar) else _from_json(value)
                     for key, value in provenance.items()
                 }
             ),
         }
     except (ValueError, TypeError, AttributeError) as error:
         raise FileError(
-            f"{path}: stress must be a number (as confidence), notes a list, and provenance an "
-            f"object of text and numbers ({error})"
+            f"{path}: stress and confidence must be numbers, notes a list, and provenance an "
+            f"object of strings and numbers ({error})"
         ) from error

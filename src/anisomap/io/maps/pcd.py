@@ -1,4 +1,4 @@
-"""PCD point clouds (ASCII) with normals, for the Point Cloud Library and its viewers."""
+"""ASCII PCD point clouds with normals, for the Point Cloud Library and its viewers."""
 
 from __future__ import annotations
 
@@ -8,38 +8,26 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing import comments
-from anisomap.io.parsing.source import opened_text, quoted
+from anisomap.io.parsing.source import open_text, quoted
 from anisomap.io.parsing.table import LineError, parse_number
-from anisomap.placement import in_space, normals_of
+from anisomap.placement import pad_to_3d, surface_normals
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
 
 _FIELDS = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
-_MOST_POINTS = 10_000_000
+_MAX_POINTS = 10_000_000
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell a PCD file by the line that must come first, but for comments."""
+    """Recognise a PCD file by VERSION in its first line that is not a comment."""
     lines = (line.strip() for line in head.splitlines())
     return next((line for line in lines if line and line[:1] != b"#"), b"")[:8] == b"VERSION "
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
-    """Write the sensors of a map that have a position as points with normals.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        In up to three dimensions; those that are missing become 0.
-    path : pathlib.Path
-
-    Raises
-    ------
-    InputError
-        If the map has more than three dimensions.
-    """
+    """Write the placed sensors of a map of up to three dimensions as points with normals."""
     indices = np.flatnonzero(sensor_map.placed)
-    points = np.hstack([in_space(sensor_map.positions), normals_of(sensor_map)])[indices]
+    points = np.hstack([pad_to_3d(sensor_map.positions), surface_normals(sensor_map)])[indices]
     known: dict[str, Scalar] = {
         "units": sensor_map.units,
         "dimensions": sensor_map.dimensions,
@@ -49,7 +37,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     }
     count = len(indices)
     head = [
-        *(f"# {key}: {comments.written(value)}" for key, value in known.items()),
+        *(f"# {key}: {comments.format_value(value)}" for key, value in known.items()),
         "VERSION 0.7",
         f"FIELDS {' '.join(_FIELDS)}",
         f"SIZE {' '.join('8' for _ in _FIELDS)}",
@@ -66,24 +54,11 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
 
 def read_map(path: Path) -> SensorMap:
-    """Read the points of a PCD file as positions.
+    """Read the points of an ASCII file as sensors.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        An ASCII file whose points have x, y and z.
-
-    Returns
-    -------
-    SensorMap
-        A sensor a point; in files of ours with the names that they had, else s0, s1, ...
-
-    Raises
-    ------
-    FileError
-        With the line of what cannot be read, or if the file is binary.
+    Files written by anisomap restore the names; in other files they are s0, s1, ...
     """
-    with opened_text(path) as stream:
+    with open_text(path) as stream:
         lines = list(enumerate(stream, start=1))
     remarks = [line.lstrip("# ") for _, line in lines if line.startswith("#")]
     known = dict(comments.read_comments(remarks, "")[0])
@@ -94,39 +69,42 @@ def read_map(path: Path) -> SensorMap:
         match line.split():
             case ["FIELDS", *names]:
                 fields = names
-            case ["POINTS", text] if text.isdecimal() and int(text) <= _MOST_POINTS:
+            case ["POINTS", text] if text.isdecimal() and int(text) <= _MAX_POINTS:
                 count = int(text)
             case ["DATA", "ascii"]:
                 break
             case ["DATA", kind]:
-                raise LineError(path, number, f": this PCD is {quoted(kind)}; save it as ASCII")
+                raise LineError(path, number, f": PCD data must be ascii, got {quoted(kind)}")
             case _:
                 pass
     else:
-        raise FileError(f"{path} ends before the data of its PCD header")
+        raise FileError(f"{path} ends within its PCD header")
     if not set("xyz") <= set(fields) or count < 1:
-        raise FileError(f"{path} is a PCD file without points that have x, y and z")
-    places = [_place(path, fields, number, line) for number, line in rows if line.strip()]
-    if len(places) != count:
-        raise FileError(f"{path} is damaged: it announces {count} points, and has {len(places)}")
+        raise FileError(f"{path} holds no points with x, y and z")
+    positions = [_position(path, fields, number, line) for number, line in rows if line.strip()]
+    if len(positions) != count:
+        raise FileError(
+            f"{path} is damaged: its header announces {count} points, but it has {len(positions)}"
+        )
     dimensions = 2 if known.get("dimensions") == 2 else 3
     return SensorMap(
-        np.array(places)[:, :dimensions],
+        np.array(positions)[:, :dimensions],
         names=tuple(str(known.get(f"sensor {i}", f"s{i}")) for i in range(count)),
         units=str(known.get("units", "")),
     )
 
 
-def _place(path: Path, fields: list[str], number: int, line: str) -> list[float]:
+def _position(path: Path, fields: list[str], number: int, line: str) -> list[float]:
     words = line.split()
     if len(words) != len(fields):
-        raise LineError(path, number, f" has {len(words)} numbers for {len(fields)} fields")
-    place = []
+        problem = f" has {len(words)} numbers, but the header announces {len(fields)}"
+        raise LineError(path, number, problem)
+    position = []
     for axis in "xyz":
         column = fields.index(axis)
         try:
-            place.append(parse_number(words[column]))
+            position.append(parse_number(words[column]))
         except ValueError:
             problem = f", column {column + 1} ({axis}): {quoted(words[column])} is not a number"
             raise LineError(path, number, problem) from None
-    return place
+    return position

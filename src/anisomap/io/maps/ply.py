@@ -1,9 +1,7 @@
-"""Maps as PLY point clouds, in ASCII, for viewers of meshes and clouds.
+"""ASCII PLY point clouds (Turk 1994, "The PLY polygon file format"), for mesh viewers.
 
-Only sensors that have a position are in them, each with its number in the map, its component, and
-its normal as the positions tell it.
-The format is that of Turk (1994), "The PLY polygon file format"; numbers are doubles, so that
-nothing is lost.
+They hold the placed sensors, each with its index in the map, component and estimated normal.
+Coordinates are doubles, so that they are read back equal.
 """
 
 from __future__ import annotations
@@ -17,25 +15,25 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import FileError, InputError
+from anisomap.errors import FileError
 from anisomap.io.parsing import comments
-from anisomap.io.parsing.source import opened, quoted
+from anisomap.io.parsing.source import open_binary, quoted
 from anisomap.io.parsing.table import LineError, parse_number
-from anisomap.placement import in_space, normals_of
+from anisomap.placement import pad_to_3d, surface_normals
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
 
 _MAGIC = b"ply"
 _AXES = ("x", "y", "z")
 _NORMAL = ("nx", "ny", "nz")
-_MOST_LINES = 1 << 31
+_MAX_LINES = 1 << 31
 
 Line = tuple[int, str]
 
 
 @dataclass(frozen=True)
 class _Header:
-    """What stands before the body: kinds of lines in their order, their columns, and comments."""
+    """Number of lines and column names of each element, in order, and entries in comments."""
 
     counts: dict[str, int]
     columns: dict[str, list[str]]
@@ -43,61 +41,32 @@ class _Header:
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell a PLY file by its first line."""
+    """Recognise a PLY file by its first line."""
     return head.splitlines()[:1] == [_MAGIC]
 
 
 def read_map(path: Path) -> SensorMap:
-    """Read the vertices of a PLY file as positions.
+    """Read the vertices of an ASCII file as sensors; other elements are skipped.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        An ASCII file whose vertices have x, y and z. Faces and other properties are passed over.
-
-    Returns
-    -------
-    SensorMap
-        A sensor a vertex. In files of ours they have the names and components that they had in
-        the map, where sensors without a position are missing; others are named s0, s1, ...
-
-    Raises
-    ------
-    FileError
-        With the line of what cannot be read, or if the file is a binary PLY.
+    Files written by anisomap restore names and components; in other files names are s0, s1, ...
     """
-    with opened(path) as stream:
+    with open_binary(path) as stream:
         lines = enumerate((line.decode("utf-8", "replace").strip() for line in stream), start=1)
         header = _read_header(path, lines)
         rows = _read_vertices(path, header, lines)
     values = dict(zip(header.columns["vertex"], np.array(rows).T, strict=True))
-    numbers = _whole(path, values.get("sensor", np.arange(len(rows), dtype=np.float64)))
+    numbers = _integers(path, values.get("sensor", np.arange(len(rows), dtype=np.float64)))
     dimensions = 2 if header.known.get("dimensions") == 2 else len(_AXES)
     return SensorMap(
         np.column_stack([values[axis] for axis in _AXES[:dimensions]]),
         names=tuple(str(header.known.get(f"sensor {i}", f"s{i}")) for i in numbers),
-        component=_whole(path, values.get("component", np.empty(0))),
+        component=_integers(path, values.get("component", np.empty(0))),
         units=str(header.known.get("units", "")),
     )
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
-    """Write the sensors of a map that have a position as vertices.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        In up to three dimensions; those that are missing become 0.
-    path : pathlib.Path
-        Where.
-
-    Raises
-    ------
-    InputError
-        If the map has more than three dimensions.
-    """
-    if sensor_map.dimensions > len(_AXES):
-        raise InputError(f"PLY holds points in space, but the map has {sensor_map.dimensions} axes")
+    """Write the placed sensors of a map of up to three dimensions as vertices."""
     numbers = np.flatnonzero(sensor_map.placed).tolist()
     known: dict[str, Scalar] = {
         "method": sensor_map.method,
@@ -106,13 +75,13 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "dimensions": sensor_map.dimensions,
         **{f"sensor {i}": sensor_map.names[i] for i in numbers},
     }
-    points = np.hstack([in_space(sensor_map.positions), normals_of(sensor_map)])
+    points = np.hstack([pad_to_3d(sensor_map.positions), surface_normals(sensor_map)])
     head = [
         "ply",
         "format ascii 1.0",
         f"comment anisomap map, known up to {sensor_map.known_up_to}",
         "comment normals are estimated from the positions",
-        *(f"comment {key}: {comments.written(value)}" for key, value in known.items()),
+        *(f"comment {key}: {comments.format_value(value)}" for key, value in known.items()),
         f"element vertex {len(numbers)}",
         *(f"property double {column}" for column in (*_AXES, *_NORMAL)),
         "property int sensor",
@@ -135,21 +104,21 @@ def _read_header(path: Path, lines: Iterator[Line]) -> _Header:
             case ["end_header"]:
                 break
             case ["format", kind, *_] if kind != "ascii":
-                raise LineError(path, number, f": this PLY is {kind}; save it as ASCII")
+                raise LineError(path, number, f": the PLY format must be ascii, got {kind}")
             case ["comment", *_]:
                 remarks.append(line.removeprefix("comment"))
-            case ["element", element, count] if count.isdecimal() and int(count) < _MOST_LINES:
+            case ["element", element, count] if count.isdecimal() and int(count) < _MAX_LINES:
                 counts[element], columns[element] = int(count), []
             case ["property", _, *_, name] if element:
                 columns[element].append(name)
             case ["ply"] | ["format", *_] | ["obj_info", *_] | []:
                 pass
             case _:
-                raise LineError(path, number, f": {quoted(line)} does not belong into a PLY header")
+                raise LineError(path, number, f": {quoted(line)} is not valid in a PLY header")
     else:
-        raise FileError(f"{path} ends before the end of its PLY header")
+        raise FileError(f"{path} ends within its PLY header")
     if not counts.get("vertex") or not set(_AXES) <= set(columns["vertex"]):
-        raise FileError(f"{path} is a PLY file without vertices that have x, y and z")
+        raise FileError(f"{path} holds no vertices with x, y and z")
     return _Header(counts, columns, dict(comments.read_comments(remarks, "")[0]))
 
 
@@ -160,7 +129,7 @@ def _read_vertices(path: Path, header: _Header, lines: Iterator[Line]) -> list[l
     rows = [_row(path, header.columns["vertex"], number, line) for number, line in body]
     if len(rows) < header.counts["vertex"]:
         raise FileError(
-            f"{path} is cut short: {len(rows)} of {header.counts['vertex']} vertices are in it"
+            f"{path} is cut short: it holds {len(rows)} of {header.counts['vertex']} vertices"
         )
     return rows
 
@@ -180,7 +149,7 @@ def _row(path: Path, columns: Sequence[str], number: int, line: str) -> list[flo
     return values
 
 
-def _whole(path: Path, values: NDArray[np.float64]) -> NDArray[np.intp]:
+def _integers(path: Path, values: NDArray[np.float64]) -> NDArray[np.intp]:
     if not all(math.isfinite(value) and value == int(value) for value in values.tolist()):
-        raise FileError(f"{path}: sensor and component must be whole numbers")
+        raise FileError(f"{path}: sensor and component must be integers")
     return values.astype(np.intp)

@@ -1,1 +1,1 @@
-"""Helpers that several readers share."""
+"""Opening and parsing files: code shared by several formats."""

@@ -1,74 +1,97 @@
-"""Which columns of a table are not sensors, but time or a frame counter."""
+"""Detect the columns of a table that hold time or a frame counter instead of readings."""
 
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-ROWS_LOOKED_AT = 1000
-"""How many rows from the start tell what the columns are: a long file need not be read twice."""
+from anisomap.errors import AnisomapWarning
 
-_TIME_WORDS = {"time", "t", "timestamp", "stamp", "elapsed"}
+ROWS_LOOKED_AT = 1000
+"""Rows at the start of a file that determine the roles of its columns."""
+
+_TIME_WORDS = {
+    *("time", "t", "timestamp", "stamp", "elapsed"),
+    *("zeit", "zeitstempel", "uhrzeit", "laufzeit"),
+    *("temps", "horodatage", "tiempo", "tempo", "tijd", "tijdstempel", "czas", "aika"),
+    *("\u010das", "id\u0151", "zaman", "waktu", "\u0432\u0440\u0435\u043c\u044f"),
+    *("\u65f6\u95f4", "\u6642\u9593", "\u6642\u523b", "\uc2dc\uac04"),
+}
 _PER_SECOND = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden"), 1.0),
+    **dict.fromkeys(("secondes", "segundos", "secondi", "seconden"), 1.0),
     **dict.fromkeys(("ms", "msec", "millis", "millisecond", "milliseconds"), 1e3),
+    **dict.fromkeys(("millisekunden", "millisecondes", "milisegundos"), 1e3),
     **dict.fromkeys(("us", "usec", "\u00b5s", "\u03bcs", "micros", "microseconds"), 1e6),
     **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e9),
+    **dict.fromkeys(("min", "minutes", "minuten"), 1 / 60),
+    **dict.fromkeys(("h", "hours", "stunden"), 1 / 3600),
 }
-# Units that may be a whole name; the shorter ones could as well be sensors.
-_TIME_UNITS = set(_PER_SECOND) - {"s", "us", "ns"}
+# Units that can be a whole column name; the others are as likely names of sensors.
+_TIME_UNITS = set(_PER_SECOND) - {"s", "us", "ns", "min", "h"}
 _COUNTER_NAMES = {
     *("", "frame", "frames", "index", "idx", "seq", "sequence", "sample", "row", "packet", "no"),
-    *("frame id", "frame no", "frame number", "frame index", "unnamed: 0"),
+    *("frame id", "frame no", "frame number", "frame index", "unnamed: 0", "nr", "counter"),
 }
-# Seconds since 1970 stay below 1e11 until the year 5138; the same in ms, us and ns lie above.
+# Seconds since 1970 stay below 1e11 until the year 5138; in ms, us and ns they are larger.
 _EPOCHS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
-_FEWEST_FRAMES = 8
-_MOSTLY = 0.95
-_ALL_BUT_A_GLITCH = 0.99
+# Chosen by hand: fewer rows are no evidence of a steady clock, and a few rows may be glitches.
+_MIN_FRAMES = 8
+_MIN_STEADY_FRACTION = 0.95
+_MIN_RISING_FRACTION = 0.99
 
 
 @dataclass(frozen=True)
 class Roles:
-    """Columns that are not sensors; all counted from 0.
+    """Columns that are not sensors, by index from 0.
 
     Parameters
     ----------
     time : int or None
-        The column of times.
+        Column of times.
     per_second : float
-        How many of its units make a second.
+        Number of its units per second.
     counter : int or None
-        A column that counts frames.
-    left_out : tuple of int
-        Every column that is no sensor.
+        Column of a frame counter.
+    non_sensors : tuple of int
+        All columns that are not sensors.
+    guessed : tuple of int
+        Those of them that were recognised by their values and an unusual name.
     """
 
     time: int | None = None
     per_second: float = 1.0
     counter: int | None = None
-    left_out: tuple[int, ...] = ()
+    non_sensors: tuple[int, ...] = ()
+    guessed: tuple[int, ...] = ()
 
 
 def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
-    """Find time and counter by the names of columns.
+    """Find the columns of time and frame counter by name.
 
-    A time column is called time, t, timestamp, stamp, elapsed, seconds, ms or the like, with a
-    unit or without: ``time [ms]``, ``stamp_ns``. ``t`` alone counts among the first two columns
-    only. Without a unit it is in seconds, or in what fits seconds since 1970. Of several, the
-    first gives the times, and the others are left out, too. A counter is called frame, index,
-    seq or the like (or nothing at all), stands among the first two columns, and counts.
+    - A time column has a name such as time, Zeit, stamp, elapsed or ms, with or without a unit
+      (``time [ms]``, ``stamp_ns``). ``t`` alone counts among the first two columns only. Of
+      several, the first gives the times, and none is a sensor.
+    - A counter is one of the first two columns, has a name such as frame, index or seq, or an
+      empty one, and increases in integers.
+    - A column with a time word in a longer name (``host_time``) is time if it increases. The first
+      remaining column is time or counter if it increases steadily and its name differs from those
+      of all later columns, which differ in numbers only (``s0``, ``s1``). These are guesses.
+
+    Without a unit, times are in seconds, or in the unit that makes them seconds since 1970.
 
     Parameters
     ----------
     header : sequence of str
-        One name a column.
+        Column names.
     table : ndarray of shape (t, n_columns)
-        The first `ROWS_LOOKED_AT` rows below.
+        The first `ROWS_LOOKED_AT` rows.
 
     Returns
     -------
@@ -80,31 +103,44 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
         for i, name in enumerate(header[:2])
         if name.lower().replace("_", " ").strip() in _COUNTER_NAMES and _is_counter(table[:, i])
     ]
+    guessed = []
+    if len(table) >= _MIN_FRAMES:
+        guessed = [
+            i
+            for i, name in enumerate(header)
+            if i not in times and _mentions_time(name) and _rises(table[:, i])
+        ]
+        times += guessed
+        first = next((i for i in range(len(header)) if i not in {*times, *counters}), None)
+        if first is not None and _has_odd_name(header, first) and _is_clock(table[:, first]):
+            guessed.append(first)
+            (counters if _counts_by_one(table[:, first]) else times).append(first)
     return Roles(
         time=times[0] if times else None,
         per_second=units_per_second(header[times[0]], table[:, times[0]]) if times else 1.0,
         counter=counters[0] if counters else None,
-        left_out=tuple(sorted({*times, *counters})),
+        non_sensors=tuple(sorted({*times, *counters})),
+        guessed=tuple(guessed),
     )
 
 
 def roles_by_content(table: NDArray[np.float64]) -> Roles:
-    """Find time and counter in a table without a header, and only where there is no doubt.
+    """Find the columns of time and frame counter in a table without a header.
 
-    In at least 8 frames, the first column alone (or the first two alone) must rise all the time.
-    Consecutive whole numbers are a counter; near-equal steps are seconds. Sensors do neither.
+    In at least 8 frames, the first column alone, or the first two alone, must increase throughout.
+    Consecutive integers are a counter, and nearly equal steps are times. Sensors do neither.
 
     Parameters
     ----------
     table : ndarray of shape (t, n_columns)
-        All columns of the first `ROWS_LOOKED_AT` rows.
+        The first `ROWS_LOOKED_AT` rows.
 
     Returns
     -------
     Roles
     """
     n_frames, n_columns = table.shape
-    if n_frames < _FEWEST_FRAMES:
+    if n_frames < _MIN_FRAMES:
         return Roles()
     rising = [i for i in range(n_columns) if _rises(table[:, i])]
     if rising not in ([0], [0, 1]) or len(rising) == n_columns:
@@ -112,23 +148,35 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
     first, last = table[:, 0], table[:, rising[-1]]
     counts = _counts_by_one(first)
     if len(rising) == 1 and counts:
-        return Roles(counter=0, left_out=(0,))
+        return Roles(counter=0, non_sensors=(0,))
     if not _is_steady(last) or (len(rising) == 2 and not counts):
         return Roles()
     return Roles(
         time=rising[-1],
         per_second=units_per_second("", last),
         counter=0 if len(rising) == 2 else None,
-        left_out=tuple(rising),
+        non_sensors=tuple(rising),
     )
 
 
+def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:
+    """Warn of columns that `roles_by_name` took as time or counter without a known name."""
+    for column in roles.guessed:
+        role = "a frame counter" if column == roles.counter else "time"
+        warnings.warn(
+            f"{path}: column {column + 1} ({header[column]}) increases steadily and is taken as "
+            f"{role}, not as a sensor; rename it like the sensors if it is one",
+            AnisomapWarning,
+            stacklevel=2,
+        )
+
+
 def _words(name: str) -> list[str]:
-    return re.findall(r"[a-z\u00b5\u03bc]+", name.lower())
+    return re.findall(r"[^\W\d_]+", name.lower())
 
 
 def is_time(name: str, column: int = 0) -> bool:
-    """Tell whether a column, the how-manieth counts, has the name of one that holds times."""
+    """Return whether a column has a name of times; `column` is its index."""
     words = _words(name)
     if not words or re.search(r"\d", name) or words == ["t"]:
         return words == ["t"] and name.strip().lower() == "t" and column < 2
@@ -137,7 +185,7 @@ def is_time(name: str, column: int = 0) -> bool:
 
 
 def units_per_second(name: str, times: NDArray[np.float64]) -> float:
-    """Tell the unit of times by the name of their column, or else by their size."""
+    """Determine the unit of times from the column name, or from their magnitude."""
     units = [word for word in _words(name) if word in _PER_SECOND]
     if units:
         return _PER_SECOND[units[-1]]
@@ -146,10 +194,26 @@ def units_per_second(name: str, times: NDArray[np.float64]) -> float:
     return next((per_second for least, per_second in _EPOCHS if start > least), 1.0)
 
 
+def _mentions_time(name: str) -> bool:
+    return any(word in _TIME_WORDS - {"t"} for word in _words(name))
+
+
+def _has_odd_name(header: Sequence[str], column: int) -> bool:
+    """Return whether later columns are numbered alike (``s0``, ``s1``), and this one is not."""
+    own, *others = (re.sub(r"\d+", "#", name) for name in header[column:])
+    return len(others) > 1 and len(set(others)) == 1 and "#" in others[0] and own != others[0]
+
+
+def _is_clock(column: NDArray[np.float64]) -> bool:
+    return _rises(column) and _is_steady(column)
+
+
 def _is_counter(column: NDArray[np.float64]) -> bool:
-    """Tell whether a column counts; it may start anew or leave frames out."""
+    """Return whether a column holds integers that mostly increase; restarts are allowed."""
     whole = np.isfinite(column).all() and (column == np.floor(column)).all()
-    return bool(whole and (len(column) == 1 or np.mean(np.diff(column) > 0) >= _MOSTLY))
+    return bool(
+        whole and (len(column) == 1 or np.mean(np.diff(column) > 0) >= _MIN_STEADY_FRACTION)
+    )
 
 
 def _counts_by_one(column: NDArray[np.float64]) -> bool:
@@ -159,11 +223,12 @@ def _counts_by_one(column: NDArray[np.float64]) -> bool:
 
 def _rises(column: NDArray[np.float64]) -> bool:
     with np.errstate(invalid="ignore"):
-        return bool(np.isfinite(column[0]) and np.mean(np.diff(column) > 0) >= _ALL_BUT_A_GLITCH)
+        rising = np.mean(np.diff(column) > 0) >= _MIN_RISING_FRACTION
+        return bool(np.isfinite(column[0]) and rising)
 
 
 def _is_steady(times: NDArray[np.float64]) -> bool:
     with np.errstate(invalid="ignore"):
         steps = np.diff(times)
         usual = np.nanmedian(steps)
-        return bool(np.mean(np.abs(steps - usual) <= usual / 2) >= _MOSTLY)
+        return bool(np.mean(np.abs(steps - usual) <= usual / 2) >= _MIN_STEADY_FRACTION)

@@ -1,4 +1,4 @@
-"""``# key: value`` lines at the top of a text file: easy to read, and read back equal."""
+"""Metadata in ``# key: value`` lines at the top of a text file; reading restores equal values."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from anisomap.errors import InputError
 from anisomap.recording import Scalar
 
-# A spreadsheet that saves a file pads its comment lines with empty cells.
+# Spreadsheets pad comment lines with empty cells when they save a file.
 _PADDING = ",;\t "
 
 
 def write_comments(
     title: str, entries: Iterable[tuple[str, Scalar]], section: str, mapping: Mapping[str, Scalar]
 ) -> str:
-    """Write a title, entries, and a mapping under a section of its own.
+    """Format a title, entries, and a mapping in a separate section.
 
     Parameters
     ----------
@@ -26,33 +26,32 @@ def write_comments(
     entries : iterable of (str, scalar)
         Keys may repeat.
     section : str
-        Key whose empty value opens the mapping; left out if the mapping is empty.
+        Heading of the mapping; omitted if the mapping is empty.
     mapping : mapping of str to scalar
-        All lines from there on.
 
     Returns
     -------
     str
-        Lines that begin with ``#`` and end with a newline.
+        Lines that start with ``#`` and end with a newline.
     """
-    lines = [title, *(f"{_written_key(key)}: {written(value)}" for key, value in entries)]
+    lines = [title, *(f"{_format_key(key)}: {format_value(value)}" for key, value in entries)]
     if mapping:
         lines.append(f"{section}:")
-    lines += [f"{_written_key(key)}: {written(value)}" for key, value in mapping.items()]
+    lines += [f"{_format_key(key)}: {format_value(value)}" for key, value in mapping.items()]
     return "".join(f"# {line}\n" for line in lines)
 
 
 def read_comments(
     lines: Iterable[str], section: str
 ) -> tuple[list[tuple[str, Scalar]], dict[str, Scalar]]:
-    """Read what `write_comments` wrote; lines without a colon are passed over.
+    """Parse the output of `write_comments`; lines without a colon are skipped.
 
     Parameters
     ----------
     lines : iterable of str
-        The comment lines, title and all.
+        The comment lines, including the title.
     section : str
-        As it was written.
+        Heading of the mapping.
 
     Returns
     -------
@@ -63,50 +62,50 @@ def read_comments(
     mapping: dict[str, Scalar] = {}
     inside = False
     for line in lines:
-        key, separator, value = _split(line.strip().removeprefix("#").strip())
+        key, separator, value = _split_entry(line.strip().removeprefix("#").strip())
         if not separator:
             continue
         text = value.strip().rstrip(_PADDING)
         if not text and key == section and not inside:
             inside = True
         elif inside:
-            mapping[key] = _decoded(text)
+            mapping[key] = _parse_value(text)
         else:
-            entries.append((key, _decoded(text)))
+            entries.append((key, _parse_value(text)))
     return entries, mapping
 
 
-def written(value: Scalar) -> str:
-    """Write a value: text as it is where that reads back as the same text, all else as JSON."""
+def format_value(value: Scalar) -> str:
+    """Format a value as JSON, or text verbatim if it reads back as the same text."""
     if isinstance(value, str):
         plain = value and value.isprintable() and value == value.strip(_PADDING)
-        return value if plain and _decoded(value) == value else json.dumps(value)
-    return json.dumps(python_scalar(value))
+        return value if plain and _parse_value(value) == value else json.dumps(value)
+    return json.dumps(to_python_scalar(value))
 
 
-def python_scalar(value: object) -> Scalar:
-    """Give a scalar of Python for one of numpy.
+def to_python_scalar(value: object) -> Scalar:
+    """Convert a numpy scalar to a Python scalar.
 
     Raises
     ------
     InputError
-        If it is not a scalar at all.
+        If `value` is not a scalar.
     """
     scalar = value.item() if isinstance(value, np.generic) else value
     if not isinstance(scalar, Scalar):
         raise InputError(
-            f"provenance and metadata hold text, numbers and truth values, "
+            "values of provenance and metadata must be str, int, float or bool, "
             f"not {type(value).__name__}"
         )
     return scalar
 
 
-def _written_key(key: str) -> str:
+def _format_key(key: str) -> str:
     plain = key and key.isprintable() and key == key.strip() and key[0] not in '"#'
     return key if plain and ":" not in key else json.dumps(key)
 
 
-def _split(line: str) -> tuple[str, str, str]:
+def _split_entry(line: str) -> tuple[str, str, str]:
     if not line.startswith('"'):
         key, separator, value = line.partition(":")
         return key.strip(), separator, value
@@ -118,7 +117,7 @@ def _split(line: str) -> tuple[str, str, str]:
     return (key, separator, value) if separator == ":" else ("", "", "")
 
 
-def _decoded(text: str) -> Scalar:
+def _parse_value(text: str) -> Scalar:
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):

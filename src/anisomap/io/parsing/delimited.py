@@ -1,4 +1,4 @@
-"""Delimited text: its records, its delimiter, and whether it has a header."""
+"""Detect the layout of delimited text: delimiter, header, preamble and text columns."""
 
 from __future__ import annotations
 
@@ -11,37 +11,41 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TextIO
 
-from anisomap.io.parsing.source import DAMAGED_GZIP
-from anisomap.io.parsing.table import is_skipped, parse_number
+from anisomap.io.parsing.source import GZIP_ERRORS
+from anisomap.io.parsing.table import is_number, is_skipped
 
 Record = tuple[int, list[str]]
-"""The line on which a record begins, counted from 1, and its fields."""
+"""First line of a record, from 1, and its fields."""
 
 _SAMPLE_LINES, _SAMPLE_CHARACTERS = 1000, 1 << 22
 _SAMPLE_RECORDS = 50
-# A semicolon or a tab is hardly ever part of a number or a name, a comma may be a decimal one.
+# In order of trust: semicolons and tabs are rare in numbers and names, commas may be decimal.
 _DELIMITERS = (";", "\t", ",", None)
 _BLANK_SEPARATED = re.compile(r'"((?:[^"]|"")*)"|(\S+)')
-_FEWEST_COUNTED = 4
-_LINES_ABOVE, _ROWS_BEYOND_DOUBT = 100, 5
+# Chosen by hand, so that a row of numbers is not mistaken for the labels 0, 1, 2, ...
+_MIN_COUNTED = 4
+_MAX_PREAMBLE, _MIN_UNIFORM_ROWS = 100, 5
+_MIN_TEXT_CELLS = 2
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How a delimited file of numbers is laid out.
+    """Layout of a delimited file of numbers.
 
     Parameters
     ----------
     delimiter : str or None
-        Between fields; None for any run of blanks.
+        Field separator; None for any run of white space.
     header : tuple of str
-        Names of the columns; empty if the file has none.
+        Column names; empty without a header.
     n_columns : int
         Number of columns, 0 if there is no line of numbers.
     trailing : int
-        How many delimiters end every line with nothing between or after them.
+        Number of surplus delimiters at the end of every line.
     first_line : int
-        The line after the header, counted from 1; 1 without a header.
+        The line after the header, from 1; 1 without a header.
+    text_columns : tuple of int
+        Columns without a number in any cell of the sample.
     """
 
     delimiter: str | None
@@ -49,9 +53,10 @@ class Layout:
     n_columns: int
     trailing: int
     first_line: int
+    text_columns: tuple[int, ...] = ()
 
     def clean(self, line: str) -> str:
-        """Make decimal points of decimal commas, and drop empty fields at the end."""
+        """Replace decimal commas by points, and drop trailing delimiters."""
         if self.delimiter != ",":
             line = line.replace(",", ".")
         for _ in range(self.trailing):
@@ -59,14 +64,11 @@ class Layout:
         return line
 
 
-def take_sample(stream: TextIO) -> list[str]:
-    """Read as many lines from the start of a file as it takes to know its layout.
-
-    Where a gzipped file is damaged they end, so that what is whole can still be read.
-    """
+def read_sample(stream: TextIO) -> list[str]:
+    """Read the first lines of a file to detect its layout, up to the first gzip damage."""
     sample: list[str] = []
     characters = 0
-    with suppress(*DAMAGED_GZIP):
+    with suppress(*GZIP_ERRORS):
         for line in itertools.islice(stream, _SAMPLE_LINES):
             sample.append(line)
             characters += len(line)
@@ -76,26 +78,26 @@ def take_sample(stream: TextIO) -> list[str]:
 
 
 def records(lines: Iterable[str], delimiter: str | None) -> Iterator[Record]:
-    """Split lines into records; a quoted field may go on over several lines.
+    """Split lines into records; a quoted field may span several lines.
 
-    Blank lines and lines that begin with ``#`` are passed over, but not inside a quoted field.
+    Blank lines and lines that start with ``#`` are skipped, except inside a quoted field.
 
     Parameters
     ----------
     lines : iterable of str
         With their line ends.
     delimiter : str or None
-        Between fields; None for any run of blanks.
+        Field separator; None for any run of white space.
 
     Yields
     ------
     (int, list of str)
-        The line on which a record begins, and its fields.
+        First line of the record, and its fields.
 
     Raises
     ------
     csv.Error
-        If quotation marks do not match up.
+        If quotation marks are unbalanced.
     """
     numbered = enumerate(lines, start=1)
     for number, line in numbered:
@@ -113,10 +115,10 @@ def records(lines: Iterable[str], delimiter: str | None) -> Iterator[Record]:
 
 
 def find_delimiter(sample: Sequence[str]) -> str | None:
-    """Tell what stands between fields.
+    """Detect the delimiter.
 
-    The first of semicolon, tab, comma and blanks by which the records agree in their number of
-    fields; if they agree by none (a damaged file), the one that splits most of them.
+    It is the first of semicolon, tab, comma and white space that gives all records the same number
+    of fields. If none does (in a damaged file), it is the one that splits the most records.
 
     Parameters
     ----------
@@ -126,11 +128,12 @@ def find_delimiter(sample: Sequence[str]) -> str | None:
     Returns
     -------
     str or None
-        None for any run of blanks.
+        None for any run of white space.
     """
     splits = Counter[str | None]()
     for delimiter in _DELIMITERS:
-        widths = [len(fields) for _, fields in _first_records(sample, delimiter)]
+        first = itertools.islice(_all_records(sample, delimiter), _SAMPLE_RECORDS)
+        widths = [len(fields) for _, fields in first]
         body = set(widths[1:] or widths)
         if len(body) == 1 and min(body) > 1 and abs(widths[0] - min(body)) <= 1:
             return delimiter
@@ -139,11 +142,11 @@ def find_delimiter(sample: Sequence[str]) -> str | None:
     return best if count else ","
 
 
-def lines_above(sample: Sequence[str]) -> int:
-    """Count the lines above a table, as measuring programs write them to say what was measured.
+def count_preamble(sample: Sequence[str]) -> int:
+    """Count the lines of metadata above the table in the export of a measurement program.
 
-    They are such only beyond doubt: the first line has hardly as many fields as the many rows of
-    numbers that follow, which agree with one another.
+    They are recognised only if several rows of numbers of equal width follow, with more fields than
+    the first line.
 
     Parameters
     ----------
@@ -153,9 +156,9 @@ def lines_above(sample: Sequence[str]) -> int:
     Returns
     -------
     int
-        0 if the file begins with its table. The line of names, if there is one, is of the table.
+        0 if the file starts with the table. The header is part of the table.
     """
-    top = sample[:_LINES_ABOVE]
+    top = sample[:_MAX_PREAMBLE]
     for delimiter in _DELIMITERS:
         widths = [0 if is_skipped(s, delimiter) else len(_split(s, delimiter)) for s in top]
         first = next((width for width in widths if width), 0)
@@ -163,9 +166,9 @@ def lines_above(sample: Sequence[str]) -> int:
         start = next((i for i in wide if _is_numeric(top[i], delimiter)), None)
         if start is None:
             continue
-        rows = range(start, min(start + _ROWS_BEYOND_DOUBT, len(top)))
+        rows = range(start, min(start + _MIN_UNIFORM_ROWS, len(top)))
         alike = all(widths[i] == widths[start] and _is_numeric(top[i], delimiter) for i in rows)
-        if alike and len(rows) == _ROWS_BEYOND_DOUBT:
+        if alike and len(rows) == _MIN_UNIFORM_ROWS:
             named = abs(widths[start - 1] - widths[start]) <= 1
             return start - named
     return 0
@@ -177,23 +180,19 @@ def _split(line: str, delimiter: str | None) -> list[str]:
 
 def _is_numeric(line: str, delimiter: str | None) -> bool:
     fields = _split(line, delimiter)
-    try:
-        for field in fields:
-            parse_number(field if delimiter == "," else field.replace(",", "."))
-    except ValueError:
-        return False
-    return len(fields) > 1 and any(field.strip() for field in fields)
+    numeric = all(is_number(field, delimiter) for field in fields)
+    return numeric and len(fields) > 1 and any(field.strip() for field in fields)
 
 
 def find_layout(sample: Sequence[str], *, own_delimiter: str = "") -> Layout:
-    """Tell how a file of numbers is laid out.
+    """Detect the layout of a file of numbers.
 
     Parameters
     ----------
     sample : sequence of str
         Its first lines.
     own_delimiter : str
-        The delimiter, if the file itself names it; then the first record is a header.
+        The delimiter of a file written by anisomap, which has a header and no text columns.
 
     Returns
     -------
@@ -202,61 +201,81 @@ def find_layout(sample: Sequence[str], *, own_delimiter: str = "") -> Layout:
     Raises
     ------
     csv.Error
-        If quotation marks do not match up.
+        If quotation marks are unbalanced.
     """
     delimiter = own_delimiter or find_delimiter(sample)
     found = list(itertools.islice(records(sample, delimiter), _SAMPLE_RECORDS))
     rows = [fields for _, fields in found]
-    has_header = bool(rows) and (bool(own_delimiter) or _looks_like_header(delimiter, *rows[:2]))
+    text = () if own_delimiter else _text_columns(sample, delimiter, rows)
+    numeric = [[f for i, f in enumerate(row) if i not in text] for row in rows[:2]]
+    has_header = bool(rows) and (bool(own_delimiter) or _looks_like_header(delimiter, *numeric))
     header, body = (rows[0], rows[1:]) if has_header else ([], rows)
     first_line = _line_after_header(sample, delimiter) if has_header else 1
     width, empty = (len(body[0]), empty_columns(body)) if body else (0, 0)
     if not header:
-        return Layout(delimiter, (), width - empty, empty, first_line)
+        return Layout(delimiter, (), width - empty, empty, first_line, text)
     named = header[: len(header) - empty_columns([header])]
     if 0 <= width - len(named) <= empty:
-        return Layout(delimiter, tuple(named), len(named), width - len(named), first_line)
-    return Layout(delimiter, tuple(header), len(header) if body else 0, 0, first_line)
+        return Layout(delimiter, tuple(named), len(named), width - len(named), first_line, text)
+    return Layout(delimiter, tuple(header), len(header) if body else 0, 0, first_line, text)
+
+
+def _text_columns(
+    sample: Sequence[str], delimiter: str | None, rows: Sequence[Sequence[str]]
+) -> tuple[int, ...]:
+    """Find columns that hold text and no number below the first record, which may be a header."""
+    candidates = _without_numbers(rows[1:], delimiter)
+    if candidates:
+        every = [fields for _, fields in _all_records(sample, delimiter)]
+        candidates = [i for i in candidates if i in _without_numbers(every[1:], delimiter)]
+    # Without a column of numbers, a message about the first cell helps more than skipping all.
+    return tuple(candidates) if rows and len(candidates) < len(rows[0]) else ()
+
+
+def _without_numbers(rows: Sequence[Sequence[str]], delimiter: str | None) -> list[int]:
+    found = []
+    for i in range(len(rows[0]) if rows else 0):
+        cells = [row[i] for row in rows if i < len(row) and row[i].strip()]
+        if len(cells) >= _MIN_TEXT_CELLS and not any(is_number(c, delimiter) for c in cells):
+            found.append(i)
+    return found
 
 
 def empty_columns(rows: Sequence[Sequence[str]]) -> int:
-    """Count the columns at the end in which nothing stands; the first column is none of them."""
+    """Count the empty columns at the end of all rows; the first column always counts as used."""
     columns = range(1, min(map(len, rows)))
     return sum(
         1 for _ in itertools.takewhile(lambda i: not any(r[-i].strip() for r in rows), columns)
     )
 
 
-def _first_records(sample: Sequence[str], delimiter: str | None) -> Iterator[Record]:
-    """Give the first records, up to where quotation marks do not fit this delimiter."""
+def _all_records(sample: Sequence[str], delimiter: str | None) -> Iterator[Record]:
+    """Yield the records up to the first unbalanced quotation mark."""
     try:
-        yield from itertools.islice(records(sample, delimiter), _SAMPLE_RECORDS)
+        yield from records(sample, delimiter)
     except csv.Error:
         return
 
 
 def _line_after_header(sample: Sequence[str], delimiter: str | None) -> int:
     rest = iter(sample)
-    next(records(rest, delimiter))  # it may go over several lines
+    next(records(rest, delimiter))  # the header may span several lines
     return len(sample) - sum(1 for _ in rest) + 1
 
 
 def _looks_like_header(
     delimiter: str | None, first: Sequence[str], second: Sequence[str] = ()
 ) -> bool:
-    try:
-        for field in first:
-            parse_number(field if delimiter == "," else field.replace(",", "."))
-    except ValueError:
+    if not all(is_number(field, delimiter) for field in first):
         return True
-    if not first[0].strip():
+    if first and not first[0].strip():
         first, second = first[1:], second[1:]
     return _counts(first) and not (second and _counts([*first, second[0]]))
 
 
 def _counts(fields: Sequence[str]) -> bool:
-    """Tell whether fields are 0, 1, 2 ... or 1, 2, 3 ...: names that a data frame gives columns."""
-    return len(fields) >= _FEWEST_COUNTED and any(
+    """Return whether fields are 0, 1, 2, ... or 1, 2, 3, ...: default labels of a data frame."""
+    return len(fields) >= _MIN_COUNTED and any(
         [field.strip() for field in fields] == [str(start + i) for i in range(len(fields))]
         for start in (0, 1)
     )

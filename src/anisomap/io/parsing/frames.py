@@ -1,4 +1,4 @@
-"""What every reader makes of times and readings before they become a recording."""
+"""Validation of times, and compact storage of readings."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 from anisomap.errors import AnisomapWarning, FileError
 
 
-def increasing(
+def increasing_times(
     times: NDArray[np.floating], path: Path, locate: Callable[[int], str] | None = None
 ) -> NDArray[np.float64] | None:
-    """Keep times only if they strictly increase; warn, and keep none, if they do not.
+    """Return times if they are finite and strictly increase, else warn and return None.
 
     Parameters
     ----------
     times : ndarray of shape (T,)
-        In whatever unit.
+        In any unit.
     path : pathlib.Path
-        The file to name.
+        The file, for messages.
     locate : callable, optional
-        Says where in the file a frame stands, such as ``"line 12"``.
+        Maps a frame index to its place in the file, such as ``"line 12"``.
 
     Returns
     -------
@@ -32,26 +32,26 @@ def increasing(
     """
     values = np.asarray(times, dtype=np.float64)
     if values.ndim != 1:
-        raise FileError(f"{path}: times have shape {values.shape}; they must be one a frame, (T,)")
-    fine = np.isfinite(values)
+        raise FileError(f"{path}: times must have shape (T,), got {values.shape}")
+    valid = np.isfinite(values)
     with np.errstate(invalid="ignore"):
-        fine[1:] &= np.diff(values) > 0
-    if fine.all():
+        valid[1:] &= np.diff(values) > 0
+    if valid.all():
         return values
-    frame = int(np.argmin(fine))
+    frame = int(np.argmin(valid))
     where = f" ({locate(frame)})" if locate else ""
     after = f" after {float(values[frame - 1])!r}" if frame else ""
     warnings.warn(
-        f"{path}: times must strictly increase, but that of frame {frame}{where} is "
-        f"{float(values[frame])!r}{after}; the recording is read without times",
+        f"{path}: times must strictly increase, but frame {frame}{where} is at "
+        f"{float(values[frame])!r}{after}; the times are ignored",
         AnisomapWarning,
         stacklevel=2,
     )
     return None
 
 
-def narrowed(readings: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Store readings as float32 where that loses nothing: it halves most recordings."""
+def to_float32_if_exact(readings: NDArray[np.float64]) -> NDArray[np.floating]:
+    """Convert readings to float32 if that is exact, which halves the memory of most recordings."""
     with np.errstate(over="ignore"):
         single = readings.astype(np.float32)
     return single if np.array_equal(single, readings, equal_nan=True) else readings

@@ -1,4 +1,4 @@
-"""Rectangular arrays: positions and names of sensors in rows and columns."""
+"""Names and positions of the sensors of rectangular arrays."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from anisomap.errors import InputError
 from anisomap.recording import Recording, default_names
 
 UNITS = "spacings"
-"""What the positions of a grid are in, where its spacing is not known."""
+"""Unit of grid positions if the physical spacing is unknown."""
 
 
 def grid_positions(rows: int, columns: int) -> NDArray[np.float64]:
-    """Place the sensors of a rectangular array, row after row.
+    """Return the positions of a rectangular array in row-major order.
 
     Parameters
     ----------
@@ -24,42 +24,42 @@ def grid_positions(rows: int, columns: int) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of shape (rows * columns, 2)
-        x along a row, y down the rows, spacing 1.
+        x is the column and y the row; spacing 1.
     """
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
     return np.column_stack([x.ravel(), y.ravel()])
 
 
 def grid_names(rows: int, columns: int) -> tuple[str, ...]:
-    """Name the sensors of a rectangular array, row after row: ``r0c0, r0c1, ...``."""
+    """Return the names ``r0c0, r0c1, ...`` of a rectangular array in row-major order."""
     return tuple(f"r{row}c{column}" for row in range(rows) for column in range(columns))
 
 
 def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
-    """Give the sensors of a recording the positions of a rectangular array, in row-major order.
+    """Set the positions of a recording to those of a rectangular array in row-major order.
 
     Parameters
     ----------
     recording : Recording
     grid : (int, int) or None
-        Rows and columns; None leaves the recording as it is.
+        Rows and columns; None returns the recording unchanged.
 
     Returns
     -------
     Recording
-        Sensors without names of their own are named by row and column.
+        Sensors with default names are renamed by row and column.
 
     Raises
     ------
     InputError
-        If it has another number of sensors.
+        If the recording has a different number of sensors.
     """
     if grid is None:
         return recording
     rows, columns = grid
     if rows * columns != recording.n_sensors:
         raise InputError(
-            f"a grid of {rows} x {columns} has {rows * columns} sensors, "
+            f"a {rows} x {columns} grid has {rows * columns} sensors, "
             f"but the recording has {recording.n_sensors}"
         )
     unnamed = recording.names == default_names(recording.n_sensors)

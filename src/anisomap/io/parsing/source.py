@@ -1,4 +1,4 @@
-"""Opening files, and one clear sentence for all that can fail in it."""
+"""Open files as bytes or text, decompress them, and convert errors to FileError."""
 
 from __future__ import annotations
 
@@ -17,30 +17,35 @@ import numpy as np
 from anisomap.errors import FileError, InputError
 
 HEAD_BYTES = 1 << 16
-"""How much of a file the formats look at to recognise their own."""
+"""Bytes at the start of a file that the formats inspect to recognise it."""
 
-DAMAGED_GZIP = (EOFError, zlib.error, gzip.BadGzipFile)
-"""What reading a gzipped file raises where it is damaged or cut short."""
+GZIP_ERRORS = (EOFError, zlib.error, gzip.BadGzipFile)
+"""Exceptions of reading a damaged or truncated gzip file."""
 
 _GZIP = b"\x1f\x8b"
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
-_QUOTED = 40
-_SUSPICIOUS_RATIO, _SUSPICIOUS_BYTES = 900, 1 << 30
+_MAX_QUOTED = 40
+
+MAX_RATIO, MIN_CHECKED_BYTES = 900, 1 << 30
+"""Compressed data may expand at most `MAX_RATIO`-fold beyond `MIN_CHECKED_BYTES`.
+
+Deflate reaches 1032 at most; chosen by hand below that, where no recording of real sensors comes.
+"""
 
 
 @contextmanager
-def blaming(path: Path) -> Iterator[None]:
-    """Turn whatever goes wrong in the block into a FileError that names the file.
+def file_errors(path: Path) -> Iterator[None]:
+    """Convert errors in the block to FileErrors that name the file.
 
     Parameters
     ----------
     path : pathlib.Path
-        The file to name.
+        The file, for messages.
 
     Raises
     ------
     FileError
-        In place of errors of input, decoding, decompression, memory and the operating system.
+        Instead of errors of input, decoding, decompression, memory and the operating system.
     """
     try:
         yield
@@ -53,53 +58,52 @@ def blaming(path: Path) -> Iterator[None]:
             f"{path} is not UTF-8 text{_undecodable(path)}; save it as UTF-8"
         ) from error
     except csv.Error as error:
-        raise FileError(f"{path}: quotation marks do not match up ({error})") from error
-    except (*DAMAGED_GZIP, zipfile.BadZipFile) as error:
+        raise FileError(f"{path}: unbalanced quotation marks ({error})") from error
+    except (*GZIP_ERRORS, zipfile.BadZipFile) as error:
         raise FileError(f"{path} is damaged or cut short: {error}") from error
     except MemoryError as error:
-        raise FileError(f"{path} holds more than fits into memory") from error
+        raise FileError(f"{path} does not fit into memory") from error
     except OverflowError as error:
         raise FileError(f"{path} holds a number that is too large: {error}") from error
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def check_unpacked(
+def check_expansion(
     path: Path, what: str, packed: int, unpacked: int, *, largest_ratio: float = np.inf
 ) -> None:
-    """Refuse data that unpack to far more than any recording does.
+    """Reject data that expand far more than any recording (decompression bombs).
 
     Parameters
     ----------
     path : pathlib.Path
-        The file to name.
+        The file, for messages.
     what : str
-        The part of it that is packed, to begin the message with.
+        The compressed part of the file, for messages.
     packed, unpacked : int
-        Bytes before and after.
+        Bytes before and after decompression.
     largest_ratio : float
-        What the way of packing could reach at all.
+        Maximum ratio of the compression method.
 
     Raises
     ------
     FileError
-        If they are made to fill memory. Deflate turns a byte into 1032 at most; not even an idle
-        skin comes near it over a whole gigabyte.
+        If `unpacked` exceeds `largest_ratio` or `max_expansion`.
     """
-    if unpacked > most_unpacked(packed) or unpacked > largest_ratio * packed:
+    if unpacked > max_expansion(packed) or unpacked > largest_ratio * packed:
         raise FileError(
-            f"{path}: {what} says that it unpacks to {unpacked} bytes "
-            f"from {packed}, which no recording does; it is damaged or made to fill memory"
+            f"{path}: {what} expands from {packed} to {unpacked} bytes, more than any recording; "
+            "the file is damaged or a decompression bomb"
         )
 
 
-def most_unpacked(packed: int) -> int:
-    """Give the most bytes that so many packed ones may unpack to."""
-    return max(_SUSPICIOUS_BYTES, _SUSPICIOUS_RATIO * packed)
+def max_expansion(packed: int) -> int:
+    """Return the largest accepted size in bytes of `packed` compressed bytes."""
+    return max(MIN_CHECKED_BYTES, MAX_RATIO * packed)
 
 
 class _Gunzipped(gzip.GzipFile):
-    """Unpacks no more than could be a recording."""
+    """A gzip file that is checked for decompression bombs while it is read."""
 
     def __init__(self, path: Path, raw: io.BufferedReader) -> None:
         super().__init__(fileobj=raw)
@@ -108,23 +112,23 @@ class _Gunzipped(gzip.GzipFile):
     def read(self, size: int | None = -1) -> bytes:
         if size is None or size < 0:
             return b"".join(iter(lambda: self.read(HEAD_BYTES), b""))
-        content = super().read1(size)  # `read` loses all that came before damage
-        if self.tell() > _SUSPICIOUS_BYTES:
+        content = super().read1(size)  # `read` discards the data before the damage
+        if self.tell() > MIN_CHECKED_BYTES:
             packed = self._path.stat().st_size
-            check_unpacked(self._path, "its content", packed, self.tell())
+            check_expansion(self._path, "its content", packed, self.tell())
         return content
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[io.BufferedReader]:
-    """Open a file as bytes, unpacked if its first bytes say that it is gzipped."""
-    with _opened(path) as (stream, _):
+def open_binary(path: Path) -> Iterator[io.BufferedReader]:
+    """Open a file as bytes, and decompress it if it starts with the gzip magic number."""
+    with _open(path) as (stream, _):
         yield stream
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[io.BufferedReader, io.BufferedReader]]:
-    """Open a file as bytes to read, and as those that lie on the disk."""
+def _open(path: Path) -> Iterator[tuple[io.BufferedReader, io.BufferedReader]]:
+    """Open a file as decompressed bytes and as the raw bytes on disk."""
     with path.open("rb") as raw:
         if raw.peek(len(_GZIP))[: len(_GZIP)] != _GZIP:
             yield raw, raw
@@ -135,80 +139,81 @@ def _opened(path: Path) -> Iterator[tuple[io.BufferedReader, io.BufferedReader]]
 
 @dataclass(frozen=True)
 class Text:
-    """An open text file: its lines, and how much of the file has been read, from 0 to 1."""
+    """An open text file: its lines, and a function for the fraction read so far, from 0 to 1."""
 
     lines: io.TextIOWrapper
-    share: Callable[[], float]
+    fraction: Callable[[], float]
 
 
 @contextmanager
-def opened_text(path: Path) -> Iterator[io.TextIOWrapper]:
-    """Open a file as UTF-8 text, gunzipped, without byte order mark, line ends as they are."""
-    with opened_with_share(path) as text:
+def open_text(path: Path) -> Iterator[io.TextIOWrapper]:
+    """Open a file as UTF-8 text: decompressed, without byte order mark, with its line ends."""
+    with open_text_with_progress(path) as text:
         yield text.lines
 
 
 @contextmanager
-def opened_with_share(path: Path) -> Iterator[Text]:
-    """Open a file as `opened_text` does, and be able to tell how much of it has been read."""
-    with _opened(path) as (stream, raw):
-        start = _start(stream)
+def open_text_with_progress(path: Path) -> Iterator[Text]:
+    """Open a file as `open_text` does, and report the fraction read."""
+    with _open(path) as (stream, raw):
+        start = _read_start(stream)
         if start.startswith(_UTF16):
             raise FileError(f"{path} is UTF-16 text; save it as UTF-8")
         if b"\0" in start:
-            raise FileError(f"{path} is binary, not text, whatever its name says")
+            raise FileError(f"{path} is binary, not text")
         stream.seek(0)
         size = max(path.stat().st_size, 1)
         with io.TextIOWrapper(stream, encoding="utf-8-sig", newline="") as text:
             yield Text(text, lambda: raw.tell() / size)
 
 
-def head(path: Path) -> bytes:
-    """Give the first bytes of a file, gunzipped; none of a folder.
+def read_head(path: Path) -> bytes:
+    """Read the first decompressed bytes of a file; empty for a folder.
 
     Raises
     ------
     FileError
-        If there is no such file, it cannot be read, or it is empty or no ordinary file.
+        If the file is missing, unreadable, empty or not a regular file.
     """
-    with blaming(path):
+    with file_errors(path):
         if path.is_dir():
             return b""
         if not path.exists():
             raise FileError(f"there is no file {path}")
         if not path.is_file():
-            raise FileError(f"{path} is not an ordinary file; save its content to one first")
-        with opened(path) as stream:
-            start = _start(stream)
+            raise FileError(f"{path} is not a regular file; save its content to one first")
+        with open_binary(path) as stream:
+            start = _read_start(stream)
         if not start:
             raise FileError(f"{path} is empty")
         return start
 
 
-def _start(stream: io.BufferedReader) -> bytes:
-    """Read the first bytes, or as many as damage leaves."""
+def _read_start(stream: io.BufferedReader) -> bytes:
+    """Read up to `HEAD_BYTES`, stopping at the first damage."""
     start = b""
     try:
         while len(start) < HEAD_BYTES and (more := stream.read1(HEAD_BYTES - len(start))):
             start += more
-    except DAMAGED_GZIP:
+    except GZIP_ERRORS:
         if not start:
             raise
     return start
 
 
 def quoted(text: str) -> str:
-    """Quote a piece of a file in a message, shortened and on one line."""
-    return repr(text if len(text) <= _QUOTED else text[:_QUOTED] + "...")
+    """Quote text from a file for a message, shortened and on one line."""
+    return repr(text if len(text) <= _MAX_QUOTED else text[:_MAX_QUOTED] + "...")
 
 
-def readable(name: str) -> str:
-    """Give a name as it is, or quoted if that would break a message."""
-    return name if name.isprintable() and len(name) <= _QUOTED else quoted(name)
+def quoted_if_needed(name: str) -> str:
+    """Return a short printable name verbatim, and quote others."""
+    short = len(name) <= _MAX_QUOTED and name.isprintable()
+    return name if short else quoted(name)
 
 
 def _undecodable(path: Path) -> str:
-    with opened(path) as stream:
+    with open_binary(path) as stream:
         for number, line in enumerate(stream, start=1):
             try:
                 line.decode("utf-8")

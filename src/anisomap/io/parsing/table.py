@@ -1,4 +1,4 @@
-"""Numbers in lines of text: read fast by numpy, and looked at closely where that fails."""
+"""Parse lines of numbers: fast with numpy, and line by line to locate what numpy rejects."""
 
 from __future__ import annotations
 
@@ -16,27 +16,26 @@ from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.io.parsing.source import (
-    DAMAGED_GZIP,
-    opened_text,
-    opened_with_share,
+    GZIP_ERRORS,
+    open_text,
+    open_text_with_progress,
     quoted,
-    readable,
+    quoted_if_needed,
 )
 
 _BLOCK_LINES, _BLOCK_CHARACTERS = 512, 1 << 22
 
 
 class LineError(FileError):
-    """A line that cannot be read.
+    """A line that cannot be parsed.
 
     Parameters
     ----------
     path : pathlib.Path
-        The file.
     line : int
-        Counted from 1.
+        From 1.
     problem : str
-        What is wrong with it.
+        Rest of the message.
     """
 
     def __init__(self, path: Path, line: int, problem: str) -> None:
@@ -44,30 +43,31 @@ class LineError(FileError):
         self.line = line
 
 
-def _as_it_is(line: str) -> str:
+def _unchanged(line: str) -> str:
     return line
 
 
 @dataclass(frozen=True)
 class Table:
-    """How numbers stand in a file.
+    """Layout of the numbers in a text file.
 
     Parameters
     ----------
     path : pathlib.Path
-        The file, for messages.
     delimiter : str or None
-        Between the fields of a line; None for any run of blanks.
+        Field separator; None for any run of white space.
     n_columns : int
-        Fields that every line must have.
+        Required number of fields per line.
     because : str
-        What says so, for messages: ``"the header names 3"``.
+        Reason for `n_columns`, for messages: ``"the header names 3"``.
     first_line : int
-        Line of the first numbers, counted from 1; what stands before is not looked at.
+        First line of numbers, from 1; earlier lines are skipped.
     names : tuple of str
-        Names of the columns, for messages; empty if they have none.
+        Column names, for messages; empty without a header.
     clean : callable
-        Makes of a line one that has numbers and delimiters only; must keep the order of fields.
+        Converts a line to numbers and delimiters; must keep the order of fields.
+    text_columns : tuple of int
+        Columns of text, which are read as NaN.
     """
 
     path: Path
@@ -76,52 +76,55 @@ class Table:
     because: str
     first_line: int = 1
     names: tuple[str, ...] = ()
-    clean: Callable[[str], str] = _as_it_is
+    clean: Callable[[str], str] = _unchanged
+    text_columns: tuple[int, ...] = ()
 
 
-def read_blocks(table: Table, *, aloud: bool = True) -> Iterator[tuple[NDArray[np.float64], float]]:
-    """Read lines of numbers, some at a time.
+def read_blocks(
+    table: Table, *, warn_of_cut: bool = True
+) -> Iterator[tuple[NDArray[np.float64], float]]:
+    """Read lines of numbers in blocks.
 
-    Comments from ``#`` to the end of a line and blank lines are passed over; an empty field is a
-    missing number, NaN. A last line that was cut off is left out, with a warning.
+    Blank lines and comments, from ``#`` to the end of the line, are skipped; an empty field is
+    NaN. A truncated last line is dropped with a warning.
 
     Parameters
     ----------
     table : Table
-        The file, and how its numbers are laid out.
-    aloud : bool
-        Whether to warn of a last line that was cut off.
+        The file and its layout.
+    warn_of_cut : bool
+        Whether to warn of a truncated last line.
 
     Yields
     ------
     ndarray of float64, shape (t, n_columns)
         At least one row.
     float
-        The share of the file that has been read.
+        Fraction of the file read so far.
 
     Raises
     ------
     LineError
-        At the first line with another number of fields, or a field that is no number.
+        At the first line with a wrong number of fields, or a field that is not a number.
     EOFError, zlib.error, gzip.BadGzipFile
-        If a gzipped file is damaged: all that is whole has come before.
+        If a gzipped file is damaged, after all rows before the damage.
     """
     first_line, n_rows = table.first_line, 0
-    with opened_with_share(table.path) as text:
+    with open_text_with_progress(table.path) as text:
         lines = itertools.islice(text.lines, first_line - 1, None)
         for block, damage in _line_blocks(lines):
             rows = _all_but_a_cut_line(
-                block, table, first_line, n_before=n_rows, later=lines, aloud=aloud
+                block, table, first_line, n_before=n_rows, later=lines, warn_of_cut=warn_of_cut
             )
             first_line, n_rows = first_line + len(block), n_rows + len(rows)
             if len(rows):
-                yield rows, text.share()
+                yield rows, text.fraction()
             if damage:
                 raise damage
 
 
 def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
-    """Read as many rows, or all if there are fewer; of damage behind them nothing is said.
+    """Read the first `n_rows` rows, or all if there are fewer, ignoring damage after them.
 
     Raises
     ------
@@ -129,8 +132,8 @@ def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
         As `read_blocks`.
     """
     held = [np.empty((0, table.n_columns))]
-    with suppress(*DAMAGED_GZIP):
-        for rows, _ in read_blocks(table, aloud=False):
+    with suppress(*GZIP_ERRORS):
+        for rows, _ in read_blocks(table, warn_of_cut=False):
             held.append(rows)
             if sum(map(len, held)) >= n_rows:
                 break
@@ -138,7 +141,7 @@ def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
 
 
 def _line_blocks(lines: Iterator[str]) -> Iterator[tuple[list[str], Exception | None]]:
-    """Gather lines; what goes wrong with unpacking comes after the last lines that are whole."""
+    """Group lines into blocks, each with the decompression error that follows it, if any."""
     block: list[str] = []
     characters = 0
     try:
@@ -148,7 +151,7 @@ def _line_blocks(lines: Iterator[str]) -> Iterator[tuple[list[str], Exception | 
             if len(block) == _BLOCK_LINES or characters > _BLOCK_CHARACTERS:
                 yield block, None
                 block, characters = [], 0
-    except DAMAGED_GZIP as error:
+    except GZIP_ERRORS as error:
         yield block, error
     else:
         if block:
@@ -162,25 +165,24 @@ def _all_but_a_cut_line(
     *,
     n_before: int,
     later: Iterator[str],
-    aloud: bool,
+    warn_of_cut: bool,
 ) -> NDArray[np.float64]:
-    """Read lines; a last one without an end, and with too little in it, was cut off."""
+    """Parse lines; drop an incomplete last line of the file that has no line end."""
     try:
-        return _fast(lines, table, first_line)
+        return _parse_fast(lines, table, first_line)
     except LineError as error:
         *whole, broken = lines
         is_last = error.line == first_line + len(whole) and next(later, None) is None
         n_fields = len(_fields(broken, table.delimiter))
         if not is_last or broken.endswith(("\n", "\r")) or n_fields > table.n_columns:
             raise
-        rows = _fast(whole, table, first_line)
+        rows = _parse_fast(whole, table, first_line)
         if not n_before + len(rows):
             raise
-        if aloud:
+        if warn_of_cut:
             warnings.warn(
-                f"{table.path}: the last line ({error.line}) was cut off in field "
-                f"{n_fields} of {table.n_columns}; its frame is lost, "
-                f"the {n_before + len(rows)} frames before it are whole",
+                f"{table.path}: the last line ({error.line}) is truncated in field {n_fields} of "
+                f"{table.n_columns} and dropped; read the {n_before + len(rows)} frames before it",
                 AnisomapWarning,
                 stacklevel=2,
             )
@@ -188,29 +190,29 @@ def _all_but_a_cut_line(
 
 
 def line_of(table: Table, row: int) -> str:
-    """Tell on which line a row of `read_blocks` stands: ``"line 12"``."""
-    with opened_text(table.path) as stream:
+    """Return the line of a row of `read_blocks`: ``"line 12"``."""
+    with open_text(table.path) as stream:
         lines = itertools.islice(enumerate(stream, start=1), table.first_line - 1, None)
         filled = (number for number, line in lines if not is_skipped(line, table.delimiter))
         return f"line {next(itertools.islice(filled, row, None))}"
 
 
 def is_skipped(line: str, delimiter: str | None = None) -> bool:
-    """Tell whether a line is blank, or a comment only.
+    """Return whether a line is blank or a comment.
 
-    Tabs alone are no blank line where they are the delimiter, but missing readings.
+    If the delimiter is a tab, a line of tabs is a row of missing readings.
     """
     content = line.partition("#")[0]
     return not content.strip() and not (delimiter == "\t" and "\t" in content)
 
 
 def parse_number(field: str) -> float:
-    """Read a number as numpy does: NaN for an empty field, and no underscores between digits.
+    """Parse a number as numpy does: no underscores, and NaN for an empty field.
 
     Raises
     ------
     ValueError
-        If it is not one.
+        If `field` is not a number.
     """
     text = field.strip()
     if not text:
@@ -220,21 +222,43 @@ def parse_number(field: str) -> float:
     return float(text)
 
 
-def _fast(lines: list[str], table: Table, first_line: int) -> NDArray[np.float64]:
-    cleaned = [table.clean(line) for line in lines] if table.clean is not _as_it_is else lines
+def is_number(field: str, delimiter: str | None) -> bool:
+    """Return whether `parse_number` accepts a field; it may have a decimal comma if unambiguous."""
+    try:
+        parse_number(field if delimiter == "," else field.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _text_to_nan(field: str) -> float:
+    """Convert a field of a text column; a number there needs a close look by `_row`."""
+    if field.strip() and is_number(field, ","):
+        raise ValueError(field)
+    return math.nan
+
+
+def _parse_fast(lines: list[str], table: Table, first_line: int) -> NDArray[np.float64]:
+    cleaned = [table.clean(line) for line in lines] if table.clean is not _unchanged else lines
     if all(map(is_skipped, cleaned)):
-        return _careful(lines, table, first_line)
+        return _parse_lines(lines, table, first_line)
     try:
         block = np.loadtxt(
-            cleaned, np.float64, comments="#", delimiter=table.delimiter, ndmin=2, quotechar='"'
+            cleaned,
+            np.float64,
+            comments="#",
+            delimiter=table.delimiter,
+            converters=dict.fromkeys(table.text_columns, _text_to_nan) or None,
+            ndmin=2,
+            quotechar='"',
         )
     except ValueError:
-        return _careful(lines, table, first_line)
-    # Lines that agree with each other may still disagree with those before.
-    return block if block.shape[1] == table.n_columns else _careful(lines, table, first_line)
+        return _parse_lines(lines, table, first_line)
+    # loadtxt compares the widths of lines within the block only.
+    return block if block.shape[1] == table.n_columns else _parse_lines(lines, table, first_line)
 
 
-def _careful(lines: list[str], table: Table, first_line: int) -> NDArray[np.float64]:
+def _parse_lines(lines: list[str], table: Table, first_line: int) -> NDArray[np.float64]:
     rows = [
         _row(line, table, number)
         for number, line in enumerate(lines, first_line)
@@ -253,13 +277,16 @@ def _row(line: str, table: Table, number: int) -> list[float]:
         )
     values = []
     for column, field in enumerate(fields):
+        is_text = column in table.text_columns
         try:
-            values.append(parse_number(field))
+            values.append(_text_to_nan(field) if is_text else parse_number(field))
         except ValueError:
-            name = f" ({readable(table.names[column])})" if table.names else ""
+            name = f" ({quoted_if_needed(table.names[column])})" if table.names else ""
             original = _fields(line, table.delimiter)[column].strip()
-            problem = f", column {column + 1}{name}: {quoted(original)} is not a number"
-            raise LineError(table.path, number, problem) from None
+            problem = "is a number in a column of text" if is_text else "is not a number"
+            raise LineError(
+                table.path, number, f", column {column + 1}{name}: {quoted(original)} {problem}"
+            ) from None
     return values
 
 

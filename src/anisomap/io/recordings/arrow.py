@@ -1,7 +1,7 @@
-"""Parquet and Arrow (Feather) files: a column of lists, or a column a sensor.
+"""Parquet and Arrow (Feather) files: a column of lists, or one column per sensor.
 
-Data sets for robot learning keep a frame's readings as one list (``observation.tactile``), and
-times in a column ``timestamp``, anew from 0 in every episode.
+Data sets for robot learning store the readings of a frame as a list (``observation.tactile``), and
+times in a column ``timestamp``, which restarts from 0 in every episode.
 """
 
 from __future__ import annotations
@@ -18,28 +18,34 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.choice import Content, choose
-from anisomap.io.parsing.columns import ROWS_LOOKED_AT, is_time, roles_by_name, units_per_second
-from anisomap.io.parsing.foreign import foreign, guarded, imported
-from anisomap.io.parsing.source import check_unpacked
-from anisomap.io.stream import Block, ReadOptions, Stream, salvaged
+from anisomap.io.parsing.columns import (
+    ROWS_LOOKED_AT,
+    is_time,
+    roles_by_name,
+    units_per_second,
+    warn_of_guesses,
+)
+from anisomap.io.parsing.libraries import guarded_iter, import_extra, library_errors
+from anisomap.io.parsing.source import check_expansion
+from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
 EXTRA = "parquet"
 
 _PARQUET, _FEATHER, _IPC_STREAM = b"PAR1", b"ARROW1\0\0", b"\xff\xff\xff\xff"
 _STREAM_SUFFIXES = (".arrow", ".arrows", ".ipc", ".feather")
-_BATCH_BYTES, _MOST_ROWS = 1 << 22, 8192
+_BATCH_BYTES, _MAX_ROWS = 1 << 22, 8192
 _EPISODE = "episode_index"
 _ALL_COLUMNS = "columns"
 
 
 _Batches: TypeAlias = Iterator[tuple[Any, float]]
-"""Record batches, and how much of the file has been read with each, from 0 to 1."""
+"""Record batches, each with the fraction of the file read so far, from 0 to 1."""
 
 
 @dataclass(frozen=True)
 class _Source:
-    """An open file: its columns, its size if it says so, and a way to read some columns."""
+    """An open file; `n_rows` is 0 if unknown, and `batches(names, rows)` reads some columns."""
 
     path: Path
     schema: Any
@@ -48,14 +54,14 @@ class _Source:
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell Parquet and Arrow by their marks."""
+    """Recognise Parquet and Arrow by their magic numbers."""
     streamed = head.startswith(_IPC_STREAM) and path.suffix.lower() in _STREAM_SUFFIXES
     return head.startswith((_PARQUET, _FEATHER)) or streamed
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
-    """List the columns of a file; plain numbers of several columns count as one recording."""
-    with _opened(path) as source:
+    """List the columns; without columns of lists, all numeric columns are one recording."""
+    with _open(path) as source:
         return _contents(source)
 
 
@@ -63,27 +69,10 @@ def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a recording in a Parquet or Arrow file.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    options : ReadOptions
-        `select` names a column of lists; ``columns`` takes all columns of plain numbers, one a
-        sensor.
-
-    Yields
-    ------
-    Stream
-        Times come from a column that is called so. Where they start anew in every episode, only
-        the rate is known.
-
-    Raises
-    ------
-    FileError
-        If the file is damaged, or it is not clear which column is the recording.
-    MissingExtraError
-        If pyarrow is not installed.
+    `options.select` names a column of lists, or is ``columns`` for all numeric columns, one per
+    sensor. Times come from a column with a name of times. With episodes, only the rate is known.
     """
-    with _opened(path) as source:
+    with _open(path) as source:
         name = choose(path, _contents(source), options.select, "column").name
         plain = _plain_columns(source.schema)
         if name == _ALL_COLUMNS and name not in source.schema.names:
@@ -93,24 +82,24 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[_Source]:
+def _open(path: Path) -> Iterator[_Source]:
     with path.open("rb") as stream:
-        mark = stream.read(len(_FEATHER))
-    if mark.startswith(_PARQUET):
-        parquet = imported("pyarrow.parquet", "reading Parquet", EXTRA)
-        with foreign(path):
+        magic = stream.read(len(_FEATHER))
+    if magic.startswith(_PARQUET):
+        parquet = import_extra("pyarrow.parquet", "reading Parquet", EXTRA)
+        with library_errors(path):
             file = parquet.ParquetFile(path, pre_buffer=False)
         try:
             yield _Source(path, file.schema_arrow, file.metadata.num_rows, _of_parquet(file))
         finally:
             file.close()
         return
-    arrow = imported("pyarrow", "reading Arrow", EXTRA)
-    with foreign(path):
+    arrow = import_extra("pyarrow", "reading Arrow", EXTRA)
+    with library_errors(path):
         mapped = arrow.memory_map(str(path))
     with mapped:
-        with foreign(path):
-            if mark.startswith(_FEATHER):
+        with library_errors(path):
+            if magic.startswith(_FEATHER):
                 file = arrow.ipc.open_file(mapped)
                 count = file.num_record_batches
                 every = ((file.get_batch(i), (i + 1) / count) for i in range(count))
@@ -132,14 +121,14 @@ def _of_parquet(file: Any) -> Callable[[Sequence[str], int], _Batches]:
 
 
 def _of_arrow(every: _Batches) -> Callable[[Sequence[str], int], _Batches]:
-    """Read all batches once; they are as large as whoever wrote them made them."""
+    """Read all batches once, split to at most the requested number of rows."""
 
     def batches(names: Sequence[str], rows: int) -> _Batches:
-        for batch, share in every:
+        for batch, fraction in every:
             batch.validate(full=True)
             kept = batch.select(list(names))
             for start in range(0, batch.num_rows, rows):
-                yield kept.slice(start, rows), share
+                yield kept.slice(start, rows), fraction
 
     return batches
 
@@ -156,12 +145,12 @@ def _contents(source: _Source) -> tuple[Content, ...]:
 
 
 def _is_number(kind: Any) -> bool:
-    types = imported("pyarrow.types", "reading Arrow", EXTRA)
+    types = import_extra("pyarrow.types", "reading Arrow", EXTRA)
     return bool(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))
 
 
 def _is_list(kind: Any) -> bool:
-    types = imported("pyarrow.types", "reading Arrow", EXTRA)
+    types = import_extra("pyarrow.types", "reading Arrow", EXTRA)
     return bool(types.is_fixed_size_list(kind) or types.is_list(kind) or types.is_large_list(kind))
 
 
@@ -179,30 +168,30 @@ def _plain_columns(schema: Any) -> list[str]:
 def _of_lists(source: _Source, name: str, plain: Sequence[str]) -> Stream:
     if not _list_of_numbers(source.schema.field(name).type):
         kind = source.schema.field(name).type
-        raise FileError(f"{source.path}: the column {name} is of type {kind}, not lists of numbers")
+        raise FileError(f"{source.path}: column {name} must hold lists of numbers, got {kind}")
     clock = next((column for column in plain if is_time(column)), None)
     columns = [name, *([clock] if clock else []), *([_EPISODE] if _EPISODE in plain else [])]
-    batches = guarded(source.batches(columns, _MOST_ROWS), source.path)
-    first, batches = _peeked(source.path, batches)
-    with foreign(source.path):
+    batches = guarded_iter(source.batches(columns, _MAX_ROWS), source.path)
+    first, batches = _peek(source.path, batches)
+    with library_errors(source.path):
         n_sensors = _rows(source.path, first.column(name), name, None).shape[1]
     _check_size(source, n_sensors)
     times, rate_hz = _clock(source, first, clock)
 
     def blocks() -> Iterator[Block]:
-        for batch, share in batches:
-            with foreign(source.path):
+        for batch, fraction in batches:
+            with library_errors(source.path):
                 rows = _rows(source.path, batch.column(name), name, n_sensors)
                 stamps = _column(batch.column(times)) if times else None
             if stamps is not None:
                 stamps = stamps / units_per_second(times or "", stamps)
-            yield Block(rows, share, stamps)
+            yield Block(rows, fraction, stamps)
 
     metadata: dict[str, Scalar] = {"format": "Arrow", "column": name}
     return Stream(
         source.path,
         n_sensors,
-        salvaged(blocks(), source.path),
+        salvage(blocks(), source.path),
         rate_hz=rate_hz,
         source=f"{source.path.name}:{name}",
         metadata=metadata,
@@ -210,47 +199,48 @@ def _of_lists(source: _Source, name: str, plain: Sequence[str]) -> Stream:
 
 
 def _of_columns(source: _Source, plain: Sequence[str]) -> Stream:
-    n_rows = max(1, min(_MOST_ROWS, _BATCH_BYTES // (8 * len(plain))))
-    batches = guarded(source.batches(plain, n_rows), source.path)
-    first, batches = _peeked(source.path, batches)
+    n_rows = max(1, min(_MAX_ROWS, _BATCH_BYTES // (8 * len(plain))))
+    batches = guarded_iter(source.batches(plain, n_rows), source.path)
+    first, batches = _peek(source.path, batches)
     _check_size(source, len(plain))
-    with foreign(source.path):
+    with library_errors(source.path):
         start = _table(first)[:ROWS_LOOKED_AT]
     roles = roles_by_name(plain, start)
-    kept = [name for i, name in enumerate(plain) if i not in roles.left_out]
+    warn_of_guesses(source.path, plain, roles)
+    kept = [name for i, name in enumerate(plain) if i not in roles.non_sensors]
     if not kept:
-        raise FileError(f"{source.path} holds times or a frame counter, but no sensor beside them")
+        raise FileError(f"{source.path} holds times or a frame counter, but no sensor")
 
     def blocks() -> Iterator[Block]:
-        for batch, share in batches:
-            with foreign(source.path):
+        for batch, fraction in batches:
+            with library_errors(source.path):
                 table = _table(batch)
             times = None if roles.time is None else table[:, roles.time] / roles.per_second
-            yield Block(np.delete(table, roles.left_out, axis=1), share, times)
+            yield Block(np.delete(table, roles.non_sensors, axis=1), fraction, times)
 
     return Stream(
         source.path,
         len(kept),
-        salvaged(blocks(), source.path),
+        salvage(blocks(), source.path),
         names=tuple(kept),
         source=source.path.name,
         metadata={"format": "Arrow"},
     )
 
 
-def _peeked(path: Path, batches: _Batches) -> tuple[Any, _Batches]:
-    """Look at the first batch."""
+def _peek(path: Path, batches: _Batches) -> tuple[Any, _Batches]:
+    """Return the first batch, and an iterator over all batches."""
     first = next(batches, None)
     if first is None:
-        raise FileError(f"{path} holds no frame")
+        raise FileError(f"{path} has no frame")
     return first[0], itertools.chain([first], batches)
 
 
 def _clock(source: _Source, first: Any, clock: str | None) -> tuple[str | None, float | None]:
-    """Tell the column of times, or the rate alone if times start anew in every episode."""
+    """Return the column of times, or only the rate if there are episodes."""
     if clock is None or _EPISODE not in first.schema.names:
         return clock, None
-    with foreign(source.path):
+    with library_errors(source.path):
         times, episodes = _column(first.column(clock)), _column(first.column(_EPISODE))
     steps = np.diff(times)[np.diff(episodes) == 0]
     rate_hz = 1 / float(np.median(steps)) if steps.size and np.median(steps) > 0 else None
@@ -258,18 +248,18 @@ def _clock(source: _Source, first: Any, clock: str | None) -> tuple[str | None, 
 
 
 def _rows(path: Path, column: Any, name: str, n_sensors: int | None) -> NDArray[Any]:
-    """Make rows of a column of lists, nested or not."""
+    """Convert a column of lists, possibly nested, to rows."""
     n_rows = len(column)
     while _is_list(column.type):
         if column.null_count:
-            raise FileError(f"{path}: the column {name} misses whole frames")
+            raise FileError(f"{path}: column {name} lacks whole frames (nulls instead of lists)")
         column = column.flatten()
     values = _column(column)
     width = n_sensors or (len(values) // n_rows if n_rows else 0)
     if not width or len(values) != n_rows * width:
         raise FileError(
-            f"{path}: the lists in the column {name} differ in length; "
-            "every frame must have as many readings"
+            f"{path}: the lists in column {name} differ in length; "
+            "all frames must have the same number of readings"
         )
     return values.reshape(n_rows, width)
 
@@ -280,11 +270,11 @@ def _table(batch: Any) -> NDArray[np.float64]:
 
 def _column(column: Any) -> NDArray[Any]:
     values: NDArray[Any] = column.to_numpy(zero_copy_only=False)
-    # A null among whole numbers or truth values makes objects of them all.
+    # pyarrow converts integers and booleans with nulls to objects.
     return values.astype(np.float64) if values.dtype.kind == "O" else values
 
 
 def _check_size(source: _Source, n_sensors: int) -> None:
     size = source.path.stat().st_size
     unpacked = source.n_rows * n_sensors * 4
-    check_unpacked(source.path, "its table", size, unpacked)
+    check_expansion(source.path, "its table", size, unpacked)

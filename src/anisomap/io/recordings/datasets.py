@@ -1,4 +1,4 @@
-"""Files of named arrays (HDF5, MATLAB): which array is the recording, and what belongs to it."""
+"""Files of named arrays (HDF5, MATLAB): select the recording, its times, names and positions."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from anisomap.errors import AnisomapWarning
 from anisomap.io.choice import Content, choose
 from anisomap.io.parsing.columns import is_time, units_per_second
-from anisomap.io.parsing.foreign import foreign
-from anisomap.io.parsing.frames import increasing
-from anisomap.io.stream import Block, ReadOptions, Stream, salvaged
+from anisomap.io.parsing.frames import increasing_times
+from anisomap.io.parsing.libraries import library_errors
+from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
 _NUMBERS, _TEXT, _OF_ANY_LENGTH = "biuf", "SU", "O"
@@ -33,17 +33,17 @@ class Dataset:
     Parameters
     ----------
     name : str
-        Its name, with the groups that it lies in: ``"left/readings"``.
+        Name with groups: ``"left/readings"``.
     shape : tuple of int
-        Frames first, if it is a recording.
+        Frames first, for a recording.
     dtype : str
-        Its type, for people.
+        Type, for display.
     kind : str
-        The letter of numpy's `dtype.kind`.
+        `numpy.dtype.kind`.
     read : callable
-        Given the first frame and the one behind the last, reads them.
+        ``read(start, stop)`` reads a range of frames.
     frames_at_once : int
-        How many frames cost as much to read as one: those that are packed together.
+        Number of frames that are compressed together.
     """
 
     name: str
@@ -55,21 +55,21 @@ class Dataset:
 
     @property
     def key(self) -> str:
-        """Its name without groups, in lower case."""
+        """Name without groups, in lower case."""
         return self.name.rpartition("/")[2].lower()
 
     @property
     def group(self) -> str:
-        """The groups that it lies in."""
+        """Groups that hold the dataset."""
         return self.name.rpartition("/")[0]
 
     def whole(self) -> NDArray[Any]:
-        """Read all of it."""
+        """Read the whole array."""
         return self.read(0, self.shape[0])
 
 
 def contents_of(datasets: Sequence[Dataset]) -> tuple[Content, ...]:
-    """List datasets, and tell which of them could be a recording."""
+    """List datasets, and whether they can be a recording."""
     return tuple(
         Content(each.name, f"{each.dtype}, {' x '.join(map(str, each.shape))}", _usable(each))
         for each in datasets
@@ -82,15 +82,14 @@ def stream_of(
     options: ReadOptions,
     metadata: Mapping[str, Scalar],
 ) -> Stream:
-    """Make a stream of the dataset that is the recording.
+    """Create a stream of the selected or only possible recording.
 
     Parameters
     ----------
     path : pathlib.Path
-        The file.
     datasets : sequence of Dataset
-        All that it holds. Beside the recording, those that are called like times, `positions`,
-        `names` or a rate are used if their size is right.
+        All datasets of the file. Those in the group of the recording with a name of times,
+        positions, names or a rate are used if their shape fits.
     options : ReadOptions
         `select` names the dataset.
     metadata : mapping of str to scalar
@@ -98,17 +97,15 @@ def stream_of(
     Returns
     -------
     Stream
-        An array of more than two dimensions is taken as frames of a grid: all but the first are
-        laid out in a row.
+        With all dimensions but the first flattened.
     """
     name = choose(path, contents_of(datasets), options.select, "dataset").name
     chosen = next(each for each in datasets if each.name == name)
     if not _usable(chosen):
-        # Whoever names it gets to hear what is wrong with it.
-        choose(path, contents_of([chosen]), "", "dataset")
+        choose(path, contents_of([chosen]), "", "dataset")  # raises, as it is not usable
     near = [each for each in datasets if each.group == chosen.group and each is not chosen]
     n_frames, n_sensors = chosen.shape[0], math.prod(chosen.shape[1:])
-    with foreign(path):
+    with library_errors(path):
         times = _times(path, near, n_frames)
         names = _names(path, near, n_sensors) or _grid_names(chosen.shape[1:])
         positions = _positions(near, n_sensors)
@@ -116,7 +113,7 @@ def stream_of(
     return Stream(
         path,
         n_sensors,
-        salvaged(_blocks(path, chosen, times), path),
+        salvage(_blocks(path, chosen, times), path),
         names=names,
         rate_hz=rate_hz,
         positions=positions,
@@ -131,7 +128,7 @@ def _usable(dataset: Dataset) -> bool:
 
 
 def _flat(dataset: Dataset) -> bool:
-    """Tell whether it is a list that MATLAB keeps as a table of one column: times, say."""
+    """Return whether this is a vector of times, which MATLAB stores as a matrix."""
     return len(dataset.shape) == 2 and 1 in dataset.shape and is_time(dataset.key)
 
 
@@ -141,7 +138,7 @@ def _blocks(path: Path, dataset: Dataset, times: NDArray[np.float64] | None) -> 
     step = -(-step // dataset.frames_at_once) * dataset.frames_at_once
     for start in range(0, n_frames, step):
         stop = min(start + step, n_frames)
-        with foreign(path):
+        with library_errors(path):
             rows = dataset.read(start, stop).reshape(stop - start, -1)
         yield Block(rows, stop / n_frames, None if times is None else times[start:stop])
 
@@ -150,7 +147,7 @@ def _times(path: Path, near: Sequence[Dataset], n_frames: int) -> NDArray[np.flo
     for each in near:
         if math.prod(each.shape) == n_frames and each.kind in _NUMBERS and is_time(each.key):
             values = each.whole().astype(np.float64).ravel()
-            return increasing(values / units_per_second(each.key, values), path)
+            return increasing_times(values / units_per_second(each.key, values), path)
     return None
 
 
@@ -162,10 +159,10 @@ def _names(path: Path, near: Sequence[Dataset], n_sensors: int) -> tuple[str, ..
             values = each.whole().ravel().tolist()
             return tuple(v.decode() if isinstance(v, bytes) else v for v in values)
         if each.kind == _OF_ANY_LENGTH:
-            # The HDF5 library can loop forever over such texts in a damaged file.
+            # The HDF5 library can hang on variable-length strings in a damaged file.
             warnings.warn(
-                f"{path}: {each.name} holds texts of variable length, which are not read, so the "
-                "sensors have no names; write texts of fixed length (numpy's type S)",
+                f"{path}: {each.name} holds variable-length strings, which are not supported, so "
+                "the sensors get default names; store fixed-length strings (numpy type S)",
                 AnisomapWarning,
                 stacklevel=2,
             )

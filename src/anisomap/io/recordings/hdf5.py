@@ -1,4 +1,4 @@
-"""HDF5 files: any table of frames in them, chosen by its name."""
+"""HDF5 files: any numeric dataset of frames x sensors."""
 
 from __future__ import annotations
 
@@ -11,77 +11,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.io.choice import Content
-from anisomap.io.parsing.foreign import foreign, imported
-from anisomap.io.parsing.source import check_unpacked
+from anisomap.io.parsing.libraries import import_extra, library_errors
+from anisomap.io.parsing.source import check_expansion
 from anisomap.io.recordings.datasets import Dataset, contents_of, stream_of
 from anisomap.io.stream import ReadOptions, Stream
 
 EXTRA = "hdf5"
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_LARGEST_RATIO, _HEADERS = 1032, 1 << 12
-_MOST_DATASETS = 1000
+_MAX_RATIO, _HEADERS = 1032, 1 << 12
+_MAX_DATASETS = 1000
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell HDF5 by its mark, which may stand behind 512, 1024, ... bytes of somebody else."""
-    places = [0, *(512 << i for i in range(7))]
-    return any(head[place : place + len(_MAGIC)] == _MAGIC for place in places)
+    """Recognise HDF5 by its signature, which may follow a user block of 512, 1024, ... bytes."""
+    offsets = [0, *(512 << i for i in range(7))]
+    return any(head[offset : offset + len(_MAGIC)] == _MAGIC for offset in offsets)
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the datasets of a file."""
-    with opened_datasets(path, EXTRA) as datasets:
+    with open_datasets(path, EXTRA) as datasets:
         return contents_of(datasets)
 
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in an HDF5 file.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    options : ReadOptions
-        `select` names the dataset, with its groups or without.
-
-    Yields
-    ------
-    Stream
-        Times, positions, names and a rate come from datasets of the same group.
-
-    Raises
-    ------
-    FileError
-        If the file is damaged, or it is not clear which dataset is the recording.
-    MissingExtraError
-        If h5py is not installed.
-    """
-    with opened_datasets(path, EXTRA) as datasets:
+    """Open the dataset `options.select`, given with or without groups, or the only possible one."""
+    with open_datasets(path, EXTRA) as datasets:
         yield stream_of(path, datasets, options, {"format": "HDF5"})
 
 
 @contextmanager
-def opened_datasets(
-    path: Path, extra: str, *, frames_last: bool = False
-) -> Iterator[list[Dataset]]:
-    """Open an HDF5 file, and list its datasets.
-
-    Links to other files are not followed.
+def open_datasets(path: Path, extra: str, *, frames_last: bool = False) -> Iterator[list[Dataset]]:
+    """Open an HDF5 file and list its datasets, without following links to other files.
 
     Parameters
     ----------
     path : pathlib.Path
     extra : str
-        The extra to name if h5py is not installed.
+        The extra to install if h5py is missing.
     frames_last : bool
-        Whether arrays lie the other way round, as MATLAB writes them.
+        Whether the axes are reversed, as in MATLAB files.
     """
-    h5py = imported("h5py", "reading HDF5", extra)
-    with foreign(path):
+    h5py = import_extra("h5py", "reading HDF5", extra)
+    with library_errors(path):
         file = h5py.File(path, "r")
     try:
-        with foreign(path):
+        with library_errors(path):
             found: list[Any] = []
             file.visititems(lambda _, item: _collect(found, item, h5py.Dataset))
             datasets = [_dataset(path, item, frames_last) for item in found]
@@ -91,11 +68,11 @@ def opened_datasets(
 
 
 def _collect(found: list[Any], item: Any, kind: type) -> bool | None:
-    """Gather a dataset; tells to stop once there are too many to list."""
+    """Append a dataset to `found`; return True to stop the traversal at `_MAX_DATASETS`."""
     name = item.name.lstrip("/")
     if isinstance(item, kind) and not name.startswith("#"):
         found.append(item)
-    return True if len(found) > _MOST_DATASETS else None
+    return True if len(found) > _MAX_DATASETS else None
 
 
 def _dataset(path: Path, item: Any, frames_last: bool) -> Dataset:
@@ -119,8 +96,8 @@ def _dataset(path: Path, item: Any, frames_last: bool) -> Dataset:
 
 
 def _check_size(path: Path, item: Any, name: str) -> None:
-    """Refuse what unpacks to far more than it takes, and what lies in another file."""
+    """Reject decompression bombs and datasets stored in other files."""
     if item.external or item.is_virtual:
-        raise OSError(f"the dataset {name} lies in other files")
+        raise OSError(f"dataset {name} is stored in other files, which are not opened")
     packed = min(item.id.get_storage_size(), path.stat().st_size) + _HEADERS
-    check_unpacked(path, f"the dataset {name}", packed, item.nbytes, largest_ratio=_LARGEST_RATIO)
+    check_expansion(path, f"dataset {name}", packed, item.nbytes, largest_ratio=_MAX_RATIO)

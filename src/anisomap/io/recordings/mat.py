@@ -1,4 +1,4 @@
-"""MATLAB files: version 5 (and 4), and 7.3, which is HDF5 with arrays the other way round."""
+"""MATLAB files of versions 4, 5 and 7.3; the latter are HDF5 with reversed axes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ import scipy
 from numpy.typing import NDArray
 
 from anisomap.io.choice import Content
-from anisomap.io.parsing.foreign import foreign
-from anisomap.io.parsing.source import check_unpacked
+from anisomap.io.parsing.libraries import library_errors
+from anisomap.io.parsing.source import check_expansion
 from anisomap.io.recordings.datasets import Dataset, contents_of, stream_of
-from anisomap.io.recordings.hdf5 import opened_datasets
+from anisomap.io.recordings.hdf5 import open_datasets
 from anisomap.io.stream import ReadOptions, Stream
 
 EXTRA = "mat"
 
 _MAGIC, _MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
-_LARGEST_RATIO = 1032
+_MAX_RATIO = 1032
 _TYPES = {
     "double": "f8",
     "single": "f4",
@@ -35,55 +35,36 @@ _TYPES = {
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell a MATLAB file of version 5 or 7.3 by its first words; others have only their suffix."""
+    """Recognise versions 5 and 7.3 by their first words; version 4 is known by its suffix only."""
     return head.startswith((_MAGIC, _MAGIC_73))
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the variables of a file."""
-    with _opened(path) as datasets:
+    with _open(path) as datasets:
         return contents_of(datasets)
 
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in a MATLAB file: a variable of frames x sensors.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    options : ReadOptions
-        `select` names the variable.
-
-    Yields
-    ------
-    Stream
-        Times, positions and a rate come from other variables.
-
-    Raises
-    ------
-    FileError
-        If the file is damaged, or it is not clear which variable is the recording.
-    MissingExtraError
-        If it is of version 7.3, and h5py is not installed.
-    """
-    with _opened(path) as datasets:
+    """Open the variable `options.select`, or the only one of frames x sensors."""
+    with _open(path) as datasets:
         yield stream_of(path, datasets, options, {"format": "MATLAB"})
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[list[Dataset]]:
+def _open(path: Path) -> Iterator[list[Dataset]]:
     with path.open("rb") as stream:
         is_73 = stream.read(len(_MAGIC_73)) == _MAGIC_73
     if is_73:
-        with opened_datasets(path, EXTRA, frames_last=True) as datasets:
+        with open_datasets(path, EXTRA, frames_last=True) as datasets:
             yield datasets
         return
     yield _variables(path)
 
 
 def _variables(path: Path) -> list[Dataset]:
-    with foreign(path), warnings.catch_warnings():
+    with library_errors(path), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         listed = scipy.io.whosmat(path)
     found = []
@@ -91,7 +72,7 @@ def _variables(path: Path) -> list[Dataset]:
         dtype = np.dtype(_TYPES.get(kind, "V"))
         size = math.prod(shape) * dtype.itemsize
         packed = path.stat().st_size
-        check_unpacked(path, f"the variable {name}", packed, size, largest_ratio=_LARGEST_RATIO)
+        check_expansion(path, f"variable {name}", packed, size, largest_ratio=_MAX_RATIO)
         found.append(Dataset(name, tuple(shape), kind, dtype.kind, _reader(path, name)))
     return found
 

@@ -1,7 +1,7 @@
-"""Robots whose numbering of sensors is known: names for them, and what is no sensor left out.
+"""Robots with a known numbering of sensors: name the sensors, and drop other values.
 
-A new robot is one function, from the recording's readings to the kept sensors and their names, and
-one line in `PRESETS`.
+A new robot is one function that returns the index and name of each sensor in a recording, and one
+line in `PRESETS`.
 """
 
 from __future__ import annotations
@@ -18,36 +18,36 @@ from anisomap.errors import InputError
 from anisomap.recording import Recording
 
 Numbering: TypeAlias = Callable[[Recording], dict[int, str]]
-"""Given a recording, the index and the name of every value in it that is a sensor."""
+"""Function from a recording to the index and name of each value that is a sensor."""
 
 _BOARD, _TRIANGLE = 192, 12
 _THERMAL = (6, 10)
 _FINGERS = ("index", "middle", "ring", "little", "thumb")
 _PALM, _PALM_PADS = 96, 48
 _NO_PALM_PADS = (11, 23, 35, 43)
-_RAW_REST = 128  # raw skin rests near 240, compensated skin at 0
+_RAW_REST = 128  # readings at rest are near 240 for raw and 0 for compensated skin
 
 
 def apply_preset(recording: Recording, preset: str) -> Recording:
-    """Name the sensors of a known robot, and leave out values that are no sensors.
+    """Name the sensors of a known robot, and drop values that are not sensors.
 
     Parameters
     ----------
     recording : Recording
-        As the robot's port gave it: not yet renumbered. Ports that were joined are numbered each
-        by itself.
+        All values of the robot's port in their original order. Joined ports are numbered
+        separately.
     preset : str
         A name in `PRESETS`; empty for none.
 
     Returns
     -------
     Recording
-        Its metadata says which preset it was, and whether the skin is raw or compensated.
+        The metadata hold the preset, and whether the skin is raw or compensated.
 
     Raises
     ------
     InputError
-        If there is no such preset, or the recording does not have its numbering.
+        If the preset is unknown, or does not fit the recording.
     """
     if not preset:
         return recording
@@ -63,19 +63,19 @@ def apply_preset(recording: Recording, preset: str) -> Recording:
 
 
 def numbering(recording: Recording, preset: str) -> dict[int, str]:
-    """Tell which values of a robot's recording are sensors, and what these are called.
+    """Return the index and name of each sensor in a robot's recording.
 
     Parameters
     ----------
     recording : Recording
-        As for `apply_preset`. Of its readings it matters only which vary.
+        As for `apply_preset`. The result depends on which values vary, but not on how.
     preset : str
         A name in `PRESETS`.
 
     Returns
     -------
     dict of int to str
-        By the index of the value, in the order in which `apply_preset` keeps them.
+        In the order of `apply_preset`.
 
     Raises
     ------
@@ -83,19 +83,19 @@ def numbering(recording: Recording, preset: str) -> dict[int, str]:
         As `apply_preset`.
     """
     if preset not in PRESETS:
-        raise InputError(f"there is no preset {preset!r}; known are {', '.join(PRESETS)}")
+        raise InputError(f"unknown preset {preset!r}; known presets: {', '.join(PRESETS)}")
     kept = {
         index: name
         for port, indices in _ports(recording).items()
         for index, name in _numbered(recording, port, indices, PRESETS[preset])
     }
     if not kept:
-        raise InputError(f"under the preset {preset}, no sensor of this recording ever varies")
+        raise InputError(f"no sensor of preset {preset} varies in this recording")
     return kept
 
 
 def _ports(recording: Recording) -> dict[str, list[int]]:
-    """Tell which values came from which port: by what stands before their numbers."""
+    """Group the values by port, which is the part of their names before the last ``/``."""
     found: dict[str, list[int]] = {}
     for index, name in enumerate(recording.names):
         found.setdefault(name.rpartition("/")[0], []).append(index)
@@ -114,13 +114,13 @@ def _numbered(
 def icub(recording: Recording) -> dict[int, str]:
     """Name the pads of an iCub: index = 192 * board + 12 * triangle + k, without thermal pads.
 
-    Pads 6 and 10 of a triangle measure temperature. Triangles that are not there read the same
-    value all the time. A port whose name ends on a hand is numbered as `icub_hand` says.
+    Pads 6 and 10 of a triangle measure temperature. Absent triangles have constant readings. Ports
+    of hands are passed to `icub_hand`.
 
     Parameters
     ----------
     recording : Recording
-        Of whole triangles.
+        With a multiple of 12 values.
 
     Returns
     -------
@@ -136,35 +136,35 @@ def icub(recording: Recording) -> dict[int, str]:
         return icub_hand(recording)
     if recording.n_sensors % _TRIANGLE:
         raise InputError(
-            f"{recording.n_sensors} values are no whole triangles of {_TRIANGLE}, as the skin of "
-            "an iCub has; read the port of one part of the skin"
+            f"the number of values of an iCub port must be a multiple of {_TRIANGLE} (a "
+            f"triangle), got {recording.n_sensors}"
         )
     varying = recording.varying().reshape(-1, _TRIANGLE)
-    there = np.asarray(varying.any(axis=1))
+    present = np.asarray(varying.any(axis=1))
     return {
         index: f"b{index // _BOARD}.t{index % _BOARD // _TRIANGLE}.k{index % _TRIANGLE}"
         for index in range(recording.n_sensors)
-        if there[index // _TRIANGLE] and index % _TRIANGLE not in _THERMAL
+        if present[index // _TRIANGLE] and index % _TRIANGLE not in _THERMAL
     }
 
 
 def icub_hand(recording: Recording) -> dict[int, str]:
-    """Name the pads of the hand of an iCub: five fingertips of 12 pads, and the palm from 96 on.
+    """Name the pads of an iCub hand: five fingertips of 12 pads, and the palm from value 96.
 
-    In the palm, 11, 23, 35 and 43 of 48 are no pads.
+    The palm has 48 values, of which 11, 23, 35 and 43 are not pads.
 
     Parameters
     ----------
     recording : Recording
-        Of the hand's 192 values.
+        With the 192 values of a hand.
 
     Returns
     -------
     dict of int to str
-        ``thumb.0``, ``palm.47``. Fingertips and palm that never vary are left out as absent.
+        ``thumb.0``, ``palm.47``. Parts with constant readings are absent and left out.
     """
     if recording.n_sensors != _BOARD:
-        raise InputError(f"the hand of an iCub has {_BOARD} values, not {recording.n_sensors}")
+        raise InputError(f"an iCub hand has {_BOARD} values, got {recording.n_sensors}")
     parts = {name: range(12 * i, 12 * i + 12) for i, name in enumerate(_FINGERS)}
     parts["palm"] = range(_PALM, _PALM + _PALM_PADS)
     varying = recording.varying()

@@ -1,6 +1,6 @@
-"""Pressure mats, as their programs export them: a header, and a block of rows x columns a frame.
+"""Exports of pressure mats: a header, and a block of rows x columns per frame.
 
-Such as::
+For example::
 
     ROWS 3
     COLS 2
@@ -14,7 +14,7 @@ Such as::
     Frame 2
     ...
 
-Cells that are marked ``B`` lie outside of the sensor.
+Cells marked ``B`` are outside the sensor.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError
-from anisomap.io.parsing.frames import narrowed
+from anisomap.io.parsing.frames import to_float32_if_exact
 from anisomap.io.parsing.grids import UNITS, grid_names, grid_positions
-from anisomap.io.parsing.source import DAMAGED_GZIP, Text, opened_with_share, quoted
-from anisomap.io.stream import Block, ReadOptions, Stream, salvaged
+from anisomap.io.parsing.source import GZIP_ERRORS, Text, open_text_with_progress, quoted
+from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 
 _FRAME = re.compile(r'^\s*"?frame"?[\s:,;#]*"?\d+"?[\s,;]*(of\s+\d+)?[\s,;]*$', re.IGNORECASE)
 _ENTRY = re.compile(
@@ -44,14 +44,14 @@ _CLOCK = re.compile(r'^\s*"?time[^\d"]*"?[\s:,;]*"?(\d+):(\d+):(\d+(?:[.,]\d+)?)
 _SIZES = {"rows": "rows", "cols": "columns", "columns": "columns"}
 _OUTSIDE = re.compile(r"\b[Bb]\b")
 _LENGTHS = {"mm": "mm", "millimeters": "mm", "cm": "cm", "centimeters": "cm", "m": "m"}
-_LONGEST_HEADER, _MOST_CELLS = 1000, 1 << 22
+_MAX_HEADER, _MAX_CELLS = 1000, 1 << 22
 _BLOCK_BYTES = 1 << 20
 _DAY_S = 86400.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Header:
-    """What stands above the first frame, in lower case, and what the first frame looks like."""
+    """Entries above the first frame, with keys in lower case, and the layout of the first frame."""
 
     entries: dict[str, tuple[float, str]]
     rows: int
@@ -62,14 +62,14 @@ class _Header:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """One frame, and what o'clock its header said it was."""
+    """A frame, and the time of day in its header, in seconds."""
 
     cells: NDArray[np.float64]
     clock: float | None
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell an export by lines that number frames, and by the size that its header gives."""
+    """Recognise an export by lines that number frames, and by the size in its header."""
     if b"\0" in head:
         return False
     lines = head.decode("utf-8", "replace").splitlines()
@@ -82,22 +82,8 @@ def recognises(path: Path, head: bytes) -> bool:
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a recording of a pressure mat.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    options : ReadOptions
-        None of them matters here.
-
-    Yields
-    ------
-    Stream
-        Sensors row after row, without cells outside of the sensor; positions are those of the
-        grid, in the unit of the spacing that the header gives, or in spacings.
-
-    Raises
-    ------
-    FileError
-        With the line of a frame that is not like the first.
+    Sensors are the cells inside the sensor in row-major order. Positions are in the unit of the
+    spacing in the header, or in spacings without one.
     """
     header = _read_header(path)
     inside = ~header.outside
@@ -107,7 +93,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     yield Stream(
         path,
         int(np.count_nonzero(inside)),
-        salvaged(_blocks(path, header), path, DAMAGED_GZIP),
+        salvage(_blocks(path, header), path, GZIP_ERRORS),
         names=tuple(name for name, kept in zip(names, inside, strict=True) if kept),
         rate_hz=1 / period if period > 0 else None,
         positions=positions[inside],
@@ -119,14 +105,17 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
 
 def _read_header(path: Path) -> _Header:
-    with opened_with_share(path) as text:
+    with open_text_with_progress(path) as text:
         entries = _read_entries(path, text.lines)
         rows, columns = (int(entries.get(key, (0, ""))[0]) for key in ("rows", "columns"))
-        if rows * columns > _MOST_CELLS:
-            raise FileError(f"{path}: {rows} x {columns} cells are more than any mat has")
+        if rows * columns > _MAX_CELLS:
+            raise FileError(
+                f"{path}: the header gives {rows} x {columns} cells; at most {_MAX_CELLS} are "
+                "supported"
+            )
         first = _first_frame(text.lines, rows)
     if not first:
-        raise FileError(f"{path} holds no frame")
+        raise FileError(f"{path} has no frame")
     delimiter = _delimiter(first[0])
     table = _parsed(path, first, delimiter)
     rows, columns = rows or table.shape[0], columns or table.shape[1]
@@ -137,33 +126,33 @@ def _read_header(path: Path) -> _Header:
         )
     outside = np.isnan(table.ravel())
     if outside.all():
-        raise FileError(f"{path}: all cells of the first frame are outside of the sensor")
+        raise FileError(f"{path}: all cells of the first frame are outside the sensor")
     return _Header(entries, rows, columns, delimiter, outside)
 
 
 def _read_entries(path: Path, lines: Iterable[str]) -> dict[str, tuple[float, str]]:
-    """Read numbers with their names and units, up to the line that begins the first frame."""
+    """Read numbers with names and units up to the first line of the first frame."""
     entries: dict[str, tuple[float, str]] = {}
     for number, line in enumerate(lines, start=1):
         if _FRAME.match(line):
             return entries
-        if number > _LONGEST_HEADER:
+        if number > _MAX_HEADER:
             break
         if match := _ENTRY.match(line):
             key = match[1].strip().lower().replace("_", " ")
             entries[_SIZES.get(key, key)] = (_number(match[2]), match[3].lower())
-    raise FileError(f"{path}: no frame begins in the first {_LONGEST_HEADER} lines")
+    raise FileError(f"{path}: no frame starts in the first {_MAX_HEADER} lines")
 
 
 def _first_frame(lines: Iterable[str], rows: int) -> list[str]:
-    """Give the lines of the first frame; without a number of rows, up to what is no number."""
+    """Return the lines of the first frame; with unknown `rows`, up to the next line of text."""
     first: list[str] = []
     for line in lines:
         if _FRAME.match(line) or (first and not line.strip(" \t\r\n,;")):
             break
         if _is_data(line):
             first.append(line)
-        if first and len(first) in (rows, _MOST_CELLS):
+        if first and len(first) in (rows, _MAX_CELLS):
             break
     return first
 
@@ -171,71 +160,71 @@ def _first_frame(lines: Iterable[str], rows: int) -> list[str]:
 def _blocks(path: Path, header: _Header) -> Iterator[Block]:
     inside = ~header.outside
     at_once = max(1, _BLOCK_BYTES // (8 * header.outside.size))
-    with opened_with_share(path) as text:
+    with open_text_with_progress(path) as text:
         frames: list[_Frame] = []
         damage: Exception | None = None
         try:
             for frame in _frames(path, text, header):
                 frames.append(frame)
                 if len(frames) == at_once:
-                    yield _block(frames, inside, text.share())
+                    yield _block(frames, inside, text.fraction())
                     frames = []
-        except DAMAGED_GZIP as error:
+        except GZIP_ERRORS as error:
             damage = error
         if frames:
-            yield _block(frames, inside, text.share())
+            yield _block(frames, inside, text.fraction())
         if damage:
             raise damage
 
 
-def _block(frames: list[_Frame], inside: NDArray[np.bool_], share: float) -> Block:
+def _block(frames: list[_Frame], inside: NDArray[np.bool_], fraction: float) -> Block:
     cells = np.array([frame.cells for frame in frames])[:, inside]
     clocks = [frame.clock for frame in frames if frame.clock is not None]
     times = np.array(clocks) if len(clocks) == len(frames) else None
-    return Block(narrowed(cells), share, times)
+    return Block(to_float32_if_exact(cells), fraction, times)
 
 
 def _frames(path: Path, text: Text, header: _Header) -> Iterator[_Frame]:
     lines: list[str] = []
     clock: float | None = None
-    before, started, done = 0.0, 0, 0
+    before, started, n_frames = 0.0, 0, 0
     for number, line in enumerate(text.lines, start=1):
         if _FRAME.match(line):
             if started and lines:
-                raise _short(path, started, lines, header)
+                raise _size_error(path, started, lines, header)
             started, lines, clock = number, [], None
         elif started and (match := _CLOCK.match(line)):
             clock = 3600.0 * int(match[1]) + 60.0 * int(match[2]) + _number(match[3])
-            clock += _DAY_S * (clock < before - _DAY_S / 2)  # past midnight
+            clock += _DAY_S * (clock < before - _DAY_S / 2)  # after midnight
             before = clock
         elif started and _is_data(line):
             lines.append(line)
             if len(lines) == header.rows:
                 cells = _parsed(path, lines, header.delimiter, first_line=number - header.rows + 1)
                 if cells.shape[1] != header.columns:
-                    raise _short(path, started, lines, header)
+                    raise _size_error(path, started, lines, header)
                 yield _Frame(cells.ravel(), clock)
-                lines, done = [], done + 1
+                lines, n_frames = [], n_frames + 1
     if lines:
-        if not done:
-            raise _short(path, started, lines, header)
+        if not n_frames:
+            raise _size_error(path, started, lines, header)
         warnings.warn(
-            f"{path}: the last frame was cut off in row {len(lines)} of {header.rows}; it is "
-            f"lost, the {done} frames before it are whole",
+            f"{path}: the last frame is truncated in row {len(lines)} of {header.rows} and "
+            f"dropped; read the {n_frames} frames before it",
             AnisomapWarning,
             stacklevel=2,
         )
 
 
-def _short(path: Path, line: int, lines: list[str], header: _Header) -> FileError:
+def _size_error(path: Path, line: int, lines: list[str], header: _Header) -> FileError:
     return FileError(
-        f"{path}: the frame that begins in line {line} has {len(lines)} rows that can be read; "
-        f"every frame needs {header.rows} rows of {header.columns} numbers"
+        f"{path}: the frame at line {line} has {len(lines)} rows of numbers; "
+        f"all frames must have {header.rows} rows of {header.columns} numbers"
     )
 
 
 def _is_data(line: str) -> bool:
-    """Tell a row of numbers from words, by its first field."""
+    """Return whether a line is a row of cells, by its first field."""
     field = re.split(r"[,;\s]", line.strip().lstrip('"'), maxsplit=1)[0].strip('"')
     return bool(field) and (field in "Bb" or field.replace(".", "").lstrip("+-").isdecimal())
 
@@ -245,7 +234,7 @@ def _delimiter(line: str) -> str | None:
 
 
 def _plain(line: str) -> str:
-    """Take quotation marks away; numbers in them may have decimal commas."""
+    """Remove quotation marks, and decimal commas inside them."""
     if '"' not in line:
         return line
     return line.strip().strip('",;').replace('","', ";").replace(",", ".").replace('"', "")
@@ -262,7 +251,7 @@ def _parsed(
     except ValueError as error:
         where = f" of lines {first_line} to {first_line + len(lines) - 1}" if first_line else ""
         raise FileError(
-            f"{path}: the frame{where} is no table of numbers: {quoted(lines[0].strip())} ..."
+            f"{path}: the frame{where} is not a table of numbers: {quoted(lines[0].strip())} ..."
         ) from error
 
 

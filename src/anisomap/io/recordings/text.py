@@ -1,7 +1,7 @@
-"""Recordings as delimited text: CSV, TSV, or columns between blanks; gzipped or not.
+"""Recordings as delimited text, with one line per frame and one column per sensor.
 
-A line is a frame, a column a sensor. What may differ from file to file (delimiter, decimal comma,
-header, time column, frame counter) is found out: see `delimited` and `columns`.
+`delimited` detects delimiter, decimal comma, header and columns of text, which are skipped;
+`columns` detects times and frame counters. Files may be gzipped.
 """
 
 from __future__ import annotations
@@ -20,16 +20,23 @@ import numpy as np
 
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.io.parsing import comments, delimited
-from anisomap.io.parsing.columns import ROWS_LOOKED_AT, Roles, roles_by_content, roles_by_name
-from anisomap.io.parsing.frames import narrowed
-from anisomap.io.parsing.source import DAMAGED_GZIP, opened_text
+from anisomap.io.parsing.columns import (
+    ROWS_LOOKED_AT,
+    Roles,
+    roles_by_content,
+    roles_by_name,
+    warn_of_guesses,
+)
+from anisomap.io.parsing.frames import to_float32_if_exact
+from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quoted_if_needed
 from anisomap.io.parsing.table import Table, first_rows, line_of, read_blocks
-from anisomap.io.stream import Block, ReadOptions, Stream, salvaged
+from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Recording, Scalar
+from anisomap.wording import join_items
 
 TITLE = "anisomap recording"
 MAP_TITLE = "anisomap map"
-"""First words of our own files, after ``#``."""
+"""First words of files written by anisomap, after ``#``."""
 
 _TIME_COLUMN = "time_s"
 _DELIMITERS = {"separated by commas": ",", "separated by tabs": "\t"}
@@ -38,7 +45,7 @@ _logger = logging.getLogger(__name__)
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell whether a file is text at all; asked last, after every format with a mark of its own."""
+    """Recognise any text; asked after all other formats."""
     return bool(head) and b"\0" not in head
 
 
@@ -46,70 +53,51 @@ def recognises(path: Path, head: bytes) -> bool:
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a recording in delimited text.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        A line a frame, a column a sensor; empty fields are missing readings, NaN.
-    options : ReadOptions
-        None of them matters here.
-
-    Yields
-    ------
-    Stream
-        Its metadata says which column was taken for time, and which for a frame counter.
-
-    Raises
-    ------
-    FileError
-        With line and column of what cannot be read.
+    Empty fields are missing readings, NaN. The metadata of the stream names the columns taken as
+    time and frame counter and the skipped columns of text. Errors give line and column.
     """
-    with opened_text(path) as stream:
-        sample = delimited.take_sample(stream)
+    with open_text(path) as stream:
+        sample = delimited.read_sample(stream)
     if _is_titled(sample, MAP_TITLE):
         raise FileError(f"{path} is a map, not a recording; read it with read_map")
     known, metadata = _own_comments(sample)
-    above = 0 if known else delimited.lines_above(sample)
+    preamble = 0 if known else delimited.count_preamble(sample)
     layout = delimited.find_layout(
-        sample[above:], own_delimiter=_DELIMITERS.get(str(known.get("fields")), "")
+        sample[preamble:], own_delimiter=_DELIMITERS.get(str(known.get("fields")), "")
     )
     if not layout.n_columns:
-        held = "a header and nothing below it" if layout.header else "no line of numbers"
-        raise FileError(f"{path} holds {held}; give a line of numbers for every frame")
-    form = _table(path, layout, sample, above)
+        held = "only a header" if layout.header else "no line of numbers"
+        raise FileError(f"{path} holds {held}; it must have one line of numbers per frame")
+    table = _table(path, layout, sample, preamble)
     names = layout.header if known else tuple(name.strip() for name in layout.header)
-    roles = _own_roles(known) if known else _foreign_roles(form, names)
-    if len(roles.left_out) == layout.n_columns:
-        raise FileError(f"{path} holds times or a frame counter, but no sensor beside them")
+    _warn_of_text(table)
+    roles = _own_roles(known) if known else _detected_roles(table, names)
+    if len(roles.non_sensors) == layout.n_columns:
+        raise FileError(f"{path} holds times or a frame counter, but no sensor")
     rate_hz = known.get("rate_hz")
     yield Stream(
         path,
-        layout.n_columns - len(roles.left_out),
-        salvaged(_blocks(form, roles), path, DAMAGED_GZIP),
-        names=tuple(name for i, name in enumerate(names) if i not in roles.left_out),
+        layout.n_columns - len(roles.non_sensors),
+        salvage(_blocks(table, roles), path, GZIP_ERRORS),
+        names=tuple(name for i, name in enumerate(names) if i not in roles.non_sensors),
         rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
         source=str(known.get("source", path.name)),
-        metadata=metadata if known else _remarks(path, names, roles),
-        locate=None if known else functools.partial(line_of, form),
+        metadata=metadata if known else _column_metadata(table, roles),
+        locate=None if known else functools.partial(line_of, table),
     )
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording as text: comments, names, and a line a frame.
+    """Write a recording as text: comments, a header, and one line per frame.
 
-    Times are the first column, in seconds. Positions are not part of the format: a warning says so.
-
-    Parameters
-    ----------
-    recording : Recording
-        What to write; reading it back gives the same readings, names, times, rate and metadata.
-    path : pathlib.Path
-        Fields are separated by tabs if it ends in ``.tsv``, else by commas.
+    Times are the first column, in seconds. Readings, names, times, rate and metadata are read back
+    equal. Positions are not written, with a warning. Suffix ``.tsv`` selects tabs, others commas.
     """
     delimiter = "\t" if path.suffix.lower() == ".tsv" else ","
     if recording.positions is not None:
         warnings.warn(
-            f"{path.suffix} holds no positions, so those of the recording are not written; "
-            "write .npz to keep them",
+            f"{path.suffix} cannot store positions, so those of the recording are not written; "
+            "use .npz to keep them",
             AnisomapWarning,
             stacklevel=2,
         )
@@ -139,7 +127,7 @@ def _is_titled(sample: list[str], title: str) -> bool:
 
 
 def _own_comments(sample: list[str]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
-    """Give what the comments of a file of our own say, and its metadata; nothing of another."""
+    """Read entries and metadata from the comments of a file written by anisomap."""
     if not _is_titled(sample, TITLE):
         return {}, {}
     leading = itertools.takewhile(lambda line: line.startswith("#"), sample)
@@ -147,42 +135,80 @@ def _own_comments(sample: list[str]) -> tuple[dict[str, Scalar], dict[str, Scala
     return dict(entries), metadata
 
 
-def _table(path: Path, layout: delimited.Layout, sample: list[str], above: int) -> Table:
+def _table(path: Path, layout: delimited.Layout, sample: list[str], preamble: int) -> Table:
     if layout.header:
         because = f"the header names {layout.n_columns}"
     else:
-        first = next(delimited.records(sample[above:], layout.delimiter))[0]
-        because = f"line {above + first} has {layout.n_columns}"
-    form = Table(
-        path, layout.delimiter, layout.n_columns, because, above + layout.first_line, layout.header
+        first = next(delimited.records(sample[preamble:], layout.delimiter))[0]
+        because = f"line {preamble + first} has {layout.n_columns}"
+    table = Table(
+        path,
+        layout.delimiter,
+        layout.n_columns,
+        because,
+        preamble + layout.first_line,
+        layout.header,
+        text_columns=layout.text_columns,
     )
-    untouched = layout.delimiter == "," and not layout.trailing
-    return form if untouched else dataclasses.replace(form, clean=layout.clean)
+    unchanged = layout.delimiter == "," and not layout.trailing
+    return table if unchanged else dataclasses.replace(table, clean=layout.clean)
 
 
 def _own_roles(known: dict[str, Scalar]) -> Roles:
     timed = known.get("times") == _IN_FIRST_COLUMN
-    return Roles(time=0, left_out=(0,)) if timed else Roles()
+    return Roles(time=0, non_sensors=(0,)) if timed else Roles()
 
 
-def _foreign_roles(form: Table, names: tuple[str, ...]) -> Roles:
-    start = first_rows(form, ROWS_LOOKED_AT)
-    return roles_by_name(names, start) if names else roles_by_content(start)
+def _detected_roles(table: Table, names: tuple[str, ...]) -> Roles:
+    start = first_rows(table, ROWS_LOOKED_AT)
+    numeric = [i for i in range(table.n_columns) if i not in table.text_columns]
+    if names:
+        roles = roles_by_name([names[i] for i in numeric], start[:, numeric])
+    else:
+        roles = roles_by_content(start[:, numeric])
+    roles = dataclasses.replace(
+        roles,
+        time=None if roles.time is None else numeric[roles.time],
+        counter=None if roles.counter is None else numeric[roles.counter],
+        non_sensors=tuple(sorted([*(numeric[i] for i in roles.non_sensors), *table.text_columns])),
+        guessed=tuple(numeric[i] for i in roles.guessed),
+    )
+    warn_of_guesses(table.path, names, roles)
+    return roles
 
 
-def _blocks(form: Table, roles: Roles) -> Iterator[Block]:
-    for values, share in read_blocks(form):
+def _warn_of_text(table: Table) -> None:
+    if not table.text_columns:
+        return
+    columns = join_items([_column_label(table, column) for column in table.text_columns])
+    warnings.warn(
+        f"{table.path}: skipped text, which is not a reading, in {columns}",
+        AnisomapWarning,
+        stacklevel=2,
+    )
+
+
+def _column_label(table: Table, column: int) -> str:
+    name = quoted_if_needed(table.names[column].strip()) if table.names else "no header"
+    return f"column {column + 1} ({name})"
+
+
+def _blocks(table: Table, roles: Roles) -> Iterator[Block]:
+    for values, fraction in read_blocks(table):
         times = None if roles.time is None else values[:, roles.time] / roles.per_second
-        yield Block(narrowed(np.delete(values, roles.left_out, axis=1)), share, times)
+        yield Block(
+            to_float32_if_exact(np.delete(values, roles.non_sensors, axis=1)), fraction, times
+        )
 
 
-def _remarks(path: Path, names: tuple[str, ...], roles: Roles) -> dict[str, Scalar]:
-    """Say which columns were not taken for sensors: in the metadata, and in the log."""
-    remarks: dict[str, Scalar] = {}
+def _column_metadata(table: Table, roles: Roles) -> dict[str, Scalar]:
+    """Name the columns that are not sensors, in the metadata and in the log."""
+    metadata: dict[str, Scalar] = {}
     for key, column in (("time_column", roles.time), ("counter_column", roles.counter)):
         if column is None:
             continue
-        name = names[column] if names else "no header"
-        remarks[key] = f"column {column + 1} ({name})"
-        _logger.info("%s: %s is %s, no sensor", path, remarks[key], key.replace("_", " "))
-    return remarks
+        metadata[key] = _column_label(table, column)
+        _logger.info("%s: %s is the %s", table.path, metadata[key], key.replace("_", " "))
+    if table.text_columns:
+        metadata["text_columns"] = ", ".join(_column_label(table, i) for i in table.text_columns)
+    return metadata

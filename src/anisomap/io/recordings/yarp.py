@@ -1,8 +1,8 @@
-"""Recordings that ``yarpdatadumper`` made: ``data.log``, its folder, or a session of folders.
+"""Recordings of ``yarpdatadumper``: ``data.log``, its folder, or a session of folders.
 
-A line is ``sequence stamp value value ...``, or with two stamps (``--txTime --rxTime``) first the
-sender's, then the receiver's; the values may stand in brackets. ``info.log`` beside it names the
-port. A session is a folder with a folder for every port.
+A line is ``sequence stamp value value ...``. With ``--txTime --rxTime`` it has two stamps, the
+sender's and the receiver's. The values may be in brackets. ``info.log`` in the same folder names
+the port. A session is a folder with one folder per port.
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.choice import Content, choose
-from anisomap.io.joining import joined
-from anisomap.io.parsing.frames import narrowed
-from anisomap.io.parsing.source import DAMAGED_GZIP, opened_text
+from anisomap.io.joining import join_streams
+from anisomap.io.parsing.frames import to_float32_if_exact
+from anisomap.io.parsing.source import GZIP_ERRORS, open_text
 from anisomap.io.parsing.table import Table, first_rows, is_skipped, line_of, read_blocks
-from anisomap.io.stream import Block, ReadOptions, Stream, salvaged
+from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
 _FILE, _INFO = "data.log", "info.log"
 _LINE = re.compile(rb"\s*(\d+)\s+(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s+[-+.(\dni]")
 _PORT = re.compile(r"\]\s*(/\S+)\s*\[connected\]")
 _INFO_CHARACTERS = 1 << 16
-_LOOKED_AT, _ROWS_LOOKED_AT = 3, 1000
-# Seconds since 1970 of any recording that there is; no reading of a skin is as large.
+_LINES_LOOKED_AT, _ROWS_LOOKED_AT = 3, 1000
+# In seconds since 1970, before any recording; larger than any reading.
 _EPOCH = 1e8
 _SAME_CLOCK_S = 60.0
 _BRACKETS = str.maketrans("()", "  ")
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell a log by its first lines: a rising count, a stamp that does not fall, and values.
+    """Recognise a log by an increasing count, a non-decreasing stamp, and values.
 
-    Stamps of a simulator start near zero; a file with such is recognised by its name, too.
+    A log of a simulator, with stamps from 0, must also have the name ``data.log``.
     """
     if path.is_dir():
         return bool(_logs(path))
     lines = head.splitlines()
-    whole = lines[:-1] or lines  # the last one may be cut
-    found = [match for line in whole[:_LOOKED_AT] if (match := _LINE.match(line))]
-    if not found or len(found) < len(whole[:_LOOKED_AT]):
+    whole = lines[:-1] or lines  # the last line may be incomplete
+    found = [match for line in whole[:_LINES_LOOKED_AT] if (match := _LINE.match(line))]
+    if not found or len(found) < len(whole[:_LINES_LOOKED_AT]):
         return False
     counts = [float(match[1]) for match in found]
     stamps = [float(match[2]) for match in found]
@@ -57,15 +57,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
-    """List the ports of a session; nothing of a single file.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, its folder, or the folder of the session.
-    options : ReadOptions
-        None of them matters here.
-    """
+    """List the ports of a session; empty for a single log or its folder."""
     if not path.is_dir() or (path / _FILE).is_file():
         return ()
     return tuple(Content(_part(path, log), _port(log) or "no info.log") for log in _logs(path))
@@ -73,26 +65,11 @@ def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in a data.log.
+    """Open a data.log, its folder, or one or several ports of a session.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, the folder that holds it, or the folder of a session.
-    options : ReadOptions
-        `select` names the port of a session, or several between commas: these become one
-        recording, on the clock of the first.
-
-    Yields
-    ------
-    Stream
-        Its times are the sender's stamps from 0 on, or the receiver's where the sender's do not
-        increase. A last line that was cut off is left out, with a warning.
-
-    Raises
-    ------
-    FileError
-        With line and column of what cannot be read.
+    `options.select` names the port of a session; several, separated by commas, are joined at the
+    times of the first. Times are the sender's stamps from 0, or the receiver's if the sender's do
+    not increase. A truncated last line is dropped with a warning.
     """
     ports = contents(path, options)
     if not ports:
@@ -108,12 +85,12 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         chosen = [choose(path, ports, name, "port").name for name in wanted]
     logs = {_part(path, log): log for log in _logs(path)}
     streams = {name: _stream(logs[name]) for name in chosen}
-    stream = joined(streams) if len(streams) > 1 else streams[chosen[0]]
+    stream = join_streams(streams) if len(streams) > 1 else streams[chosen[0]]
     yield replace(stream, source=f"{path.name}/{', '.join(chosen)}")
 
 
 def _logs(folder: Path) -> list[Path]:
-    """Find the logs of a folder or a session, two folders deep at the most."""
+    """Find the logs of a folder or a session, at most two folders deep."""
     here = folder / _FILE
     if here.is_file():
         return [here]
@@ -125,7 +102,7 @@ def _part(session: Path, log: Path) -> str:
 
 
 def _port(log: Path) -> str:
-    """Read from info.log which port was recorded; empty if it does not say."""
+    """Read the name of the port from info.log; empty if it is not there."""
     try:
         with (log.parent / _INFO).open(encoding="utf-8", errors="replace") as stream:
             found = _PORT.search(stream.read(_INFO_CHARACTERS))
@@ -135,42 +112,43 @@ def _port(log: Path) -> str:
 
 
 def _stream(log: Path) -> Stream:
-    form = _table(log)
-    n_stamps = 2 if _has_two_stamps(first_rows(form, _ROWS_LOOKED_AT)) else 1
-    n_sensors = form.n_columns - 1 - n_stamps
+    table = _table(log)
+    n_stamps = 2 if _has_two_stamps(first_rows(table, _ROWS_LOOKED_AT)) else 1
+    n_sensors = table.n_columns - 1 - n_stamps
     if n_sensors < 1:
-        raise FileError(f"{log} holds sequence numbers and stamps, but no values after them")
+        raise FileError(f"{log} holds sequence numbers and stamps, but no values")
     metadata: dict[str, Scalar] = {"format": "YARP data.log", "stamps": n_stamps}
     if port := _port(log):
         metadata["port"] = port
     return Stream(
         log,
         n_sensors,
-        salvaged(_blocks(form, n_stamps), log, DAMAGED_GZIP),
+        salvage(_blocks(table, n_stamps), log, GZIP_ERRORS),
         metadata=metadata,
         from_zero=True,
-        locate=functools.partial(line_of, form),
+        locate=functools.partial(line_of, table),
     )
 
 
-def _blocks(form: Table, n_stamps: int) -> Iterator[Block]:
-    for values, share in read_blocks(form):
-        receipts = values[:, 2] if n_stamps == 2 else None
-        yield Block(narrowed(values[:, 1 + n_stamps :]), share, values[:, 1], receipts)
+def _blocks(table: Table, n_stamps: int) -> Iterator[Block]:
+    for values, fraction in read_blocks(table):
+        receive_times = values[:, 2] if n_stamps == 2 else None
+        readings = to_float32_if_exact(values[:, 1 + n_stamps :])
+        yield Block(readings, fraction, values[:, 1], receive_times)
 
 
 def _table(path: Path) -> Table:
-    with opened_text(path) as stream:
+    with open_text(path) as stream:
         numbered = enumerate(stream, start=1)
         number, line = next(((i, text) for i, text in numbered if not is_skipped(text)), (0, ""))
     if not number:
-        raise FileError(f"{path} holds no frame")
+        raise FileError(f"{path} has no frame")
     width = len(_without_brackets(line).split())
     return Table(path, None, width, f"line {number} has {width}", number, clean=_without_brackets)
 
 
 def _without_brackets(line: str) -> str:
-    """Take brackets away where they match up; a line cut inside them stays unreadable."""
+    """Replace balanced brackets by blanks, so that a line truncated inside them stays invalid."""
     return line.translate(_BRACKETS) if line.count("(") == line.count(")") else line
 
 
@@ -181,5 +159,5 @@ def _has_two_stamps(values: NDArray[np.float64]) -> bool:
     if (second >= _EPOCH).all():
         return True
     with np.errstate(invalid="ignore"):
-        rising = len(values) >= _LOOKED_AT and (np.diff(second) > 0).all()
+        rising = len(values) >= _LINES_LOOKED_AT and (np.diff(second) > 0).all()
         return bool(rising and (np.abs(second - first) <= _SAME_CLOCK_S).all())

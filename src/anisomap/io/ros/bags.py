@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 bags and MCAP files: topics of tactile sensors."""
+"""Read topics of tactile sensors from ROS 1 and ROS 2 bags and MCAP files."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.choice import Content, choose
-from anisomap.io.joining import joined
-from anisomap.io.parsing.foreign import foreign, guarded, imported
+from anisomap.io.joining import join_streams
+from anisomap.io.parsing.libraries import guarded_iter, import_extra, library_errors
 from anisomap.io.ros import messages
 from anisomap.io.ros.files import (
     MAGICS,
+    as_rosbags_path,
     check_chunks,
-    disguised,
     warn_of_missing_end,
     with_definitions,
 )
 from anisomap.io.ros.messages import Kind, kind_of
 from anisomap.io.ros.repair import EXTRA
-from anisomap.io.stream import Block, ReadOptions, Stream, salvaged
+from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
 _METADATA = "metadata.yaml"
@@ -37,71 +37,54 @@ _NUMBERS = {
     *("bool", "byte", "char", "float32", "float64"),
     *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
 }
-_DEEPEST = 4
+_MAX_DEPTH = 4
 _NANOSECONDS = 1e9
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Tell a bag by its mark; a folder by the description that ROS 2 leaves in it."""
+    """Recognise a bag by its magic number, and a ROS 2 folder by its metadata.yaml."""
     return (path / _METADATA).is_file() if path.is_dir() else head.startswith(tuple(MAGICS))
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the topics of a bag."""
-    with _opened(path, options) as bag:
+    with _open(path, options) as bag:
         return bag.contents()
 
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in a bag.
+    """Open a recording in a bag: a ``.bag``, ``.mcap`` or ``.db3`` file, or a ROS 2 folder.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        A ``.bag``, ``.mcap`` or ``.db3`` file, or the folder of a ROS 2 bag.
-    options : ReadOptions
-        `select` names the topic, and behind a colon the field, if it is not the usual one:
-        ``/xela:sensors.taxels.x``. Several topics, between commas or by a pattern
-        (``/range/*``), become one recording on the clock of the first. `definitions` are message
-        definitions for a bag that holds none.
-
-    Yields
-    ------
-    Stream
-        Times are the stamps of the messages, or when they were received where those do not
-        increase, from 0 on.
-
-    Raises
-    ------
-    FileError
-        If the bag is damaged, or it is not clear which topic is the recording.
-    MissingExtraError
-        If rosbags is not installed.
+    `options.select` names the topic, with a field after a colon if it is not the default:
+    ``/xela:sensors.taxels.x``. Several topics, separated by commas or given by a pattern
+    (``/range/*``), are joined at the times of the first. `options.definitions` are message
+    definitions for a bag without them. Times are the stamps of the messages from 0, or the times
+    of their receipt if the stamps do not increase.
     """
     warn_of_missing_end(path)
-    with _opened(path, options) as bag:
-        streams = {topic: bag.stream(topic, field) for topic, field in bag.chosen(options.select)}
-        one = next(iter(streams.values()))
-        stream = joined(streams) if len(streams) > 1 else one
+    with _open(path, options) as bag:
+        streams = {topic: bag.stream(topic, field) for topic, field in bag.select(options.select)}
+        first = next(iter(streams.values()))
+        stream = join_streams(streams) if len(streams) > 1 else first
         yield replace(stream, source=f"{path.name}:{', '.join(streams)}")
 
 
 @contextmanager
-def _opened(path: Path, options: ReadOptions) -> Iterator[_Bag]:
-    highlevel = imported("rosbags.highlevel", "reading bags", EXTRA)
-    typesys = imported("rosbags.typesys", "reading bags", EXTRA)
-    with foreign(path):
+def _open(path: Path, options: ReadOptions) -> Iterator[_Bag]:
+    highlevel = import_extra("rosbags.highlevel", "reading bags", EXTRA)
+    typesys = import_extra("rosbags.typesys", "reading bags", EXTRA)
+    with library_errors(path):
         store = with_definitions(typesys.get_typestore(typesys.Stores.LATEST), options.definitions)
-        reader = highlevel.AnyReader([disguised(path)], default_typestore=store)
+        reader = highlevel.AnyReader([as_rosbags_path(path)], default_typestore=store)
         reader.open()
     try:
-        with foreign(path):
+        with library_errors(path):
             check_chunks(path, reader)
             with_definitions(reader.typestore, options.definitions)
         yield _Bag(path, reader)
     finally:
-        with foreign(path):
+        with library_errors(path):
             reader.close()
 
 
@@ -113,8 +96,8 @@ class _Bag:
     reader: Any
 
     def contents(self) -> tuple[Content, ...]:
-        """List the topics; those of tactile sensors come into question before any others."""
-        with foreign(self.path):
+        """List the topics; if there are tactile ones, only these are usable."""
+        with library_errors(self.path):
             topics = dict(self.reader.topics)
         tactile = any(messages.is_tactile(info.msgtype or "") for info in topics.values())
         return tuple(
@@ -131,49 +114,50 @@ class _Bag:
         fits = messages.is_tactile(name) if tactile else bool(self._fields(name))
         return bool(fits and info.msgcount)
 
-    def chosen(self, select: str) -> list[tuple[str, str]]:
-        """Give topics, each with the field asked for, which may be empty."""
-        held = self.contents()
+    def select(self, select: str) -> list[tuple[str, str]]:
+        """Return the selected topics, each with the requested field, which may be empty."""
+        topics = self.contents()
         found = []
-        for wanted in select.split(","):
-            topic, _, field = wanted.strip().partition(":")
-            named = [each.name for each in held if fnmatch.fnmatchcase(each.name, topic)]
+        for part in select.split(","):
+            topic, _, field = part.strip().partition(":")
+            named = [each.name for each in topics if fnmatch.fnmatchcase(each.name, topic)]
             if not ("*" in topic and named):
-                named = [choose(self.path, held, topic, "topic").name]
+                named = [choose(self.path, topics, topic, "topic").name]
             found += [(name, field) for name in named]
         return found
 
     def stream(self, topic: str, field: str) -> Stream:
-        """Make a stream of a topic."""
+        """Create a stream of a topic."""
         message_type = str(self.reader.topics[topic].msgtype)
         fields = self._fields(message_type)
         if message_type not in self.reader.typestore.fielddefs:
             raise FileError(
-                f"{self.path} does not define the messages {message_type} of {topic}; "
-                "give their definition (--msg FILE)"
+                f"{self.path} lacks the definition of message type {message_type} of {topic}; "
+                "give its definition (--msg FILE)"
             )
         kind = kind_of(message_type, fields)
         field = field or (kind.field if kind else "")
         if kind is None or not field:
-            held = f": it has {', '.join(fields)}" if fields else ", and no array of numbers in it"
+            if not fields:
+                raise FileError(f"{self.path}: {topic} ({message_type}) has no array of numbers")
             raise FileError(
-                f"{self.path}: choose a field of {topic} ({message_type}){held}; "
-                "as in --select TOPIC:FIELD"
+                f"{self.path}: choose a field of {topic} ({message_type}) with --select "
+                f"TOPIC:FIELD; fields: {', '.join(fields)}"
             )
         rows = _CellRows if kind.cell else _Rows
         return rows(self, topic, field, kind).stream()
 
     def messages(self, topic: str) -> Iterator[tuple[Any, int]]:
-        """Give the messages of a topic, and when they were received, in nanoseconds."""
+        """Yield the messages of a topic with their time of receipt in nanoseconds."""
         connections = [each for each in self.reader.connections if each.topic == topic]
-        for connection, stamp, raw in guarded(self.reader.messages(connections), self.path):
-            with foreign(self.path):
+        for connection, stamp, raw in guarded_iter(self.reader.messages(connections), self.path):
+            with library_errors(self.path):
                 message = self.reader.deserialize(raw, connection.msgtype)
             yield message, stamp
 
     def _fields(self, message_type: str, depth: int = 0) -> list[str]:
-        """List the paths of all arrays of numbers in a kind of message."""
-        if depth > _DEEPEST or message_type not in self.reader.typestore.fielddefs:
+        """List the paths of all arrays of numbers in a message type."""
+        if depth > _MAX_DEPTH or message_type not in self.reader.typestore.fielddefs:
             return []
         found = []
         for name, (node, description) in self.reader.typestore.fielddefs[message_type][1]:
@@ -188,7 +172,7 @@ class _Bag:
 
 @dataclass(frozen=True)
 class _Rows:
-    """The messages of a topic, each a frame."""
+    """A topic with one frame per message."""
 
     bag: _Bag
     topic: str
@@ -196,13 +180,13 @@ class _Rows:
     kind: Kind
 
     def stream(self) -> Stream:
-        """Make a stream; the first message tells how many sensors there are."""
+        """Create a stream with the sensors of the first message."""
         first = self._first()
         values, names, positions = self._describe(first)
         return Stream(
             self.bag.path,
             values.size,
-            salvaged(self._blocks(self._frames(values)), self.bag.path),
+            salvage(self._blocks(self._frames(values)), self.bag.path),
             names=names if len(names) == values.size else (),
             positions=positions,
             units="" if positions is None else "m" if positions.shape[1] == 3 else "pixels",
@@ -220,7 +204,7 @@ class _Rows:
         self, first: Any
     ) -> tuple[NDArray[Any], tuple[str, ...], NDArray[np.float64] | None]:
         values = self._values(first)
-        with foreign(self.bag.path):
+        with library_errors(self.bag.path):
             names = self.kind.names(first, self.field)
             positions = self.kind.positions(first) if self.kind.positions else None
         fits = positions is not None and len(positions) == values.size
@@ -232,11 +216,13 @@ class _Rows:
         except (AttributeError, ValueError) as error:
             raise FileError(f"{self.bag.path}: {self.topic}: {error}") from error
         if values.dtype.kind not in "biuf":
-            raise FileError(f"{self.bag.path}: the field {self.field} of {self.topic} is no number")
+            raise FileError(
+                f"{self.bag.path}: field {self.field} of {self.topic} does not hold numbers"
+            )
         return values
 
     def _frames(self, first: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int, int]]:
-        """Give readings with the stamps of sender and receiver, in nanoseconds."""
+        """Yield readings with the stamps of sender and receiver in nanoseconds."""
         convert = partial(messages.unwrapped, first=first) if self.kind.wraps else np.asarray
         for number, (message, received) in enumerate(self.bag.messages(self.topic)):
             values = self._values(message)
@@ -270,10 +256,10 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _CellRows(_Rows):
-    """The messages of a topic, each of one cell: a frame is once around all cells."""
+    """A topic with one message per skin cell; a frame is a round of messages of all cells."""
 
     def stream(self) -> Stream:
-        """Make a stream; all messages are gone through before, to learn which cells there are."""
+        """Create a stream, after a pass over all messages to find the cells."""
         sizes: dict[str, int] = {}
         counts = Counter[str]()
         try:
@@ -290,7 +276,7 @@ class _CellRows(_Rows):
         return Stream(
             self.bag.path,
             len(names),
-            salvaged(
+            salvage(
                 self._blocks(self._rounds(sizes, max(sizes, key=counts.__getitem__))), self.bag.path
             ),
             names=names,
@@ -301,7 +287,7 @@ class _CellRows(_Rows):
     def _rounds(
         self, sizes: dict[str, int], leader: str
     ) -> Iterator[tuple[NDArray[Any], int, int]]:
-        """Give what every cell read last, each time before the leading cell reads anew."""
+        """Yield the latest readings of all cells before each message of the `leader`."""
         starts = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
         state = np.full(sum(sizes.values()), np.nan)
         known: set[str] = set()
@@ -313,8 +299,8 @@ class _CellRows(_Rows):
             values = self._values(message)
             if values.size != sizes[cell]:
                 raise FileError(
-                    f"{self.bag.path}: cell {cell} of {self.topic} has {values.size} readings, "
-                    f"but {sizes[cell]} before"
+                    f"{self.bag.path}: a message of cell {cell} of {self.topic} has {values.size} "
+                    f"readings, but the first has {sizes[cell]}"
                 )
             state[starts[cell] : starts[cell] + values.size] = values
             stamps = (_sent(message, received), received)
@@ -324,7 +310,7 @@ class _CellRows(_Rows):
 
 
 def _sent(message: Any, received: int) -> int:
-    """Tell when a message was stamped, in nanoseconds; when it was received if it is not."""
+    """Return the stamp of a message, or its time of receipt without one, in nanoseconds."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     sent = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
     return sent or received
@@ -339,7 +325,7 @@ def _batches(frames: Iterator[Any]) -> Iterator[Sequence[Any]]:
                 yield batch
                 batch = []
     except FileError:
-        # What came before damage is whole, and must not be lost with it.
+        # Messages before the damage are valid.
         if batch:
             yield batch
         raise

@@ -1,4 +1,4 @@
-"""What rosbags has to be told about files: their kind, missing definitions, missing ends."""
+"""Prepare files for rosbags: their suffix, missing message definitions, and truncated files."""
 
 from __future__ import annotations
 
@@ -9,63 +9,62 @@ from pathlib import Path
 from typing import Any
 
 from anisomap.errors import AnisomapWarning, FileError
-from anisomap.io.parsing.foreign import imported
-from anisomap.io.parsing.source import check_unpacked
-from anisomap.io.ros.repair import EXTRA, BagFile, repair_of, unpacked
+from anisomap.io.parsing.libraries import import_extra
+from anisomap.io.parsing.source import check_expansion
+from anisomap.io.ros.repair import EXTRA, BagFile, find_repair, unpacked
 
 MAGICS = {b"#ROSBAG V2.0\n": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
-"""The first bytes of bags, and the suffix by which rosbags knows them."""
+"""Magic numbers, and the suffixes that rosbags expects."""
 
-_REPAIRED = (".bag", ".mcap")
+_REPAIRABLE = (".bag", ".mcap")
 
 
-def disguised(path: Path) -> Path:
-    """Give a path that has the suffix rosbags expects, and opens as a file with an end.
+def as_rosbags_path(path: Path) -> Path:
+    """Return a path with the suffix that rosbags expects, which opens truncated files repaired.
 
     Parameters
     ----------
     path : pathlib.Path
-        A bag, whatever its suffix; a folder is left as it is.
+        A bag with any suffix, or a folder, which is returned unchanged.
     """
     if path.is_dir():
         return path
     suffix = _kind(path)
-    known: dict[str, Any] = {"suffix": suffix}
-    if suffix in _REPAIRED:
-        repair = repair_of(path, suffix)
-        known["open"] = lambda self, *_, **__: BagFile(path, repair)
-    named: Path = type("BagPath", (type(path),), known)(path)
-    return named
+    overrides: dict[str, Any] = {"suffix": suffix}
+    if suffix in _REPAIRABLE:
+        repair = find_repair(path, suffix)
+        overrides["open"] = lambda self, *_, **__: BagFile(path, repair)
+    bag_path: Path = type("BagPath", (type(path),), overrides)(path)
+    return bag_path
 
 
 def warn_of_missing_end(path: Path) -> None:
-    """Warn of a bag that was cut off or never closed, and say how much of it is lost."""
+    """Warn of a bag that was truncated or not closed, with the number of lost bytes."""
     suffix = "" if path.is_dir() else _kind(path)
-    repair = repair_of(path, suffix) if suffix in _REPAIRED else None
+    repair = find_repair(path, suffix) if suffix in _REPAIRABLE else None
     if repair is None:
         return
     size = path.stat().st_size
     warnings.warn(
-        f"{path} was cut off or never closed: its last {size - repair.end} of {size} bytes are "
-        "no whole record, and lost; what follows in the original is lost, too",
+        f"{path} was truncated or not closed: read all complete records, dropped the last "
+        f"{size - repair.end} of {size} bytes",
         AnisomapWarning,
         stacklevel=2,
     )
 
 
 def with_definitions(store: Any, files: Iterable[Path]) -> Any:
-    """Teach a store of message types the definitions in files.
+    """Register message definitions from files in a type store.
 
     Parameters
     ----------
     store : rosbags.typesys.store.Typestore
     files : iterable of pathlib.Path
-        Each a ``.msg`` file in a folder ``package/msg``, or with the package in its name
-        (``package.Name.msg``), as far as the store does not know the name already.
+        Each a ``.msg`` file in a folder ``package/msg``, or named ``package.Name.msg``.
     """
     if not files:
         return store
-    typesys = imported("rosbags.typesys", "reading bags", EXTRA)
+    typesys = import_extra("rosbags.typesys", "reading bags", EXTRA)
     for file in files:
         try:
             text = file.read_text(encoding="utf-8")
@@ -76,15 +75,15 @@ def with_definitions(store: Any, files: Iterable[Path]) -> Any:
 
 
 def check_chunks(path: Path, reader: Any) -> None:
-    """See to it that no chunk unpacks to far more than any recording does.
+    """Reject decompression bombs.
 
-    MCAP says beforehand how much that will be; of a ROS 1 bag it is found out in unpacking.
+    MCAP declares the size of each chunk; chunks of ROS 1 bags are checked while decompressing.
     """
     for each in reader.readers:
         storage = getattr(each, "storage", None)
         for part in getattr(storage, "storages", [storage]):
             for chunk in getattr(part, "chunks", []):
-                check_unpacked(path, "a chunk", chunk.compressed_size, chunk.uncompressed_size)
+                check_expansion(path, "a chunk", chunk.compressed_size, chunk.uncompressed_size)
         if storage is None:
             for at, chunk in each.chunks.items():
                 how = chunk.decompressor.__module__.partition(".")[0].removeprefix("_")
@@ -98,8 +97,8 @@ def _type_name(file: Path) -> str:
         package = file.absolute().parent.parent.name
     if not package:
         raise FileError(
-            f"{file} does not say which package it is of; "
-            "keep it as PACKAGE/msg/NAME.msg, or call it PACKAGE.NAME.msg"
+            f"the package of {file} is unknown; name the file PACKAGE/msg/NAME.msg or "
+            "PACKAGE.NAME.msg"
         )
     return f"{package}/msg/{name}"
 

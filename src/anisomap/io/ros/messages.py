@@ -1,7 +1,7 @@
-"""What messages of tactile sensors hold: readings, names and sometimes positions.
+"""Message types of tactile sensors: their readings, sensor names and positions.
 
-A message is a tree of fields; a reading is found by its path, and every list of messages on the way
-gives a part of the sensor's name. So a new kind of message is mostly one line in `KINDS`.
+A message is a tree of fields. Readings are addressed by a path, and each list of messages on the
+path contributes a part of the sensor names. A new message type is usually one line in `KINDS`.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ _WRAP = 1 << 16
 
 @dataclass(frozen=True)
 class Kind:
-    """How the readings of a kind of message are found.
+    """How to extract the readings of a message type.
 
     Parameters
     ----------
     field : str
-        Path of the readings, unless another is asked for: ``"sensors.taxels.z"``.
+        Default path of the readings: ``"sensors.taxels.z"``.
     values : callable
-        Given a message and the path, gives the readings.
+        ``values(message, path)`` returns the readings.
     names : callable
-        Given a message and the path, names the sensors.
+        ``names(message, path)`` returns the sensor names.
     positions : callable, optional
-        Given a message, gives the positions in metres, or None.
+        ``positions(message)`` returns positions in metres, or None.
     wraps : bool
-        Whether readings are counters of 16 bits, which run over.
+        Whether readings are 16-bit counters that overflow.
     cell : bool
-        Whether each message is of one part of the skin only.
+        Whether each message holds one skin cell only.
     """
 
     field: str
@@ -51,13 +51,13 @@ class Kind:
 
 
 def values_at(message: Any, path: str) -> NDArray[Any]:
-    """Gather all numbers at a path, in order."""
+    """Return all numbers at a path, in order."""
     parts = [np.atleast_1d(np.asarray(value)).ravel() for _, value in _walk(message, path)]
     return np.concatenate(parts) if parts else np.empty(0)
 
 
 def names_at(message: Any, path: str) -> tuple[str, ...]:
-    """Name the numbers at a path by the parts of the message that hold them; empty if none do."""
+    """Name the numbers at a path by the list items that hold them; empty without unique names."""
     names = []
     for label, value in _walk(message, path):
         size = np.size(value)
@@ -70,30 +70,30 @@ def names_at(message: Any, path: str) -> tuple[str, ...]:
 
 
 def unwrapped(values: NDArray[Any], first: NDArray[Any]) -> NDArray[np.float64]:
-    """Give counters of 16 bits, signed or not, as differences from the first: they run over."""
+    """Return 16-bit counters, signed or not, as differences from the first, without overflow."""
     steps = values.astype(np.int64) - first.astype(np.int64)
     return np.asarray((steps + _WRAP // 2) % _WRAP - _WRAP // 2, dtype=np.float64)
 
 
 def cell_of(message: Any) -> str:
-    """Tell which part of the skin a message is of."""
+    """Return the skin cell of a message."""
     return next(str(getattr(message, name)) for name in _LABELS[2:] if hasattr(message, name))
 
 
 def kind_of(message_type: str, fields: list[str]) -> Kind | None:
-    """Tell how to read a message.
+    """Return how to read a message type.
 
     Parameters
     ----------
     message_type : str
         As ``"package/msg/Name"``.
     fields : list of str
-        Paths of all arrays of numbers in it.
+        Paths of all its arrays of numbers.
 
     Returns
     -------
     Kind or None
-        None if it holds no array of numbers.
+        None without an array of numbers.
     """
     package, _, name = message_type.partition("/msg/")
     known = KINDS.get(f"{package}/{name}") or KINDS.get(name)
@@ -104,7 +104,7 @@ def kind_of(message_type: str, fields: list[str]) -> Kind | None:
 
 
 def is_tactile(message_type: str) -> bool:
-    """Tell whether a kind of message is made for what we look for."""
+    """Return whether a message type is made for arrays of sensors."""
     package, _, name = message_type.partition("/msg/")
     return f"{package}/{name}" in KINDS or name in KINDS or name.endswith("MultiArray")
 
@@ -122,27 +122,27 @@ def _walk(value: Any, path: str, label: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _pixels(message: Any, _: str) -> NDArray[Any]:
-    """Read an image, row after row; colours are averaged."""
+    """Return the pixels of an image in row-major order; colour channels are averaged."""
     height, width, encoding = message.height, message.width, message.encoding
     kind, channels = _encoding(encoding)
     if message.is_bigendian:
         kind = kind.newbyteorder(">")
     used = width * channels * kind.itemsize
     if message.step < used or len(message.data) < height * message.step:
-        raise ValueError(f"an image of {height} x {width} ({encoding}) is cut short")
+        raise ValueError(f"the image of {height} x {width} pixels ({encoding}) is cut short")
     rows = np.asarray(message.data)[: height * message.step].reshape(height, message.step)
     pixels = np.ascontiguousarray(rows[:, :used]).view(kind).reshape(height * width, channels)
     return pixels[:, 0] if channels == 1 else pixels[:, :3].mean(axis=1)
 
 
 def _encoding(encoding: str) -> tuple[np.dtype[Any], int]:
-    """Read what a pixel is: mono8, bgr8, 16UC1, 32FC3 ..."""
+    """Parse an encoding such as mono8, bgr8, 16UC1 or 32FC3 into dtype and channels."""
     colours = encoding.rstrip("0123456789")
     if colours in _CHANNELS:
         return np.dtype(f"u{int(encoding[len(colours) :] or 8) // 8}"), _CHANNELS[colours]
     bits, _, channels = encoding.partition("C")
     if bits[-1:] not in _DEPTHS or not bits[:-1].isdecimal() or not (channels or "1").isdecimal():
-        raise ValueError(f"images of the encoding {encoding!r} cannot be used as pads")
+        raise ValueError(f"unsupported image encoding {encoding!r}; use mono, rgb, bgr or 32FC1")
     return np.dtype(f"{_DEPTHS[bits[-1]]}{int(bits[:-1]) // 8}"), int(channels or 1)
 
 
@@ -155,7 +155,7 @@ def _pixel_positions(message: Any) -> NDArray[np.float64]:
 
 
 def _lengths(message: Any, path: str) -> NDArray[np.float64]:
-    """Read how long vectors are whose components stand in fields of their own."""
+    """Return the lengths of vectors that are stored as ``values_x``, ``values_y``, ``values_z``."""
     if path != "values":
         return values_at(message, path)
     parts = [np.asarray(getattr(message, f"values_{axis}"), np.float64) for axis in "xyz"]
@@ -183,4 +183,4 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "sensor_msgs/Image": Kind("data", _pixels, _pixel_names, positions=_pixel_positions),
     }
 )
-"""Messages that we know, by their name, or with the package where the name alone says little."""
+"""Known message types by name, or by package and name if the name is ambiguous."""

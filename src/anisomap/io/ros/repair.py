@@ -1,9 +1,11 @@
-"""Bags without an end, as a recorder leaves them that was killed: as far as they are whole.
+"""Read bags without an index at the end, which killed recorders leave behind.
 
-rosbags reads a file by the index at its end. Where that is missing, one is made and put behind the
-last whole record, in memory: the file stays as it is.
+A missing index is rebuilt in memory and appended to the last complete record; the file is not
+changed. No library does this: rosbags 0.11 rejects such files ("Bag is not indexed", "File end
+magic is invalid"), and ``rosbag reindex`` is part of ROS. The mcap package scans unindexed MCAP
+files, but it would add a second way of decoding messages to replace the 15 lines for MCAP.
 
-The layouts are those of the MCAP specification and of "Bag File Format, version 2.0" (ROS 1).
+Layouts: MCAP specification, and "Bag File Format, version 2.0" (ROS 1).
 """
 
 from __future__ import annotations
@@ -16,8 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from anisomap.io.parsing.foreign import imported
-from anisomap.io.parsing.source import check_unpacked, most_unpacked
+from anisomap.io.parsing.libraries import import_extra
+from anisomap.io.parsing.source import check_expansion, max_expansion
 
 EXTRA = "ros"
 
@@ -25,20 +27,20 @@ _MCAP, _ROS1 = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
 _MCAP_FOOTER = b"\x02\x14" + bytes(7) + bytes(20) + _MCAP
 _MCAP_HEAD = 9
 _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 4, 5, 6, 7
-_LONGEST_HEADER = 1 << 16
+_MAX_HEADER = 1 << 16
 
 
 @dataclass(frozen=True)
 class Repair:
-    """What a file lacks: it is whole up to `end`, begins with `start`, and ends on `tail`."""
+    """Replace the first bytes by `start`, keep the file up to `end`, and append `tail`."""
 
     start: bytes
     end: int
     tail: bytes
 
 
-def repair_of(path: Path, suffix: str) -> Repair | None:
-    """Tell what a bag lacks, if it lacks anything.
+def find_repair(path: Path, suffix: str) -> Repair | None:
+    """Return the repair of a truncated bag, or None for a complete one.
 
     Parameters
     ----------
@@ -47,41 +49,41 @@ def repair_of(path: Path, suffix: str) -> Repair | None:
         ``".mcap"`` or ``".bag"``.
     """
     with path.open("rb") as file:
-        return _of_mcap(file) if suffix == ".mcap" else _of_ros1(path, file)
+        return _repair_mcap(file) if suffix == ".mcap" else _repair_ros1(path, file)
 
 
 def unpacked(path: Path, packed: bytes, compression: str) -> bytes:
-    """Unpack a chunk of a ROS 1 bag, unless it is made to fill memory.
+    """Decompress a chunk of a ROS 1 bag.
 
     Parameters
     ----------
     path : pathlib.Path
-        The file to name.
+        The file, for messages.
     packed : bytes
     compression : {"none", "bz2", "lz4"}
 
     Raises
     ------
     FileError
-        If it unpacks to far more than any recording does.
+        If the chunk is a decompression bomb.
     """
-    most = most_unpacked(len(packed))
+    most = max_expansion(len(packed))
     if compression == "bz2":
         content = bz2.BZ2Decompressor().decompress(packed, max_length=most + 1)
     elif compression == "lz4":
-        lz4 = imported("lz4.frame", "reading bags", EXTRA)
+        lz4 = import_extra("lz4.frame", "reading bags", EXTRA)
         content = lz4.LZ4FrameDecompressor().decompress(packed, max_length=most + 1)
     else:
         content = packed
-    check_unpacked(path, "a chunk", len(packed), len(content))
+    check_expansion(path, "a chunk", len(packed), len(content))
     return content
 
 
 class BagFile(io.BufferedReader):
-    """A file, repaired, that is never asked for more than it has.
+    """A possibly repaired file that limits reads to its size.
 
-    Python sets aside as much memory as is asked for before it looks how much there is, and a
-    damaged length may ask for anything.
+    Python allocates the requested number of bytes before reading, and a damaged length can request
+    any number.
     """
 
     def __init__(self, path: Path, repair: Repair | None) -> None:
@@ -90,7 +92,7 @@ class BagFile(io.BufferedReader):
         self.seek(0)
 
     def read(self, size: int | None = -1) -> bytes:
-        """Read so many bytes, or as many as there are."""
+        """Read at most `size` bytes."""
         left = max(self._size - self.tell(), 0)
         return super().read(left if size is None or size < 0 else min(size, left))
 
@@ -138,7 +140,7 @@ def _size(file: BinaryIO) -> int:
     return file.seek(0, io.SEEK_END)
 
 
-def _of_mcap(file: BinaryIO) -> Repair | None:
+def _repair_mcap(file: BinaryIO) -> Repair | None:
     size = _size(file)
     file.seek(max(size - len(_MCAP), 0))
     if file.read() == _MCAP:
@@ -155,7 +157,7 @@ def _of_mcap(file: BinaryIO) -> Repair | None:
 
 @dataclass(frozen=True)
 class _Record:
-    """A record of a ROS 1 bag: where it begins and ends, its header, where its data begin."""
+    """A record of a ROS 1 bag: header fields, and the offsets of start, data and end."""
 
     start: int
     fields: dict[bytes, bytes]
@@ -172,21 +174,21 @@ class _Record:
 
 @dataclass
 class _Chunk:
-    """A chunk of messages, and what is indexed of it: a connection's count and times."""
+    """A chunk of messages, with the counts per connection and the times in its index."""
 
     record: _Record
     counts: dict[int, int]
     times: list[int]
 
 
-def _of_ros1(path: Path, file: BinaryIO) -> Repair | None:
+def _repair_ros1(path: Path, file: BinaryIO) -> Repair | None:
     size = _size(file)
     head = _record(file, len(_ROS1), size)
     if head is None or not head.fields.keys() >= {b"index_pos", b"conn_count", b"chunk_count"}:
-        return None  # there is no beginning either
-    wanted = head.number(b"conn_count") + head.number(b"chunk_count")
+        return None  # without a bag header, nothing can be repaired
+    n_indexed = head.number(b"conn_count") + head.number(b"chunk_count")
     index = head.number(b"index_pos")
-    if index and sum(1 for _ in _records(file, index, size)) >= wanted:
+    if index and sum(1 for _ in _records(file, index, size)) >= n_indexed:
         return None
     chunks, connections, end = _scan(path, file, head.end, size)
     tail = b"".join(connections.values()) + b"".join(map(_chunk_info, chunks))
@@ -205,7 +207,7 @@ def _of_ros1(path: Path, file: BinaryIO) -> Repair | None:
 def _scan(
     path: Path, file: BinaryIO, start: int, size: int
 ) -> tuple[list[_Chunk], dict[int, bytes], int]:
-    """Gather chunks that are indexed, the connections of their messages, and where they end."""
+    """Return the indexed chunks, the connections of their messages, and the offset of their end."""
     chunks: list[_Chunk] = []
     connections: dict[int, bytes] = {}
     end = start
@@ -216,7 +218,7 @@ def _scan(
             _take_index(file, record, chunks[-1])
             end = record.end
         else:
-            break  # connections and chunks are listed anew
+            break  # the rest is an incomplete index, which is rebuilt
     whole = [chunk for chunk in chunks if chunk.counts]
     for chunk in whole:
         if not connections.keys() >= chunk.counts.keys():
@@ -229,7 +231,7 @@ def _take_index(file: BinaryIO, record: _Record, chunk: _Chunk) -> None:
     file.seek(record.data + 4)
     entries = file.read(min(12 * count, record.end - record.data - 4))
     chunk.counts[record.number(b"conn")] = count
-    # A stamp is seconds and nanoseconds; to compare two, seconds count first.
+    # A stamp is a pair of seconds and nanoseconds, packed into one integer for comparison.
     stamps = [struct.unpack_from("<II", entries, at) for at in range(0, len(entries) - 7, 12)]
     chunk.times += [seconds << 32 | nanoseconds for seconds, nanoseconds in stamps]
 
@@ -266,7 +268,7 @@ def _chunk_info(chunk: _Chunk) -> bytes:
 
 
 def _records(file: BinaryIO, start: int, size: int) -> Iterator[_Record]:
-    """Give records as long as they are whole."""
+    """Yield records up to the first incomplete one."""
     while (record := _record(file, start, size)) is not None:
         yield record
         start = record.end
@@ -277,7 +279,7 @@ def _record(file: BinaryIO, start: int, size: int) -> _Record | None:
         return None
     file.seek(start)
     length = int.from_bytes(file.read(4), "little")
-    if not 0 < length <= min(_LONGEST_HEADER, size - start - 8):
+    if not 0 < length <= min(_MAX_HEADER, size - start - 8):
         return None
     header = file.read(length)
     data = start + 4 + length

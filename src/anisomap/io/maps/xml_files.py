@@ -1,0 +1,144 @@
+"""XML shared by URDF, MJCF and launch files: writing elements and comments, and safe parsing."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import FileError
+from anisomap.io.parsing.libraries import import_extra, library_errors
+from anisomap.placement import Taxels, to_taxels
+from anisomap.sensor_map import SensorMap
+
+EXTRA = "xml"
+
+SENSOR_RADIUS = 0.002
+"""Radius in metres of the spheres that represent sensors; for display only."""
+
+_MAX_BYTES = 64 * 1024 * 1024
+_ROOT = re.compile(rb"<\s*([A-Za-z_][\w.-]*)")
+# Characters that XML 1.0 cannot represent, not even escaped.
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
+
+
+def root_is(head: bytes, name: str) -> bool:
+    """Return whether the root element of a file, after declarations and comments, is `name`."""
+    text = re.sub(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", b"", head, flags=re.DOTALL).lstrip()
+    found = _ROOT.match(text.removeprefix(b"\xef\xbb\xbf"))
+    return bool(found and found[1] == name.encode())
+
+
+def named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
+    """Convert a map to taxels, as `to_taxels`, and check that XML can represent their names.
+
+    Raises
+    ------
+    InputError
+        If the map has no scale or several components.
+    FileError
+        If a name holds a control character.
+    """
+    skin = to_taxels(sensor_map, purpose)
+    for name in (*skin.names, skin.frame):
+        if _FORBIDDEN.search(name):
+            raise FileError(f"{purpose} cannot represent the name {name!r} with control characters")
+    return skin
+
+
+def tag(name: str, attributes: Mapping[str, str], *, closed: bool = True) -> str:
+    """Format a tag with escaped attributes."""
+    pairs = "".join(f" {key}={quoteattr(value)}" for key, value in attributes.items())
+    return f"<{name}{pairs}{'/' if closed else ''}>"
+
+
+def map_comments(sensor_map: SensorMap, element: str) -> list[str]:
+    """Format comments about a map: its frame, how far to trust it, and its notes.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+    element : str
+        The element that represents a sensor: ``"site"``.
+    """
+    confidence = sensor_map.confidence
+    judged = "unknown" if math.isnan(confidence) else f"{confidence:.3f} (expected Mantel r)"
+    lines = [
+        f"{int(sensor_map.placed.sum())} sensors in metres, right-handed; the z axis of each "
+        f"{element} is the estimated surface normal",
+        f"known up to {sensor_map.known_up_to}",
+        f"method: {sensor_map.method or 'unknown'}",
+        f"confidence: {judged}",
+        *(f"note: {note}" for note in sensor_map.notes),
+    ]
+    return [comment(line) for line in lines]
+
+
+def comment(text: str) -> str:
+    """Format a comment; text that would end it, and characters that XML forbids, are replaced."""
+    plain = _FORBIDDEN.sub("?", " ".join(text.split()))
+    # XML forbids two hyphens in a row inside a comment.
+    return f"<!-- {re.sub('-(?=-)', '- ', plain)} -->"
+
+
+def format_numbers(values: Iterable[float]) -> str:
+    """Format numbers, separated by blanks, so that they are read back equal."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def parse_xml(path: Path) -> object:
+    """Parse an untrusted file: without entities, external files, or unlimited size.
+
+    Returns
+    -------
+    xml.etree.ElementTree.Element
+
+    Raises
+    ------
+    FileError
+        If the file is not valid XML, declares a document type, or is larger than 64 MiB.
+    MissingExtraError
+        If defusedxml is not installed.
+    """
+    if path.stat().st_size > _MAX_BYTES:
+        raise FileError(f"{path} is larger than {_MAX_BYTES >> 20} MiB, the limit for XML")
+    parser = import_extra("defusedxml.ElementTree", "reading XML", EXTRA)
+    with library_errors(path):
+        return parser.fromstring(path.read_bytes(), forbid_dtd=True)
+
+
+def parse_vector(path: Path, what: str, text: str | None) -> NDArray[np.float64]:
+    """Parse three finite numbers, separated by blanks.
+
+    Raises
+    ------
+    FileError
+        If `text` is anything else.
+    """
+    try:
+        values = np.array([float(field) for field in (text or "").split()])
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != 3 or not np.isfinite(values).all():
+        raise FileError(f"{path}: {what} must be 3 numbers, got {text!r}")
+    return values
+
+
+def map_from_positions(
+    path: Path, positions: Mapping[str, NDArray[np.float64]], what: str
+) -> SensorMap:
+    """Create a map from positions in metres, by sensor name.
+
+    Raises
+    ------
+    FileError
+        If there are none.
+    """
+    if not positions:
+        raise FileError(f"{path} holds no {what} to read as sensors")
+    return SensorMap(np.array(list(positions.values())), names=tuple(positions), units="m")

@@ -1,0 +1,66 @@
+"""Mirror image and surface normals of a map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import InputError
+from anisomap.numerics.normals import estimate_normals
+from anisomap.sensor_map import SensorMap
+
+
+def mirrored(sensor_map: SensorMap) -> SensorMap:
+    """Reflect a map.
+
+    Returns
+    -------
+    SensorMap
+        With the first coordinate negated, and `SensorMap.mirrored` toggled.
+    """
+    flip = np.ones(sensor_map.dimensions)
+    flip[0] = -1.0
+    return replace(
+        sensor_map,
+        positions=flip * sensor_map.positions,
+        mirrored=not sensor_map.mirrored,
+    )
+
+
+def surface_normals(sensor_map: SensorMap) -> NDArray[np.float64]:
+    """Estimate the surface normal at each sensor, separately for each connected component.
+
+    Returns
+    -------
+    ndarray of shape (N, 3)
+        NaN for unplaced sensors. See `anisomap.numerics.normals.estimate_normals`.
+    """
+    normals = np.full((sensor_map.n_sensors, 3), np.nan)
+    for label in range(len(sensor_map.component_sizes)):
+        members = sensor_map.component == label
+        normals[members] = estimate_normals(pad_to_3d(sensor_map.positions[members]))[0]
+    return normals
+
+
+def pad_to_3d(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Append zero coordinates to points of fewer than three dimensions.
+
+    Parameters
+    ----------
+    positions : ndarray of shape (N, k)
+
+    Returns
+    -------
+    ndarray of shape (N, 3)
+
+    Raises
+    ------
+    InputError
+        If k is greater than 3.
+    """
+    missing = 3 - positions.shape[1]
+    if missing < 0:
+        raise InputError(f"the map must have at most 3 dimensions, got {positions.shape[1]}")
+    return np.pad(positions, ((0, 0), (0, missing)))
