@@ -1,1 +1,1 @@
-"""How fast the stages are, beside what a user would pick instead: ``make bench``."""
+"""Benchmarks of speed (``make bench``) and of accuracy (``make quality``)."""

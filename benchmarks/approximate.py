@@ -1,8 +1,8 @@
-"""What an approximate map loses against the exact one, where both can be made; and what it costs.
+"""Accuracy and cost of approximate maps, compared with exact maps.
 
-``python -m benchmarks.approximate`` prints the tables of ``docs/large-recordings.md``;
-``--large`` those of sizes that only an approximate map can be made of, ``--recordings FOLDER``
-those of real recordings (archives with ``readings`` and ``positions``).
+``python -m benchmarks.approximate`` prints the tables of ``docs/explanation/large-recordings.md``;
+``--large`` prints those of sizes for which only approximate maps are possible, and ``--recordings
+FOLDER`` those of real recordings (NPZ archives with ``readings`` and ``positions``).
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from anisomap.numerics.similarity.correlation import pearson
 Matrix = NDArray[np.float64]
 
 REACH = 4.0
-"""Radius of a contact in sensor spacings: it covers 50 sensors."""
+"""Radius of a contact in sensor spacings; it covers 50 sensors."""
 
 STROKE = 15
-"""Frames that a contact moves in one direction before it is lifted."""
+"""Frames of a stroke: straight motion of a contact before it is lifted."""
 
 BLOCK = 500
 
 
 @dataclass(frozen=True)
 class Skin:
-    """A kind of skin, the dimensions of its map, and how many contacts move over it at a time."""
+    """A kind of skin, the dimensions of its map, and the number of simultaneous contacts."""
 
     name: str
     spread: Callable[[int, int, np.random.Generator], Matrix]
@@ -50,7 +50,7 @@ class Skin:
 
 
 def on_a_square(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matrix:
-    """Draw points on a square on which so many sensors have one unit of area each."""
+    """Draw points on a square with one unit of area per sensor."""
     return rng.uniform(0, n_sensors**0.5, (n_points, 2))
 
 
@@ -81,7 +81,7 @@ SKINS = (
 def touch(
     skin: Skin, sensors: Matrix, n_frames: int, rng: np.random.Generator
 ) -> Iterator[NDArray[np.uint8]]:
-    """Give the readings of a skin over which contacts move in strokes, a block at a time."""
+    """Yield blocks of readings of a skin rubbed in strokes."""
     n_sensors, tree = len(sensors), KDTree(sensors)
     n_contacts = skin.contacts(n_sensors)
     for begin in range(0, n_frames, BLOCK):
@@ -103,7 +103,7 @@ def touch(
 
 
 def losses(sizes: Sequence[int], n_frames: int, seeds: int) -> None:
-    """Print how exact and approximate maps of the same recordings compare."""
+    """Print scores of exact and approximate maps of the same recordings."""
     print(
         "| skin | sensors | exact | approximate | lost | worst | agreement "
         "| exact (s) | approximate (s) |"
@@ -149,7 +149,7 @@ def _compare(
 
 
 def real_losses(folder: Path) -> None:
-    """Print the same of real recordings, in the plane."""
+    """Print scores of exact and approximate 2D maps of real recordings."""
     print("| recording | sensors | exact | approximate | lost | agreement |")
     print("|---|---|---|---|---|---|")
     for path in sorted(folder.glob("*.npz")):
@@ -178,7 +178,7 @@ def _timed(make: Callable[[], SensorMap]) -> tuple[float, SensorMap]:
 
 
 def costs(sizes: Sequence[int], n_frames: int) -> None:
-    """Print what approximate maps of recordings on disk take."""
+    """Print time, memory and scores of approximate maps of recordings on disk."""
     print("| skin | sensors x frames | CPU (s) | peak memory (GB) | Mantel r | neighbours kept |")
     print("|---|---|---|---|---|---|")
     for n_sensors in sizes:

@@ -1,4 +1,4 @@
-"""What stages are run on: simulated skins, a real one tiled, and matrices that are hard."""
+"""Inputs: simulated skins, copies of a real skin side by side, and difficult matrices."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ Matrix = NDArray[np.floating[Any]]
 Readings = NDArray[np.float32]
 
 _REACH = 2.5
-_TOUCHES_A_SENSOR = 8
+_TOUCHES_PER_SENSOR = 8
 _OVERLAP = 0.25
-_FRAMES_AT_A_TIME = 256
+_BLOCK_FRAMES = 256
 
 
 @lru_cache(maxsize=1)
-def stroked_skin(n_sensors: int, n_frames: int, active: float = 0.09) -> tuple[Readings, Matrix]:
-    """Give readings of a flat skin, and its sensors' positions: of those that are ever touched.
+def rubbed_skin(n_sensors: int, n_frames: int, active: float = 0.09) -> tuple[Readings, Matrix]:
+    """Simulate a flat skin rubbed by one contact; return readings and positions.
 
-    Over it a contact wanders that covers some share of it, pressing now more, now less.
+    The contact follows a random walk, covers the share `active` of the skin and varies in pressure.
+    Sensors that are never touched are left out.
     """
     rng = np.random.default_rng(0)
     side = n_sensors**0.5
@@ -37,8 +38,8 @@ def stroked_skin(n_sensors: int, n_frames: int, active: float = 0.09) -> tuple[R
     touch = np.cumsum(rng.normal(0, side / 30, (n_frames, 2)), axis=0) % side
     reach = side * (active / np.pi) ** 0.5
     readings = np.empty((n_frames, n_sensors), np.float32)
-    for frame in range(0, n_frames, _FRAMES_AT_A_TIME):
-        part = slice(frame, frame + _FRAMES_AT_A_TIME)
+    for frame in range(0, n_frames, _BLOCK_FRAMES):
+        part = slice(frame, frame + _BLOCK_FRAMES)
         apart = np.linalg.norm(touch[part, None] - positions, axis=2)
         readings[part] = np.maximum(0, reach - apart)
     readings *= rng.uniform(0.5, 1.5, (n_frames, 1)).astype(np.float32)
@@ -50,7 +51,7 @@ def stroked_skin(n_sensors: int, n_frames: int, active: float = 0.09) -> tuple[R
 
 
 def noisy_readings(n_sensors: int, n_frames: int) -> Readings:
-    """Give independent readings, never the same twice, far from 0: nothing is at rest."""
+    """Draw independent continuous readings far from 0, without a rest value."""
     rng = np.random.default_rng(0)
     readings = rng.standard_normal((n_frames, n_sensors), np.float32)
     readings += rng.uniform(10, 100, n_sensors).astype(np.float32)
@@ -58,67 +59,66 @@ def noisy_readings(n_sensors: int, n_frames: int) -> Readings:
 
 
 def flat_skin(n_sensors: int) -> Matrix:
-    """Give dissimilarities of a flat skin that is touched everywhere alike."""
+    """Return dissimilarities of a flat skin that is touched uniformly."""
     rng = np.random.default_rng(0)
     width = n_sensors**0.5
     sensors = rng.uniform(0, width, (n_sensors, 2))
-    touches = rng.uniform(0, width, (_TOUCHES_A_SENSOR * n_sensors, 2))
+    touches = rng.uniform(0, width, (_TOUCHES_PER_SENSOR * n_sensors, 2))
     return _touched(sensors, touches, rng)
 
 
 def round_skin(n_sensors: int) -> Matrix:
-    """Give dissimilarities of a skin around a ball: in space it fits nearly, and easily."""
+    """Return dissimilarities of a spherical skin, which embeds in 3D with low stress."""
     rng = np.random.default_rng(0)
     radius = (n_sensors / (4 * np.pi)) ** 0.5
-    directions = rng.normal(size=((1 + _TOUCHES_A_SENSOR) * n_sensors, 3))
+    directions = rng.normal(size=((1 + _TOUCHES_PER_SENSOR) * n_sensors, 3))
     points = radius * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     return _touched(points[:n_sensors], points[n_sensors:], rng)
 
 
 def _touched(sensors: Matrix, touches: Matrix, rng: np.random.Generator) -> Matrix:
-    """Give reciprocals of the correlations of what sensors read while touched at random places."""
+    """Return reciprocals of the correlations of readings under contacts at random places."""
     apart = KDTree(touches).sparse_distance_matrix(
         KDTree(sensors), _REACH, output_type="coo_matrix"
     )
     pressure = rng.uniform(0.5, 1.5, len(touches))
     readings = csr_array((pressure[apart.row] * (_REACH - apart.data), (apart.row, apart.col)))
     mean: Matrix = np.asarray(readings.mean(axis=0))
-    correlation = _held((readings.T @ readings).toarray())
+    correlation = _as_working_type((readings.T @ readings).toarray())
     correlation /= len(touches)
     correlation -= np.outer(mean, mean)
     deviation = np.sqrt(np.diag(correlation))
     correlation /= deviation
     correlation /= deviation[:, None]
-    return _held(regularised_reciprocal(correlation))
+    return _as_working_type(regularised_reciprocal(correlation))
 
 
 def noisy_metric(n_sensors: int) -> Matrix:
-    """Give distances in space, each a little wrong: very many are shortest paths themselves."""
+    """Return distances in 3D with 5 % noise: most edges are shortest paths."""
     rng = np.random.default_rng(0)
     distances = pdist(rng.normal(size=(n_sensors, 3)))
-    return _held(squareform(distances * rng.uniform(0.95, 1.05, len(distances))))
+    return _as_working_type(squareform(distances * rng.uniform(0.95, 1.05, len(distances))))
 
 
 def pure_noise(n_sensors: int) -> Matrix:
-    """Give independent lengths, as from sensors that have nothing in common."""
+    """Return independent random lengths, as of unrelated sensors."""
     rng = np.random.default_rng(0)
-    return _held(squareform(rng.uniform(0.01, 1, n_sensors * (n_sensors - 1) // 2)))
+    return _as_working_type(squareform(rng.uniform(0.01, 1, n_sensors * (n_sensors - 1) // 2)))
 
 
-def _held(matrix: Matrix) -> Matrix:
-    """Give a matrix in the type in which so many sensors are worked on."""
+def _as_working_type(matrix: Matrix) -> Matrix:
+    """Convert a matrix to the precision that anisomap uses for its size."""
     return matrix.astype(float_type(len(matrix)), copy=False)
 
 
 def tiled_torso(path: Path, n_sensors: int, n_frames: int) -> Readings:
-    """Lay copies of a real skin side by side, each stroked at another time.
+    """Place copies of a real skin side by side, each with the recording shifted in time.
 
-    Copies overlap by a quarter of their width. Where they do, a sensor reads what its own finger
-    presses or that of the other copy, whichever is more: so the joints hold together as the rest
-    of the skin does. Sensors are taken from one end on.
+    Copies overlap by a quarter of their width. In the overlap a sensor reads the maximum of both
+    copies, which connects them. Sensors are taken from one end.
     """
     readings, places, shift = _tile(path, n_frames)
-    here, there = _met(places, shift)
+    here, there = _overlap(places, shift)
     rng = np.random.default_rng(0)
     copies = -(-n_sensors // len(places))
     rolled = [np.roll(readings, rng.integers(len(readings)), axis=0) for _ in range(copies)]
@@ -131,14 +131,14 @@ def tiled_torso(path: Path, n_sensors: int, n_frames: int) -> Readings:
 
 
 def tiled_places(path: Path, n_sensors: int, n_frames: int) -> Matrix:
-    """Tell where the sensors of `tiled_torso` are, shape (N, 2)."""
+    """Return the positions of the sensors of `tiled_torso`, shape (N, 2)."""
     _, places, shift = _tile(path, n_frames)
     copies = -(-n_sensors // len(places))
     return np.concatenate([places + number * shift for number in range(copies)])[:n_sensors]
 
 
 def _tile(path: Path, n_frames: int) -> tuple[Readings, Matrix, Matrix]:
-    """Give a real skin's readings and places, from one end on, and how far its copies are apart."""
+    """Return readings and positions of a real skin from one end, and the shift of its copies."""
     with np.load(path, allow_pickle=False) as stored:
         readings, places = (
             stored["readings"][:n_frames],
@@ -150,8 +150,8 @@ def _tile(path: Path, n_frames: int) -> tuple[Readings, Matrix, Matrix]:
     return readings[:, order], places[order], shift
 
 
-def _met(places: Matrix, shift: Matrix) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Tell which sensors of a shifted copy lie on sensors of the skin, and on which."""
+def _overlap(places: Matrix, shift: Matrix) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the sensors of a shifted copy that lie on sensors of the skin, and the latter."""
     tree = KDTree(places)
     pitch = np.median(np.asarray(tree.query(places, k=2)[0])[:, 1])
     apart, nearest = map(np.asarray, tree.query(places + shift))
@@ -160,6 +160,6 @@ def _met(places: Matrix, shift: Matrix) -> tuple[NDArray[np.intp], NDArray[np.in
 
 
 def torso_dissimilarity(path: Path, n_sensors: int, n_frames: int) -> Matrix:
-    """Give the dissimilarities of a real skin, tiled."""
+    """Return the dissimilarities of `tiled_torso`."""
     readings = tiled_torso(path, n_sensors, n_frames)
-    return _held(regularised_reciprocal(pearson(readings)))
+    return _as_working_type(regularised_reciprocal(pearson(readings)))

@@ -1,4 +1,4 @@
-"""What a run takes: CPU time, time on the clock, and memory beyond what was held before."""
+"""CPU time, wall-clock time and additional memory of a function call."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from anisomap.numerics.compiled import parallel
 Result = TypeVar("Result")
 
 MAX_REPEATED_SECONDS = 5.0
-"""Seconds after which a run is not repeated: what disturbs it is a small part of it."""
+"""Longer runs are not repeated: disturbances are a small share of them."""
 
 MIN_SECONDS = 0.3
 MAX_RUNS = 10
-_OWN = Path("/proc/self")
-_KILOBYTES_A_MEGABYTE = 1000 / 1.024
+_PROCESS = Path("/proc/self")
+_KIBIBYTES_PER_MEGABYTE = 1000 / 1.024
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run took.
+    """Cost of a run.
 
     Parameters
     ----------
     cpu, clock : float
-        Seconds: of all threads together, and on the clock.
+        Seconds: CPU time of all threads, and wall-clock time.
     memory : float
-        Megabytes that were held at the worst moment beyond those held before, the result included;
-        NaN where the system does not tell.
+        Peak memory in megabytes above that before the run, including the result; NaN where the
+        system does not report it.
     """
 
     cpu: float
@@ -46,16 +46,16 @@ class Cost:
     memory: float = math.nan
 
     def times(self, factor: float) -> Cost:
-        """Give what so many times the work takes; the memory is not known."""
+        """Return the cost of `factor` times the work; its memory is unknown."""
         return self if factor == 1 else Cost(self.cpu * factor, self.clock * factor)
 
     def and_then(self, other: Cost) -> Cost:
-        """Give what both take, one after the other."""
+        """Return the cost of both, one after the other."""
         return Cost(self.cpu + other.cpu, self.clock + other.clock)
 
 
-def cores() -> int:
-    """Count the cores that this process may use."""
+def n_cores() -> int:
+    """Return the number of cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -63,13 +63,13 @@ def cores() -> int:
 
 @contextmanager
 def threads(count: int) -> Iterator[None]:
-    """Let linear algebra, and the compiled loops of anisomap, use so many threads."""
+    """Limit linear algebra and compiled loops to a number of threads."""
     with threadpool_limits(count), patch.object(parallel, "thread_count", lambda: count):
         yield
 
 
-def measured(run: Callable[[], Result]) -> tuple[Cost, Result]:
-    """Run once."""
+def measure(run: Callable[[], Result]) -> tuple[Cost, Result]:
+    """Run once; return the cost and the result."""
     before = _begin_peak()
     clock, cpu = time.perf_counter(), time.process_time()
     result = run()
@@ -77,11 +77,11 @@ def measured(run: Callable[[], Result]) -> tuple[Cost, Result]:
     return Cost(cpu, clock, _status("VmHWM") - before), result
 
 
-def least(run: Callable[[], object]) -> Cost:
-    """Give the least of some runs, since what disturbs a run only ever slows it."""
+def measure_repeated(run: Callable[[], object]) -> Cost:
+    """Return the minimum over several runs: disturbances only add time."""
     costs: list[Cost] = []
     while not costs or (sum(cost.clock for cost in costs) < MIN_SECONDS and len(costs) < MAX_RUNS):
-        costs.append(measured(run)[0])
+        costs.append(measure(run)[0])
     return Cost(
         min(cost.cpu for cost in costs),
         min(cost.clock for cost in costs),
@@ -89,18 +89,18 @@ def least(run: Callable[[], object]) -> Cost:
     )
 
 
-def on_one_thread(run: Callable[[], Result]) -> tuple[Cost, Result]:
-    """Give the least cost on one thread, and the result; the first run warms up, unless long."""
+def measure_on_one_thread(run: Callable[[], Result]) -> tuple[Cost, Result]:
+    """Return the minimum cost on one thread and the result; a short first run is a warm-up."""
     with threads(1):
-        first, result = measured(run)
-        return (first if first.clock > MAX_REPEATED_SECONDS else least(run)), result
+        first, result = measure(run)
+        return (first if first.clock > MAX_REPEATED_SECONDS else measure_repeated(run)), result
 
 
 def _begin_peak() -> float:
-    """Forget the most memory ever held, and give the megabytes held now; NaN if that cannot be."""
+    """Reset the peak and return the current memory in megabytes; NaN where not possible."""
     try:
-        (_OWN / "clear_refs").write_text("5")
-        # What was freed but not given back would be used again unseen.
+        (_PROCESS / "clear_refs").write_text("5")
+        # Memory that was freed but not returned to the system would be reused unnoticed.
         ctypes.CDLL(None).malloc_trim(0)
     except (OSError, AttributeError):
         return math.nan
@@ -109,8 +109,8 @@ def _begin_peak() -> float:
 
 def _status(what: str) -> float:
     try:
-        lines = (_OWN / "status").read_text().splitlines()
+        lines = (_PROCESS / "status").read_text().splitlines()
     except OSError:
         return math.nan
     kilobytes = next((line.split()[1] for line in lines if line.startswith(what)), "nan")
-    return float(kilobytes) / _KILOBYTES_A_MEGABYTE
+    return float(kilobytes) / _KIBIBYTES_PER_MEGABYTE

@@ -1,4 +1,4 @@
-"""Metricising beside scipy's Floyd-Warshall, and Torgerson beside full eigendecompositions."""
+"""Metricising, compared with scipy's Floyd-Warshall; Torgerson, with full eigendecompositions."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from sklearn import manifold
 
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.classical import torgerson
+from benchmarks.comparison import Comparison, Reference, Setting, describe_share
 from benchmarks.inputs import flat_skin, noisy_metric, pure_noise, torso_dissimilarity
-from benchmarks.measuring import Cost, on_one_thread
-from benchmarks.race import Race, Rival, Setting, of_part
+from benchmarks.measuring import Cost, measure_on_one_thread
 
 Matrix = NDArray[np.floating[Any]]
 
-WHOLE = 4000
-"""Points up to which rivals do all of the work: it grows with their cube."""
+MAX_REFERENCE_SENSORS = 4000
+"""References compute a share of larger problems: their cost grows with the cube."""
 
 _SOURCES = 50
 
 
-def metricising_races(setting: Setting) -> Iterator[Race]:
-    """Find shortest paths in skins, in which few edges matter, and where nearly all do."""
+def compare_metricising(setting: Setting) -> Iterator[Comparison]:
+    """Shortest paths in skins, where few edges matter, and in noise, where nearly all do."""
     n_sensors, torso = setting.n_sensors, setting.torso
     inputs: dict[str, tuple[Callable[[], Matrix], float]] = {
         "simulated skin": (partial(flat_skin, n_sensors), 50)
@@ -41,44 +41,44 @@ def metricising_races(setting: Setting) -> Iterator[Race]:
         )
     inputs["metric with noise"] = (partial(noisy_metric, n_sensors), 15)
     inputs["pure noise"] = (partial(pure_noise, n_sensors), 15)
-    for given, (make, goal) in inputs.items():
+    for dataset, (make, goal) in inputs.items():
         lengths = make()
-        yield Race(
+        yield Comparison(
             "metricising",
-            given,
+            dataset,
             partial(metricise, lengths),
-            (floyd_warshall_rival(lengths, goal),),
+            (floyd_warshall_reference(lengths, goal),),
         )
 
 
-def floyd_warshall_rival(lengths: Matrix, goal: float) -> Rival:
-    """Take scipy's time from one input, for it does the same on all, and check by Dijkstra."""
+def floyd_warshall_reference(lengths: Matrix, goal: float) -> Reference:
+    """Time scipy on noise, since its work does not depend on the input; check by Dijkstra."""
     cost, factor = cost_of_floyd_warshall(len(lengths))
-    return Rival(
+    return Reference(
         "scipy floyd_warshall",
         cost,
-        lambda paths: are_shortest(paths, lengths),
+        lambda paths: are_shortest_paths(paths, lengths),
         goal,
-        of_part(f"{WHOLE:,} sensors", factor) or "timed on noise",
+        describe_share(f"{MAX_REFERENCE_SENSORS:,} sensors", factor) or "timed on noise",
         estimated=factor != 1,
     )
 
 
 @cache
 def cost_of_floyd_warshall(n_nodes: int) -> tuple[Cost, float]:
-    """Give scipy's cost for so many nodes, and how many times that of a part it is."""
-    few = min(n_nodes, WHOLE)
+    """Return scipy's cost for `n_nodes` and the factor of its extrapolation."""
+    few = min(n_nodes, MAX_REFERENCE_SENSORS)
     lengths = pure_noise(few)
     graph = csgraph_from_dense(lengths, null_value=np.inf)
-    cost, paths = on_one_thread(lambda: floyd_warshall(graph, directed=False))
-    if not are_shortest(paths, lengths):
-        raise AssertionError("Dijkstra's paths and those of Floyd and Warshall are not the same")
+    cost, paths = measure_on_one_thread(lambda: floyd_warshall(graph, directed=False))
+    if not are_shortest_paths(paths, lengths):
+        raise AssertionError("the paths of Dijkstra and Floyd-Warshall differ")
     factor = (n_nodes / few) ** 3
     return cost.times(factor), factor
 
 
-def are_shortest(paths: Matrix, lengths: Matrix) -> bool:
-    """Tell whether paths from some sources are those that Dijkstra's algorithm finds."""
+def are_shortest_paths(paths: Matrix, lengths: Matrix) -> bool:
+    """Return whether the paths from some sources agree with Dijkstra's algorithm."""
     sources = np.unique(np.linspace(0, len(lengths) - 1, _SOURCES).astype(int))
     expected = dijkstra(_all_edges(lengths), indices=sources)
     close = 1e-12 if paths.dtype == np.float64 else 1e-5
@@ -87,47 +87,53 @@ def are_shortest(paths: Matrix, lengths: Matrix) -> bool:
 
 
 def _all_edges(lengths: Matrix) -> csr_array:
-    """Keep every entry as an edge, also of length 0; scipy's own way takes much more memory."""
+    """Keep every entry as an edge, including zeros; scipy's conversion needs much more memory."""
     n_nodes = len(lengths)
     ends = np.tile(np.arange(n_nodes, dtype=np.int32), n_nodes)
     offsets = np.arange(n_nodes + 1, dtype=np.int32) * n_nodes
     return csr_array((lengths.ravel(), ends, offsets), shape=lengths.shape)
 
 
-def torgerson_races(setting: Setting) -> Iterator[Race]:
-    """Scale the metric of a skin classically."""
+def compare_torgerson(setting: Setting) -> Iterator[Comparison]:
+    """Classical scaling of the metric of a skin."""
     metric = metricise(flat_skin(setting.n_sensors))
-    yield Race("Torgerson", "simulated skin", partial(torgerson, metric, 3), tuple(_eigen(metric)))
+    yield Comparison(
+        "Torgerson", "simulated skin", partial(torgerson, metric, 3), tuple(_eigen(metric))
+    )
 
 
-def _eigen(metric: Matrix) -> Iterator[Rival]:
+def _eigen(metric: Matrix) -> Iterator[Reference]:
     cost, expected, factor = cost_of_eigh(len(metric))
 
     def same(positions: Matrix) -> bool:
         if factor != 1:
             return are_eigenvectors(positions, metric)
-        return apart(positions, expected) < 1e-7
+        return relative_difference(positions, expected) < 1e-7
 
-    how = of_part(f"{WHOLE:,} sensors", factor)
-    yield Rival("scipy.linalg.eigh", cost, same, 50, how, estimated=factor != 1)
+    details = describe_share(f"{MAX_REFERENCE_SENSORS:,} sensors", factor)
+    yield Reference("scipy.linalg.eigh", cost, same, 50, details, estimated=factor != 1)
     if hasattr(manifold, "ClassicalMDS") and factor == 1:
         scale = manifold.ClassicalMDS(n_components=3, metric="precomputed").fit_transform
-        cost, positions = on_one_thread(lambda: scale(metric))
-        yield Rival("sklearn ClassicalMDS", cost, lambda ours: apart(ours, positions) < 1e-7)
+        cost, positions = measure_on_one_thread(lambda: scale(metric))
+        yield Reference(
+            "sklearn ClassicalMDS",
+            cost,
+            lambda result: relative_difference(result, positions) < 1e-7,
+        )
 
 
 @cache
 def cost_of_eigh(n_points: int) -> tuple[Cost, Matrix, float]:
-    """Give what a full eigendecomposition of a skin costs and finds; see above for many points."""
-    few = min(n_points, WHOLE)
+    """Return cost, positions and extrapolation factor of a full eigendecomposition."""
+    few = min(n_points, MAX_REFERENCE_SENSORS)
     metric = metricise(flat_skin(few))
-    cost, positions = on_one_thread(lambda: full_torgerson(metric, 3))
+    cost, positions = measure_on_one_thread(lambda: full_torgerson(metric, 3))
     factor = (n_points / few) ** 3
     return cost.times(factor), positions, factor
 
 
 def full_torgerson(metric: Matrix, dimensions: int) -> Matrix:
-    """Scale classically as one would write it."""
+    """Classical scaling by a full eigendecomposition."""
     squares = metric**2
     rows = squares.mean(axis=0)
     values, vectors = eigh(-(squares - rows - rows[:, None] + rows.mean()) / 2)
@@ -135,7 +141,7 @@ def full_torgerson(metric: Matrix, dimensions: int) -> Matrix:
 
 
 def are_eigenvectors(positions: Matrix, metric: Matrix) -> bool:
-    """Tell whether the columns are eigenvectors of the centred squares, as long as these say."""
+    """Return whether the columns are eigenvectors of the centred squares, scaled accordingly."""
     centred = positions - positions.mean(axis=0)
     product = np.vstack([row**2 @ centred for row in np.array_split(metric, 50)])
     product = (product - product.mean(axis=0)) / -2
@@ -144,7 +150,7 @@ def are_eigenvectors(positions: Matrix, metric: Matrix) -> bool:
     return bool((error <= 1e-5 * values**1.5).all())
 
 
-def apart(positions: Matrix, others: Matrix) -> float:
-    """Tell by how much distances differ, as a share of the greatest."""
+def relative_difference(positions: Matrix, others: Matrix) -> float:
+    """Return the largest difference of distances relative to the largest distance."""
     expected = pdist(others)
     return float(np.abs(pdist(positions) - expected).max() / expected.max())

@@ -1,4 +1,4 @@
-"""CPU times against the number of sensors, on logarithmic axes."""
+"""Figure of CPU time against the number of sensors, on logarithmic axes."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.race import Row
+from benchmarks.comparison import Row
 from benchmarks.tables import grouped
 
-# Okabe & Ito: told apart with any colour vision; marks tell them apart without colour, too.
+# Colours of Okabe & Ito, distinct for all types of colour vision; markers differ as well.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _MARKS = ("o", "s", "^", "D", "v", "P", "X")
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Draw a panel for each family of stages: ours solid, theirs dashed, hollow if estimated."""
+    """Draw one panel per family of stages: references dashed, hollow markers if estimated."""
     drawn = [row for row in rows if row.drawn]
     families = list(dict.fromkeys(row.family for row in drawn))
     figure = Figure(figsize=(14, 7 * -(-len(families) // 2)), layout="constrained")
@@ -28,23 +28,27 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axes.set_title(family)
     for unused in panels:
         unused.set_axis_off()
-    figure.suptitle("CPU time on one thread: anisomap solid, others dashed, hollow where estimated")
+    figure.suptitle(
+        "CPU time on one thread: anisomap solid, references dashed, hollow where estimated"
+    )
     figure.savefig(path, dpi=110, metadata={"Software": None})
 
 
 def _draw_family(axes: Axes, rows: Sequence[Row]) -> None:
     looks = itertools.cycle(zip(_COLOURS, _MARKS, strict=True))
-    for ((stage, given, against), group), (colour, mark) in zip(
+    for ((stage, dataset, reference), group), (colour, mark) in zip(
         grouped(rows).items(), looks, strict=False
     ):
         sizes = [row.n_sensors for row in group]
-        label = f"{stage}: {given}" + (f"  (dashed: {against})" if against else "")
+        label = f"{stage}: {dataset}" + (f"  (dashed: {reference})" if reference else "")
         axes.plot(sizes, [row.cpu for row in group], "-", color=colour, marker=mark, label=label)
-        if against:
-            axes.plot(sizes, [row.its_cpu for row in group], "--", color=colour)
+        if reference:
+            axes.plot(sizes, [row.reference_cpu for row in group], "--", color=colour)
             for row in group:
                 fill = "white" if row.estimated else colour
-                axes.plot(row.n_sensors, row.its_cpu, mark, color=colour, markerfacecolor=fill)
+                axes.plot(
+                    row.n_sensors, row.reference_cpu, mark, color=colour, markerfacecolor=fill
+                )
     sizes = sorted({row.n_sensors for row in rows})
     axes.set(xscale="log", yscale="log", xlabel="sensors", ylabel="CPU time (s)")
     axes.set_xticks(sizes, [f"{size:,}" for size in sizes])

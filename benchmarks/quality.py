@@ -1,8 +1,8 @@
-"""How true the maps of every method are: ``make quality``.
+"""Accuracy of the maps of every method (``make quality``).
 
-All methods make maps of all scenarios of the paper, over seeds that nothing was tuned on, and of
-the recordings in a folder. (The covariogram method was chosen on seeds 101 to 105, its gates on
-these and on 301 to 455.) Written are a table in Markdown, every score as CSV, and the curves over
+All methods map all scenarios of the paper, on seeds that were not used for tuning, and the
+recordings in a folder. (The covariogram method was tuned on seeds 101 to 105, its gates also on
+301 to 455.) The output is a table in Markdown, all scores as CSV, and a figure of errors against
 the length of the recording.
 """
 
@@ -34,7 +34,7 @@ SCENARIOS = (
     ("sphere", "locomotion"),
     ("cylinder", "locomotion"),
 )
-OTHERS = (
+MORE_SCENARIOS = (
     ("torus", "bombardment"),
     ("hand", "bombardment"),
     ("tube", "bombardment"),
@@ -44,14 +44,14 @@ OTHERS = (
     ("plane", "pulses"),
 )
 FRAMES = (500, 2000, 8000)
-USUAL = 2000
+DEFAULT_FRAMES = 2000
 METHOD_NAMES = ("r-anisomap", "i-anisomap", "spearman-anisomap", "covariogram")
 REFERENCE = "r-anisomap"
 
 
 @dataclass(frozen=True)
 class Result:
-    """The score of one map."""
+    """Score of one map."""
 
     recording: str
     n_frames: int
@@ -63,7 +63,7 @@ class Result:
 
 
 def main() -> None:
-    """Make all maps, and write what came out."""
+    """Reconstruct all maps and write the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--methods", nargs="+", default=METHOD_NAMES, choices=tuple(METHODS))
@@ -76,13 +76,13 @@ def main() -> None:
     results: list[Result] = []
     with ProcessPoolExecutor(chosen.workers) as pool:
         jobs = [
-            *(pool.submit(of_file, path, chosen.methods) for path in files),
+            *(pool.submit(score_file, path, chosen.methods) for path in files),
             *(
-                pool.submit(of_simulation, body, scenario, frames, seed, chosen.methods)
+                pool.submit(score_simulation, body, scenario, frames, seed, chosen.methods)
                 for seed in range(1, chosen.seeds + 1)
                 for (body, scenario), frames in (
                     *((which, FRAMES) for which in SCENARIOS),
-                    *((which, (USUAL,)) for which in OTHERS if seed <= 3),
+                    *((which, (DEFAULT_FRAMES,)) for which in MORE_SCENARIOS if seed <= 3),
                 )
             ),
         ]
@@ -97,10 +97,10 @@ def main() -> None:
     print(text)
 
 
-def of_simulation(
+def score_simulation(
     body: str, scenario: str, lengths: Sequence[int], seed: int, methods: Iterable[str]
 ) -> list[Result]:
-    """Score maps of the beginnings of one simulated recording."""
+    """Score maps of one simulated recording, truncated to several lengths."""
     with warnings.catch_warnings(), threadpool_limits(1):
         warnings.simplefilter("ignore", anisomap.AnisomapWarning)
         whole = anisomap.simulate(body, scenario, n_frames=max(lengths), seed=seed)
@@ -110,14 +110,14 @@ def of_simulation(
         ]
 
 
-def of_file(path: Path, methods: Iterable[str]) -> list[Result]:
-    """Score maps of one recording with known positions, in as many dimensions as these span."""
+def score_file(path: Path, methods: Iterable[str]) -> list[Result]:
+    """Score maps of a recording with known positions, in as many dimensions as these span."""
     with warnings.catch_warnings(), threadpool_limits(1):
         warnings.simplefilter("ignore", anisomap.AnisomapWarning)
         try:
             recording = anisomap.read(path)
         except anisomap.AnisomapError as error:
-            print(f"left out: {error}")
+            print(f"skipped: {error}")
             return []
         if recording.positions is None or not np.isfinite(recording.positions).all():
             return []
@@ -145,7 +145,7 @@ def score(
     seed: int,
     dimensions: int,
 ) -> Result:
-    """Make a map of the beginning of a recording, and score it; NaN where there is none."""
+    """Score the map of the first frames of a recording; NaN where it cannot be reconstructed."""
     beginning = anisomap.Recording(recording.readings[:n_frames], positions=recording.positions)
     try:
         made = anisomap.reconstruct(beginning, method, dimensions)
@@ -159,7 +159,7 @@ def score(
 
 
 def tables(results: Sequence[Result]) -> list[str]:
-    """Tell the mean and worst score and the mean of the paired error ratios, a table a length."""
+    """Return tables of mean and worst scores and mean paired error ratios, one per length."""
     methods = list(dict.fromkeys(result.method for result in results))
     lines = []
     simulated = [result for result in results if result.seed]
@@ -172,7 +172,7 @@ def tables(results: Sequence[Result]) -> list[str]:
             continue
         header = ["recording", "seeds", *(f"{m}: mean (worst)" for m in methods)]
         header += [f"{m}: error ratio" for m in methods if m != REFERENCE]
-        header.append("least share placed")
+        header.append("minimum share placed")
         lines += [f"### {title}", "", row(header), row(["---"] * len(header))]
         for name in dict.fromkeys(result.recording for result in group):
             lines.append(row(cells(name, [r for r in group if r.recording == name], methods)))
@@ -181,7 +181,7 @@ def tables(results: Sequence[Result]) -> list[str]:
 
 
 def cells(name: str, group: Sequence[Result], methods: Sequence[str]) -> list[str]:
-    """Give one row of a table; a recording of which no map came out counts as 0."""
+    """Return the cells of one row; a recording without a map counts as 0."""
     scores = {
         m: {(q.n_frames, q.seed): np.nan_to_num(q.mantel_r) for q in group if q.method == m}
         for m in methods
@@ -199,7 +199,7 @@ def cells(name: str, group: Sequence[Result], methods: Sequence[str]) -> list[st
 
 
 def calibration(results: Sequence[Result]) -> list[str]:
-    """Tell how true the maps were, by the confidence that they came with."""
+    """Return a table of Mantel r by confidence."""
     judged = [r for r in results if math.isfinite(r.confidence) and math.isfinite(r.mantel_r)]
     edges = (0.0, 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 1.01)
     header = ["confidence", "maps", "Mantel r: median", "10 %", "90 %", "below 0.9"]
@@ -219,12 +219,12 @@ def calibration(results: Sequence[Result]) -> list[str]:
 
 
 def row(texts: Iterable[str]) -> str:
-    """Write a line of a table in Markdown."""
+    """Format a row of a Markdown table."""
     return f"| {' | '.join(texts)} |"
 
 
 def write_csv(results: Sequence[Result], path: Path) -> None:
-    """Write every score."""
+    """Write all scores."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow([field.name for field in fields(Result)])
@@ -232,7 +232,7 @@ def write_csv(results: Sequence[Result], path: Path) -> None:
 
 
 def draw(results: Sequence[Result], path: Path) -> None:
-    """Draw how the error of every method falls with the length of the recording."""
+    """Draw the error of every method against the length of the recording."""
     colours = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
     figure = Figure(figsize=(11, 6), layout="constrained")
     panels = figure.subplots(2, 3, sharex=True)

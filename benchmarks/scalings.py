@@ -1,4 +1,4 @@
-"""SMACOF beside scikit-learn's: so many iterations, and down to 0.1 % above the best stress."""
+"""SMACOF, compared with scikit-learn's: fixed iterations, and to within 0.1 % of the stress."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.classical import torgerson
 from anisomap.numerics.scaling.stress import Problem, objective
 from anisomap.numerics.scaling.stress_minimisation import Scaling, SmacofOptions, smacof
+from benchmarks.comparison import Comparison, Reference, Setting, describe_share
 from benchmarks.inputs import flat_skin, round_skin
-from benchmarks.measuring import Cost, on_one_thread
-from benchmarks.race import Race, Rival, Setting, of_part
+from benchmarks.measuring import Cost, measure_on_one_thread
 
 Matrix = NDArray[np.floating[Any]]
 
-NEAR_THE_BEST = 1 + 1e-3
-WHOLE = 4000
-MOST_STEPS = 1000
+STRESS_TOLERANCE = 1 + 1e-3
+MAX_REFERENCE_SENSORS = 4000
+MAX_STEPS = 1000
 
 _ITERATIONS = 30
 _SHARE_MISSING = 0.3
 
 
 class Steps(NamedTuple):
-    """How many steps of majorisation were taken, whether they sufficed, and the last raw stress."""
+    """Number of majorisation steps, whether they sufficed, and the final raw stress."""
 
     taken: int
     enough: bool
@@ -41,109 +41,116 @@ class Steps(NamedTuple):
         return f"{self.taken}" if self.enough else f"more than {self.taken}"
 
 
-class Plain(NamedTuple):
-    """SMACOF as others do it: the name, seconds of CPU a step, how these were come by, and steps.
+class Majorisation(NamedTuple):
+    """SMACOF by majorisation: name, CPU seconds per step, how these were estimated, maximum steps.
 
-    ``walk(target, most)`` goes down to that raw stress, for so many steps at the most; `most` is
-    how many are worth waiting for.
+    ``descend(target, max_steps)`` iterates to the raw stress `target` in at most `max_steps`.
     """
 
     name: str
     each: float
-    how: str
-    most: int
-    walk: Callable[[float, int], Steps]
+    details: str
+    max_steps: int
+    descend: Callable[[float, int], Steps]
 
 
-def smacof_races(setting: Setting) -> Iterator[Race]:
-    """Scale a flat skin, which creeps in space, also with pairs missing, and a round one."""
+def compare_smacof(setting: Setting) -> Iterator[Comparison]:
+    """Scaling of a flat skin in 3D, which converges slowly, in 2D, and with missing pairs."""
     metric = metricise(flat_skin(setting.n_sensors))
     start = torgerson(metric, 3)
-    ours, plain = partial(_go_down, metric, start), of_sklearn(metric, start)
-    yield _some_iterations("flat skin in space", ours, plain, 30)
-    yield _near_the_best("flat skin in space", ours, plain, 100)
+    compute, plain = partial(_descend, metric, start), sklearn_majorisation(metric, start)
+    yield _fixed_iterations("flat skin in space", compute, plain, 30)
+    yield _to_tolerance("flat skin in space", compute, plain, 100)
     start = torgerson(metric, 2)
-    ours, plain = partial(_go_down, metric, start), of_sklearn(metric, start)
-    yield _near_the_best("flat skin in the plane", ours, plain, 5)
-    if len(metric) <= WHOLE:
+    compute, plain = partial(_descend, metric, start), sklearn_majorisation(metric, start)
+    yield _to_tolerance("flat skin in the plane", compute, plain, 5)
+    if len(metric) <= MAX_REFERENCE_SENSORS:
         yield from _missing(metric, torgerson(metric, 3))
     metric = metricise(round_skin(setting.n_sensors))
     start = torgerson(metric, 3)
-    ours, plain = partial(_go_down, metric, start), of_sklearn(metric, start)
-    yield _near_the_best("round skin in space", ours, plain, 5)
+    compute, plain = partial(_descend, metric, start), sklearn_majorisation(metric, start)
+    yield _to_tolerance("round skin in space", compute, plain, 5)
 
 
-def _missing(metric: Matrix, start: Matrix) -> Iterator[Race]:
+def _missing(metric: Matrix, start: Matrix) -> Iterator[Comparison]:
     upper = np.triu(np.random.default_rng(0).random(metric.shape) >= _SHARE_MISSING, 1)
     weights = (upper + upper.T).astype(np.float64)
-    ours = partial(_go_down, metric, start, weights=weights)
-    given = "flat skin in space, 30 % of pairs missing"
-    plain = of_weighted(metric, weights, start)
-    yield _some_iterations(given, ours, plain)
-    yield _near_the_best(given, ours, plain)
+    compute = partial(_descend, metric, start, weights=weights)
+    dataset = "flat skin in space, 30 % of pairs missing"
+    plain = weighted_majorisation(metric, weights, start)
+    yield _fixed_iterations(dataset, compute, plain)
+    yield _to_tolerance(dataset, compute, plain)
 
 
-def _go_down(
+def _descend(
     metric: Matrix, start: Matrix, iterations: int | None, weights: Matrix | None = None
 ) -> Scaling:
-    """Run SMACOF for so many iterations, or to its usual end."""
+    """Run SMACOF for a number of iterations, or to convergence."""
     usual = SmacofOptions()
     options = usual if iterations is None else SmacofOptions(0, iterations, usual.solver)
     return smacof(metric, start=start, weights=weights, options=options)
 
 
-def _some_iterations(
-    given: str, ours: Callable[[int | None], Scaling], plain: Plain, goal: float | None = None
-) -> Race:
-    """Take a number of iterations of a descent that is long: at its end, few lower the stress."""
-    as_far = plain.walk(0, _ITERATIONS).raw * (1 + 1e-6)
-    rival = Rival(
+def _fixed_iterations(
+    dataset: str,
+    compute: Callable[[int | None], Scaling],
+    plain: Majorisation,
+    goal: float | None = None,
+) -> Comparison:
+    """Compare a fixed number of iterations of a long descent."""
+    target = plain.descend(0, _ITERATIONS).raw * (1 + 1e-6)
+    reference = Reference(
         plain.name,
         Cost(_ITERATIONS * plain.each, np.nan),
-        lambda made: bool(made.raw_stress <= as_far),
+        lambda result: bool(result.raw_stress <= target),
         goal,
-        plain.how,
-        estimated=bool(plain.how),
+        plain.details,
+        estimated=bool(plain.details),
     )
     stage = f"SMACOF, {_ITERATIONS} iterations"
-    return Race(stage, given, partial(ours, _ITERATIONS), (rival,), drawn=False)
+    return Comparison(stage, dataset, partial(compute, _ITERATIONS), (reference,), drawn=False)
 
 
-def _near_the_best(
-    given: str, ours: Callable[[int | None], Scaling], plain: Plain, goal: float | None = None
-) -> Race:
-    """Go down to 0.1 % above the best; the rival's time is that of its steps, which are counted."""
-    usual = ours(None)
-    target = usual.raw_stress * NEAR_THE_BEST
-    needed = _needed(ours, usual, target)
-    steps = plain.walk(target, plain.most)
-    rival = Rival(
+def _to_tolerance(
+    dataset: str,
+    compute: Callable[[int | None], Scaling],
+    plain: Majorisation,
+    goal: float | None = None,
+) -> Comparison:
+    """Compare the time to 0.1 % above the final stress; reference steps are counted and timed."""
+    converged = compute(None)
+    target = converged.raw_stress * STRESS_TOLERANCE
+    needed = _needed(compute, converged, target)
+    steps = plain.descend(target, plain.max_steps)
+    reference = Reference(
         plain.name,
         Cost(steps.taken * plain.each, np.nan),
-        lambda made: bool(made.raw_stress <= target),
+        lambda result: bool(result.raw_stress <= target),
         goal,
-        f"{steps} steps x {plain.each:.2g} s; ours takes {needed}",
+        f"{steps} steps x {plain.each:.2g} s; anisomap: {needed}",
         estimated=True,
     )
-    return Race("SMACOF to 0.1 % above the best", given, partial(ours, needed), (rival,))
+    return Comparison(
+        "SMACOF to 0.1 % above the best", dataset, partial(compute, needed), (reference,)
+    )
 
 
-def _needed(ours: Callable[[int | None], Scaling], usual: Scaling, target: float) -> int:
-    """Count the iterations that lead so far down."""
-    needed = int(np.flatnonzero(usual.trace <= target)[0])
-    while ours(needed).raw_stress > target:
+def _needed(compute: Callable[[int | None], Scaling], converged: Scaling, target: float) -> int:
+    """Return the number of iterations that reach the target."""
+    needed = int(np.flatnonzero(converged.trace <= target)[0])
+    while compute(needed).raw_stress > target:
         needed += 1 + needed // 20
     return needed
 
 
-def of_sklearn(metric: Matrix, start: Matrix) -> Plain:
-    """Time scikit-learn's steps; they are counted by our compiled loops, or it would take hours."""
-    few = min(len(metric), WHOLE)
+def sklearn_majorisation(metric: Matrix, start: Matrix) -> Majorisation:
+    """Time scikit-learn's steps; their number is counted with compiled loops to save hours."""
+    few = min(len(metric), MAX_REFERENCE_SENSORS)
     factor = (len(metric) / few) ** 2
 
     def steps() -> None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # parameters are about to be renamed
+            warnings.simplefilter("ignore")  # of parameters that scikit-learn renames
             sklearn_smacof(
                 metric[:few, :few],
                 n_components=start.shape[1],
@@ -155,19 +162,19 @@ def of_sklearn(metric: Matrix, start: Matrix) -> Plain:
                 normalized_stress=False,
             )
 
-    cost, _ = on_one_thread(steps)
+    cost, _ = measure_on_one_thread(steps)
     alike = Problem(metric, np.ones((1, len(metric))))
-    return Plain(
+    return Majorisation(
         "sklearn smacof",
         cost.cpu * factor / _ITERATIONS,
-        of_part(f"{few:,} sensors", factor),
-        MOST_STEPS if factor == 1 else MOST_STEPS // 10,
+        describe_share(f"{few:,} sensors", factor),
+        MAX_STEPS if factor == 1 else MAX_STEPS // 10,
         partial(_majorise, alike, start, lambda gradient: gradient / (2 * len(metric))),
     )
 
 
-def of_weighted(metric: Matrix, weights: Matrix, start: Matrix) -> Plain:
-    """Time weighted majorisation as one would write it in numpy; scikit-learn has none."""
+def weighted_majorisation(metric: Matrix, weights: Matrix, start: Matrix) -> Majorisation:
+    """Time weighted majorisation in numpy; scikit-learn has no weights."""
     n_points = len(metric)
     laplacian = np.diag(weights.sum(axis=1)) - weights
     inverse = np.linalg.inv(laplacian + 1 / n_points) - 1 / n_points
@@ -179,12 +186,12 @@ def of_weighted(metric: Matrix, weights: Matrix, start: Matrix) -> Plain:
         np.fill_diagonal(pulls, -pulls.sum(axis=1))
         return np.asarray(inverse @ (pulls @ positions))
 
-    cost, _ = on_one_thread(lambda: step(start))
-    return Plain(
-        "numpy, its inverse given",
+    cost, _ = measure_on_one_thread(lambda: step(start))
+    return Majorisation(
+        "numpy, inverse precomputed",
         cost.cpu,
         f"1 step x {_ITERATIONS}",
-        MOST_STEPS,
+        MAX_STEPS,
         partial(_majorise, Problem(metric, weights), start, lambda slope: inverse @ slope / 2),
     )
 
@@ -194,13 +201,13 @@ def _majorise(
     start: Matrix,
     step: Callable[[NDArray[np.float64]], Any],
     target: float,
-    most: int,
+    max_steps: int,
 ) -> Steps:
     with objective(problem) as stress:
         positions = np.asarray(start, np.float64)
         raw, gradient = stress(positions)
         taken = 0
-        while raw > target and taken < most:
+        while raw > target and taken < max_steps:
             positions = positions - step(gradient)
             raw, gradient = stress(positions)
             taken += 1

@@ -1,4 +1,4 @@
-"""Pairwise statistics beside numpy, scipy and scikit-learn."""
+"""Pairwise statistics, compared with numpy, scipy and scikit-learn."""
 
 from __future__ import annotations
 
@@ -15,81 +15,93 @@ from sklearn.metrics import mutual_info_score
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import information_from_codes
-from benchmarks.inputs import noisy_readings, stroked_skin, tiled_torso
-from benchmarks.race import Race, Rival, Setting, timed_rival
+from benchmarks.comparison import Comparison, Reference, Setting, timed_reference
+from benchmarks.inputs import noisy_readings, rubbed_skin, tiled_torso
 
 Floats = NDArray[np.floating[Any]]
 Codes = NDArray[np.uint16]
 
-WHOLE = 4000  # sensors, or one-hot columns, up to which rivals do all of the work
-PAIRS = 500
+MAX_REFERENCE_SENSORS = 4000  # or one-hot columns; references compute a share of larger problems
+N_PAIRS = 500
 _SPEARMAN_FRAMES = 10_000
 
 
-def pearson_races(setting: Setting) -> Iterator[Race]:
-    """Correlate what sensors read."""
-    inputs = {"simulated skin": stroked_skin(setting.n_sensors, setting.n_frames)[0]}
+def compare_pearson(setting: Setting) -> Iterator[Comparison]:
+    """Pearson's r of readings."""
+    inputs = {"simulated skin": rubbed_skin(setting.n_sensors, setting.n_frames)[0]}
     if setting.torso:
         inputs["torso, tiled"] = tiled_torso(setting.torso, setting.n_sensors, setting.n_frames)
     inputs["pure noise"] = noisy_readings(setting.n_sensors, setting.n_frames)
-    for given, readings in inputs.items():
-        theirs = Theirs("numpy.corrcoef", correlation, 1e-5, goal=2)
-        yield Race("Pearson r", given, partial(pearson, readings), (_of_leading(readings, theirs),))
+    for dataset, readings in inputs.items():
+        reference = ReferenceSpec("numpy.corrcoef", correlation, 1e-5, goal=2)
+        yield Comparison(
+            "Pearson r",
+            dataset,
+            partial(pearson, readings),
+            (_of_first_sensors(readings, reference),),
+        )
 
 
-def spearman_races(setting: Setting) -> Iterator[Race]:
-    """Correlate ranks, of the first frames: ranking takes long, and is scipy's on both sides."""
-    readings = stroked_skin(setting.n_sensors, setting.n_frames)[0][:_SPEARMAN_FRAMES]
-    theirs = Theirs(
+def compare_spearman(setting: Setting) -> Iterator[Comparison]:
+    """Spearman's rho of the first frames: ranking is slow, and both sides use scipy for it."""
+    readings = rubbed_skin(setting.n_sensors, setting.n_frames)[0][:_SPEARMAN_FRAMES]
+    reference = ReferenceSpec(
         "scipy.stats.spearmanr", lambda part: np.asarray(spearmanr(part).statistic), 1e-5
     )
-    given = f"simulated skin, {len(readings):,} frames"
-    yield Race("Spearman rho", given, partial(spearman, readings), (_of_leading(readings, theirs),))
+    dataset = f"simulated skin, {len(readings):,} frames"
+    yield Comparison(
+        "Spearman rho",
+        dataset,
+        partial(spearman, readings),
+        (_of_first_sensors(readings, reference),),
+    )
 
 
-def co_activation_races(setting: Setting) -> Iterator[Race]:
-    """Correlate being touched at all."""
-    readings = stroked_skin(setting.n_sensors, setting.n_frames)[0]
-    theirs = Theirs("numpy, product of indicators", phi_by_product, 1e-5, goal=12)
-    ours = partial(co_activation, readings)
-    yield Race("co-activation", "simulated skin", ours, (_of_leading(readings, theirs),))
+def compare_co_activation(setting: Setting) -> Iterator[Comparison]:
+    """Phi coefficient of contact."""
+    readings = rubbed_skin(setting.n_sensors, setting.n_frames)[0]
+    reference = ReferenceSpec("numpy, product of indicators", phi_by_product, 1e-5, goal=12)
+    compute = partial(co_activation, readings)
+    yield Comparison(
+        "co-activation", "simulated skin", compute, (_of_first_sensors(readings, reference),)
+    )
 
 
-class Theirs(NamedTuple):
-    """A rival, how far it may be from ours, the goal, and how many sensors it is given at most."""
+class ReferenceSpec(NamedTuple):
+    """A reference: its tolerance, its goal and its maximum number of sensors."""
 
     name: str
     compute: Callable[[NDArray[Any]], Floats]
     tolerance: float
     goal: float | None = None
-    most: int | None = None
+    max_sensors: int | None = None
 
 
-def _of_leading(series: NDArray[Any], theirs: Theirs) -> Rival:
-    """Let a rival do all pairs of the first sensors: what is left goes with their square."""
+def _of_first_sensors(series: NDArray[Any], spec: ReferenceSpec) -> Reference:
+    """Time a reference on the first sensors and extrapolate with the square of their number."""
     n_sensors = series.shape[1]
-    few = min(n_sensors, theirs.most or WHOLE)
+    few = min(n_sensors, spec.max_sensors or MAX_REFERENCE_SENSORS)
 
-    def same(ours: Floats, expected: Floats) -> bool:
-        return bool(np.abs(ours[:few, :few] - expected).max() <= theirs.tolerance)
+    def same(result: Floats, expected: Floats) -> bool:
+        return bool(np.abs(result[:few, :few] - expected).max() <= spec.tolerance)
 
-    return timed_rival(
-        theirs.name,
-        lambda: theirs.compute(series[:, :few]),
+    return timed_reference(
+        spec.name,
+        lambda: spec.compute(series[:, :few]),
         same,
-        part=f"{few:,} sensors",
+        share=f"{few:,} sensors",
         factor=(n_sensors / few) ** 2,
-        goal=theirs.goal,
+        goal=spec.goal,
     )
 
 
 def correlation(readings: Floats) -> Floats:
-    """Correlate as numpy does."""
+    """Pearson's r by numpy."""
     return np.asarray(np.corrcoef(readings.T))
 
 
 def phi_by_product(readings: Floats) -> Floats:
-    """Correlate what is above 0 as one would write it: one product, and the marginals."""
+    """Phi coefficient of positive readings from one matrix product and the marginals."""
     on = (readings > 0).astype(np.float32)
     together = (on.T @ on).astype(np.float64)
     share = np.diag(together) / len(on)
@@ -98,9 +110,9 @@ def phi_by_product(readings: Floats) -> Floats:
     return np.asarray(covariance / np.outer(deviation, deviation))
 
 
-def information_races(setting: Setting) -> Iterator[Race]:
-    """Give the mutual information of codes, where all of them are frequent and where few are."""
-    readings = stroked_skin(setting.n_sensors, setting.n_frames)[0]
+def compare_information(setting: Setting) -> Iterator[Comparison]:
+    """Mutual information of codes, for dense and sparse readings."""
+    readings = rubbed_skin(setting.n_sensors, setting.n_frames)[0]
     rng = np.random.default_rng(1)
     for bins in (2, 4, 8):
         dense = rng.integers(0, bins, readings.shape, dtype=np.uint16)
@@ -109,37 +121,39 @@ def information_races(setting: Setting) -> Iterator[Race]:
         yield _information(f"9 % active, {bins} bins", sparse, 12, drawn=bins == 8)
 
 
-def _information(given: str, codes: Codes, goal: float, *, drawn: bool) -> Race:
+def _information(dataset: str, codes: Codes, goal: float, *, drawn: bool) -> Comparison:
     n_codes = int(codes.max()) + 1
-    # Counts so large are rounded in float32 when their logarithms are taken.
-    by_product = Theirs("numpy, one-hot product", one_hot_information, 1e-4, goal, WHOLE // n_codes)
-    rivals = (_of_leading(codes, by_product), _by_pairs(codes, 3000))
+    # The reference takes logarithms of large counts in float32; hence the tolerance.
+    by_product = ReferenceSpec(
+        "numpy, one-hot product", one_hot_information, 1e-4, goal, MAX_REFERENCE_SENSORS // n_codes
+    )
+    references = (_of_first_sensors(codes, by_product), _by_pairs(codes, 3000))
     compute = partial(information_from_codes, codes)
-    return Race("mutual information", given, compute, rivals, drawn)
+    return Comparison("mutual information", dataset, compute, references, drawn)
 
 
-def _by_pairs(codes: Codes, goal: float) -> Rival:
+def _by_pairs(codes: Codes, goal: float) -> Reference:
     n_sensors = codes.shape[1]
-    pairs = np.random.default_rng(2).integers(0, n_sensors, (PAIRS, 2))
+    pairs = np.random.default_rng(2).integers(0, n_sensors, (N_PAIRS, 2))
 
     def some_pairs() -> Floats:
         return np.array([mutual_info_score(codes[:, i], codes[:, j]) for i, j in pairs])
 
-    def same(ours: Floats, theirs: Floats) -> bool:
-        return bool(np.abs(ours[tuple(pairs.T)] - theirs).max() <= 1e-9)
+    def same(result: Floats, expected: Floats) -> bool:
+        return bool(np.abs(result[tuple(pairs.T)] - expected).max() <= 1e-9)
 
-    return timed_rival(
+    return timed_reference(
         "sklearn mutual_info_score",
         some_pairs,
         same,
-        part=f"{PAIRS} pairs",
-        factor=n_sensors * (n_sensors + 1) / 2 / PAIRS,
+        share=f"{N_PAIRS} pairs",
+        factor=n_sensors * (n_sensors + 1) / 2 / N_PAIRS,
         goal=goal,
     )
 
 
 def one_hot_information(codes: Codes) -> Floats:
-    """Give mutual information as one would write it: all codes one-hot, one product, logarithms."""
+    """Mutual information from one matrix product of one-hot codes."""
     (n_frames, n_sensors), n_codes = codes.shape, int(codes.max()) + 1
     on = np.empty((n_frames, n_codes, n_sensors), np.float32)
     for code in range(n_codes):

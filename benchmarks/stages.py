@@ -1,31 +1,31 @@
-"""All stages that are timed: to add one, write a function that gives its races, and a line here."""
+"""Registry of the timed stages. To add one, write a function that yields comparisons."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 
-from benchmarks.paths import metricising_races, torgerson_races
-from benchmarks.race import Race, Setting
-from benchmarks.scalings import smacof_races
+from benchmarks.comparison import Comparison, Setting
+from benchmarks.paths import compare_metricising, compare_torgerson
+from benchmarks.scalings import compare_smacof
 from benchmarks.similarities import (
-    co_activation_races,
-    information_races,
-    pearson_races,
-    spearman_races,
+    compare_co_activation,
+    compare_information,
+    compare_pearson,
+    compare_spearman,
 )
-from benchmarks.wholes import whole_races
+from benchmarks.whole_maps import compare_whole
 
-STAGES: Mapping[str, tuple[str, Callable[[Setting], Iterator[Race]]]] = MappingProxyType(
+STAGES: Mapping[str, tuple[str, Callable[[Setting], Iterator[Comparison]]]] = MappingProxyType(
     {
-        "pearson": ("Similarity", pearson_races),
-        "spearman": ("Similarity", spearman_races),
-        "co-activation": ("Similarity", co_activation_races),
-        "mutual-information": ("Similarity", information_races),
-        "metricising": ("Shortest paths", metricising_races),
-        "torgerson": ("Scaling", torgerson_races),
-        "smacof": ("Scaling", smacof_races),
-        "whole": ("Whole maps", whole_races),
+        "pearson": ("Similarity", compare_pearson),
+        "spearman": ("Similarity", compare_spearman),
+        "co-activation": ("Similarity", compare_co_activation),
+        "mutual-information": ("Similarity", compare_information),
+        "metricising": ("Shortest paths", compare_metricising),
+        "torgerson": ("Scaling", compare_torgerson),
+        "smacof": ("Scaling", compare_smacof),
+        "whole": ("Whole maps", compare_whole),
     }
 )
-"""By the name that ``--stages`` takes: the panel of the picture, and what gives the races."""
+"""Panel of the figure and function of each stage, by its name for ``--stages``."""

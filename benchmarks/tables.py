@@ -1,4 +1,4 @@
-"""What came out of the races: a table in Markdown and one in CSV, and how times grow."""
+"""Results as tables in Markdown and CSV, with the growth of times."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from benchmarks.measuring import cores
-from benchmarks.race import Row
+from benchmarks.comparison import Row
+from benchmarks.measuring import n_cores
 
 _HEADER = (
     "N",
@@ -23,27 +23,29 @@ _HEADER = (
     "CPU, 1 thread (s)",
     "clock, all cores (s)",
     "memory (MB)",
-    "against",
+    "reference",
     "its CPU (s)",
     "its memory (MB)",
     "ratio",
     "goal",
     "same result",
 )
-_WORDS = ("N", "stage", "input", "against", "same result")
+_TEXT_COLUMNS = ("N", "stage", "input", "reference", "same result")
 
 
 def markdown(rows: Sequence[Row], n_frames: int) -> str:
-    """Write all that there is to tell: where, how fast, and how times grow."""
+    """Return the machine, the times and their growth as Markdown."""
     lines = [machine(n_frames), "", *_table(_HEADER, map(_cells, rows))]
     if growth := list(_growth(rows)):
-        lines += ["", "How CPU times grow: as N to the power of", ""]
-        lines += _table(("stage", "input", "from N", "to N", "ours", "against", "theirs"), growth)
+        lines += ["", "Growth of CPU times: exponent of N", ""]
+        lines += _table(
+            ("stage", "input", "from N", "to N", "anisomap", "reference", "its exponent"), growth
+        )
     return "\n".join(lines) + "\n"
 
 
 def machine(n_frames: int) -> str:
-    """Say on what it was measured, in a sentence."""
+    """Describe the machine and the versions of libraries in one sentence."""
     libraries = ("numpy", "scipy", "scikit-learn", "numba")
     versions = ", ".join(f"{name} {version(name)}" for name in libraries)
     blas = {
@@ -52,7 +54,7 @@ def machine(n_frames: int) -> str:
         if found["user_api"] == "blas" and "architecture" in found
     }
     return (
-        f"Measured on {cores()} cores ({_processor()}) with Python {platform.python_version()}, "
+        f"Measured on {n_cores()} cores ({_processor()}) with Python {platform.python_version()}, "
         f"{versions}{''.join(', ' + one for one in sorted(blas))}; {n_frames:,} frames."
     )
 
@@ -67,18 +69,18 @@ def _processor() -> str:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    ratio = figures(row.ratio)
+    ratio = significant(row.ratio)
     goal = "" if row.goal is None else f"{row.goal:,.0f}"
     return (
         f"{row.n_sensors:,}",
         row.stage,
-        row.given,
+        row.dataset,
         seconds(row.cpu),
-        seconds(row.clock_of_all_cores),
+        seconds(row.clock_all_cores),
         _megabytes(row.memory),
-        f"{row.against} ({row.how})" if row.how else row.against,
-        ("≈ " if row.estimated else "") + seconds(row.its_cpu) if row.against else "",
-        _megabytes(row.its_memory),
+        f"{row.reference} ({row.details})" if row.details else row.reference,
+        ("≈ " if row.estimated else "") + seconds(row.reference_cpu) if row.reference else "",
+        _megabytes(row.reference_memory),
         f"**{ratio}**" if row.missed else ratio,
         f"{goal} (missed)" if row.missed else goal,
         row.same if isinstance(row.same, str) else ("yes" if row.same else "**NO**"),
@@ -86,12 +88,12 @@ def _cells(row: Row) -> tuple[str, ...]:
 
 
 def seconds(value: float) -> str:
-    """Write seconds with three figures."""
-    return figures(value) if value >= 0.001 or math.isnan(value) else f"{value:.1g}"
+    """Format seconds with three significant digits."""
+    return significant(value) if value >= 0.001 or math.isnan(value) else f"{value:.1g}"
 
 
-def figures(value: float) -> str:
-    """Write a number with three figures, and nothing for NaN."""
+def significant(value: float) -> str:
+    """Format a number with three significant digits, NaN as an empty text."""
     if math.isnan(value):
         return ""
     places = max(0, 2 - math.floor(math.log10(value))) if value > 0 else 0
@@ -103,9 +105,9 @@ def _megabytes(value: float) -> str:
 
 
 def _table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> Iterator[str]:
-    """Write a table in Markdown, words to the left and numbers to the right."""
+    """Yield the lines of a Markdown table, texts aligned left and numbers right."""
     yield _line(header)
-    yield _line([":---" if name in _WORDS else "---:" for name in header])
+    yield _line([":---" if name in _TEXT_COLUMNS else "---:" for name in header])
     yield from map(_line, lines)
 
 
@@ -114,40 +116,44 @@ def _line(cells: Iterable[str]) -> str:
 
 
 def _growth(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
-    """Tell how times grow between the two largest sizes, ours and theirs."""
-    for (stage, given, against), group in grouped(rows).items():
+    """Yield the growth of times between the two largest sizes, for both implementations."""
+    for (stage, dataset, reference), group in grouped(rows).items():
         known = [row for row in group if row.cpu > 0]
         if len(known) < 2:
             continue
         before, last = known[-2:]
         sizes = [before.n_sensors, last.n_sensors]
-        theirs = growth_exponent(sizes, [before.its_cpu, last.its_cpu]) if against else math.nan
+        of_reference = (
+            growth_exponent(sizes, [before.reference_cpu, last.reference_cpu])
+            if reference
+            else math.nan
+        )
         yield (
             stage,
-            given,
+            dataset,
             f"{before.n_sensors:,}",
             f"{last.n_sensors:,}",
             f"{growth_exponent(sizes, [before.cpu, last.cpu]):.1f}",
-            against,
-            "" if math.isnan(theirs) else f"{theirs:.1f}",
+            reference,
+            "" if math.isnan(of_reference) else f"{of_reference:.1f}",
         )
 
 
 def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
-    """Put rows of all sizes together, by stage, input and rival."""
+    """Group rows of all sizes by stage, input and reference."""
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row.stage, row.given, row.against), []).append(row)
+        groups.setdefault((row.stage, row.dataset, row.reference), []).append(row)
     return groups
 
 
 def growth_exponent(sizes: Sequence[float], times: Sequence[float]) -> float:
-    """Give the exponent of the power of N that fits times best."""
+    """Fit the exponent of a power law of times."""
     return float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
 
 
 def write_csv(rows: Iterable[Row], path: Path) -> None:
-    """Write every number unrounded."""
+    """Write all rows, unrounded."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow([*(field.name for field in fields(Row)), "ratio"])

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks import measuring, paths, race, scalings, similarities, wholes
+from benchmarks import comparison, measuring, paths, scalings, similarities, whole_maps
 from benchmarks.__main__ import main
-from benchmarks.inputs import flat_skin, round_skin, stroked_skin, tiled_torso
-from benchmarks.measuring import measured, threads
-from benchmarks.race import Race, Rival, Row, run
+from benchmarks.comparison import Comparison, Reference, Row, run
+from benchmarks.inputs import flat_skin, round_skin, rubbed_skin, tiled_torso
+from benchmarks.measuring import measure, threads
 from benchmarks.stages import STAGES
 from benchmarks.tables import growth_exponent, markdown
 from threadpoolctl import threadpool_info
@@ -23,7 +23,7 @@ def recordings(tmp_path):
     """Give a folder with a binary recording of a field of triangles, shaped as the real one."""
     folder = tmp_path / "recordings"
     folder.mkdir()
-    readings, places = stroked_skin(40, 1000)
+    readings, places = rubbed_skin(40, 1000)
     np.savez(folder / "icub_torso.npz", readings=(readings > 0) * 1.0, positions=places)
     return folder
 
@@ -31,9 +31,9 @@ def recordings(tmp_path):
 @pytest.fixture
 def hasty(monkeypatch):
     monkeypatch.setattr(measuring, "MIN_SECONDS", 0)
-    monkeypatch.setattr(race, "cores", lambda: 1)
-    monkeypatch.setattr(similarities, "PAIRS", 20)
-    monkeypatch.setattr(scalings, "MOST_STEPS", 50)
+    monkeypatch.setattr(comparison, "n_cores", lambda: 1)
+    monkeypatch.setattr(similarities, "N_PAIRS", 20)
+    monkeypatch.setattr(scalings, "MAX_STEPS", 50)
 
 
 def rows_of(path):
@@ -54,32 +54,32 @@ def test_the_whole_in_miniature(tmp_path, recordings, hasty, capsys):
     rows = rows_of(folder / "bench.csv")
     assert {row["family"] for row in rows} == {family for family, _ in STAGES.values()}
     assert {row["n_sensors"] for row in rows} == set(sizes)
-    assert all(float(row["cpu"]) > 0 and float(row["clock_of_all_cores"]) > 0 for row in rows)
-    verdicts = [row["same"] for row in rows if row["against"]]
+    assert all(float(row["cpu"]) > 0 and float(row["clock_all_cores"]) > 0 for row in rows)
+    verdicts = [row["same"] for row in rows if row["reference"]]
     assert set(verdicts) - {"True"} == {v for v in verdicts if v.startswith("another map")}
     assert verdicts.count("True") > 40
     table = (folder / "bench-table.md").read_text(encoding="utf-8")
     assert "NO" not in table
     assert "| N | stage |" in table
-    assert "as N to the power of" in table
+    assert "exponent of N" in table
     assert (folder / "bench.png").read_bytes().startswith(b"\x89PNG")
     assert "torso, tiled" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_where_rivals_take_too_long_they_do_a_part(tmp_path, hasty, monkeypatch):
-    for module in (similarities, paths, scalings, wholes):
-        monkeypatch.setattr(module, "WHOLE", 30)
+def test_slow_references_do_a_share_of_the_work(tmp_path, hasty, monkeypatch):
+    for module in (similarities, paths, scalings, whole_maps):
+        monkeypatch.setattr(module, "MAX_REFERENCE_SENSORS", 30)
     given = ["--sensors", "61", "--frames", "600", "--output", str(tmp_path)]
     paths.cost_of_eigh.cache_clear()
     paths.cost_of_floyd_warshall.cache_clear()
     assert main(given) == 0
-    rows = [row for row in rows_of(tmp_path / "bench.csv") if row["against"]]
+    rows = [row for row in rows_of(tmp_path / "bench.csv") if row["reference"]]
     assert {row["estimated"] for row in rows} == {"True"}
     assert {row["same"] for row in rows if row["stage"] != "whole map from dissimilarities"} == {
         "True"
     }
-    by_stage = {row["stage"]: row["how"] for row in rows}
+    by_stage = {row["stage"]: row["details"] for row in rows}
     assert by_stage["metricising"] == "30 sensors x 8.41"
     assert by_stage["Torgerson"] == "30 sensors x 8.41"
     assert by_stage["SMACOF, 30 iterations"] == "30 sensors x 4.13"
@@ -114,7 +114,7 @@ def test_the_exponent_of_a_power_law(exponent):
 
 def row(**known):
     usual = Row(4000, "family", "stage", "input", 1.0, 1.0, 1.0, 0.5, 10.0)
-    return replace(usual, against="rival", its_cpu=40.0, same=True, **known)
+    return replace(usual, reference="library", reference_cpu=40.0, same=True, **known)
 
 
 def test_a_goal_missed_stands_out_and_one_reached_does_not():
@@ -123,17 +123,17 @@ def test_a_goal_missed_stands_out_and_one_reached_does_not():
 
 
 def test_times_that_grow_tell_the_exponent():
-    rows = [row(), replace(row(), n_sensors=8000, cpu=4.0, its_cpu=320.0)]
-    assert "| 4,000 | 8,000 | 2.0 | rival | 3.0 |" in markdown(rows, 100)
+    rows = [row(), replace(row(), n_sensors=8000, cpu=4.0, reference_cpu=320.0)]
+    assert "| 4,000 | 8,000 | 2.0 | library | 3.0 |" in markdown(rows, 100)
 
 
 @pytest.mark.skipif(
     not os.access("/proc/self/clear_refs", os.W_OK), reason="only Linux tells and resets the peak"
 )
 def test_the_memory_of_fifty_megabytes():
-    cost, _ = measured(lambda: np.ones(50_000_000, np.uint8).sum())
+    cost, _ = measure(lambda: np.ones(50_000_000, np.uint8).sum())
     assert cost.memory == pytest.approx(50, abs=5)
-    cost, _ = measured(lambda: None)
+    cost, _ = measure(lambda: None)
     assert cost.memory == pytest.approx(0, abs=5)
 
 
@@ -143,7 +143,7 @@ def test_one_thread_is_one_thread():
         assert {found["num_threads"] for found in threadpool_info()} <= {1}
 
 
-def test_a_race_is_checked_once_and_gives_a_row_a_rival():
+def test_a_comparison_is_checked_once_and_gives_a_row_per_reference():
     checked = []
 
     def same(result):
@@ -151,8 +151,10 @@ def test_a_race_is_checked_once_and_gives_a_row_a_rival():
         return result == 3
 
     cost = measuring.Cost(2.0, 2.0)
-    rivals = (Rival("one", cost, same, goal=7), Rival("two", cost, lambda _: "other"))
-    small, large = (list(run(Race("s", "i", lambda: 3, rivals), "f", n)) for n in (10, 4000))
+    references = (Reference("one", cost, same, goal=7), Reference("two", cost, lambda _: "other"))
+    small, large = (
+        list(run(Comparison("s", "i", lambda: 3, references), "f", n)) for n in (10, 4000)
+    )
     assert checked == [3, 3]
     assert [found.same for found in small] == [True, "other"]
     assert [found.goal for found in small + large] == [None, None, 7, None]
@@ -161,9 +163,9 @@ def test_a_race_is_checked_once_and_gives_a_row_a_rival():
 def test_paths_a_little_wrong_are_not_the_shortest():
     lengths = flat_skin(60)
     right = paths.metricise(lengths)
-    assert paths.are_shortest(right, lengths)
-    assert not paths.are_shortest(lengths, lengths)
-    assert not paths.are_shortest(right * (1 + 1e-9), lengths)
+    assert paths.are_shortest_paths(right, lengths)
+    assert not paths.are_shortest_paths(lengths, lengths)
+    assert not paths.are_shortest_paths(right * (1 + 1e-9), lengths)
 
 
 def test_eigenvectors_are_told_from_others():

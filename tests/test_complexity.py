@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.inputs import flat_skin, stroked_skin
+from benchmarks.inputs import flat_skin, rubbed_skin
 from benchmarks.tables import growth_exponent
 
 from anisomap.numerics.graph import shortest_paths
@@ -47,7 +47,7 @@ def test_few_steps_of_lbfgs_reach_the_minimum(metrics):
 
 
 def laid_out(n_sensors, bins):
-    codes = maximum_entropy_codes(stroked_skin(n_sensors, 2000)[0], bins)
+    codes = maximum_entropy_codes(rubbed_skin(n_sensors, 2000)[0], bins)
     counts = co_occurrence.code_counts(codes, int(codes.max()) + 1)
     return codes, co_occurrence.Layout.of(counts)
 
