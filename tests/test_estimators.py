@@ -135,5 +135,5 @@ def test_separate_objects_are_not_bridged():
     distances = np.full((4, 4), np.nan)
     distances[:2, :2] = distances[2:, 2:] = 1
     np.fill_diagonal(distances, 0)
-    with pytest.raises(InputError, match="separate pieces"):
+    with pytest.raises(InputError, match="connected components"):
         Anisomap(metric="precomputed").fit(distances)

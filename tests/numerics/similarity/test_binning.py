@@ -1,4 +1,4 @@
-"""Maximum-entropy binning: theorems about ties, order and equal shares."""
+"""Maximum-entropy binning: ties, order and equal shares."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ bins = st.integers(2, 9)
 
 
 @given(counts, bins)
-def test_no_bin_is_empty_and_none_is_too_many(counts, bins):
+def test_no_bin_is_empty_and_none_exceeds_the_maximum(counts, bins):
     found = maximum_entropy_bins(counts, bins)
     assert set(found) == set(range(found.max() + 1))
     assert found.max() < bins
@@ -28,33 +28,33 @@ def test_few_distinct_values_each_get_a_bin(counts, bins):
 
 
 @given(counts, bins)
-def test_an_atom_shares_its_bin_with_nothing(counts, bins):
+def test_an_atom_has_its_own_bin(counts, bins):
     found = maximum_entropy_bins(counts, bins)
     for value in np.flatnonzero(np.array(counts) * bins > sum(counts)):
         assert np.count_nonzero(found == found[value]) == 1
 
 
 @given(st.integers(1, 60), bins)
-def test_values_without_ties_are_shared_out_equally(n, bins):
+def test_values_without_ties_are_shared_equally(n, bins):
     sizes = np.bincount(maximum_entropy_bins(np.ones(n), bins))
     assert sizes.max() - sizes.min() <= 1
 
 
 @given(counts, bins)
-def test_the_rest_keeps_its_order(counts, bins):
+def test_bins_of_other_values_are_in_order(counts, bins):
     found = maximum_entropy_bins(counts, bins)
     shared = [b for b in found if np.count_nonzero(found == b) > 1]
     assert shared == sorted(shared)
 
 
-def test_rest_of_a_skin_does_not_swallow_the_edges():
+def test_a_frequent_rest_value_leaves_the_other_bins_equal():
     readings = np.concatenate([np.zeros(900), np.arange(1, 100 + 1)])[:, None]
     codes = maximum_entropy_codes(readings, 4)[:, 0]
     assert len(set(codes[:900])) == 1
     assert sorted(np.bincount(codes)) == [33, 33, 34, 900]
 
 
-def test_a_raw_skin_rests_between_its_values():
+def test_rest_may_lie_between_other_values():
     values, counts = [238, 239, 240, 241], [5, 10, 80, 5]
     found = maximum_entropy_bins(counts, 4)
     assert len(set(found)) == len(values)
@@ -72,6 +72,6 @@ def test_codes_depend_only_on_order_and_ties(readings, bins):
 
 
 @pytest.mark.parametrize("bins", [1, 0, -3, 2**16 + 1])
-def test_an_absurd_number_of_bins_is_refused(bins):
+def test_an_invalid_number_of_bins_is_rejected(bins):
     with pytest.raises(InputError, match=str(bins)):
         maximum_entropy_codes(np.eye(3), bins)

@@ -1,4 +1,4 @@
-"""Values and how often they were read: what is made of counts is what is made of readings."""
+"""Value counts: merging, rounding, and agreement with the readings themselves."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def merged(parts, most=None):
 
 
 @given(few, st.data())
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_values_of_parts_merge_to_those_of_the_whole(readings, data):
     whole = ValueCounts.of(readings)
     assert whole.exact
@@ -58,8 +58,8 @@ def test_values_of_parts_merge_to_those_of_the_whole(readings, data):
 
 
 @given(arrays(np.float64, shapes, elements=finite), st.integers(2, 12), st.data())
-@settings(deadline=None, max_examples=40)
-def test_too_many_values_are_rounded_the_same_in_any_order(readings, most, data):
+@settings(max_examples=40)
+def test_rounding_does_not_depend_on_the_order_of_merging(readings, most, data):
     whole = ValueCounts.of(readings, most)
     assert_same(merged(parts_of(readings, data), most), whole)
     every = zip(readings.T, whole.values, whole.counts, whole.grains, strict=True)
@@ -69,15 +69,15 @@ def test_too_many_values_are_rounded_the_same_in_any_order(readings, most, data)
         assert (np.diff(values) > 0).all()
         assert values[0] == column.min()
         if grain < 52:
-            # Each reading lies within the step that it was rounded by.
+            # Each reading is within the step of rounding.
             lower = values[np.searchsorted(values, column, side="right") - 1]
             step = 2.0 ** (grain - 52)
             assert (column - lower <= 2 * step * abs(column) + 1e-290).all()
 
 
 @given(few, st.integers(2, 6))
-@settings(deadline=None, max_examples=40)
-def test_what_is_made_of_counts_is_what_is_made_of_readings(readings, bins):
+@settings(max_examples=40)
+def test_bins_ranks_and_rest_of_counts_equal_those_of_readings(readings, bins):
     counted = ValueCounts.of(readings)
     np.testing.assert_array_equal(
         counted.bins(bins)(readings), maximum_entropy_codes(readings, bins)
@@ -94,14 +94,14 @@ def test_what_is_made_of_counts_is_what_is_made_of_readings(readings, bins):
     st.data(),
     st.sampled_from([0, 0.25, 0.5, 0.99, 1]),
 )
-def test_quantiles_of_counts_are_those_of_numpy(values, data, level):
+def test_quantiles_of_counts_equal_numpy(values, data, level):
     counts = data.draw(arrays(np.int64, len(values), elements=st.integers(1, 9)))
     expected = np.quantile(np.repeat(values, counts), level)
     found = quantile_from_counts(np.array(values), counts, level)
     assert found == pytest.approx(expected, rel=1e-12)
 
 
-def test_continuous_readings_are_binned_almost_as_if_all_were_kept():
+def test_rounded_continuous_readings_have_nearly_equal_bins():
     readings = np.random.default_rng(0).normal(5, 1, (20_000, 3))
     counted = ValueCounts.of(readings, 1000)
     assert not counted.exact

@@ -1,1 +1,1 @@
-"""From distances to positions: classical scaling and SMACOF."""
+"""Multidimensional scaling: positions from distances."""

@@ -1,4 +1,4 @@
-"""Classical scaling (Torgerson)."""
+"""Classical scaling."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from anisomap.numerics.graph.metric import check_semi_metric
 from anisomap.numerics.precision import Reals
 
 DENSE_LIMIT = 200
-"""Up to so many points a full eigendecomposition costs less than iterating for a few vectors."""
+"""Maximum number of points for which a full eigendecomposition is faster than an iterative one."""
 
 
 def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
-    """Scale distances classically: the start from which SMACOF sets out.
+    """Scale distances classically, by the leading eigenvectors of the inner products.
 
     Parameters
     ----------
@@ -29,9 +29,8 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of shape (N, k)
-        Centred; the columns are orthogonal and their spread falls. Of each, the entry of greatest
-        magnitude is positive, so that runs agree. Coordinates that the distances do not support
-        (eigenvalues of 0 or less) are 0.
+        Centred; columns are orthogonal, by decreasing spread. The entry of greatest magnitude of
+        each column is positive, so that runs agree. Columns with eigenvalues of 0 or less are 0.
 
     Raises
     ------
@@ -40,20 +39,19 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
 
     Notes
     -----
-    Torgerson (1952), Psychometrika 17: 401-419; Borg & Groenen (2005), chapter 12. Double
-    centring is applied as an operator, so the leading vectors of a large matrix cost only products
-    with it.
+    Torgerson (1952), Psychometrika 17: 401-419; Borg & Groenen (2005), chapter 12. For many points
+    double centring is applied as an operator, and eigenvectors cost only products with the matrix.
     """
     squares = np.square(check_semi_metric(distances, copy=False))
     if dimensions < 1:
-        raise InputError(f"{dimensions} dimensions hold no map; use 1 or more")
+        raise InputError(f"dimensions must be at least 1, got {dimensions}")
     if not np.isfinite(squares.max()):
-        raise InputError("some distances are infinite: scale each connected component by itself")
+        raise InputError("distances must be finite; scale each connected component separately")
     n_points = len(squares)
     if n_points <= max(DENSE_LIMIT, 2 * dimensions + 1):
         values, vectors = _leading_dense(squares, min(dimensions, n_points))
     else:
-        values, vectors = _leading_iterated(squares, dimensions)
+        values, vectors = _leading_iterative(squares, dimensions)
     order = np.argsort(values)[::-1]
     columns = vectors[:, order] * np.sqrt(np.maximum(values[order], 0))
     peaks = columns[np.abs(columns).argmax(axis=0), np.arange(columns.shape[1])]
@@ -68,23 +66,23 @@ def _leading_dense(squares: Reals, count: int) -> tuple[NDArray[np.float64], NDA
     return values, vectors
 
 
-def _leading_iterated(
+def _leading_iterative(
     squares: Reals, count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     double = squares.dtype == np.float64
     multiply = dsymv if double else ssymv
 
     def double_centred(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-        # Half of the matrix is read, which is what a product with a large one takes its time for.
+        # symv reads one triangle, and reading the matrix takes most of the time.
         product = multiply(1.0, squares.T, vector - vector.mean()).astype(np.float64, copy=False)
         return np.asarray((product - product.mean()) / -2)
 
     operator = LinearOperator(squares.shape, matvec=double_centred, dtype=np.float64)
-    # ARPACK would draw its own start: a fixed one makes equal input give equal output.
+    # A fixed start, since ARPACK's own is random.
     start = np.random.default_rng(0).standard_normal(len(squares))
     try:
-        # To the last bit, or as far as products in float32 allow.
+        # Machine precision, or the precision of products in float32.
         values, vectors = eigsh(operator, k=count, which="LA", v0=start, tol=0 if double else 1e-5)
-    except ArpackError:  # it does not settle, or there is nothing to find: all points coincide
+    except ArpackError:  # no convergence, or the matrix is zero: all points coincide
         return _leading_dense(squares, count)
     return values, vectors

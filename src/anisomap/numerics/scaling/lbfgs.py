@@ -1,4 +1,11 @@
-"""L-BFGS for stress."""
+"""L-BFGS with a diagonal first Hessian, for stress functions.
+
+scipy's L-BFGS-B, which fits covariograms and contacts, scales its first Hessian uniformly. Stress
+functions come with a better one: twice the weight of each point, with which the first steps are
+those of majorisation. On bent lattices of 64 to 256 points scipy took as many iterations with equal
+weights and up to 40 % more with unequal ones, and both reached the same minima; positions differed
+by 1e-6 to 1e-3 of the map's size, by the tolerance of the stress.
+"""
 
 from __future__ import annotations
 
@@ -10,41 +17,46 @@ import numpy as np
 from anisomap.numerics.scaling.stress import Floats, Objective
 
 MEMORY = 10
-"""Steps that L-BFGS remembers."""
+"""Number of past steps that approximate the Hessian; a usual value (Nocedal & Wright 2006, 7.2)."""
 
+N_MAJORISATION_STEPS = 5
+"""First steps without memory, which select the minimum as majorisation does; chosen by hand."""
 
-GUIDED = 5
-"""First steps that L-BFGS takes as majorisation does, which choose the valley."""
+CONVERGENCE_STEPS = 3
+"""Steps whose total decrease is compared with the tolerance: single steps may be short."""
 
-
-QUIET = 3
-"""L-BFGS may pause for a step: so many together must lower the stress too little."""
-
-
-TRIALS = 10
-"""Lengths tried of one step."""
-
+MAX_TRIALS = 10
+"""Maximum number of step lengths per line search; chosen by hand, the first usually succeeds."""
 
 NEGLIGIBLE = 1e-30
-"""Raw stress below this share of the distances' own squares is none."""
+"""Share of the squared distances below which raw stress is rounding error, (1e-15)^2."""
 
 
 class SolverResult(NamedTuple):
-    """Where a way led: positions (N, k), the raw stress of each step, and whether it settled."""
+    """Result of a minimisation.
+
+    Attributes
+    ----------
+    positions : ndarray of shape (N, k)
+    trace : list of float
+        Raw stress of the start and after each step.
+    converged : bool
+        Whether the tolerance was met.
+    """
 
     positions: Floats
     trace: list[float]
     converged: bool
 
 
-class _Place(NamedTuple):
+class _Point(NamedTuple):
     positions: Floats
     raw: float
     gradient: Floats
 
 
-class _Turn(NamedTuple):
-    """A step, how the gradient changed along it, and the product of both."""
+class _Update(NamedTuple):
+    """A past step, the change of the gradient along it, and their inner product."""
 
     step: Floats
     change: Floats
@@ -60,75 +72,81 @@ def minimise_lbfgs(
     tolerance: float,
     max_iterations: int,
 ) -> SolverResult:
-    """Lower any stress by L-BFGS, as `descend` does that of all pairs.
+    """Minimise a stress function by L-BFGS (Nocedal & Wright 2006, algorithms 7.4 and 7.5).
 
     Parameters
     ----------
     stress : callable
+        Returns raw stress and gradient.
     start : ndarray of shape (N, k)
     scale : ndarray of shape (N, 1)
-        First guess of the curvature.
+        Diagonal of the first Hessian.
     squares : float
-        Of the distances, weighted: what a raw stress is negligible beside.
+        Weighted sum of the squared distances, the scale of a negligible raw stress.
     tolerance, max_iterations
         See `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
 
     Returns
     -------
     SolverResult
+        The trace never rises.
     """
     negligible = NEGLIGIBLE * squares
-    turns: deque[_Turn] = deque(maxlen=MEMORY)
-    here = _Place(start, *stress(start))
-    trace = [here.raw]
-    converged = here.raw == 0
+    updates: deque[_Update] = deque(maxlen=MEMORY)
+    current = _Point(start, *stress(start))
+    trace = [current.raw]
+    converged = current.raw == 0
     while not converged and len(trace) <= max_iterations:
-        there = _lower(stress, here, _direction(here.gradient, scale, turns))
-        if there is None:
-            converged = not turns
-            turns.clear()
+        lower = _line_search(stress, current, _direction(current.gradient, scale, updates))
+        if lower is None:
+            # No descent along the diagonal direction either: a stationary point.
+            converged = not updates
+            updates.clear()
             continue
-        if len(trace) > GUIDED:
-            _remember(turns, here, there, scale)
-        here = there
-        trace.append(here.raw)
-        quiet = len(trace) > QUIET and trace[-1 - QUIET] - here.raw <= tolerance * here.raw
-        converged = quiet or here.raw <= negligible
-    return SolverResult(here.positions, trace, converged)
+        if len(trace) > N_MAJORISATION_STEPS:
+            _remember(updates, current, lower, scale)
+        current = lower
+        trace.append(current.raw)
+        converged = current.raw <= negligible or (
+            len(trace) > CONVERGENCE_STEPS
+            and trace[-1 - CONVERGENCE_STEPS] - current.raw <= tolerance * current.raw
+        )
+    return SolverResult(current.positions, trace, converged)
 
 
-def _direction(gradient: Floats, scale: Floats, turns: deque[_Turn]) -> Floats:
+def _direction(gradient: Floats, scale: Floats, updates: deque[_Update]) -> Floats:
+    """Multiply the gradient by the inverse Hessian: the two-loop recursion, algorithm 7.4."""
     step = gradient.copy()
     shares = []
-    for turn in reversed(turns):
-        shares.append(np.vdot(turn.step, step) / turn.product)
-        step -= shares[-1] * turn.change
+    for update in reversed(updates):
+        shares.append(np.vdot(update.step, step) / update.product)
+        step -= shares[-1] * update.change
     step /= scale
-    if turns:
-        step *= turns[-1].product / np.vdot(turns[-1].change, turns[-1].change / scale)
-    for turn, share in zip(turns, reversed(shares), strict=True):
-        step += (share - np.vdot(turn.change, step) / turn.product) * turn.step
+    if updates:
+        step *= updates[-1].product / np.vdot(updates[-1].change, updates[-1].change / scale)
+    for update, share in zip(updates, reversed(shares), strict=True):
+        step += (share - np.vdot(update.change, step) / update.product) * update.step
     return step
 
 
-def _lower(stress: Objective, here: _Place, step: Floats) -> _Place | None:
-    """Go along a step as far as lowers the stress well; None if nothing does."""
-    promised = float(np.vdot(step, here.gradient))
+def _line_search(stress: Objective, current: _Point, step: Floats) -> _Point | None:
+    """Backtrack until the stress decreases sufficiently; None if it does not."""
+    slope = float(np.vdot(step, current.gradient))
     length = 1.0
-    for _ in range(TRIALS if promised > 0 else 0):
-        positions = here.positions - length * step
-        there = _Place(positions, *stress(positions))
-        if there.raw <= here.raw - 1e-4 * length * promised:
-            return there
-        # Where the parabola through both stresses and the slope is lowest, within bounds.
-        bend = 2 * (there.raw - here.raw + length * promised)
-        length *= min(0.5, max(0.1, length * promised / bend))
+    for _ in range(MAX_TRIALS if slope > 0 else 0):
+        positions = current.positions - length * step
+        trial = _Point(positions, *stress(positions))
+        if trial.raw <= current.raw - 1e-4 * length * slope:  # Armijo's condition
+            return trial
+        # The minimum of the parabola through both stresses and the slope, within bounds.
+        bend = 2 * (trial.raw - current.raw + length * slope)
+        length *= min(0.5, max(0.1, length * slope / bend))
     return None
 
 
-def _remember(turns: deque[_Turn], here: _Place, there: _Place, scale: Floats) -> None:
-    turn = there.positions - here.positions, there.gradient - here.gradient
-    product = float(np.vdot(*turn))
-    # Without curvature along the step it would turn the next one uphill.
-    if product > 1e-10 * np.vdot(turn[1], turn[1] / scale):
-        turns.append(_Turn(*turn, product))
+def _remember(updates: deque[_Update], current: _Point, lower: _Point, scale: Floats) -> None:
+    step, change = lower.positions - current.positions, lower.gradient - current.gradient
+    product = float(np.vdot(step, change))
+    # Only positive curvature keeps the Hessian positive definite.
+    if product > 1e-10 * np.vdot(change, change / scale):
+        updates.append(_Update(step, change, product))

@@ -1,4 +1,4 @@
-"""The raw stress of a configuration and its gradient: plainly for few points, compiled for many."""
+"""Raw stress of a configuration and its gradient, in numpy or compiled."""
 
 from __future__ import annotations
 
@@ -16,57 +16,68 @@ from anisomap.numerics.precision import Reals, row_blocks
 Floats = NDArray[np.float64]
 
 COINCIDENT = 1e-150
-"""Points so close pull each other nowhere: which way would be rounding error."""
+"""Distance below which points coincide: the direction between them is rounding error."""
 
-PIECES = 16
-"""Pieces that the pairs are shared out to. A fixed number: sums are the same on every machine."""
+N_PARTS = 16
+"""Number of parts of the pairs; fixed, so that sums do not depend on the number of threads."""
 
-SINGLE_RANGE = 1e9
-"""Distances up to this, and down to its inverse, can be squared in float32."""
+FLOAT32_RANGE = 1e9
+"""Distances up to this, and down to its inverse, have squares within float32."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Distances to be fitted.
+    """Distances to fit, and their weights.
 
     Attributes
     ----------
     targets : ndarray of shape (N, N)
         Symmetric, finite; 0 where unknown.
     weights : ndarray of shape (N, N) or (1, N)
-        Symmetric; 0 where unknown and on the diagonal. Or one row of ones, if all count alike.
+        Symmetric; 0 where unknown and on the diagonal. One row of ones if all weights are equal.
+    compiled : bool, optional
+        Whether to use compiled loops; by default from 500 points on.
     """
 
     targets: Reals
     weights: Reals
+    compiled: bool | None = None
 
     @property
-    def all_alike(self) -> bool:
-        """Whether every distance counts alike."""
+    def equal_weights(self) -> bool:
+        """Whether all distances have the same weight."""
         return len(self.weights) < len(self.targets)
 
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the stress is computed by compiled loops."""
+        large = len(self.targets) >= MIN_COMPILED_ROWS
+        return large if self.compiled is None else self.compiled
+
     def single(self) -> Problem | None:
-        """Give the same in float32, which holds and does twice as much; None if it leaves that."""
-        of_points = float(self.weights.max(axis=1).min(initial=1))  # none may vanish
+        """Convert to float32; None if its range does not suffice."""
+        of_points = float(self.weights.max(axis=1).min(initial=1))  # no point may lose all weight
         extremes = [of_points, *(float(m.max(initial=0)) for m in (self.targets, self.weights))]
-        if not all(1 / SINGLE_RANGE < extreme < SINGLE_RANGE for extreme in extremes):
+        if not all(1 / FLOAT32_RANGE < extreme < FLOAT32_RANGE for extreme in extremes):
             return None
         return Problem(
-            self.targets.astype(np.float32, copy=False), self.weights.astype(np.float32, copy=False)
+            self.targets.astype(np.float32, copy=False),
+            self.weights.astype(np.float32, copy=False),
+            self.compiled,
         )
 
     def weight_of_points(self) -> Floats:
         """Sum the weights of each point's distances, shape (N, 1)."""
-        if self.all_alike:
+        if self.equal_weights:
             return np.full((len(self.targets), 1), len(self.targets) - 1.0)
         return np.asarray(self.weights.sum(axis=1, keepdims=True, dtype=np.float64))
 
     def weighted_squares(self, positions: Floats | None = None) -> float:
-        """Sum w_ij d_ij^2 over i < j: of the distances between positions, or of the targets."""
-        if positions is not None and self.all_alike:  # Huygens: by the distances from the middle
-            apart = positions - positions.mean(axis=0)
-            return len(positions) * float(np.vdot(apart, apart))
-        if self.all_alike:
+        """Sum w_ij d_ij^2 over i < j, of distances between positions or else of the targets."""
+        if positions is not None and self.equal_weights:  # Huygens' theorem
+            centred = positions - positions.mean(axis=0)
+            return len(positions) * float(np.vdot(centred, centred))
+        if self.equal_weights:
             return sum(float(np.vdot(row, row)) for row in self.targets) / 2
         total = 0.0
         for rows in row_blocks(len(self.targets)):
@@ -76,64 +87,59 @@ class Problem:
 
 
 Objective = Callable[[Floats], tuple[float, Floats]]
-"""From positions (N, k) to their raw stress and its gradient (N, k)."""
-
-
-def is_compiled(n_points: int) -> bool:
-    """Tell whether the stress of so many points is worked out by compiled loops."""
-    return n_points >= MIN_COMPILED_ROWS
+"""Function of positions (N, k) that returns their raw stress and its gradient (N, k)."""
 
 
 @contextmanager
 def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
-    """Give the raw stress with its gradient as a function of positions.
+    """Provide the raw stress and its gradient as a function of positions.
 
     Parameters
     ----------
     problem : Problem
+        In float32 if `single`.
     single : bool
-        Reckon in float32, twice as fast: stresses are right to about 1e-6, and from one place to
-        the next to 1e-8. The problem must be in float32. Few points take no notice.
+        Compute in float32, which is twice as fast: stresses are accurate to about 1e-6, and
+        their differences between near configurations to 1e-8. Compiled loops only.
 
     Notes
     -----
-    Borg & Groenen (2005), section 8.6: the gradient is ``2 (V X - B(X) X)``, that is, point i gets
+    Borg & Groenen (2005), section 8.6: the gradient is ``2 (V X - B(X) X)``, of point i
     ``2 sum_j w_ij (1 - D_ij / d_ij) (x_i - x_j)``.
     """
-    n_points = len(problem.targets)
-    if not is_compiled(n_points):
+    if not problem.is_compiled:
         yield lambda positions: plain_stress(problem, positions)
         return
-    with parallel_map(n_points) as spread_over:
-        # Row i has N - 1 - i pairs: cut so that pieces have about equally many.
-        cuts = n_points * (1 - np.sqrt(1 - np.arange(PIECES + 1) / PIECES))
+    n_points = len(problem.targets)
+    add_stress = load_loops("stress").add_stress
+    with parallel_map(n_points) as map_threads:
+        # Row i has N - 1 - i pairs; parts have about equal numbers of pairs.
+        cuts = n_points * (1 - np.sqrt(1 - np.arange(N_PARTS + 1) / N_PARTS))
         edges = np.round(cuts).astype(int).tolist()
 
         def compiled_stress(positions: Floats) -> tuple[float, Floats]:
             points = np.ascontiguousarray(positions.T, np.float32 if single else np.float64)
-            slopes = np.zeros((PIECES, *points.shape), points.dtype)
+            slopes = np.zeros((N_PARTS, *points.shape), points.dtype)
 
-            def add(piece: int) -> float:
-                rows = (edges[piece], edges[piece + 1])
+            def add(part: int) -> float:
+                rows = (edges[part], edges[part + 1])
                 return float(
-                    load_loops("stress").add_stress(
-                        points, problem.targets, problem.weights, rows, slopes[piece]
-                    )
+                    add_stress(points, problem.targets, problem.weights, rows, slopes[part])
                 )
 
-            raw = sum(spread_over(add, range(PIECES)))
+            raw = sum(map_threads(add, range(N_PARTS)))
             return raw, np.ascontiguousarray(2 * slopes.sum(axis=0, dtype=np.float64).T)
 
         yield compiled_stress
 
 
 def plain_stress(problem: Problem, positions: Floats) -> tuple[float, Floats]:
-    """Give the raw stress and its gradient by whole matrices."""
+    """Return the raw stress and its gradient, computed with (N, N) matrices."""
     distances = cdist(positions, positions)
     excess = distances - problem.targets
     weighted = problem.weights * excess
     raw = float(np.vdot(weighted, excess)) / 2
-    pulls = np.divide(
+    factors = np.divide(
         weighted, distances, out=np.zeros_like(distances), where=distances > COINCIDENT
     )
-    return raw, 2 * (pulls.sum(axis=1)[:, None] * positions - pulls @ positions)
+    return raw, 2 * (factors.sum(axis=1)[:, None] * positions - factors @ positions)

@@ -1,4 +1,4 @@
-"""From distances to positions: Torgerson's classical scaling and SMACOF."""
+"""Metric scaling by minimising the raw stress (SMACOF)."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class SmacofOptions:
-    """When to stop SMACOF, and how to get there.
+    """Stopping criteria and solver of stress minimisation.
 
     Parameters
     ----------
     tolerance : float
-        Stop when an iteration (of L-BFGS, three together) lowers the raw stress by less than this
-        share of it. Relative, so that the unit of the distances does not matter.
+        Relative decrease of the raw stress per iteration (of L-BFGS, in three iterations) below
+        which iterations stop. Independent of the unit of the distances.
     max_iterations : int
-        Stop after so many iterations at the latest.
+        Maximum number of iterations.
     solver : {"auto", "lbfgs", "majorization"}
-        ``"majorization"`` is SMACOF as published, which creeps where a map is flat; ``"lbfgs"``
-        takes some ten times fewer iterations. ``"auto"`` is L-BFGS, and up to 100 points, where
-        minima are many, the better of both.
+        ``"majorization"`` is SMACOF as published, which converges slowly where the stress is flat.
+        ``"lbfgs"`` takes about a tenth of the iterations. ``"auto"`` is L-BFGS, and for up to 100
+        points, where minima are many, the better result of both.
     """
 
     tolerance: float = 1e-8
@@ -43,31 +43,29 @@ class SmacofOptions:
 
     def __post_init__(self) -> None:
         if self.solver not in SOLVERS:
-            raise InputError(
-                f"there is no solver {self.solver!r}; choose from {', '.join(SOLVERS)}"
-            )
+            raise InputError(f"unknown solver {self.solver!r}; choose from {', '.join(SOLVERS)}")
         if not self.tolerance >= 0:
-            raise InputError(f"the tolerance is {self.tolerance}; it must be at least 0")
+            raise InputError(f"tolerance must be at least 0, got {self.tolerance}")
         if self.max_iterations < 0:
-            raise InputError(f"max_iterations is {self.max_iterations}; it must be at least 0")
+            raise InputError(f"max_iterations must be at least 0, got {self.max_iterations}")
 
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """What SMACOF found.
+    """Result of stress minimisation.
 
     Attributes
     ----------
     positions : ndarray of shape (N, k)
         Centred on the origin.
     raw_stress : float
-        Sum over i < j of w_ij (d_ij - D_ij)^2 of `positions`, in squared units of the distances.
+        Sum over i < j of w_ij (d_ij - D_ij)^2, in squared units of the distances.
     spread : float
-        Sum over i < j of w_ij d_ij^2 of `positions`.
+        Sum over i < j of w_ij d_ij^2.
     trace : ndarray of shape (iterations + 1,)
         Raw stress of the start and after each iteration; never rises.
     converged : bool
-        Whether the tolerance was met before the iterations ran out.
+        Whether the tolerance was met within the maximum number of iterations.
     """
 
     positions: NDArray[np.float64]
@@ -78,7 +76,7 @@ class Scaling:
 
     @property
     def stress(self) -> float:
-        """Stress-1 of `positions` (Borg & Groenen 2005, eq. 3.9); 0 if all of them coincide."""
+        """Stress-1 (Borg & Groenen 2005, eq. 3.9); 0 if all positions coincide."""
         return float(np.sqrt(self.raw_stress / self.spread)) if self.spread > 0 else 0.0
 
 
@@ -90,20 +88,19 @@ def smacof(
     weights: ArrayLike | None = None,
     options: SmacofOptions | None = None,
 ) -> Scaling:
-    """Find the configuration whose distances fit best: the least raw stress.
+    """Find a configuration with minimal raw stress.
 
     Parameters
     ----------
     distances : array_like of shape (N, N)
-        Symmetric, non-negative, zero diagonal. Infinite where a distance is unknown.
+        Symmetric, non-negative, zero diagonal; infinite where unknown.
     dimensions : int
-        Number of coordinates, k >= 1; given by `start` where there is one.
+        Number of coordinates, k >= 1; ignored if `start` is given.
     start : array_like of shape (N, k), optional
-        Where to set out from; Torgerson's scaling unless given (unknown distances are replaced by
-        shortest paths for it).
+        Initial configuration; by default classical scaling, with shortest paths in place of
+        unknown distances.
     weights : array_like of shape (N, N), optional
-        How much each distance counts: symmetric, non-negative, the diagonal is not looked at. 0
-        is unknown; 1 everywhere unless given.
+        Symmetric, non-negative; 0 where unknown. The diagonal is ignored. 1 by default.
     options : SmacofOptions, optional
 
     Returns
@@ -114,28 +111,27 @@ def smacof(
     ------
     InputError
         If shapes disagree, a matrix is not symmetric, a distance or weight is negative, the start
-        is not finite, or the known distances leave separate pieces.
+        is not finite, or the known distances do not connect all points.
 
     Notes
     -----
-    De Leeuw (1977); Borg & Groenen (2005), chapter 8. No iteration raises the weighted stress,
-    whatever the solver. From 500 points on the stress and its gradient are worked out by compiled
-    loops.
+    De Leeuw (1977); Borg & Groenen (2005), chapter 8. No iteration of any solver raises the
+    weighted stress. From 500 points on the stress is computed by compiled loops.
     """
     chosen = options or SmacofOptions()
     targets = check_semi_metric(distances, copy=False)
     problem = Problem(targets, _check_weights(weights, targets))
-    known = targets if problem.all_alike else _known(problem)
+    known = targets if problem.equal_weights else _connected_targets(problem)
     if start is None:
         start = torgerson(known if np.isfinite(known.max()) else metricise(known), dimensions)
     positions = _check_start(start, len(targets))
-    positions -= positions.mean(axis=0)  # far from the origin float32 would not tell points apart
-    if not problem.all_alike:
+    positions -= positions.mean(axis=0)  # float32 could not resolve points far from the origin
+    if not problem.equal_weights:
         problem = replace(problem, targets=np.where(np.isinf(targets), 0, targets))
-    find = SOLVERS[chosen.solver]
-    positions, trace, converged = find(problem, positions, chosen.tolerance, chosen.max_iterations)
+    solve = SOLVERS[chosen.solver]
+    positions, trace, converged = solve(problem, positions, chosen.tolerance, chosen.max_iterations)
     if not converged and chosen.max_iterations:
-        logger.info("SMACOF stopped after %d iterations, still improving", len(trace) - 1)
+        logger.info("stress minimisation did not converge in %d iterations", len(trace) - 1)
     history = np.array(trace)
     positions = positions - positions.mean(axis=0)
     positions.setflags(write=False)
@@ -149,15 +145,15 @@ def smacof(
     )
 
 
-def _known(problem: Problem) -> Reals:
-    """Give the known distances, the others infinite, if they hold everything together."""
+def _connected_targets(problem: Problem) -> Reals:
+    """Return the distances, infinite where unknown; raise unless they connect all points."""
     known = problem.targets.copy()
     known[problem.weights <= 0] = np.inf
     np.fill_diagonal(known, 0)
-    n_pieces = components(known).max() + 1
-    if n_pieces > 1:
+    n_components = components(known).max() + 1
+    if n_components > 1:
         raise InputError(
-            f"the known distances leave {n_pieces} separate pieces: scale each by itself"
+            f"the known distances form {n_components} connected components; scale each separately"
         )
     return known
 
@@ -170,7 +166,7 @@ def _check_weights(weights: ArrayLike | None, targets: Reals) -> Reals:
     else:
         checked = as_symmetric(weights, "weight").astype(targets.dtype, copy=False)
         if checked.shape != targets.shape:
-            raise InputError(f"weights {checked.shape} do not fit distances {targets.shape}")
+            raise InputError(f"weights have shape {checked.shape}; they must be {targets.shape}")
         if (checked < 0).any() or not np.isfinite(checked).all():
             raise InputError("weights must be finite and at least 0")
     np.fill_diagonal(checked, 0)
@@ -183,5 +179,5 @@ def _check_start(start: ArrayLike, n_points: int) -> NDArray[np.float64]:
     if positions.ndim != 2 or len(positions) != n_points or not positions.shape[1]:
         raise InputError(f"the start has shape {positions.shape}; it must be ({n_points}, k)")
     if not np.isfinite(positions).all():
-        raise InputError("the start holds NaN or infinite coordinates")
+        raise InputError("the start has NaN or infinite coordinates")
     return positions
