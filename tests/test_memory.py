@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from anisomap import memory, reconstruct
+from anisomap import reconstruct_from
 from anisomap.errors import InputError
 from anisomap.large.chunked_similarity import CHUNKED
 from anisomap.large.map_reduce import WorkerPool
@@ -15,8 +15,15 @@ from anisomap.numerics.similarity.value_counts import ValueCounts
 
 
 @pytest.fixture
-def small_machine(monkeypatch):
-    monkeypatch.setattr(memory, "physical_memory", lambda: 100_000)
+def machine_with(monkeypatch):
+    """Return a function that sets the physical memory that the operating system reports."""
+    ask = os.sysconf
+
+    def set_memory(n_bytes):
+        answers = {"SC_PAGE_SIZE": 1, "SC_PHYS_PAGES": n_bytes}
+        monkeypatch.setattr(os, "sysconf", lambda name: answers.get(name) or ask(name))
+
+    return set_memory
 
 
 def test_the_memory_of_this_machine_is_known():
@@ -29,8 +36,8 @@ def test_nothing_is_refused_where_memory_is_unknown(monkeypatch):
     check_pair_memory(10**9, refined=True)
 
 
-def test_20000_sensors_fit_into_24_gib_and_100000_do_not(monkeypatch):
-    monkeypatch.setattr(memory, "physical_memory", lambda: 24 << 30)
+def test_20000_sensors_fit_into_24_gib_and_100000_do_not(machine_with):
+    machine_with(24 << 30)
     for refined in (False, True):
         check_pair_memory(20_000, refined=refined)
     with pytest.raises(
@@ -39,22 +46,24 @@ def test_20000_sensors_fit_into_24_gib_and_100000_do_not(monkeypatch):
         check_pair_memory(100_000, refined=False)
 
 
-def test_maps_too_large_for_memory_are_refused(small_machine):
+def test_maps_too_large_for_memory_are_refused(machine_with):
+    machine_with(100_000)
     readings = np.random.default_rng(0).uniform(size=(50, 60))
     with pytest.raises(InputError, match="60 sensors"):
         reconstruct_chunks(readings, "r-anisomap")
     with pytest.raises(InputError, match="60 sensors"):
-        reconstruct(similarity=np.corrcoef(readings.T))
+        reconstruct_from(similarity=np.corrcoef(readings.T))
 
 
-def test_workers_whose_results_exceed_memory_are_refused(monkeypatch):
+def test_workers_whose_results_exceed_memory_are_refused(machine_with):
     readings = np.random.default_rng(0).uniform(size=(50, 60))
-    monkeypatch.setattr(memory, "physical_memory", lambda: 11 * 8 * 60**2)
+    machine_with(11 * 8 * 60**2)
     with pytest.raises(InputError, match=r"5 workers .* 60 sensors .* use fewer workers"):
         reconstruct_chunks(readings, "covariogram", pool=WorkerPool(5))
 
 
-def test_counts_too_large_for_memory_are_refused(small_machine):
+def test_counts_too_large_for_memory_are_refused(machine_with):
+    machine_with(100_000)
     values = ValueCounts.of(np.random.default_rng(0).integers(0, 9, (20_000, 30)))
     prepare = CHUNKED["mutual-information"].prepare
     with pytest.raises(InputError, match="8 bins of 30 sensors"):

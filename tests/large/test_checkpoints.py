@@ -1,4 +1,4 @@
-"""Checkpoints: what was cut off goes on to the same map, and never to that of anything else."""
+"""Interrupted runs resume to the same result, and checkpoints of other data are refused."""
 
 import io
 import subprocess
@@ -44,11 +44,11 @@ map_reduce(slowly, Moments.of, checkpoint=Checkpoint(folder / "counts.npz", "mom
 
 
 class PowerCutError(Exception):
-    """The power is gone."""
+    """Interrupts a run."""
 
 
 def failing(parts, n_chunks, passes=1):
-    """Open chunks of which some are never read, in the pass that is the last."""
+    """Return a function that fails after some chunks of its last pass."""
     opened = []
 
     def chunks():
@@ -71,7 +71,7 @@ def cut_off(file, n_chunks=4, passes=2, **more):
         similarity(failing(PARTS, n_chunks, passes), file, **more)
 
 
-def test_killed_at_any_moment_it_goes_on_to_the_same_to_the_last_bit(tmp_path):
+def test_killed_processes_resume_to_the_same_result(tmp_path):
     np.save(tmp_path / "readings.npy", READINGS)
     file, rng = tmp_path / "counts.npz", np.random.default_rng()
     for _ in range(3):
@@ -92,7 +92,7 @@ def test_killed_at_any_moment_it_goes_on_to_the_same_to_the_last_bit(tmp_path):
     np.testing.assert_array_equal(found.comoment, expected.comoment)
 
 
-def test_no_chunk_that_a_checkpoint_covers_is_processed_again(tmp_path):
+def test_no_processed_chunk_is_processed_again(tmp_path):
     file, processed = tmp_path / "counts.npz", []
 
     def moments(chunk):
@@ -107,7 +107,7 @@ def test_no_chunk_that_a_checkpoint_covers_is_processed_again(tmp_path):
 
 @pytest.mark.parametrize("passes", [1, 2])
 @pytest.mark.parametrize("n_chunks", [1, 4])
-def test_nothing_is_counted_twice(tmp_path, passes, n_chunks):
+def test_interrupted_runs_resume_to_the_same_result(tmp_path, passes, n_chunks):
     file = tmp_path / "counts.npz"
     cut_off(file, n_chunks, passes)
     np.testing.assert_array_equal(similarity(PARTS, file), similarity(PARTS))
@@ -150,14 +150,14 @@ def test_other_readings_are_refused(tmp_path, other):
         {"source": "another.npz"},
     ],
 )
-def test_other_questions_are_refused(tmp_path, other):
+def test_other_methods_and_sources_are_refused(tmp_path, other):
     file = tmp_path / "counts.npz"
     cut_off(file)
     with pytest.raises(FileError, match="something else"):
         similarity(PARTS, file, **other)
 
 
-def test_gaps_settled_otherwise_are_refused(tmp_path):
+def test_other_policies_on_missing_readings_are_refused(tmp_path):
     file, holed = tmp_path / "counts.npz", [part.copy() for part in PARTS]
     holed[0][10:20, 4] = np.nan
     similarity(holed, file, missing="interpolate")
@@ -170,7 +170,7 @@ SMALL = [part[:, :3] for part in np.split(READINGS[:60], 4)]
 
 @pytest.fixture(scope="module")
 def held(tmp_path_factory):
-    """A checkpoint of half of the frames, as bytes, and what is made of all."""
+    """Return a checkpoint of half of the frames, as bytes, and the result of all."""
     file = tmp_path_factory.mktemp("whole") / "counts.npz"
     with pytest.raises(PowerCutError):
         similarity(failing(SMALL, 2, 2), file)
@@ -179,7 +179,7 @@ def held(tmp_path_factory):
 
 @given(data=st.data())
 @settings(max_examples=100, deadline=None)
-def test_damage_is_refused_or_does_not_matter(held, tmp_path_factory, data):
+def test_damaged_files_are_refused_unless_the_damage_is_harmless(held, tmp_path_factory, data):
     content, expected = held
     damaged = bytearray(content)
     at = data.draw(st.integers(0, len(content) - 1))
@@ -195,7 +195,7 @@ def test_damage_is_refused_or_does_not_matter(held, tmp_path_factory, data):
 
 
 def rewritten(content, **changes):
-    """The same archive, whole, but with other arrays in it."""
+    """Return the archive with other arrays."""
     with np.load(io.BytesIO(content)) as archive:
         arrays = dict(archive)
     for name, array in changes.items():
@@ -227,7 +227,7 @@ def rewritten(content, **changes):
     ],
     ids=lambda changes: "-".join(f"{k}={v}" for k, v in changes.items())[:40],
 )
-def test_archives_of_other_things_are_refused(held, tmp_path, changes):
+def test_changed_archives_are_refused(held, tmp_path, changes):
     file = tmp_path / "counts.npz"
     file.write_bytes(rewritten(held[0], **changes))
     with pytest.raises(FileError):
@@ -235,7 +235,7 @@ def test_archives_of_other_things_are_refused(held, tmp_path, changes):
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"no archive at all", b"PK\5\6" + bytes(18)])
-def test_files_of_other_kinds_are_refused(tmp_path, content):
+def test_other_files_are_refused(tmp_path, content):
     file = tmp_path / "counts.npz"
     file.write_bytes(content)
     with pytest.raises(FileError, match="damaged or not a checkpoint"):
@@ -243,7 +243,7 @@ def test_files_of_other_kinds_are_refused(tmp_path, content):
     assert file.read_bytes() == content
 
 
-def test_pickles_are_never_unpacked(tmp_path):
+def test_pickles_are_never_loaded(tmp_path):
     file = tmp_path / "counts.npz"
     with zipfile.ZipFile(file, "w") as archive, archive.open("subject.npy", "w") as member:
         np.lib.format.write_array(member, np.array([print], dtype=object), allow_pickle=True)

@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anisomap.large.chunked_similarity import CHUNKED
-from anisomap.methods import SIMILARITIES, MethodOptions
 from anisomap.numerics.similarity import co_occurrence, joint_values, value_counts
 from anisomap.numerics.similarity.accumulators import StoredCodes
 from anisomap.numerics.similarity.joint_values import JointValues
 from anisomap.numerics.similarity.value_counts import ValueCounts
+from anisomap.stages.pairs import SIMILARITIES
 
-OPTIONS = MethodOptions()
+BINS = 4
 rows = st.lists(st.integers(1, 299), max_size=4, unique=True).map(sorted)
 
 
@@ -32,7 +32,7 @@ def in_chunks(name, parts):
         known = ValueCounts.of(parts[0])
         for part in parts[1:]:
             known = known.merged(ValueCounts.of(part))
-    mapper = recipe.prepare(known, OPTIONS.bins)
+    mapper = recipe.prepare(known, BINS)
     total = mapper(parts[0])
     for part in parts[1:]:
         total = total.merged(mapper(part))
@@ -43,7 +43,7 @@ def in_one_pass(name, parts):
     total = JointValues.of(parts[0])
     for part in parts[1:]:
         total = total.merged(JointValues.of(part))
-    return CHUNKED[name].of_values(total, OPTIONS.bins)
+    return CHUNKED[name].of_values(total, BINS)
 
 
 def test_every_similarity_can_be_computed_in_chunks():
@@ -57,7 +57,7 @@ def test_every_similarity_can_be_computed_in_chunks():
 def test_chunks_give_the_similarity_of_the_whole(name, many, seed, cuts, data):
     readings = readings_of(seed)
     of = "pearson" if name == "blended-correlation" else name
-    expected = SIMILARITIES[of].compute(readings, OPTIONS)
+    expected = SIMILARITIES[of].compute(readings, BINS)
     parts = data.draw(st.permutations(np.split(readings, cuts)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(co_occurrence, "MIN_COMPILED_SENSORS", many)
@@ -77,7 +77,7 @@ def test_codes_of_few_frames_of_many_sensors_are_stored_instead_of_counts():
     total = mapper(readings[:20]).merged(mapper(readings[20:]))
     assert isinstance(total, StoredCodes)
     found = recipe.finish(total)
-    expected = SIMILARITIES["mutual-information"].compute(readings, MethodOptions(bins=8))
+    expected = SIMILARITIES["mutual-information"].compute(readings, 8)
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
@@ -88,7 +88,7 @@ def test_rounding_of_continuous_readings_changes_little(name, monkeypatch):
     readings = common + rng.normal(0, 0.7, size=(4000, 6))
     monkeypatch.setattr(value_counts, "MAX_VALUES", 6 * 500)
     monkeypatch.setattr(joint_values, "MAX_SERIES", 6 * 60)
-    expected = SIMILARITIES[name].compute(readings, OPTIONS)
+    expected = SIMILARITIES[name].compute(readings, BINS)
     parts = np.array_split(readings, 7)
     np.testing.assert_allclose(in_chunks(name, parts), expected, atol=0.01)
     np.testing.assert_allclose(in_one_pass(name, parts), expected, atol=0.1)

@@ -1,4 +1,4 @@
-"""The steps of approximate maps: each by what holds of it, or against the plain way."""
+"""Each step of approximate maps against its properties or a direct computation."""
 
 import numpy as np
 import pytest
@@ -17,13 +17,15 @@ from anisomap.large.landmarks.sensor_graph import (
     adjacency_matrix,
     bridge_components,
     build_graph,
+    component_labels,
     edge_lengths,
 )
 from anisomap.large.landmarks.sketch import compute_sketch
-from anisomap.numerics.compiled import parallel
+from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
+from anisomap.numerics.similarity import search
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 from skins import lattice, rubbed
 
@@ -31,8 +33,8 @@ RNG = np.random.default_rng
 SKIN = np.round(rubbed(lattice(), 600) * 40)
 
 
-def everyone(n_sensors):
-    """List all pairs."""
+def all_pairs(n_sensors):
+    """Indices of all pairs."""
     return np.triu_indices(n_sensors, 1)
 
 
@@ -41,14 +43,14 @@ def sketched(readings, size=256, seed=0):
 
 
 def linked(readings):
-    """Give r of all pairs, and what else one pass tells."""
+    """Return r of all pairs, and the sketch."""
     known = sketched(readings)
-    return correlations([readings], known, everyone(readings.shape[1])), known
+    return correlations([readings], known, all_pairs(readings.shape[1])), known
 
 
 @settings(deadline=None)  # the first call may compile
 @given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 59), max_size=4))
-def test_a_sketch_does_not_depend_on_how_frames_are_cut(seed, cuts):
+def test_a_sketch_does_not_depend_on_the_chunks(seed, cuts):
     rng = np.random.default_rng(seed)
     readings = rng.integers(-3, 4, (60, 5)).astype(float) + rng.normal(0, 100, 5)
     whole = sketched(readings, 16, seed)
@@ -65,17 +67,17 @@ def test_a_sketch_does_not_depend_on_how_frames_are_cut(seed, cuts):
     np.testing.assert_allclose(parts.projections, whole.projections, atol=1e-5)
 
 
-def test_products_of_sketches_are_r_on_average_and_err_as_little_as_they_should():
+def test_products_of_sketches_are_unbiased_with_the_expected_variance():
     size, expected = 64, np.corrcoef(SKIN.T)
     found = np.array([sketched(SKIN, size, seed).projections for seed in range(300)])
     products = found @ found.transpose(0, 2, 1)
     bound = np.sqrt((1 + expected**2) / size)
     np.testing.assert_allclose(products.mean(axis=0), expected, atol=5 * bound.max() / 300**0.5)
-    pairs = everyone(len(expected))
+    pairs = all_pairs(len(expected))
     assert (products.std(axis=0)[pairs] < 1.2 * bound[pairs]).all()
 
 
-def test_contacts_are_counted_on_either_side_of_rest():
+def test_contacts_are_counted_on_both_sides_of_rest():
     touched = np.tile([0, 0, 5, 7, 0, 0, 3, 0, 0, 0], 4)[:, None]
     for side in (1, -1):
         known = sketched(100 + side * touched)
@@ -85,14 +87,12 @@ def test_contacts_are_counted_on_either_side_of_rest():
 
 @pytest.mark.parametrize("count", [1, 5, 30])
 @pytest.mark.parametrize("grouped", [False, True])
-def test_the_most_alike_are_those_with_the_greatest_products(monkeypatch, count, grouped):
+def test_the_most_similar_have_the_greatest_products(count, grouped):
     rows = np.random.default_rng(0).normal(size=(30, 8)).astype(np.float32)
     groups = np.arange(30) // 7 if grouped else np.arange(30)
     products = rows @ rows.T
     products[groups[:, None] == groups] = -np.inf
     expected = np.sort(products, axis=1)[:, ::-1][:, :count]
-    monkeypatch.setattr("anisomap.numerics.similarity.search.ROWS", 4)
-    monkeypatch.setattr("anisomap.numerics.similarity.search.COLUMNS", 9)
     found, values = most_similar(rows, count, groups=groups)
     np.testing.assert_allclose(values, expected, atol=1e-5)
     there = found != NO_SENSOR
@@ -103,6 +103,17 @@ def test_the_most_alike_are_those_with_the_greatest_products(monkeypatch, count,
     np.testing.assert_array_equal(
         most_similar(rows, count, groups=groups, sensors=some)[0], found[some]
     )
+
+
+def test_the_search_finds_the_most_similar_across_blocks():
+    n_sensors = search.COLUMNS + 500
+    rows = np.random.default_rng(0).normal(size=(n_sensors, 8)).astype(np.float32)
+    queries = np.arange(0, n_sensors, 7)
+    assert len(queries) > search.ROWS
+    products = rows[queries] @ rows.T
+    products[np.arange(len(queries)), queries] = -np.inf
+    _, found = most_similar(rows, 3, sensors=queries)
+    np.testing.assert_allclose(found, np.sort(products, axis=1)[:, :-4:-1], atol=1e-5)
 
 
 @settings(deadline=None)  # the first call may compile
@@ -121,13 +132,13 @@ def test_r_of_pairs_is_pearsons(seed, cuts):
     readings = SKIN[:, :12] + 1000 * rng.integers(0, 2, 12)
     readings[:, 3] = 7
     chunks = [part for part in np.split(readings, sorted(cuts)) if len(part)]
-    found = correlations(chunks, sketched(readings), everyone(12))
+    found = correlations(chunks, sketched(readings), all_pairs(12))
     with np.errstate(invalid="ignore"):
         expected = np.nan_to_num(np.corrcoef(readings.T))
-    np.testing.assert_allclose(found.r, expected[everyone(12)], atol=2e-6)
+    np.testing.assert_allclose(found.r, expected[all_pairs(12)], atol=2e-6)
 
 
-def test_a_skin_hangs_together_and_a_broken_wire_does_not_bind_it():
+def test_a_skin_is_connected_and_broken_wires_are_not_linked_to_it():
     rng = np.random.default_rng(0)
     broken = rng.integers(0, 5, (len(SKIN), 3))
     readings = np.hstack([SKIN, broken, np.zeros((len(SKIN), 1))])
@@ -136,7 +147,7 @@ def test_a_skin_hangs_together_and_a_broken_wire_does_not_bind_it():
     assert set(graph.component[42:]) == {1, 2, 3, 4}
 
 
-def test_skins_that_were_touched_apart_are_pieces():
+def test_skins_touched_separately_are_components():
     pause = np.zeros_like(SKIN)
     readings = np.vstack([np.hstack([SKIN, pause]), np.hstack([pause, SKIN])])
     links, known = linked(readings)
@@ -146,7 +157,7 @@ def test_skins_that_were_touched_apart_are_pieces():
     assert (further.r < 0.1).all()
 
 
-def test_rigid_plates_are_joined_by_what_they_have_in_common():
+def test_rigid_plates_are_linked():
     rng = np.random.default_rng(0)
     plates = rubbed(np.arange(6.0)[:, None] * [1, 0], 4000)
     readings = np.repeat(plates, 30, axis=1) + 0.02 * rng.normal(size=(4000, 180))
@@ -158,7 +169,7 @@ def test_rigid_plates_are_joined_by_what_they_have_in_common():
     assert together.component.max() == 0
 
 
-def test_rows_of_paths_are_those_of_the_exact_metric_if_all_pairs_are_edges():
+def test_paths_equal_the_exact_metric_if_all_pairs_are_edges():
     links, _ = linked(SKIN)
     positive = links.select(links.r > 0)
     graph = adjacency_matrix(positive, edge_lengths(links, positive, mu=0.0), 42)
@@ -187,14 +198,14 @@ def test_paths_are_dijkstras(seed, degree):
 
 @settings(deadline=None)  # the first call may compile
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
-def test_triangulation_is_exact_of_distances_between_points(seed, dimensions):
+def test_triangulation_of_euclidean_distances_is_exact(seed, dimensions):
     points = np.random.default_rng(seed).normal(size=(40, dimensions))
     landmarks = points[:12] + 3  # their own frame
     rows = cdist(points, points[:12]).astype(np.float32)
     np.testing.assert_allclose(triangulate(rows, landmarks), points + 3, atol=1e-3)
 
 
-def test_the_stress_of_rows_and_its_gradient():
+def test_the_stress_of_landmark_pairs_and_its_gradient():
     rng = np.random.default_rng(0)
     points, anchors = rng.normal(size=(2, 20)), rng.normal(size=(2, 7))
     points[:, 5] = anchors[:, 3]  # they coincide
@@ -224,7 +235,7 @@ def exact_targets(n_landmarks, noise=0.0):
     return points, Targets(landmarks, rows.astype(np.float32), graph)
 
 
-def test_refining_never_raises_the_stress():
+def test_refinement_never_increases_the_stress():
     points, targets = exact_targets(40, noise=0.2)
     start = points + np.random.default_rng(0).normal(0, 2, points.shape)
     found = refine(targets, start, 1e-7, 300)
@@ -233,13 +244,13 @@ def test_refining_never_raises_the_stress():
     assert stress_of(targets, found.positions)[0] < stress_of(targets, start)[0] / 5
 
 
-def test_refining_finds_points_by_their_distances():
+def test_refinement_recovers_points_from_their_distances():
     points, targets = exact_targets(40)
     found = refine(targets, points + 0.3 * np.sin(9 * points), 1e-12, 1000)
     np.testing.assert_allclose(pdist(found.positions), pdist(points), atol=2e-3)
 
 
-def test_if_all_sensors_are_landmarks_the_map_is_that_of_the_exact_metric():
+def test_with_all_sensors_as_landmarks_the_map_is_exact():
     links, known = linked(SKIN)
     edges = build_graph(links, known, 20).edges
     graph = adjacency_matrix(edges, edge_lengths(links, edges, 1.0), 42)
@@ -254,8 +265,8 @@ def test_if_all_sensors_are_landmarks_the_map_is_that_of_the_exact_metric():
     assert stress == pytest.approx(expected.stress, rel=0.01)
 
 
-def test_a_single_sensor_has_a_place():
-    nothing = SensorPairs(*everyone(1), np.empty(0))
+def test_a_single_sensor_lies_at_the_origin():
+    nothing = SensorPairs(*all_pairs(1), np.empty(0))
     graph = adjacency_matrix(nothing, np.empty(0), 1)
     found = place_component(
         graph, 3, n_landmarks=10, options=SmacofOptions(), rng=np.random.default_rng(0)
@@ -263,20 +274,25 @@ def test_a_single_sensor_has_a_place():
     np.testing.assert_array_equal(found.positions, np.zeros((1, 3)))
 
 
-def test_threads_share_the_work_without_changing_a_bit(monkeypatch):
-    def everything():
-        known = sketched(SKIN)
-        found, _ = most_similar(known.projections, 20)
-        links = correlations([SKIN], known, pairs_of(found))
-        edges = build_graph(links, known, 12).edges
-        graph = adjacency_matrix(edges, edge_lengths(links, edges, 1.0), 42)
-        rng = np.random.default_rng(0)
-        return place_component(graph, 3, n_landmarks=20, options=SmacofOptions(), rng=rng).positions
+def test_the_number_of_threads_does_not_change_a_bit(monkeypatch):
+    readings = np.round(rubbed(lattice(30, 50), 100) * 40)
+    assert readings.shape[1] >= MIN_PARALLEL_ROWS
 
-    alone = everything()
-    monkeypatch.setattr(parallel, "MIN_PARALLEL_ROWS", 1)
-    monkeypatch.setattr(parallel, "thread_count", lambda: 3)
-    np.testing.assert_array_equal(everything(), alone)
+    def positions(n_threads):
+        monkeypatch.setattr("numba.config.NUMBA_NUM_THREADS", n_threads)
+        sketch = sketched(readings)
+        found, _ = most_similar(sketch.projections, 20)
+        pairs = correlations([readings], sketch, pairs_of(found))
+        edges = build_graph(pairs, sketch, 12).edges
+        n_sensors = readings.shape[1]
+        graph = adjacency_matrix(edges, edge_lengths(pairs, edges, 1.0), n_sensors)
+        members = np.flatnonzero(component_labels(edges, n_sensors) == 0)
+        options = SmacofOptions(max_iterations=20)
+        return place_component(
+            graph[members][:, members], 3, n_landmarks=20, options=options, rng=RNG(0)
+        ).positions
+
+    np.testing.assert_array_equal(positions(3), positions(1))
 
 
 @pytest.mark.parametrize(
@@ -294,6 +310,6 @@ def test_options_out_of_range_are_refused(options):
         ApproximateOptions(**options)
 
 
-def test_no_frame_is_no_map():
+def test_recordings_without_frames_are_refused():
     with pytest.raises(InputError, match="no frames"):
         compute_sketch([], 16, np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""Lengths from the heights of contacts: known ground gives known lengths."""
+"""Lengths from contact peaks: simulated ground of known correlation gives known lengths."""
 
 import numpy as np
 import pytest
@@ -11,19 +11,19 @@ from anisomap.numerics.geodesic.contact_peaks import MIN_PEAKS, contact_peaks, p
 PULSE = np.array([0, 1, 3, 6, 3, 1, 0]) / 6
 
 
-def rolled_over(similar: np.ndarray, n_passes: int, seed: int = 0, delay: int = 0) -> np.ndarray:
-    """Contacts over a line of sensors; heights are autoregressive along it.
+def rolled_over(similar: np.ndarray, n_contacts: int, seed: int = 0, delay: int = 0) -> np.ndarray:
+    """Simulate contacts over a line of sensors with autoregressive heights.
 
-    Neighbours i and i + 1 meet heights of correlation ``similar[i]``, `delay` frames later each.
+    The heights of neighbours i and i + 1 have the correlation ``similar[i]``, `delay` frames apart.
     """
     rng = np.random.default_rng(seed)
-    heights = [rng.standard_normal(n_passes)]
+    heights = [rng.standard_normal(n_contacts)]
     for a in similar:
-        heights.append(a * heights[-1] + np.sqrt(1 - a * a) * rng.standard_normal(n_passes))
-    readings = np.zeros((40 * n_passes + 40, len(heights)))
+        heights.append(a * heights[-1] + np.sqrt(1 - a * a) * rng.standard_normal(n_contacts))
+    readings = np.zeros((40 * n_contacts + 40, len(heights)))
     for i, column in enumerate(heights):
         pulses = 5 + column.clip(-4, 4)
-        for n in range(n_passes):
+        for n in range(n_contacts):
             at = 10 + 40 * n + delay * i
             readings[at : at + len(PULSE), i] = pulses[n] * PULSE
     return readings
@@ -33,7 +33,7 @@ def chain(n: int) -> np.ndarray:
     return np.eye(n, k=1, dtype=bool) | np.eye(n, k=-1, dtype=bool)
 
 
-def test_peaks_are_the_highest_frames_of_contacts():
+def test_peaks_are_the_maxima_of_contacts():
     raised = np.array([0.0, 0, 5, 9, 5, 0, 0, 4, 4, 0, 8])
     frames, heights = contact_peaks(raised)
     assert frames.tolist() == [3, 7, 10]
@@ -41,7 +41,7 @@ def test_peaks_are_the_highest_frames_of_contacts():
 
 
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=60))
-def test_peaks_rise_in_time_and_are_readings(values):
+def test_peaks_are_ordered_readings(values):
     raised = np.array(values)
     frames, heights = contact_peaks(raised)
     assert (np.diff(frames) > 1).all()
@@ -49,7 +49,7 @@ def test_peaks_rise_in_time_and_are_readings(values):
 
 
 @pytest.mark.parametrize("delay", [0, 3])
-def test_lengths_of_autoregressive_ground_are_those_of_its_closed_form(delay):
+def test_lengths_of_autoregressive_ground_equal_the_closed_form(delay):
     similar = np.array([0.9, 0.7, 0.4, 0.0])
     found = peak_lengths(rolled_over(similar, 4000, delay=delay), chain(5))
     # Spearman's rho of two normal variables of correlation a is 6 / pi asin(a / 2).
@@ -60,21 +60,21 @@ def test_lengths_of_autoregressive_ground_are_those_of_its_closed_form(delay):
 
 
 @given(st.integers(0, 50))
-def test_units_zeros_and_the_sense_of_sensors_do_not_matter(seed):
+def test_lengths_do_not_depend_on_gain_offset_and_sign(seed):
     readings, rng = rolled_over(np.array([0.8, 0.5]), 30, seed), np.random.default_rng(seed)
     gains = 2.0 ** rng.integers(-5, 6, 3) * rng.choice([-1, 1], 3)
     found = peak_lengths(readings * gains + rng.integers(-9, 9, 3), chain(3))
     np.testing.assert_allclose(found, peak_lengths(readings, chain(3)))
 
 
-def test_relabelling_the_sensors_relabels_their_lengths():
+def test_lengths_are_equivariant_to_labels():
     readings, order = rolled_over(np.array([0.9, 0.5, 0.7]), 60, delay=2), [2, 0, 3, 1]
     found = peak_lengths(readings, chain(4))
     again = peak_lengths(readings[:, order], chain(4)[np.ix_(order, order)])
     np.testing.assert_array_equal(again, found[np.ix_(order, order)])
 
 
-def test_too_few_passes_and_thresholded_readings_tell_nothing():
+def test_few_peaks_and_binary_readings_give_no_lengths():
     few = rolled_over(np.array([0.9]), MIN_PEAKS - 1)
     assert np.isnan(peak_lengths(few, chain(2))).all()
     enough = rolled_over(np.array([0.9]), MIN_PEAKS)
@@ -82,6 +82,6 @@ def test_too_few_passes_and_thresholded_readings_tell_nothing():
     assert np.isnan(peak_lengths(enough > 0, chain(2))).all()
 
 
-def test_neighbours_of_other_sensors_are_refused():
+def test_an_adjacency_of_other_sensors_is_refused():
     with pytest.raises(InputError, match="does not fit"):
         peak_lengths(np.eye(9), chain(4))

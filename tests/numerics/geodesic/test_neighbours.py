@@ -1,4 +1,4 @@
-"""Who is whose neighbour, from readings: graphs that do not depend on labels, units or zeros."""
+"""Neighbour graphs: invariances, known lattices, agreement of halves."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def adjacency_of(*arguments, **options):
 
 
 def smooth_noise(n_frames: int, n_sensors: int, seed: int) -> np.ndarray:
-    """Readings that have no places at all, and still must give a graph."""
+    """Readings without spatial structure, which must still give a connected graph."""
     rng = np.random.default_rng(seed)
     return rng.standard_normal((n_frames, 3)) @ rng.standard_normal(
         (3, n_sensors)
@@ -42,7 +42,7 @@ def test_the_graph_is_symmetric_connected_and_without_loops(n_frames, n_sensors,
 
 
 @given(st.integers(0, 99))
-def test_relabelling_the_sensors_relabels_the_graph(seed):
+def test_the_graph_is_equivariant_to_labels(seed):
     readings, rng = smooth_noise(120, 10, seed), np.random.default_rng(seed)
     positions, order = rng.normal(size=(10, 3)), rng.permutation(10)
     joined = adjacency_of(readings, positions)
@@ -52,13 +52,13 @@ def test_relabelling_the_sensors_relabels_the_graph(seed):
 
 
 @given(st.integers(0, 99))
-def test_units_and_zeros_of_sensors_do_not_matter(seed):
+def test_the_graph_does_not_depend_on_gain_and_offset(seed):
     readings, rng = smooth_noise(120, 8, seed), np.random.default_rng(seed)
     other = readings * rng.uniform(0.1, 10, 8) + rng.normal(size=8)
     np.testing.assert_array_equal(adjacency_of(other), adjacency_of(readings))
 
 
-def test_a_rubbed_lattice_is_joined_as_it_lies():
+def test_a_rubbed_lattice_is_recovered():
     positions = lattice()
     readings = rubbed(positions, 3000)
     near = cdist(positions, positions) < 1.01
@@ -77,11 +77,11 @@ def test_a_link_between_opposites_is_forced(sign, forced):
     assert links.forced_share == forced
 
 
-def test_hardly_a_link_of_a_rubbed_lattice_is_forced():
+def test_few_links_of_a_rubbed_lattice_are_forced():
     assert neighbour_graph(rubbed(lattice(), 2000)).forced_share < 0.02
 
 
-def test_given_similarity_is_that_of_the_readings():
+def test_a_given_similarity_replaces_that_of_the_readings():
     readings = flat_skin().readings
     np.testing.assert_array_equal(
         adjacency_of(readings, similarity=blended_correlation(readings)),
@@ -89,7 +89,7 @@ def test_given_similarity_is_that_of_the_readings():
     )
 
 
-def test_no_edge_has_a_much_stronger_detour_unless_the_tree_needs_it():
+def test_only_edges_of_the_tree_have_much_stronger_detours():
     readings = smooth_noise(400, 14, 3)
     joined = adjacency_of(readings, options=NeighbourOptions(reach=1e9))
     partial = partial_correlation(blended_correlation(readings), 0.1)
@@ -104,7 +104,7 @@ def test_no_edge_has_a_much_stronger_detour_unless_the_tree_needs_it():
 
 
 @given(st.floats(1.1, 20), st.floats(1e-3, 1e3), st.integers(2, 9))
-def test_unevenness_is_the_spread_of_log_distances_in_any_unit(ratio, unit, n):
+def test_unevenness_is_the_sd_of_log_distances_in_any_unit(ratio, unit, n):
     # A comb whose gaps are 1 and ratio by turns.
     x = np.concatenate([[0], np.cumsum(np.tile([1, ratio], n))])[:, None]
     joined = np.eye(len(x), k=1, dtype=bool) | np.eye(len(x), k=-1, dtype=bool)
@@ -113,7 +113,7 @@ def test_unevenness_is_the_spread_of_log_distances_in_any_unit(ratio, unit, n):
     assert unevenness(np.zeros_like(x), joined) == pytest.approx(0, abs=1e-9)
 
 
-def test_halves_of_noise_or_of_too_little_do_not_agree():
+def test_halves_of_noise_or_of_few_frames_do_not_agree():
     noise = np.random.default_rng(0).standard_normal((2000, 30))
     assert split_half_agreement(noise) < 0.3
     assert split_half_agreement(noise[:4]) == 0
@@ -126,12 +126,12 @@ def test_halves_of_noise_or_of_too_little_do_not_agree():
     ("readings", "positions"),
     [(np.ones((2, 5)), None), (np.ones((9, 1)), None), (np.eye(9), np.ones((3, 2)))],
 )
-def test_what_does_not_fit_is_refused(readings, positions):
+def test_mismatched_shapes_are_refused(readings, positions):
     with pytest.raises(InputError, match="shape"):
         adjacency_of(readings, positions)
 
 
 @pytest.mark.parametrize("change", [{"ridge": 0}, {"slack": 0.5}, {"reach": 0}])
-def test_nonsense_options_are_refused(change):
+def test_invalid_options_are_refused(change):
     with pytest.raises(InputError, match=next(iter(change))):
         NeighbourOptions(**change)

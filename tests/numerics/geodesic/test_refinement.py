@@ -1,4 +1,4 @@
-"""Maps from a graph's lengths: exact where these are, and left alone where a map is even."""
+"""Geodesic refinement: exact for exact lengths, and not applied to even maps."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def mantel_r(x, y):
 
 
 def grid(rows=6, columns=7):
-    """A square lattice: unlike a triangular one, it has no way round a step that is drawn long."""
+    """A square lattice, which unlike a triangular one offers no detour around a long link."""
     return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) * 1.0
 
 
@@ -31,7 +31,7 @@ def nearest(positions, reach=1.01):
     return (distances < reach) & (distances > 0)
 
 
-def test_a_straight_chain_comes_out_with_its_lengths():
+def test_a_straight_chain_is_recovered():
     gaps = np.array([1.0, 0.5, 2.0, 1.0, 1.5])
     lengths = np.diag(gaps, k=1) + np.diag(gaps, k=-1)
     found = fit_path_lengths(lengths, 2)
@@ -39,12 +39,12 @@ def test_a_straight_chain_comes_out_with_its_lengths():
     assert mantel_r(found, np.cumsum(np.append(0, gaps))[:, None]) > 0.9999
 
 
-def test_hops_of_a_lattice_give_the_lattice():
+def test_a_lattice_is_recovered_from_its_links():
     positions = lattice()
     assert mantel_r(fit_path_lengths(nearest(positions).astype(float), 2), positions) > 0.98
 
 
-def test_a_guide_that_is_even_is_followed_and_an_uneven_one_is_not():
+def test_an_even_guide_is_followed_and_an_uneven_one_is_ignored():
     positions = grid()
     links = nearest(positions).astype(float)
     alone, squeezed = fit_path_lengths(links, 2), positions * [1, 0.2]
@@ -56,7 +56,7 @@ def test_a_guide_that_is_even_is_followed_and_an_uneven_one_is_not():
 
 
 @given(st.integers(0, 20))
-def test_relabelling_sensors_relabels_what_is_fitted(seed):
+def test_the_fit_is_equivariant_to_labels(seed):
     positions, order = lattice(4, 4), np.random.default_rng(seed).permutation(16)
     links = nearest(positions) * 1.0
     straight = fit_path_lengths(links, guide=positions)
@@ -66,7 +66,7 @@ def test_relabelling_sensors_relabels_what_is_fitted(seed):
 
 
 @given(st.floats(-1.5, 1.5), st.floats(1e-3, 1e3), st.integers(0, 9))
-def test_confirmation_is_the_power_that_lengths_follow_distances_by(power, unit, seed):
+def test_the_slope_is_the_exponent_of_a_power_law(power, unit, seed):
     positions = np.random.default_rng(seed).normal(size=(12, 2))
     links = nearest(positions, 1.5)
     with np.errstate(divide="ignore"):
@@ -76,7 +76,7 @@ def test_confirmation_is_the_power_that_lengths_follow_distances_by(power, unit,
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_even_maps_come_back_to_the_bit(seed):
+def test_even_maps_are_returned_unchanged(seed):
     positions = lattice() @ np.array([[0.8, 0.6], [-0.6, 0.8]])
     found = refine_by_contact_peaks(rubbed(positions, 800, seed=seed), positions)
     assert not found.applied
@@ -84,7 +84,7 @@ def test_even_maps_come_back_to_the_bit(seed):
     assert found.unevenness < 0.5
 
 
-def test_declared_spacing_stretches_a_squeezed_map_and_keeps_its_unit():
+def test_even_spacing_corrects_a_compressed_map_and_keeps_its_unit():
     positions = grid()
     readings = rubbed(positions, 2000)
     squeezed = 30 * positions * [1, 0.2]
@@ -97,7 +97,7 @@ def test_declared_spacing_stretches_a_squeezed_map_and_keeps_its_unit():
     assert after == pytest.approx(before, abs=0.1)
 
 
-def test_where_the_graph_is_not_agreed_on_an_uneven_map_is_left_alone():
+def test_without_agreement_of_halves_an_uneven_map_is_unchanged():
     noise = np.random.default_rng(1).standard_normal((1000, 30))
     places = np.random.default_rng(2).normal(size=(30, 2)) * [1, 0.01]
     for refine in (refine_by_even_spacing, refine_by_contact_peaks):
@@ -107,7 +107,7 @@ def test_where_the_graph_is_not_agreed_on_an_uneven_map_is_left_alone():
         np.testing.assert_array_equal(found.positions, places)
 
 
-def test_thresholded_readings_have_no_heights_and_are_not_taken_for_evenly_spaced():
+def test_binary_readings_have_no_peaks_and_change_nothing():
     positions = grid()
     readings = rubbed(positions, 2000) > 0
     found = refine_by_contact_peaks(readings, positions * [1, 0.05])
@@ -116,11 +116,11 @@ def test_thresholded_readings_have_no_heights_and_are_not_taken_for_evenly_space
 
 
 @pytest.mark.parametrize("change", [{"power": -1}, {"guide_weight": np.nan}, {"max_unevenness": 0}])
-def test_nonsense_options_are_refused(change):
+def test_invalid_options_are_refused(change):
     with pytest.raises(InputError, match=next(iter(change))):
         GeodesicOptions(**change)
 
 
-def test_links_that_do_not_connect_are_refused():
+def test_disconnected_links_are_refused():
     with pytest.raises(InputError, match="separate"):
         fit_path_lengths(np.zeros((4, 4)), 2)
