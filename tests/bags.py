@@ -1,4 +1,4 @@
-"""Bags as robots leave them, written by rosbags: of every kind of tactile message."""
+"""ROS bags with every kind of tactile message, written with rosbags."""
 
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ START = 1_700_000_000 * 10**9
 
 
 class Bag:
-    """A bag in the making: messages of one store of types."""
+    """A bag under construction: messages of one type store."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
@@ -52,12 +52,12 @@ class Bag:
         return self.make("std_msgs/Float64MultiArray", layout=layout, data=values)
 
     def add(self, topic: str, message: Any, frame: int, rate: float = 50.0) -> None:
-        # Received a little later than sent, and not always equally much.
+        # Received 1 to 3 ms after being sent.
         received = START + round(frame / rate * 1e9) + 10**6 * (1 + frame % 3)
         self.messages.append((topic, message, received))
 
     def write(self, path: Path, packed: str = "", **options: Any) -> Path:
-        """Write all messages: a file, or the folder of a bag for ROS 2."""
+        """Write all messages to a file; for ROS 2, the file inside the bag's folder."""
         if self.kind == "bag":
             writer = rosbag1.Writer(path)
             if packed:

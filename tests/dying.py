@@ -1,4 +1,4 @@
-"""Work that shows who does it, or kills them; in a module that other processes can import."""
+"""Tasks for worker processes; in a module so that the processes can import them."""
 
 import os
 import signal
@@ -9,9 +9,11 @@ from threadpoolctl import threadpool_info
 
 from anisomap.numerics.similarity.accumulators import Moments
 
+KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows has only the latter, which is as final
+
 
 class Dying:
-    """Makes moments of chunks; but the first process that is asked to, it kills."""
+    """Computes moments of chunks, but kills the first worker process that runs it."""
 
     def __init__(self, folder: Path) -> None:
         self.mark, self.owner = folder / "dead", os.getpid()
@@ -19,13 +21,13 @@ class Dying:
     def __call__(self, chunk):
         if os.getpid() != self.owner and not self.mark.exists():
             self.mark.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
+            os.kill(os.getpid(), KILL)
         return Moments.of(chunk)
 
 
 @dataclass(frozen=True)
 class ThreadLimits:
-    """How many threads linear algebra may use where chunks are worked on."""
+    """Thread limits of linear algebra in the workers."""
 
     limits: frozenset
 

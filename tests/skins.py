@@ -1,4 +1,4 @@
-"""Small skins whose truth is known, made without a physics engine: fast, and exact to describe."""
+"""Small synthetic skins with known positions, simulated in closed form."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,7 +7,7 @@ from anisomap import Recording
 
 
 def lattice(rows: int = 6, columns: int = 7) -> NDArray[np.float64]:
-    """Positions of a flat triangular lattice with spacing 1, shape (rows * columns, 2)."""
+    """Return a flat triangular lattice with spacing 1, shape (rows * columns, 2)."""
     x, y = np.meshgrid(np.arange(columns, dtype=float), np.arange(rows, dtype=float))
     x[1::2] += 0.5
     return np.column_stack([x.ravel(), y.ravel() * 3**0.5 / 2])
@@ -16,10 +16,10 @@ def lattice(rows: int = 6, columns: int = 7) -> NDArray[np.float64]:
 def rubbed(
     positions: NDArray[np.float64], n_frames: int = 1500, *, seed: int = 0, reach: float = 2.0
 ) -> NDArray[np.float64]:
-    """Readings of sensors over which one contact wanders; zero out of its reach."""
+    """Return readings under one contact that follows a random walk; zero beyond its reach."""
     rng = np.random.default_rng(seed)
     low, high = positions.min(axis=0) - reach / 2, positions.max(axis=0) + reach / 2
-    # Fold a random walk back into the box: the contact keeps moving and visits everything alike.
+    # Reflect the random walk at the sides of the box, so that coverage is uniform.
     walk = np.cumsum(rng.normal(0, 0.6, (n_frames, positions.shape[1])), axis=0)
     touch = low + np.abs(
         (walk + rng.uniform(0, 50, positions.shape[1])) % (2 * (high - low)) - (high - low)
@@ -30,7 +30,7 @@ def rubbed(
 
 
 def flat_skin(*, seed: int = 0, n_frames: int = 1500) -> Recording:
-    """A rubbed flat skin of 42 sensors that knows where they are."""
+    """Return a recording of a rubbed flat skin of 42 sensors, with positions."""
     positions = lattice()
     return Recording(
         rubbed(positions, n_frames, seed=seed), positions=positions, units="mm", rate_hz=50
@@ -38,7 +38,7 @@ def flat_skin(*, seed: int = 0, n_frames: int = 1500) -> Recording:
 
 
 def seeing_patch(*, seed: int = 0, n_frames: int = 1500) -> Recording:
-    """Pixels of a flat patch that sees smooth random images: dense, continuous, all alike."""
+    """Return pixels that see smooth random images: dense, continuous, identically distributed."""
     positions = lattice()
     squares = ((positions[:, None] - positions) ** 2).sum(axis=2)
     smooth = np.linalg.cholesky(np.exp(-squares / 8) + 1e-6 * np.eye(len(positions)))

@@ -29,7 +29,7 @@ def recordings(tmp_path):
 
 
 @pytest.fixture
-def hasty(monkeypatch):
+def small_shares(monkeypatch):
     monkeypatch.setattr(measuring, "MIN_SECONDS", 0)
     monkeypatch.setattr(comparison, "n_cores", lambda: 1)
     monkeypatch.setattr(similarities, "N_PAIRS", 20)
@@ -41,7 +41,7 @@ def rows_of(path):
         return list(csv.DictReader(stream))
 
 
-def test_the_whole_in_miniature(tmp_path, recordings, hasty, capsys):
+def test_all_stages_on_small_skins(tmp_path, recordings, small_shares, capsys):
     folder = tmp_path / "out"
     sizes = ["30", "40"]
     given = ["--recordings", str(recordings), "--sensors", *sizes, "--frames", "400"]
@@ -67,7 +67,7 @@ def test_the_whole_in_miniature(tmp_path, recordings, hasty, capsys):
 
 
 @pytest.mark.slow
-def test_slow_references_do_a_share_of_the_work(tmp_path, hasty, monkeypatch):
+def test_slow_references_do_a_share_of_the_work(tmp_path, small_shares, monkeypatch):
     for module in (similarities, paths, scalings, whole_maps):
         monkeypatch.setattr(module, "MAX_REFERENCE_SENSORS", 30)
     given = ["--sensors", "61", "--frames", "600", "--output", str(tmp_path)]
@@ -85,7 +85,7 @@ def test_slow_references_do_a_share_of_the_work(tmp_path, hasty, monkeypatch):
     assert by_stage["SMACOF, 30 iterations"] == "30 sensors x 4.13"
 
 
-def test_a_wrong_result_is_told_and_fails(tmp_path, hasty, monkeypatch, capsys):
+def test_a_wrong_result_is_reported_and_fails(tmp_path, small_shares, monkeypatch, capsys):
     monkeypatch.setattr(
         similarities, "pearson", lambda readings: 0.5 * similarities.correlation(readings)
     )
@@ -95,7 +95,7 @@ def test_a_wrong_result_is_told_and_fails(tmp_path, hasty, monkeypatch, capsys):
     assert "WRONG: Pearson r" in capsys.readouterr().err
 
 
-def test_in_the_documentation_pictures_lie_among_the_others(tmp_path, hasty):
+def test_figures_of_the_documentation_go_to_its_static_folder(tmp_path, small_shares):
     (tmp_path / "_static").mkdir()
     given = ["--sensors", "40", "--frames", "300", "--stages", "torgerson"]
     assert main([*given, "--output", str(tmp_path)]) == 0
@@ -117,18 +117,19 @@ def row(**known):
     return replace(usual, reference="library", reference_cpu=40.0, same=True, **known)
 
 
-def test_a_goal_missed_stands_out_and_one_reached_does_not():
+def test_only_a_missed_goal_is_marked():
     assert "| **40.0** | 50 (missed) | yes |" in markdown([row(goal=50)], 100)
     assert "| 40.0 | 30 | yes |" in markdown([row(goal=30)], 100)
 
 
-def test_times_that_grow_tell_the_exponent():
+def test_growth_is_reported_as_an_exponent():
     rows = [row(), replace(row(), n_sensors=8000, cpu=4.0, reference_cpu=320.0)]
     assert "| 4,000 | 8,000 | 2.0 | library | 3.0 |" in markdown(rows, 100)
 
 
 @pytest.mark.skipif(
-    not os.access("/proc/self/clear_refs", os.W_OK), reason="only Linux tells and resets the peak"
+    not os.access("/proc/self/clear_refs", os.W_OK),
+    reason="only Linux reports and resets the peak of memory",
 )
 def test_the_memory_of_fifty_megabytes():
     cost, _ = measure(lambda: np.ones(50_000_000, np.uint8).sum())
@@ -160,7 +161,7 @@ def test_a_comparison_is_checked_once_and_gives_a_row_per_reference():
     assert [found.goal for found in small + large] == [None, None, 7, None]
 
 
-def test_paths_a_little_wrong_are_not_the_shortest():
+def test_slightly_longer_paths_are_rejected():
     lengths = flat_skin(60)
     right = paths.metricise(lengths)
     assert paths.are_shortest_paths(right, lengths)
@@ -168,7 +169,7 @@ def test_paths_a_little_wrong_are_not_the_shortest():
     assert not paths.are_shortest_paths(right * (1 + 1e-9), lengths)
 
 
-def test_eigenvectors_are_told_from_others():
+def test_eigenvectors_are_recognised():
     metric = paths.metricise(flat_skin(80))
     assert paths.are_eigenvectors(paths.torgerson(metric, 3), metric)
     assert not paths.are_eigenvectors(paths.torgerson(metric, 3) * 1.01, metric)
@@ -176,14 +177,14 @@ def test_eigenvectors_are_told_from_others():
 
 
 @pytest.mark.parametrize("make", [flat_skin, round_skin])
-def test_skins_are_semi_metrics_that_hold_together(make):
+def test_skins_are_connected_semi_metrics(make):
     lengths = make(50)
     np.testing.assert_array_equal(lengths, lengths.T)
     assert np.isfinite(lengths).all()
     assert (lengths[~np.eye(50, dtype=bool)] > 0).all()
 
 
-def test_torsos_are_joined_and_stroked_at_different_times(recordings):
+def test_tiles_are_connected_and_shifted_in_time(recordings):
     path = recordings / "icub_torso.npz"
     tiled = tiled_torso(path, 100, 300)
     assert tiled.shape == (300, 100)
