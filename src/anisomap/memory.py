@@ -10,7 +10,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.precision import float_type
 
 MATRICES, MATRICES_OF_REFINED = 8, 11
-"""Most (N, N) matrices held at once by methods without and with refinement.
+"""Greatest number of (N, N) matrices held at once by methods without and with refinement.
 
 Peak memory at 20,000 sensors was 7.4 and 10.3 matrices.
 """
@@ -79,9 +79,9 @@ def check_memory(needed: float, purpose: str, remedy: str) -> None:
     needed : float
         Bytes needed.
     purpose : str
-        What needs them: the subject of the message.
+        Subject of the message, such as ``"a map of 9 sensors"``.
     remedy : str
-        What needs less: the end of the message.
+        End of the message, such as ``"use fewer workers"``.
 
     Raises
     ------

@@ -20,7 +20,7 @@ from anisomap.numerics.similarity.value_counts import ValueCounts
 Accumulator: TypeAlias = Moments | CoOccurrences | StoredCodes | ValueCounts
 
 WRITE_INTERVAL = 60.0
-"""Seconds of work that a killed run loses at most, or one chunk if that takes longer."""
+"""Seconds between writes: a killed run loses that much work, or one chunk if it takes longer."""
 
 _KINDS = {kind.__name__: kind for kind in (Moments, CoOccurrences, StoredCodes, ValueCounts)}
 

@@ -22,13 +22,13 @@ from anisomap.numerics.gaps import (
 from anisomap.recording import MissingPolicy, Recording
 
 CHUNK_READINGS = 1 << 23
-"""Default number of readings per chunk; chosen by hand."""
+"""Number of readings per chunk, unless that is fewer than `CHUNK_FRAMES`; chosen by hand."""
 
 CHUNK_FRAMES = 4096
-"""Fewest frames per chunk, since merging pair counts takes longer than counting few frames;"""
+"""Fewest frames per chunk: below, merging results costs more than computing them."""
 
 MAX_CHUNK_READINGS = 1 << 27
-"""bounded by this number of readings. Both chosen by hand."""
+"""Greatest number of readings per chunk, even of many sensors; bounds the memory."""
 
 EXCERPT_READINGS = 1 << 22
 """Number of readings from which sensor health is assessed; chosen by hand."""

@@ -61,9 +61,9 @@ def relax_from(
     """
     tile[:] = np.inf
     stamps = np.zeros((len(tile), 2), np.int64)
-    for place in range(len(sources)):
-        tile[sources[place], place] = 0
-        stamps[sources[place], 0] = 1
+    for column in range(len(sources)):
+        tile[sources[column], column] = 0
+        stamps[sources[column], 0] = 1
     backwards = order[::-1].copy()
     sweep, clock = 0, 1
     while sweep_nodes(tile, order if sweep % 2 == 0 else backwards, edges, stamps, clock):

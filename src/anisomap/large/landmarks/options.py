@@ -13,7 +13,8 @@ from anisomap.errors import InputError
 class ApproximateOptions:
     """Accuracy of an approximate map, and its random seed.
 
-    The defaults were chosen on simulated skins; ``docs/large-recordings.md`` gives the accuracy.
+    The defaults were chosen on simulated skins; ``docs/explanation/large-recordings.md``
+    gives the accuracy.
 
     Parameters
     ----------

@@ -219,9 +219,9 @@ def component_labels(edges: SensorPairs, n_sensors: int) -> NDArray[np.intp]:
 
 def _among_best(links: SensorPairs, n_sensors: int, neighbours: int) -> NDArray[np.bool_]:
     """Return the mask of pairs that are among the best of either sensor."""
-    whose = np.concatenate([links.firsts, links.seconds])
-    order = np.lexsort((-np.tile(links.r, 2), whose))
-    begins = np.searchsorted(whose[order], np.arange(n_sensors))
+    owners = np.concatenate([links.firsts, links.seconds])
+    order = np.lexsort((-np.tile(links.r, 2), owners))
+    begins = np.searchsorted(owners[order], np.arange(n_sensors))
     rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order)) - begins[whose[order]]
+    rank[order] = np.arange(len(order)) - begins[owners[order]]
     return np.asarray((rank < neighbours).reshape(2, -1).any(axis=0))

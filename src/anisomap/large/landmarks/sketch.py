@@ -72,12 +72,12 @@ def compute_sketch(chunks: Iterable[NDArray[Any]], size: int, rng: np.random.Gen
     """
     found: _RunningSketch | None = None
     # Separate streams, so that the result does not depend on how frames are divided into chunks.
-    draw_place, draw_sign = rng.spawn(2)
+    draw_component, draw_sign = rng.spawn(2)
     for chunk in chunks:
         if found is None:
             found = _RunningSketch(chunk[0], size)
-        places = draw_place.integers(size, size=len(chunk))
-        found.add(chunk, places, np.where(draw_sign.random(len(chunk)) < 0.5, -1.0, 1.0))
+        components = draw_component.integers(size, size=len(chunk))
+        found.add(chunk, components, np.where(draw_sign.random(len(chunk)) < 0.5, -1.0, 1.0))
     if found is None:
         raise InputError("the recording has no frames")
     return found.finished()
@@ -99,7 +99,7 @@ class _RunningSketch:
         self.projections = np.zeros((size, n_sensors), dtype=np.float32)
 
     def add(
-        self, chunk: NDArray[Any], places: NDArray[np.int64], signs: NDArray[np.float64]
+        self, chunk: NDArray[Any], components: NDArray[np.int64], signs: NDArray[np.float64]
     ) -> None:
         values = chunk - self.first
         self.n_frames += len(chunk)
@@ -111,13 +111,13 @@ class _RunningSketch:
             self.crossings[side] += beyond[0] & ~self.was_beyond[side]
             self.crossings[side] += np.count_nonzero(beyond[1:] & ~beyond[:-1], axis=0)
             self.was_beyond[side] = beyond[-1]
-        used, rows = np.unique(places, return_inverse=True)
+        used, rows = np.unique(components, return_inverse=True)
         projection = csr_array(
             (signs.astype(np.float32), (rows, np.arange(len(chunk)))),
             shape=(len(used), len(chunk)),
         )
         self.projections[used] += projection @ values.astype(np.float32)
-        self.weights += np.bincount(places, signs, minlength=len(self.weights))
+        self.weights += np.bincount(components, signs, minlength=len(self.weights))
 
     def finished(self) -> Sketch:
         shift = self.sums / self.n_frames
@@ -127,7 +127,7 @@ class _RunningSketch:
             self.n_frames**-0.5, deviation, out=np.zeros_like(deviation), where=varying
         )
         below = self.crossings[1] > self.crossings[0]
-        away = np.where(below, self.beyond[1], self.beyond[0])
+        active = np.where(below, self.beyond[1], self.beyond[0])
         rows = np.ascontiguousarray(self.projections.T)
         rows -= np.outer(shift, self.weights).astype(np.float32)
         rows *= scale[:, None].astype(np.float32)
@@ -137,6 +137,6 @@ class _RunningSketch:
             deviation=deviation,
             varying=varying,
             contacts=self.crossings.max(axis=0),
-            active_frames=np.minimum(away, self.n_frames - away),
+            active_frames=np.minimum(active, self.n_frames - active),
             projections=rows,
         )

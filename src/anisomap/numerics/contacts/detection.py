@@ -90,7 +90,7 @@ def find_contacts(
     ----------
     levels : Levels
     positions : array_like of shape (N, k)
-        A map, of which only the neighbourhoods are used.
+        A map; only its neighbourhoods matter.
     min_sensors : int
         Fewest touched sensors of a contact.
     max_readings : int
@@ -132,7 +132,7 @@ def _detect(
     levels: Levels, nearby: _Neighbourhood, frames: Indices, min_sensors: int
 ) -> Contacts | None:
     smoothed = np.asarray((nearby.smoothing @ levels.values[frames].T).T)
-    # Of sensors of equal height only the outer one is a peak, whatever their order.
+    # Breaks ties between sensors of equal height, independently of their order.
     smoothed = smoothed + 1e-6 * nearby.distances.mean(axis=1) / nearby.distances.mean()
     found = [
         (frame, pressed, resting)

@@ -60,9 +60,9 @@ def evaluate(
 ) -> LocatedContacts:
     """Evaluate the log-likelihoods of contacts at given states, and their derivatives."""
     k = positions.shape[1]
-    apart = positions[contacts.sensors] - states[contacts.contact_index, :k]
-    distances = np.sqrt((apart**2).sum(axis=1) + _MIN_DISTANCE**2)
-    directions = np.column_stack([apart / distances[:, None], np.ones(len(apart))])
+    offsets = positions[contacts.sensors] - states[contacts.contact_index, :k]
+    distances = np.sqrt((offsets**2).sum(axis=1) + _MIN_DISTANCE**2)
+    directions = np.column_stack([offsets / distances[:, None], np.ones(len(offsets))])
     inside = states[contacts.contact_index, k] - distances
     score, slopes, curvatures = level_log_likelihood(contacts.levels, inside, profile)
     deviations = (states[:, k] - profile.reach) / profile.spread
@@ -104,12 +104,12 @@ def locate(
     for _ in range(steps):
         damped = best.precisions.copy()
         damped[:, diagonal, diagonal] *= 1 + damping[:, None]
-        moves = np.linalg.solve(damped, best.pulls[:, :, None])[:, :, 0]
-        tried = evaluate(contacts, positions, best.states + moves, profile)
-        gained = tried.scores - best.scores
-        best = select(contacts, gained > 0, tried, best)
-        damping = np.where(gained > 0, np.maximum(damping / 5, _MIN_DAMPING), damping * 6)
-        if np.abs(gained).max() < _TOLERANCE:
+        shifts = np.linalg.solve(damped, best.pulls[:, :, None])[:, :, 0]
+        candidate = evaluate(contacts, positions, best.states + shifts, profile)
+        gain = candidate.scores - best.scores
+        best = select(contacts, gain > 0, candidate, best)
+        damping = np.where(gain > 0, np.maximum(damping / 5, _MIN_DAMPING), damping * 6)
+        if np.abs(gain).max() < _TOLERANCE:
             break
     return best
 
