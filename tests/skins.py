@@ -1,9 +1,14 @@
 """Small synthetic skins with known positions, simulated in closed form."""
 
+from types import SimpleNamespace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import Recording
+from anisomap.methods import MethodOptions, find_method
+from anisomap.reconstruction import dissimilarities
+from anisomap.stages.pairs import compare
 
 
 def lattice(rows: int = 6, columns: int = 7) -> NDArray[np.float64]:
@@ -44,3 +49,18 @@ def seeing_patch(*, seed: int = 0, n_frames: int = 1500) -> Recording:
     smooth = np.linalg.cholesky(np.exp(-squares / 8) + 1e-6 * np.eye(len(positions)))
     images = np.random.default_rng(seed).normal(size=(n_frames, len(positions))) @ smooth.T
     return Recording(images, positions=positions, units="pixels")
+
+
+def stages(readings, method="covariogram", options=None):
+    """Compute the similarity of pairs, the dissimilarity and the metric of a method."""
+    recipe, chosen = find_method(method), options or MethodOptions()
+    refined = recipe.refine is not None
+    runs = [Recording(readings)]
+    pairs = compare(runs, recipe.similarity, bins=chosen.bins, with_noise=refined)
+    dissimilarity = dissimilarities(pairs, method, chosen)
+    return SimpleNamespace(
+        pairs=pairs,
+        similarity=pairs.similarity,
+        dissimilarity=dissimilarity,
+        metric=recipe.metric(dissimilarity),
+    )

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import anisomap
-from anisomap import Recording, reconstruct
+from anisomap import Recording, confidence, diagnose, reconstruct, reconstruct_from
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.confidence import (
     agreement_of_halves,
@@ -70,24 +70,24 @@ def test_short_recordings_are_trusted_less_and_the_confidence_is_about_right():
             skin = flat_skin(seed=seed, n_frames=n_frames)
             made = reconstruct(skin, dimensions=2)
             r = anisomap.score(made, skin.positions, permutations=0).mantel.r
-            found.append((made.confidence, r))
+            found.append((confidence(made, skin), r))
     assert max(c for c, _ in short) < min(c for c, _ in long)
-    for confidence, r in long:
-        assert confidence > 0.9
-        assert abs(confidence - r) < 0.05
+    for expected, r in long:
+        assert expected > 0.9
+        assert abs(expected - r) < 0.05
 
 
 def test_too_little_evidence_is_said():
     rng = np.random.default_rng(0)
     noisy = flat_skin(n_frames=400).readings + rng.normal(0, 2.5, (400, 42))
-    unparted = MethodOptions(part=False)
+    unparted = MethodOptions(split_unrelated=False)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        made = reconstruct(Recording(noisy), dimensions=2, options=unparted)
+        made = diagnose(reconstruct(noisy, dimensions=2, options=unparted), noisy, options=unparted)
     assert made.notes == tuple(str(w.message) for w in told if w.category is AnisomapWarning)
     assert made.confidence < 0.9
-    assert any("evidence does not suffice" in note for note in made.notes)
-    assert "does not suffice" in confidence_in_words(made.confidence)
+    assert any("insufficient evidence" in note for note in made.notes)
+    assert "insufficient evidence" in confidence_in_words(made.confidence)
 
 
 def test_halves_that_share_nothing_leave_no_confidence():
@@ -101,8 +101,9 @@ def test_a_map_of_noise_is_not_trusted():
     found = []
     for seed in range(4):
         noise = np.random.default_rng(seed).normal(size=(600, 30))
-        made = reconstruct(Recording(noise), dimensions=2, options=MethodOptions(part=False))
-        found.append(made.confidence)
+        unsplit = MethodOptions(split_unrelated=False)
+        made = reconstruct(noise, dimensions=2, options=unsplit)
+        found.append(confidence(made, noise))
     assert max(c for c in found if not math.isnan(c)) < 0.7
 
 
@@ -110,17 +111,23 @@ def test_a_map_of_noise_is_not_trusted():
 def test_what_cannot_be_judged_has_no_confidence():
     skin = flat_skin()
     few = Recording(skin.readings[:, :8])
-    assert math.isnan(reconstruct(few, dimensions=2).confidence)
-    weights = np.ones((42, 42))
-    weights[0, 1] = weights[1, 0] = 0
-    assert math.isnan(reconstruct(skin, dimensions=2, weights=weights).confidence)
+    assert math.isnan(confidence(reconstruct(few, dimensions=2), few))
+    runs = [skin.select(range(30)), skin.select(range(12, 42))]
+    assert math.isnan(confidence(reconstruct(runs, dimensions=2), runs))
 
 
 @quiet
 def test_nobody_is_asked_where_nothing_can_be_told():
     skin = flat_skin(n_frames=300)
-    assert math.isnan(reconstruct(skin, judge=False).confidence)
-    assert math.isnan(reconstruct(skin, "r-anisomap").confidence)
+    assert math.isnan(reconstruct(skin).confidence)
+    assert math.isnan(confidence(reconstruct(skin, "r-anisomap"), skin))
     similarity = np.corrcoef(skin.readings.T)
-    assert math.isnan(reconstruct(similarity=similarity).confidence)
+    assert math.isnan(reconstruct_from(similarity=similarity).confidence)
     assert "unknown" in confidence_in_words(math.nan)
+
+
+def test_diagnosis_is_of_the_sensors_of_the_map():
+    skin = flat_skin(n_frames=300)
+    made = reconstruct(skin, "r-anisomap", 2)
+    with pytest.raises(InputError, match="not of the sensors of the map"):
+        diagnose(made, skin.select(range(40)))

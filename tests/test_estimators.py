@@ -10,8 +10,9 @@ from sklearn.manifold import MDS
 from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from anisomap import Anisomap, SensorMapper, mantel, reconstruct
+from anisomap import Anisomap, Recording, SensorMapper, mantel, reconstruct
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.methods import DEFAULT_METHOD
 from skins import flat_skin, lattice
 
 SKIN = flat_skin()
@@ -32,7 +33,7 @@ def test_scikit_learn_contract(estimator, check):
     check(estimator)
 
 
-@pytest.mark.parametrize("method", ["r-anisomap", "isomap"])
+@pytest.mark.parametrize("method", [DEFAULT_METHOD, "r-anisomap", "isomap"])
 def test_a_mapper_makes_the_map_that_reconstruct_makes(method):
     mapper = SensorMapper(n_components=2, method=method).fit(SKIN.readings)
     expected = reconstruct(SKIN, method, 2)
@@ -42,8 +43,8 @@ def test_a_mapper_makes_the_map_that_reconstruct_makes(method):
 
 def test_frames_may_come_in_parts(monkeypatch):
     monkeypatch.setattr("anisomap.estimators.mapper.SAMPLE_FRAMES", 200)
-    whole = SensorMapper(n_components=2).fit(SKIN.readings)
-    parts = SensorMapper(n_components=2)
+    whole = SensorMapper(n_components=2, method="r-anisomap").fit(SKIN.readings)
+    parts = SensorMapper(n_components=2, method="r-anisomap")
     for part in np.split(SKIN.readings, [7, 400, 401, 1100]):
         # What a map of the first few frames lacks, the last one must have.
         with pytest.MonkeyPatch.context() as patch:
@@ -55,10 +56,22 @@ def test_frames_may_come_in_parts(monkeypatch):
     np.testing.assert_allclose(parts.transform(SKIN.readings), whole.transform(SKIN.readings))
 
 
+def test_mappers_and_reconstruct_have_one_default():
+    assert SensorMapper().method == DEFAULT_METHOD
+    assert reconstruct(Recording(SKIN.readings), dimensions=2).method == DEFAULT_METHOD
+
+
+def test_parts_say_what_the_default_method_cannot_do_with_them():
+    with pytest.warns(AnisomapWarning, match="Pearson's r alone"):
+        parts = SensorMapper(n_components=2).partial_fit(SKIN.readings)
+    assert any("Pearson's r alone" in note for note in parts.map_.notes)
+    assert SensorMapper(n_components=2).fit(SKIN.readings).map_.notes == ()
+
+
 def test_too_many_values_for_parts_are_rounded_and_that_is_told(monkeypatch):
     monkeypatch.setattr("anisomap.numerics.similarity.joint_values.MAX_SERIES", 42 * 50)
     mapper = SensorMapper(n_components=2, method="i-anisomap")
-    with pytest.warns(AnisomapWarning, match="more than 50 different values"):
+    with pytest.warns(AnisomapWarning, match="more than 50 distinct values"):
         mapper.partial_fit(SKIN.readings)
     whole = SensorMapper(n_components=2, method="i-anisomap").fit(SKIN.readings)
     assert mantel(mapper.positions_, whole.positions_, permutations=0).r > 0.98
@@ -90,7 +103,10 @@ def test_missing_readings_are_left_out_of_the_centre():
 
 def test_columns_name_the_sensors():
     frame = pd.DataFrame(SKIN.readings, columns=[f"pad {i}" for i in range(42)])
-    for mapper in (SensorMapper(2).fit(frame), SensorMapper(2).partial_fit(frame)):
+    for mapper in (
+        SensorMapper(2).fit(frame),
+        SensorMapper(2, method="r-anisomap").partial_fit(frame),
+    ):
         assert mapper.map_.names == tuple(frame.columns)
 
 

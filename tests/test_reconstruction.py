@@ -3,24 +3,26 @@
 import contextlib
 import pickle
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from anisomap.refinement import Evidence, Refined, refine_by_contacts
 from benchmarks.inputs import tiled_places, tiled_torso
 
 import anisomap
-from anisomap import Recording, reconstruct, score
+from anisomap import Recording, diagnose, reconstruct, reconstruct_from, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
-from anisomap.methods import METHODS, PAPER_METHODS, SIMILARITIES, MethodOptions, compute_stages
+from anisomap.methods import METHODS, PAPER_METHODS, MethodOptions
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.placement import median_spacing
-from skins import flat_skin, lattice, rubbed, seeing_patch
+from anisomap.stages.pairs import SIMILARITIES, PairStatistics
+from anisomap.stages.refinement import Refined, RefinementFacts, refine_by_contacts
+from skins import flat_skin, lattice, rubbed, seeing_patch, stages
 
 QUICK = MethodOptions(contacts=ContactOptions(max_readings=6000))
 
@@ -96,43 +98,69 @@ def test_every_stage_can_be_entered_with_something_precomputed(method):
     skin = flat_skin()
     # Contacts are in readings only: without them, the map is that which they would refine.
     whole = reconstruct(skin, "covariogram" if method == "contact-fit" else method, 2)
-    stages = compute_stages(skin.readings, method)
+    known = stages(skin.readings, method)
     refined = METHODS[method].refine is not None
     for stage in ("similarity", "dissimilarity", "metric"):
-        given = {stage: getattr(stages, stage)}
-        if stage == "similarity":
-            given["noise"] = stages.evidence.noise
-        for recording in (skin, None):
-            with warnings.catch_warnings(record=True) as told:
-                warnings.simplefilter("always")
-                entered = reconstruct(recording, method, 2, **given)
-            assert entered.provenance["precomputed"] == stage
-            only_started = refined and stage != "similarity"
-            assert any("this map is its start" in str(w.message) for w in told) == only_started
-            assert any("contacts did not refine the map" in str(w.message) for w in told) == (
-                method == "contact-fit" and stage == "similarity"
-            )
-            if not only_started:
-                np.testing.assert_allclose(entered.positions, whole.positions, atol=1e-9)
+        given = {stage: getattr(known, stage)}
+        if stage == "similarity" and refined:
+            given["noise"] = known.pairs.noise
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            entered = reconstruct_from(method=method, dimensions=2, **given)
+        assert entered.provenance["precomputed"] == stage
+        only_started = refined and stage != "similarity"
+        assert any("unrefined scaling" in str(w.message) for w in told) == only_started
+        assert any("contacts did not refine the map" in str(w.message) for w in told) == (
+            method == "contact-fit" and stage == "similarity"
+        )
+        if not only_started:
+            np.testing.assert_allclose(entered.positions, whole.positions, atol=1e-9)
+
+
+def test_exactly_one_stage_is_given():
+    with pytest.raises(InputError, match="exactly one of similarity, dissimilarity, metric"):
+        reconstruct_from()
+    with pytest.raises(InputError, match="got similarity, metric"):
+        reconstruct_from(similarity=np.eye(5), metric=np.eye(5))
+
+
+def test_arrays_and_lists_of_frames_are_recordings():
+    skin = flat_skin()
+    expected = reconstruct(skin, dimensions=2).positions
+    for readings in (skin.readings, np.asfortranarray(skin.readings), skin.readings.tolist()):
+        np.testing.assert_array_equal(reconstruct(readings, dimensions=2).positions, expected)
+
+
+@pytest.mark.parametrize("nonsense", [None, "skin.csv", 3, np.zeros(7), np.zeros((2, 2, 2)), {}])
+def test_what_is_no_recording_is_refused(nonsense):
+    with pytest.raises(InputError, match=r"shape \(T, N\) \(frames x sensors\)"):
+        reconstruct(nonsense)
 
 
 def test_a_start_is_where_scaling_sets_out_from():
     skin = flat_skin()
     stay = MethodOptions(smacof=SmacofOptions(max_iterations=0))
     with pytest.warns(AnisomapWarning, match="converged"):
-        started = reconstruct(skin, "r-anisomap", 2, start=lattice(), options=stay)
+        started = reconstruct_from(
+            metric=stages(skin.readings, "r-anisomap").metric,
+            method="r-anisomap",
+            dimensions=2,
+            start=lattice(),
+            options=stay,
+        )
     np.testing.assert_allclose(started.positions, lattice() - lattice().mean(axis=0))
 
 
 def test_weights_of_zero_are_not_looked_at():
     skin = flat_skin()
-    metric = np.array(compute_stages(skin.readings, "r-anisomap").metric)
-    truth = reconstruct(None, "r-anisomap", metric=metric, dimensions=2)
+    metric = np.array(stages(skin.readings, "r-anisomap").metric)
+    how = {"method": "r-anisomap", "dimensions": 2}
+    truth = reconstruct_from(metric=metric, **how)
     wrong, weights = metric.copy(), np.ones_like(metric)
     wrong[0, 30] = wrong[30, 0] = 1e3
     weights[0, 30] = weights[30, 0] = 0
-    spared = reconstruct(None, "r-anisomap", metric=wrong, weights=weights, dimensions=2)
-    misled = reconstruct(None, "r-anisomap", metric=wrong, dimensions=2)
+    spared = reconstruct_from(metric=wrong, weights=weights, **how)
+    misled = reconstruct_from(metric=wrong, **how)
     close = anisomap.mantel(spared, truth, permutations=0).r
     assert close > 0.999
     assert anisomap.mantel(misled, truth, permutations=0).r < close
@@ -141,7 +169,7 @@ def test_weights_of_zero_are_not_looked_at():
 def test_a_map_says_how_many_contacts_it_rests_on():
     skin = flat_skin()
     refined = reconstruct(skin, "contact-fit", 2)
-    assert refined.provenance["contacts"] > 100
+    assert refined.provenance["n_contacts"] > 100
     assert refined.notes == ()
     assert mantel_r(refined, skin) > mantel_r(reconstruct(skin, "covariogram", 2), skin)
 
@@ -151,28 +179,29 @@ def test_where_contacts_cannot_be_told_the_covariogram_map_stays_and_a_note_says
     with pytest.warns(AnisomapWarning, match="contacts did not refine the map") as told:
         found = reconstruct(skin, "contact-fit", 2)
     assert found.notes == tuple(str(warning.message) for warning in told)
-    assert found.provenance["contacts"] == 0
+    assert found.provenance["n_contacts"] == 0
     np.testing.assert_array_equal(found.positions, reconstruct(skin, "covariogram", 2).positions)
 
 
-@pytest.mark.parametrize("fact", ["passes", "uneven", "even_spacing"])
+@pytest.mark.parametrize("fact", ["contact_peaks", "uneven", "even_spacing"])
 def test_compact_contacts_do_not_bend_a_map_whose_contacts_are_long(fact):
     skin = flat_skin()
     alike = np.eye(42)
-    evidence = Evidence(alike, alike, alike == 0, skin.readings)
-    mapped = Refined(np.asarray(skin.positions), {fact: True}, ("a note",))
-    kept = refine_by_contacts(evidence, mapped)
+    pairs = PairStatistics.from_similarity(alike, noise=0.01, readings=skin.readings)
+    facts = RefinementFacts(**{fact: True})
+    mapped = Refined(np.asarray(skin.positions), facts, ("a note",))
+    kept = refine_by_contacts(pairs, mapped)
     np.testing.assert_array_equal(kept.positions, skin.positions)
-    assert kept.facts == {fact: True, "contacts": 0}
+    assert kept.facts == replace(facts, n_contacts=0)
     assert kept.notes[0] == "a note"
-    assert "contacts here are long" in kept.notes[1]
+    assert "contacts are elongated" in kept.notes[1]
 
 
 def test_dead_sensors_are_left_out_and_listed():
     readings = np.array(flat_skin().readings)
     readings[:, [4, 17]] = [0, 3]
     with pytest.warns(AnisomapWarning, match="never vary .*: s4, s17"):
-        sensor_map = reconstruct(Recording(readings), dimensions=2)
+        sensor_map = diagnose(reconstruct(readings, dimensions=2), readings)
     np.testing.assert_array_equal(np.flatnonzero(~sensor_map.placed), [4, 17])
     assert np.isnan(sensor_map.positions[[4, 17]]).all()
     assert (sensor_map.health[4], sensor_map.health[17]) == ("dead", "stuck")
@@ -181,10 +210,13 @@ def test_dead_sensors_are_left_out_and_listed():
 
 def test_excluded_sensors_stay_and_dropped_ones_go():
     skin = flat_skin()
-    excluded = reconstruct(skin, dimensions=2, exclude=["s3", 5])
-    np.testing.assert_array_equal(np.flatnonzero(excluded.excluded), [3, 5])
-    np.testing.assert_array_equal(excluded.positions, reconstruct(skin, dimensions=2).positions)
-    assert score(excluded, skin.positions, permutations=0).mantel.n_sensors == 40
+    scored = score(
+        reconstruct(skin, dimensions=2), skin.positions, exclude=["s3", 5], permutations=0
+    )
+    np.testing.assert_array_equal(scored.excluded, [3, 5])
+    assert scored.mantel.n_sensors == 40
+    with pytest.raises(InputError, match="no sensor 'nobody'"):
+        score(reconstruct(skin, dimensions=2), skin.positions, exclude=["nobody"])
     dropped = reconstruct(skin, dimensions=2, drop=["s3", 5])
     without = reconstruct(skin.select(np.setdiff1d(np.arange(42), [3, 5])), dimensions=2)
     np.testing.assert_allclose(dropped.positions[dropped.placed], without.positions, atol=1e-9)
@@ -200,7 +232,7 @@ def two_skins():
 
 def test_without_regularisation_separate_pieces_are_separate_maps():
     skin = two_skins()
-    with pytest.warns(AnisomapWarning, match="2 separate pieces"):
+    with pytest.warns(AnisomapWarning, match="2 separate components"):
         sensor_map = reconstruct(skin, "r-anisomap", 2, options=MethodOptions(mu=0))
     np.testing.assert_array_equal(sensor_map.component, [0] * 20 + [1] * 12)
     for piece, truth in zip(sensor_map.split(), (lattice(4, 5), lattice(3, 4)), strict=True):
@@ -208,12 +240,12 @@ def test_without_regularisation_separate_pieces_are_separate_maps():
         np.testing.assert_allclose(piece.positions.mean(axis=0), 0, atol=1e-9)
     found = score(sensor_map, skin.positions, permutations=0)
     assert found.mantel.n_sensors == 20
-    assert "12 of 32 sensors lie in separate pieces of the map" in found.notes
+    assert "12 of 32 sensors are outside the largest component" in found.notes
 
 
 def test_skins_that_were_touched_independently_are_separate_maps():
     first, second = (flat_skin(seed=seed).readings for seed in (0, 1))
-    with pytest.warns(AnisomapWarning, match="2 separate pieces"):
+    with pytest.warns(AnisomapWarning, match="2 separate components"):
         sensor_map = reconstruct(Recording(np.hstack([first, second[:, :30]])), dimensions=2)
     np.testing.assert_array_equal(sensor_map.component, [0] * 42 + [1] * 30)
     for piece, places in zip(sensor_map.split(), (lattice(), lattice()[:30]), strict=True):
@@ -228,9 +260,17 @@ def test_many_unknown_pairs_are_bridged(known):
         weights = np.random.default_rng(seed).uniform(size=(42, 42)) < 1 - np.sqrt(1 - known)
         weights = (weights | weights.T).astype(float)
         for method, scores in found.items():
+            pairs = stages(skin.readings, method).pairs
+            noise = {"noise": pairs.noise} if method == "covariogram" else {}
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", AnisomapWarning)
-                made = reconstruct(skin, method, 2, weights=weights)
+                made = reconstruct_from(
+                    similarity=pairs.similarity,
+                    method=method,
+                    dimensions=2,
+                    weights=weights,
+                    **noise,
+                )
             scores.append(mantel_r(made, skin))
     assert np.mean(found["covariogram"]) > np.mean(found["r-anisomap"]) - 0.01
 
@@ -241,7 +281,7 @@ def test_pieces_come_in_one_unit():
         both = Recording(np.hstack([skin.readings, patch.readings[:, :size]]))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AnisomapWarning)
-            made = reconstruct(both, dimensions=2, judge=False)
+            made = reconstruct(both, dimensions=2)
         spacings = [median_spacing(piece) for piece in made.split() if piece.n_sensors > 3]
         assert max(spacings) < 2 * min(spacings)
 
@@ -249,14 +289,14 @@ def test_pieces_come_in_one_unit():
 @pytest.mark.parametrize("similarity", [np.full((10, 10), 2.0), 5 * np.eye(10) + 1])
 def test_the_covariogram_is_of_correlations(similarity):
     with pytest.raises(InputError, match="from -1 to 1"):
-        reconstruct(similarity=similarity)
+        reconstruct_from(similarity=similarity)
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"noise": np.ones((3, 3))}, r"noise has shape \(3, 3\)"),
-        ({"noise": 0.01}, "noise has shape"),
+        ({"noise": np.ones((3, 3))}, r"noise must be of shape \(42, 42\), got \(3, 3\)"),
+        ({"noise": 0.01}, "noise must be of shape"),
         ({"noise": np.zeros((42, 42))}, "above 0"),
         ({"noise": np.full((42, 42), np.inf)}, "finite"),
         ({"weights": np.triu(np.ones((42, 42)))}, "weight matrix is not symmetric"),
@@ -267,14 +307,14 @@ def test_the_covariogram_is_of_correlations(similarity):
 def test_nonsense_beside_a_similarity_is_named(given, message):
     similarity = np.corrcoef(flat_skin().readings.T)
     with pytest.raises(InputError, match=message):
-        reconstruct(similarity=similarity, **given)
+        reconstruct_from(similarity=similarity, **given)
 
 
 @pytest.mark.parametrize("unit", [1e-200, 1e-165, 1e152, 1e200])
 def test_no_unit_of_readings_is_too_large_or_small(unit):
     skin = flat_skin(n_frames=600)
     usual, extreme = (
-        reconstruct(Recording(readings), dimensions=2, judge=False)
+        reconstruct(Recording(readings), dimensions=2)
         for readings in (skin.readings, skin.readings * unit)
     )
     assert anisomap.mantel(usual, extreme, permutations=0).r > 0.999
@@ -282,15 +322,16 @@ def test_no_unit_of_readings_is_too_large_or_small(unit):
 
 def test_what_was_changed_of_the_fit_is_in_the_provenance():
     options = MethodOptions(covariogram=CovariogramOptions(repulsion=0.2))
-    made = reconstruct(flat_skin(), dimensions=2, options=options, judge=False)
+    made = reconstruct(flat_skin(), dimensions=2, options=options)
     assert made.provenance["covariogram_repulsion"] == 0.2
-    usual = reconstruct(flat_skin(), dimensions=2, judge=False)
+    usual = reconstruct(flat_skin(), dimensions=2)
     assert not any(key.startswith("covariogram_") for key in usual.provenance)
 
 
 def test_short_recordings_are_doubted():
+    skin = flat_skin(n_frames=300)
     with pytest.warns(AnisomapWarning) as caught:
-        sensor_map = reconstruct(flat_skin(n_frames=300), dimensions=2)
+        sensor_map = diagnose(reconstruct(skin, dimensions=2), skin)
     assert sensor_map.notes == tuple(str(warning.message) for warning in caught)
     assert any("only 300 frames" in note for note in sensor_map.notes)
 
@@ -299,14 +340,15 @@ def test_a_sensor_related_to_no_other_is_doubted():
     readings = np.array(flat_skin().readings)
     readings[:, 8] = np.random.default_rng(0).uniform(size=len(readings)) < 0.02
     with pytest.warns(AnisomapWarning, match="s8"):
-        sensor_map = reconstruct(Recording(readings), dimensions=2)
+        sensor_map = diagnose(reconstruct(readings, dimensions=2), readings)
     assert sensor_map.health[8] != "ok"
 
 
 def test_a_good_recording_is_not_doubted():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert reconstruct(flat_skin(), dimensions=2).notes == ()
+        skin = flat_skin()
+        assert diagnose(reconstruct(skin, dimensions=2), skin).notes == ()
 
 
 def test_a_map_survives_being_sent_to_another_process():
@@ -322,17 +364,13 @@ UNTOUCHED = Recording(-np.eye(50)[:, :4])
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"recording": Recording(np.zeros((9, 5)))}, "only 0 of 5 sensors take part"),
-        ({"recording": Recording(np.eye(9)[:, :2])}, "only 2 of 2 sensors take part"),
+        ({"recording": Recording(np.zeros((9, 5)))}, "got 0 of 5"),
+        ({"recording": Recording(np.eye(9)[:, :2])}, "got 2 of 2"),
         ({"recording": UNTOUCHED}, "no 3 sensors are related"),
         ({"method": "pca"}, "choose from covariogram"),
-        ({"dimensions": 0}, "0 dimensions"),
-        ({"exclude": ["nobody"]}, "no sensor 'nobody'"),
-        ({"similarity": np.eye(3)}, r"shape \(3, 3\)"),
-        ({"start": np.zeros((42, 2))}, r"\(42, 3\)"),
-        ({"weights": np.zeros((2, 2))}, r"\(42, 42\)"),
-        ({"recording": None}, "nothing to map"),
-        ({"recording": Recording(np.full((9, 5), np.nan))}, "only 0 of 5"),
+        ({"dimensions": 0}, "dimensions must be at least 1, got 0"),
+        ({"drop": ["nobody"]}, "no sensor 'nobody'"),
+        ({"recording": Recording(np.full((9, 5), np.nan))}, "got 0 of 5"),
         ({"options": MethodOptions(bins=1), "method": "isomap"}, "1 bins"),
         ({"options": MethodOptions(n_neighbours=0), "method": "isomap"}, "0 neighbours"),
     ],
@@ -340,6 +378,21 @@ UNTOUCHED = Recording(-np.eye(50)[:, :4])
 def test_what_cannot_be_mapped_is_refused_in_words(arguments, message):
     with pytest.raises(InputError, match=message):
         reconstruct(**{"recording": flat_skin(), **arguments})
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"similarity": np.zeros((3, 4))}, r"must be of shape \(N, N\), got \(3, 4\)"),
+        ({"similarity": np.eye(9), "start": np.zeros((9, 2))}, r"\(9, 3\), got \(9, 2\)"),
+        ({"metric": 1 - np.eye(9), "weights": np.zeros((2, 2))}, r"\(9, 9\), got \(2, 2\)"),
+        ({"dissimilarity": -np.ones((9, 9))}, "dissimilarity"),
+        ({"metric": 1 - np.eye(9), "names": ["a"]}, "9 sensors need 9 names, got 1"),
+    ],
+)
+def test_precomputed_stages_that_do_not_fit_are_refused(given, message):
+    with pytest.raises(InputError, match=message):
+        reconstruct_from(**given)
 
 
 def test_missing_readings_have_to_be_settled_first():
@@ -387,7 +440,7 @@ def test_the_rivals_fall_behind_on_real_skins(recordings_folder, name, dimension
 def test_thresholded_skins_have_two_bins_however_many_are_asked_for(recordings_folder, name):
     recording = anisomap.read(recordings_folder / f"{name}.npz")
     few, many = (
-        compute_stages(recording.readings, "i-anisomap", MethodOptions(bins=bins)).similarity
+        stages(recording.readings, "i-anisomap", MethodOptions(bins=bins)).similarity
         for bins in (2, 8)
     )
     assert few.max() > 0.1
@@ -397,9 +450,7 @@ def test_thresholded_skins_have_two_bins_however_many_are_asked_for(recordings_f
 def test_bins_of_continuous_readings_are_all_used(recordings_folder):
     recording = anisomap.read(recordings_folder / "plantar.npz")
     for bins in (4, 6, 8):
-        information = compute_stages(
-            recording.readings, "i-anisomap", MethodOptions(bins=bins)
-        ).similarity
+        information = stages(recording.readings, "i-anisomap", MethodOptions(bins=bins)).similarity
         entropy = np.diag(information)
         assert entropy.max() > 0.9 * np.log(bins)
         assert (entropy <= np.log(bins) + 1e-12).all()
@@ -413,7 +464,7 @@ def test_copies_of_a_real_skin_side_by_side_are_one_large_skin(recordings_folder
     skin = recordings_folder / "icub_torso.npz"
     truth = tiled_places(skin, 1300, 28_000)
     readings = tiled_torso(skin, 1300, 28_000)
-    found = reconstruct(
+    found = reconstruct_from(
         dimensions=2, similarity=pearson(readings), noise=sampling_variance(readings)
     )
     assert mantel(found.positions, truth, permutations=0).r > 0.985
@@ -424,19 +475,20 @@ def test_copies_of_a_real_skin_side_by_side_are_one_large_skin(recordings_folder
 def test_what_stands_at_unknown_pairs_does_not_matter(method, nonsense):
     skin = flat_skin()
     how = "i-anisomap" if method == "isomap" else "r-anisomap"
-    similarity = np.array(compute_stages(skin.readings, how).similarity)
+    similarity = np.array(stages(skin.readings, how).similarity)
     rng = np.random.default_rng(0)
     unknown = np.triu(rng.uniform(size=similarity.shape) < 0.1, 1)
     unknown |= unknown.T
     maps = []
     for value in (0.0, nonsense):
         given = np.where(unknown, value, similarity)
-        maps.append(reconstruct(None, method, 2, similarity=given, weights=~unknown).positions)
+        made = reconstruct_from(similarity=given, method=method, dimensions=2, weights=~unknown)
+        maps.append(made.positions)
     np.testing.assert_array_equal(*maps)
     assert mantel(maps[0], skin.positions, permutations=0).r > (0.6 if method == "isomap" else 0.95)
 
 
 @pytest.mark.parametrize("matrix", [[["a", "b"], ["c", "d"]], [[1, 2], [3]], np.eye(3) * 1j])
 def test_what_is_no_matrix_is_refused(matrix):
-    with pytest.raises(InputError, match="no matrix of real numbers"):
-        reconstruct(similarity=matrix)
+    with pytest.raises(InputError, match="must be a real matrix"):
+        reconstruct_from(similarity=matrix)

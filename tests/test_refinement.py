@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from anisomap.refinement import refine_by_covariogram
 
 import anisomap
-from anisomap import MethodOptions, Recording, reconstruct, reconstruct_runs, score
+from anisomap import MethodOptions, Recording, confidence, reconstruct, reconstruct_from, score
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.methods import METHODS, compute_stages
+from anisomap.methods import METHODS
 from anisomap.numerics.scaling.stress_minimisation import smacof
-from skins import flat_skin, seeing_patch
+from anisomap.stages.refinement import RefinementFacts, refine_by_covariogram
+from skins import flat_skin, seeing_patch, stages
 
 EVEN = MethodOptions(even_spacing=True)
 UNTRUSTED = "do not trust the map's scale along one direction"
@@ -45,13 +45,13 @@ def test_a_rolling_cylinder_keeps_its_length(seed, rolling):
     plain = mapped(recording)
     assert mantel_r(plain, recording) > 0.9 > mantel_r(reconstruct(recording, "r-anisomap"),
                                                       recording) + 0.3  # fmt: skip
-    assert plain.provenance["passes"] is True
-    assert any("heights of the contacts" in note for note in plain.notes)
+    assert plain.provenance["contact_peaks"] is True
+    assert any("peak heights of contacts" in note for note in plain.notes)
 
     declared = mapped(recording, options=EVEN)
     assert mantel_r(declared, recording) > 0.97
     assert declared.provenance["even_spacing"] is True
-    assert "passes" not in declared.provenance
+    assert "contact_peaks" not in declared.provenance
     assert any("declared, not measured" in note for note in declared.notes)
 
 
@@ -64,23 +64,23 @@ def test_units_of_readings_do_not_matter_to_passes(rolling):
 def test_without_heights_the_map_is_told_to_be_squeezed(rolling):
     touched = replace(rolling, readings=(rolling.readings > 0).astype(np.uint8))
     found = mapped(touched)
-    assert "passes" not in found.provenance
+    assert "contact_peaks" not in found.provenance
     assert any(UNTRUSTED in note for note in found.notes)
 
 
 def left_alone(readings, dimensions):
     """Tell whether the covariogram's places are the same with readings as without."""
-    stages = compute_stages(readings)
-    start = smacof(stages.metric, dimensions=dimensions).positions
+    known = stages(readings)
+    start = smacof(known.metric, dimensions=dimensions).positions
     with_readings, without = (
-        refine_by_covariogram(evidence, stages.metric, start)
-        for evidence in (stages.evidence, replace(stages.evidence, readings=None))
+        refine_by_covariogram(pairs, known.metric, start)
+        for pairs in (known.pairs, replace(known.pairs, readings=None))
     )
-    assert stages.evidence.readings is not None
+    assert known.pairs.readings is not None
     return (
         with_readings.positions.tobytes() == without.positions.tobytes()
         and not with_readings.notes
-        and not with_readings.facts
+        and with_readings.facts == RefinementFacts()
     )
 
 
@@ -104,7 +104,7 @@ def test_skins_that_touch_themselves_are_uneven_but_passes_confirm_them(seed):
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     touched = anisomap.simulate("plane", "self-touch", n_frames=2000, seed=seed)
     found = mapped(touched)
-    assert "passes" not in found.provenance
+    assert "contact_peaks" not in found.provenance
     assert any(UNTRUSTED in note for note in found.notes)
     assert mantel_r(found, touched) > 0.85
 
@@ -126,15 +126,11 @@ def test_methods_that_make_no_use_of_even_spacing_refuse_it(method):
 
 def test_even_spacing_needs_readings_of_all_sensors():
     skin = flat_skin()
-    similarity = compute_stages(skin.readings).similarity
-    unknown = np.ones((42, 42))
-    unknown[3, 7] = unknown[7, 3] = 0
+    similarity = stages(skin.readings).similarity
     runs = [skin.select(range(30)), skin.select(range(12, 42))]
     for call in (
-        lambda: reconstruct(skin, dimensions=2, similarity=similarity, options=EVEN),
-        lambda: reconstruct(dimensions=2, similarity=similarity, options=EVEN),
-        lambda: reconstruct(skin, dimensions=2, weights=unknown, options=EVEN),
-        lambda: reconstruct_runs(runs, dimensions=2, options=EVEN),
+        lambda: reconstruct_from(dimensions=2, similarity=similarity, options=EVEN),
+        lambda: reconstruct(runs, dimensions=2, options=EVEN),
     ):
         with pytest.raises(InputError, match="readings of all sensors"):
             call()
@@ -144,7 +140,7 @@ def test_runs_that_have_all_sensors_can_be_declared_even():
     skin = flat_skin()
     runs = [replace(skin, readings=part) for part in np.split(skin.readings, [600])]
     with pytest.warns(AnisomapWarning, match="declared, not measured"):
-        found = reconstruct_runs(runs, dimensions=2, options=EVEN)
+        found = reconstruct(runs, dimensions=2, options=EVEN)
     np.testing.assert_allclose(
         found.positions, mapped(skin, dimensions=2, options=EVEN).positions, atol=1e-9
     )
@@ -162,5 +158,5 @@ def test_spacing_that_was_declared_in_vain_is_told(n_frames, n_sensors):
 
 def test_what_is_squeezed_has_no_confidence(rolling):
     touched = replace(rolling, readings=(rolling.readings > 0).astype(np.uint8))
-    assert np.isnan(mapped(touched).confidence)
-    assert mapped(rolling).confidence > 0.9
+    assert np.isnan(confidence(mapped(touched), touched))
+    assert confidence(mapped(rolling), rolling) > 0.9

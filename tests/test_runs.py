@@ -6,12 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from anisomap import Recording, join_runs, reconstruct, reconstruct_runs, score
+from anisomap import Recording, join_runs, reconstruct, reconstruct_from, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import assess
 from anisomap.methods import METHODS, MethodOptions
 from anisomap.numerics.contacts import ContactOptions
-from anisomap.runs import assess_runs
 from skins import flat_skin
 
 SKIN = flat_skin(n_frames=3000)
@@ -31,7 +30,7 @@ def test_cut_into_runs_it_is_the_same_map(method: str) -> None:
     runs = [frames(0, 700), frames(700, 1900, order), frames(1900, 3000)]
     quick = MethodOptions(contacts=ContactOptions(max_readings=6000))
     whole = reconstruct(frames(0, 3000), method, 2, options=quick)
-    parts = reconstruct_runs(runs, method, 2, options=quick)
+    parts = reconstruct(runs, method, 2, options=quick)
     assert parts.names == whole.names
     np.testing.assert_allclose(parts.positions, whole.positions, atol=1e-9)
     assert join_runs(runs).rate_hz == 50
@@ -43,7 +42,7 @@ def test_sensors_may_be_missing_in_a_run(method: str) -> None:
     x = NAMED.positions[:, 0]
     runs = [frames(0, 1500, x < 4.4), frames(1500, 3000, x > 1.8)]
     with pytest.warns(AnisomapWarning, match="pairs of sensors were never recorded together"):
-        found = reconstruct_runs(runs, method, 2)
+        found = reconstruct(runs, method, 2)
     joined = join_runs(runs)
     assert joined.n_frames == 3000
     assert found.placed.all()
@@ -55,7 +54,7 @@ def test_pairs_that_met_are_compared_over_all_frames_in_which_they_did() -> None
     """Dropping what was missing anywhere leaves the map of the sensors that never were."""
     runs = [frames(0, 1500, slice(0, 36)), frames(1500, 3000, slice(6, 42))]
     with pytest.warns(AnisomapWarning):
-        found = reconstruct_runs(runs, "r-anisomap", 2, drop=[*range(6), *range(36, 42)])
+        found = reconstruct(runs, "r-anisomap", 2, drop=[*range(6), *range(36, 42)])
     expected = reconstruct(frames(0, 3000, slice(6, 36)), "r-anisomap", 2)
     placed = found.select(found.placed)
     assert placed.names == expected.names
@@ -69,20 +68,20 @@ def test_pairs_are_correlated_as_pandas_does_where_readings_are_missing() -> Non
     joined = join_runs(runs)
     similarity = pd.DataFrame(joined.readings).corr().to_numpy()
     assert np.isfinite(similarity).all(), "all met, though not in all runs"
-    found = reconstruct_runs(runs, "r-anisomap", 2)
-    expected = reconstruct(joined, "r-anisomap", 2, similarity=similarity)
+    found = reconstruct(runs, "r-anisomap", 2)
+    expected = reconstruct_from(similarity=similarity, method="r-anisomap", dimensions=2)
     np.testing.assert_allclose(found.positions, expected.positions, atol=1e-6)
 
 
 def test_parts_that_share_no_sensor_are_refused() -> None:
-    with pytest.raises(InputError, match="shares no sensor with those before it"):
+    with pytest.raises(InputError, match="shares no sensor name"):
         join_runs([frames(0, 900, slice(0, 20)), frames(0, 900, slice(20, 42))])
 
 
 def test_sensors_without_names_must_be_as_many() -> None:
     same = [Recording(SKIN.readings[:900]), Recording(SKIN.readings[900:])]
     np.testing.assert_array_equal(join_runs(same).readings, SKIN.readings)
-    with pytest.raises(InputError, match=r"a\.csv has 42, b\.csv has 30; name them"):
+    with pytest.raises(InputError, match=r"a\.csv has 42, b\.csv has 30; give names"):
         join_runs(
             [
                 Recording(SKIN.readings, source="a.csv"),
@@ -96,7 +95,7 @@ def test_missing_readings_are_an_error_in_a_run_too() -> None:
     readings[7, 3] = np.nan
     runs = [Recording(readings, names=NAMED.names), frames(0, 900, slice(0, 40))]
     with pytest.raises(InputError, match="sensor pad3, frame 7"):
-        reconstruct_runs(runs, "r-anisomap", 2)
+        reconstruct(runs, "r-anisomap", 2)
 
 
 def test_positions_that_contradict_each_other_are_no_truth() -> None:
@@ -113,6 +112,6 @@ def test_a_sensor_is_judged_by_the_run_in_which_it_was_touched() -> None:
         frames(1500, 3000),
     ]
     assert assess(runs[0])[5].status == "dead"
-    health = assess_runs(runs)
+    health = assess(runs)
     assert [sensor.name for sensor in health] == list(NAMED.names)
     assert health[5].status == "ok"

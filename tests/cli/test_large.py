@@ -143,7 +143,7 @@ def test_an_approximate_map_is_labelled_in_all_that_is_written(run_map, parts):
     assert "this map is approximate" in made.err
     for name in outputs:
         written_map = anisomap.read_map(name)
-        assert written_map.provenance["approximate"] is True
+        assert written_map.approximate
         assert any("this map is approximate" in note for note in written_map.notes)
     page = Path("map.html").read_text(encoding="utf-8")
     assert "This map is approximate" in page

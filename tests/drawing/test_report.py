@@ -277,7 +277,7 @@ def test_the_table_has_every_sensor_and_problems_first(with_score: bool, with_he
 
 def test_every_doubt_is_said() -> None:
     notes = ("scaling did not converge", "two sensors never vary")
-    sensor_map, scored = example(notes=notes, excluded=np.arange(12) == 3)
+    sensor_map, scored = example(notes=notes, exclude=[3])
     page = Page(render_report(sensor_map, score=scored, summary=summary("only 2 frames", notes[0])))
     said = [text.lower() for text in page.texts["li"]]
     for doubt in (*notes, "only 2 frames", "1 of 12 sensors were excluded"):

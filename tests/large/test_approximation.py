@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap import Recording, mantel, reconstruct, reconstruct_approximately
+from anisomap import Recording, mantel, reconstruct
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Matches, behaviour
+from anisomap.large import reconstruct_approximately
 from anisomap.large.approximation import relate
 from anisomap.large.landmarks.options import ApproximateOptions
 from skins import lattice, rubbed
@@ -67,7 +68,7 @@ def test_in_which_order_sensors_are_does_not_matter(found):
 def test_skins_that_were_touched_apart_are_pieces():
     pause = np.zeros_like(READINGS)
     both = np.vstack([np.hstack([READINGS, pause]), np.hstack([pause, READINGS])])
-    with pytest.warns(AnisomapWarning, match="2 separate pieces"):
+    with pytest.warns(AnisomapWarning, match="2 separate components"):
         pair = made(both)
     np.testing.assert_array_equal(pair.component, np.repeat([0, 1], len(PLACES)))
     for piece in pair.split():
@@ -81,13 +82,12 @@ def test_what_is_dead_or_dropped_has_no_place_and_a_broken_wire_none_with_the_ot
     rng = np.random.default_rng(0)
     readings[:, 50] = np.repeat(rng.integers(0, 60, len(readings) // 60), 60)
     names = [f"pad {i}" for i in range(len(PLACES))]
-    skin = made(readings, names=names, drop=["pad 9"], exclude=["pad 20"])
+    skin = made(readings, names=names, drop=["pad 9"])
     np.testing.assert_array_equal(np.flatnonzero(~skin.placed), [7, 9])
     assert skin.health[7] == "dead"
     assert skin.health[50] == "isolated"
     assert skin.component[50] == 1
-    assert skin.n_components == 2
-    np.testing.assert_array_equal(np.flatnonzero(skin.excluded), [20])
+    assert len(skin.component_sizes) == 2
     assert skin.names == tuple(names)
 
 
@@ -161,7 +161,7 @@ def test_known_matches_are_believed():
 
 def test_of_very_many_sensors_mantel_r_is_of_a_sample(found, monkeypatch):
     everyone = anisomap.score(found, PLACES, permutations=0)
-    monkeypatch.setattr("anisomap.evaluation.scoring.ALL_PAIRS", 100)
+    monkeypatch.setattr("anisomap.evaluation.scoring.MAX_ALL_PAIRS", 100)
     monkeypatch.setattr("anisomap.evaluation.scoring.SAMPLED", 90)
     sample = anisomap.score(found, PLACES, permutations=0)
     assert sample.mantel.n_sensors == 90

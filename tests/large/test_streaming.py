@@ -8,7 +8,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import anisomap
-from anisomap import Recording, SensorMapper, reconstruct
+from anisomap import Recording, SensorMapper, diagnose, reconstruct
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.large import chunks
 from anisomap.large.checkpoints import Checkpoint
@@ -36,7 +36,7 @@ def cut_at(*cuts):
 @pytest.mark.parametrize("method", EXACT)
 @pytest.mark.parametrize("cuts", [(), (7, 400, 401, 1100), range(50, 2500, 50)])
 def test_chunks_make_the_map_of_one_array(method, cuts):
-    expected = reconstruct(SKIN, method, 2)
+    expected = diagnose(reconstruct(SKIN, method, 2), SKIN)
     found = reconstruct_chunks(cut_at(*cuts), method, 2)
     np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
     assert found.health == expected.health
