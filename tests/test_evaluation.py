@@ -109,7 +109,7 @@ def test_neighbours_of_a_lattice():
 def test_coincident_sensors_have_neighbours_too():
     points = np.zeros((8, 2))
     points[4:] = 1
-    assert 0 <= neighbour_agreement(points, cloud(8, 2), neighbours=3) <= 1
+    assert 0 <= neighbour_agreement(points, cloud(8, 2), n_neighbours=3) <= 1
 
 
 def noisy_map(seed=0, **fields):
@@ -158,12 +158,12 @@ def test_maps_are_matched_by_name_and_else_by_order():
 @pytest.mark.parametrize(
     ("first", "second", "message"),
     [
-        (cloud(5), cloud(6), "5 sensors cannot be compared with 6"),
+        (cloud(5), cloud(6), "must have the same sensors, got 5 and 6"),
         (cloud(3), cloud(3), "at least 4"),
         (np.zeros((5, 2)), cloud(5), "all distances are equal"),
         (np.full((5, 2), np.nan), cloud(5), "not finite"),
         (np.triu(np.ones((5, 5))), cloud(5), "symmetric with a zero diagonal"),
-        (np.zeros(5), cloud(5), "neither positions"),
+        (np.zeros(5), cloud(5), "expected positions"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(first, second, message):

@@ -41,7 +41,7 @@ def test_it_is_much_like_the_exact_map(dimensions):
 def test_it_says_what_it_is(found):
     assert found.method == "r-anisomap"
     facts = dict(found.provenance)
-    assert facts["approximate"] is True
+    assert found.approximate
     assert (facts["approximate_n_landmarks"], facts["approximate_seed"]) == (60, 0)
     assert facts["frames"] == len(READINGS)
     assert any("this map is approximate" in note and "60 landmarks" in note for note in found.notes)
@@ -114,7 +114,7 @@ def test_where_there_is_nothing_to_map_it_says_so(readings, message):
 
 
 def test_no_dimension_holds_no_map():
-    with pytest.raises(InputError, match="0 dimensions"):
+    with pytest.raises(InputError, match="dimensions must be at least 1"):
         made(dimensions=0)
 
 

@@ -72,6 +72,13 @@ def test_a_live_stream_makes_refined_maps_of_correlations_however_it_comes(metho
     assert anisomap.mantel(made[0], whole.positions, permutations=0).r > 0.999
 
 
+def test_what_the_default_method_cannot_do_with_chunks_is_noted():
+    with pytest.warns(AnisomapWarning, match="read in blocks.* Pearson's r alone") as told:
+        found = reconstruct_chunks(cut_at(), dimensions=2)
+    assert str(told[0].message) in found.notes
+
+
+@pytest.mark.filterwarnings("ignore:the recording was read in blocks")
 def test_how_chunks_are_cut_does_not_matter_to_the_covariogram():
     whole = reconstruct(SKIN, "covariogram", 2)
     found = [reconstruct_chunks(cut_at(*cuts), "covariogram", 2) for cuts in ((), (7, 400, 1100))]
@@ -223,7 +230,7 @@ def test_missing_readings():
         ([], "no frame"),
         ([READINGS, READINGS[:, :30]], "from frame 2500 on there are 30 sensors, but 42 before"),
         ([np.array([["a", "b"]])], "real numbers"),
-        ([READINGS[0]], "frames x sensors"),
+        ([READINGS[0]], r"\(frames, sensors\)"),
     ],
 )
 def test_chunks_of_something_else_are_refused(chunks, message):
@@ -236,7 +243,7 @@ def test_health_is_judged_from_an_excerpt_of_bounded_size(monkeypatch):
     monkeypatch.setattr(chunks, "SEGMENT_FRAMES", 50)
     late = READINGS.copy()
     late[:-40, 7] = 0
-    with pytest.warns(AnisomapWarning, match=r"judged from \d+ of 2500 frames"):
+    with pytest.warns(AnisomapWarning, match=r"assessed from \d+ of 2500 frames"):
         found = reconstruct_chunks(lambda: np.split(late, 10), "r-anisomap", 2)
     assert found.placed[7]
     assert found.health[7] != "dead"
@@ -244,7 +251,7 @@ def test_health_is_judged_from_an_excerpt_of_bounded_size(monkeypatch):
 
 def test_a_squeezed_map_of_chunks_says_so():
     doubled = np.hstack([READINGS, READINGS + np.arange(42, dtype=np.uint8) % 2])
-    with pytest.warns(AnisomapWarning, match="heights of contacts.* were not looked at"):
+    with pytest.warns(AnisomapWarning, match="peak heights of contacts.* were not examined"):
         reconstruct_chunks(lambda: iter(np.split(doubled, 5)), dimensions=2)
 
 
@@ -280,5 +287,5 @@ def test_what_was_changed_in_memory_counts(tmp_path):
 
 
 def test_too_many_bins_are_refused():
-    with pytest.raises(InputError, match="70000 bins are more"):
+    with pytest.raises(InputError, match="at most 65536, got 70000"):
         reconstruct_chunks(READINGS, "i-anisomap", options=MethodOptions(bins=70_000))
