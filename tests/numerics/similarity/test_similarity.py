@@ -87,16 +87,9 @@ def test_relabelling_the_sensors_only_relabels_the_similarity(similarity, readin
 def test_units_and_offsets_of_a_sensor_do_not_matter(similarity, gain, offset):
     readings = skin_like(9)
     readings[:, 2] = np.round(readings[:, 2] * 8)
-<<<<<<< HEAD
     changed = readings.copy()
     changed[:, 2] = gain * readings[:, 2] + offset
     np.testing.assert_allclose(similarity(changed), similarity(readings), atol=1e-12)
-=======
-    similarity = SIMILARITIES[name].compute(readings, OPTIONS.bins)
-    np.testing.assert_allclose(
-        SIMILARITIES[name].compute(changed, OPTIONS.bins), similarity, atol=1e-12
-    )
->>>>>>> 88b196f (Test the way in, diagnosis and chunks by their new names)
 
 
 def test_activity_does_not_depend_on_the_direction_of_contact(readings):
