@@ -1,4 +1,4 @@
-"""What a simulation looks like: plain data between those who simulate and those who draw."""
+"""Geometry of a simulated run, passed from the simulation to the drawing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A surface made of triangles.
+    """A triangle mesh.
 
     Parameters
     ----------
@@ -31,20 +31,20 @@ class Mesh:
 
 @dataclass(frozen=True, eq=False)
 class Prop:
-    """A thing on the stage: alike things that stand or move.
+    """Objects of one shape in a scene, static or moving.
 
     Parameters
     ----------
     role : {"body", "stimulus", "ground", "room"}
-        What it is, which decides how it is drawn; of a room only the edges are.
+        Determines the style of drawing; only the edges of a room are drawn.
     mesh : Mesh
-        Its surface, in its own frame.
+        Surface in local coordinates.
     centres : array_like of shape (T, B, 3)
-        Where the origins of B such things are in each frame; T = 1 for what stands still.
+        Positions of the local origins of B objects in each frame; T = 1 for static objects.
     rotations : array_like of shape (T, B, 3, 3), optional
-        How each is turned; not at all unless given.
+        Rotation of each object. Default: none.
     scales : array_like of shape (B,), optional
-        How many times as large as the mesh each is; 1 unless given.
+        Size of each object relative to the mesh. Default: 1.
     """
 
     role: str
@@ -60,31 +60,31 @@ class Prop:
                 object.__setattr__(self, name, frozen(values))
 
     def surfaces(self, frame: int) -> list[NDArray[np.float64]]:
-        """Give the vertices of each thing as it is in a frame, shape (V, 3) each."""
+        """Return the vertices of each object in a frame, shape (V, 3) each."""
         centres = self.centres[frame % len(self.centres)]
         scales = np.ones(len(centres)) if self.scales is None else self.scales
         corners = scales[:, None, None] * self.mesh.vertices
         if self.rotations is not None:
-            turned = self.rotations[frame % len(self.rotations)]
-            corners = np.einsum("bij,bvj->bvi", turned, corners)
+            rotations = self.rotations[frame % len(self.rotations)]
+            corners = np.einsum("bij,bvj->bvi", rotations, corners)
         return list(corners + centres[:, None])
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A run as it can be drawn.
+    """Objects, sensors and readings of a simulated run.
 
     Parameters
     ----------
     title : str
     props : tuple of Prop
     sensors : array_like of shape (T, N, 3)
-        Where the sensors are in each frame; T = 1 if they do not move.
+        Sensor positions in each frame; T = 1 for static sensors.
     readings : array_like of shape (T, N)
     times : array_like of shape (T,)
         Seconds.
     units : str
-        Of lengths.
+        Unit of lengths.
     """
 
     title: str
@@ -100,7 +100,7 @@ class Scene:
 
     @property
     def n_frames(self) -> int:
-        """How many frames there are, T."""
+        """Number of frames, T."""
         return len(self.readings)
 
 

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from anisomap.simulation.bodies import Body, sphere
-from anisomap.simulation.physics.bombardment import BombardmentOptions, Flight, fly
+from anisomap.simulation.bodies import Body
+from anisomap.simulation.bodies.lattice import sphere
+from anisomap.simulation.physics.bombardment import BombardmentOptions, Flight, simulate_flight
 
 
 @dataclass(frozen=True)
@@ -21,4 +22,4 @@ def bombarded() -> Bombarded:
     """The default run: 2,000 frames of a sphere with 60 sensors."""
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     body, options = sphere(), BombardmentOptions()
-    return Bombarded(body, options, fly(body, 2000, options, np.random.default_rng(1)))
+    return Bombarded(body, options, simulate_flight(body, 2000, options, np.random.default_rng(1)))

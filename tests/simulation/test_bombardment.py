@@ -8,8 +8,13 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.simulation.bodies import sphere
-from anisomap.simulation.physics.bombardment import BombardmentOptions, Flight, bombardment, fly
+from anisomap.simulation.bodies.lattice import sphere
+from anisomap.simulation.physics.bombardment import (
+    BombardmentOptions,
+    Flight,
+    bombardment,
+    simulate_flight,
+)
 from anisomap.simulation.physics.elastic import ElasticContact
 from anisomap.simulation.sensing import read_balls
 
@@ -21,8 +26,8 @@ STEP = 0.001
 def every_step(n_balls: int, seed: int, n_steps: int, **parameters: Any) -> Flight:
     """Record each step of the physics, so that nothing happens unseen between frames."""
     options = BombardmentOptions(n_balls=n_balls, timestep=STEP, frame_interval=STEP, **parameters)
-    assert options.steps_a_frame == 1
-    return fly(sphere(), n_steps, options, np.random.default_rng(seed))
+    assert options.steps_per_frame == 1
+    return simulate_flight(sphere(), n_steps, options, np.random.default_rng(seed))
 
 
 def wall_gaps(centres: NDArray[np.float64], options: BombardmentOptions) -> NDArray[np.float64]:
@@ -58,7 +63,7 @@ def test_energy_is_kept(bombarded: Any) -> None:
 
 def test_energy_is_kept_where_balls_touch_several_things_at_once() -> None:
     options = BombardmentOptions(n_balls=60, box_half_width=2.0)
-    flight = fly(sphere(), 500, options, np.random.default_rng(4))
+    flight = simulate_flight(sphere(), 500, options, np.random.default_rng(4))
     crowded = (ball_gaps(flight.centres, options) < 0).sum(axis=1) > 1
     assert crowded.mean() > 0.5
     assert np.abs(flight.energies / flight.energies[0] - 1).max() < 0.02
@@ -207,13 +212,13 @@ def test_readings_late_in_a_run_are_like_those_early_in_it(bombarded: Any) -> No
 def test_how_often_frames_are_taken_does_not_change_what_happens() -> None:
     seldom = BombardmentOptions(timestep=STEP, frame_interval=0.1)
     often = BombardmentOptions(timestep=STEP, frame_interval=0.02)
-    a = fly(sphere(), 6, seldom, np.random.default_rng(1)).centres
-    b = fly(sphere(), 26, often, np.random.default_rng(1)).centres
+    a = simulate_flight(sphere(), 6, seldom, np.random.default_rng(1)).centres
+    b = simulate_flight(sphere(), 26, often, np.random.default_rng(1)).centres
     np.testing.assert_allclose(b[::5], a, atol=1e-6)
 
 
 def test_a_longer_run_begins_with_the_shorter_one(bombarded: Any) -> None:
-    short = fly(sphere(), 50, bombarded.options, np.random.default_rng(1))
+    short = simulate_flight(sphere(), 50, bombarded.options, np.random.default_rng(1))
     np.testing.assert_array_equal(short.centres, bombarded.flight.centres[:50])
 
 
@@ -225,7 +230,7 @@ def test_a_whole_number_of_steps_no_longer_than_asked_for_makes_a_frame(
     frame_interval: float, timestep: float, steps: int
 ) -> None:
     options = BombardmentOptions(frame_interval=frame_interval, timestep=timestep)
-    assert options.steps_a_frame == steps
+    assert options.steps_per_frame == steps
     assert options.step * steps == pytest.approx(frame_interval)
     assert options.step <= timestep * (1 + 1e-9)
 
@@ -241,19 +246,19 @@ def test_the_default_step_suits_every_speed_and_softness(speed: float, softness:
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"n_balls": 0}, "n_balls is 0; it must be a whole number of at least 1"),
-        ({"n_balls": 2.5}, r"n_balls is 2\.5"),
-        ({"ball_radius": -0.1}, r"ball_radius is -0\.1 m; it must be a positive number"),
-        ({"detection_radius": 0.0}, "detection_radius is 0 m"),
-        ({"box_half_width": float("nan")}, "box_half_width is nan"),
-        ({"speed": 0.0}, "speed is 0 m/s"),
-        ({"speed": float("inf")}, "speed is inf"),
-        ({"frame_interval": -1.0}, "frame_interval is -1 s"),
-        ({"softness": 0.0}, "softness is 0 m"),
-        ({"softness": 0.1}, r"pass through; take at most 0\.075 m"),
-        ({"timestep": 0.0}, "timestep is 0 s"),
-        ({"timestep": 0.01}, r"too long for balls at 3 m/s.*take at most 0\.00175 s"),
-        ({"timestep": 0.001, "speed": 30.0}, r"take at most 0\.000175 s"),
+        ({"n_balls": 0}, "n_balls must be an integer of at least 1, got 0"),
+        ({"n_balls": 2.5}, r"n_balls must be an integer of at least 1, got 2\.5"),
+        ({"ball_radius": -0.1}, r"ball_radius must be positive, got -0\.1 m"),
+        ({"detection_radius": 0.0}, "detection_radius must be positive, got 0 m"),
+        ({"box_half_width": float("nan")}, "box_half_width must be positive, got nan"),
+        ({"speed": 0.0}, "speed must be positive, got 0 m/s"),
+        ({"speed": float("inf")}, "speed must be positive, got inf"),
+        ({"frame_interval": -1.0}, "frame_interval must be positive, got -1 s"),
+        ({"softness": 0.0}, "softness must be positive, got 0 m"),
+        ({"softness": 0.1}, r"softness must be at most 0\.075 m"),
+        ({"timestep": 0.0}, "timestep must be positive, got 0 s"),
+        ({"timestep": 0.01}, r"timestep must be at most 0\.00175 s"),
+        ({"timestep": 0.001, "speed": 30.0}, r"timestep must be at most 0\.000175 s"),
     ],
 )
 def test_nonsense_is_refused_with_what_would_be_right(parameters: Any, message: str) -> None:
@@ -268,14 +273,14 @@ def test_the_longest_step_that_an_error_names_is_accepted() -> None:
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"ball_radius": 1.1}, r"do not fit between the body.*box_half_width more than 3\.2 m"),
+        ({"ball_radius": 1.1}, r"do not fit between the body.*box_half_width must exceed 3\.2 m"),
         ({"box_half_width": 0.5}, "do not fit between the body"),
-        ({"n_balls": 5000}, r"only \d+ of 5000 balls .* take fewer or smaller balls"),
+        ({"n_balls": 5000}, r"only \d+ of 5000 balls .* use fewer or smaller balls"),
     ],
 )
 def test_balls_that_have_no_room_are_refused(parameters: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        fly(sphere(), 1, BombardmentOptions(**parameters), np.random.default_rng(0))
+        simulate_flight(sphere(), 1, BombardmentOptions(**parameters), np.random.default_rng(0))
 
 
 def test_a_run_that_lost_its_energy_is_returned_with_a_warning(
@@ -284,6 +289,6 @@ def test_a_run_that_lost_its_energy_is_returned_with_a_warning(
     # Springs that start abruptly and are prescribed by the solver: MuJoCo's usual contacts.
     monkeypatch.setattr(ElasticContact, "solimp", [0.9, 0.95, 0.001, 0.5, 2])
     monkeypatch.setattr(ElasticContact, "solref", [0.02, 1.0])
-    with pytest.warns(AnisomapWarning, match=r"energy of the balls strayed by \d+"):
+    with pytest.warns(AnisomapWarning, match=r"energy of the balls changed by \d+"):
         run = bombardment(sphere(), 200, BombardmentOptions(), np.random.default_rng(0))
     assert run.facts["energy_drift"] > 0.02

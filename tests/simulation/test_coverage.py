@@ -77,7 +77,7 @@ def test_where_nothing_was_touched_there_is_no_map() -> None:
     [
         ((), (1,), "r-anisomap", "at least one length and one seed"),
         ((5,), (), "r-anisomap", "at least one length and one seed"),
-        ((5, 0), (1,), "r-anisomap", "n_frames is 0"),
+        ((5, 0), (1,), "r-anisomap", "n_frames must be an integer of at least 1, got 0"),
         ((5,), (1,), "magic", "magic"),
     ],
 )

@@ -12,27 +12,25 @@ from anisomap.simulation.faults import (
     FAULTS,
     FRAME_FAULTS,
     Fault,
-    clock_jitter,
-    crosstalk,
-    dead,
-    drifting,
-    dropped_frames,
-    duplicated,
     fault_mask,
-    gain_spread,
-    hysteresis,
     inject,
     injected_faults,
-    mirrored,
+    parse_fault,
+)
+from anisomap.simulation.faults.sensors import (
+    dead,
+    drifting,
+    gain_spread,
+    hysteresis,
     nan_bursts,
     noisy,
-    parse_fault,
     quantised,
     saturating,
     stuck,
-    swapped,
     thresholded,
 )
+from anisomap.simulation.faults.timing import clock_jitter, dropped_frames
+from anisomap.simulation.faults.wiring import crosstalk, duplicated, mirrored, swapped
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -244,7 +242,7 @@ def test_names_that_would_upset_a_record_do_not() -> None:
 @pytest.mark.parametrize("record", ["nonsense", '{"kind": 1}', "[1]", '[{"kind": "dead"}]', "3"])
 def test_a_damaged_record_is_refused(record: str) -> None:
     recording = Recording(np.eye(3), metadata={"faults": record})
-    with pytest.raises(InputError, match="do not say what was done"):
+    with pytest.raises(InputError, match="is not a valid log of faults"):
         injected_faults(recording)
 
 
@@ -315,10 +313,10 @@ def test_faults_are_read_from_a_line_of_text() -> None:
         ("dead:", "needs sensors"),
         ("dead:s1,level=3", "the fault dead has no parameter 'level'; it has none"),
         ("noisy:s1,lvl=3", "no parameter 'lvl'; choose from level"),
-        ("noisy:s1,level=loud", "level of the fault noisy is 'loud', which is no number"),
-        ("dropped-frames:s1", "befalls all sensors; leave s1 out"),
-        ("dead:0%", "'0%' is no share"),
-        ("dead:many%", "'many%' is no share"),
+        ("noisy:s1,level=loud", "parameter level of the fault noisy must be a number, got 'loud'"),
+        ("dropped-frames:s1", "affects all sensors; leave out s1"),
+        ("dead:0%", "above 0% and at most 100%, got '0%'"),
+        ("dead:many%", "above 0% and at most 100%, got 'many%'"),
         ("dead:s77", "there is no sensor 's77'"),
     ],
 )
@@ -329,33 +327,33 @@ def test_what_cannot_be_understood_is_refused(text: str, message: str) -> None:
 
 def test_faults_say_what_they_miss() -> None:
     bare = Recording(np.eye(4))
-    with pytest.raises(InputError, match="does not say where its sensors are"):
+    with pytest.raises(InputError, match="crosstalk needs a recording with true positions"):
         crosstalk(bare, [0])
-    with pytest.raises(InputError, match="neither times nor a rate"):
+    with pytest.raises(InputError, match="with times or a rate"):
         clock_jitter(bare)
-    with pytest.raises(InputError, match="none is left to copy from"):
+    with pytest.raises(InputError, match="at least one sensor that is not itself a copy"):
         duplicated(bare, range(4))
-    with pytest.raises(InputError, match="3 sensors cannot be swapped"):
+    with pytest.raises(InputError, match="even number of sensors, got 3"):
         swapped(bare, [0, 1, 2])
-    with pytest.raises(InputError, match="sensor s1 is named twice"):
+    with pytest.raises(InputError, match="sensor s1 is listed twice"):
         mirrored(bare, [1, 0, 1])
 
 
 @pytest.mark.parametrize(
     ("fault", "parameters", "message"),
     [
-        (saturating, {"mean_gap": 0}, "mean_gap is 0 frames; it must be at least 1"),
-        (saturating, {"mean_span": float("nan")}, "mean_span is nan"),
-        (noisy, {"level": 0}, "level is 0; it must be a positive number"),
-        (noisy, {"level": -1}, "level is -1"),
-        (drifting, {"level": 0}, "level is 0"),
-        (gain_spread, {"factor": 0.5}, "factor is 0.5; it must be at least 1"),
-        (hysteresis, {"recovery": 0}, "recovery is 0 frames"),
-        (quantised, {"levels": 1}, "levels is 1; it must be at least 2"),
-        (thresholded, {"level": -0.1}, "level is -0.1"),
-        (nan_bursts, {"mean_span": 0.5}, "mean_span is 0.5 frames"),
-        (crosstalk, {"share": 0}, "share is 0; it must be above 0"),
-        (crosstalk, {"n_neighbours": 6}, "n_neighbours is 6; it must be at least 1 and less"),
+        (saturating, {"mean_gap": 0}, "mean_gap must be at least 1 frame, got 0"),
+        (saturating, {"mean_span": float("nan")}, "mean_span must be at least 1 frame, got nan"),
+        (noisy, {"level": 0}, "level must be positive, got 0"),
+        (noisy, {"level": -1}, "got -1"),
+        (drifting, {"level": 0}, "level must be positive"),
+        (gain_spread, {"factor": 0.5}, "factor must be at least 1, got 0.5"),
+        (hysteresis, {"recovery": 0}, "recovery must be positive, got 0 frames"),
+        (quantised, {"levels": 1}, "levels must be at least 2, got 1"),
+        (thresholded, {"level": -0.1}, "level must be positive"),
+        (nan_bursts, {"mean_span": 0.5}, "mean_span must be at least 1 frame, got 0.5"),
+        (crosstalk, {"share": 0}, "share must be above 0 and at most 1, got 0"),
+        (crosstalk, {"n_neighbours": 6}, r"below the number of sensors \(6\), got 6"),
     ],
 )
 def test_parameters_that_make_no_sense_are_refused(

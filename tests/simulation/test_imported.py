@@ -87,9 +87,9 @@ def test_given_sensors_are_put_onto_the_surface_if_they_are_near_it() -> None:
     assert body.names[3] == "n3"
     with pytest.raises(InputError, match=r"sensor s7 is 0\.5.* off the surface of mesh"):
         body_from_mesh(outline.vertices, outline.faces, np.vstack([exact[:7], 1.5 * exact[7:8]]))
-    with pytest.raises(InputError, match="are they in the frame and unit of the body"):
+    with pytest.raises(InputError, match="check that they use the frame and unit of the body"):
         body_from_mesh(outline.vertices, outline.faces, 1000 * exact)
-    with pytest.raises(InputError, match=r"sensors have shape \(40, 2\)"):
+    with pytest.raises(InputError, match=r"sensors must have shape \(N, 3\), got \(40, 2\)"):
         body_from_mesh(outline.vertices, outline.faces, exact[:, :2])
 
 
@@ -114,7 +114,7 @@ def test_normals_are_used_unless_they_contradict_the_positions() -> None:
     kept = body_from_points(ball.positions, 2 * ball.normals)
     np.testing.assert_allclose(kept.normals, ball.normals)
     placeholders = np.tile([1.0, 0, 0], (150, 1))
-    with pytest.warns(AnisomapWarning, match="contradict the places of its sensors"):
+    with pytest.warns(AnisomapWarning, match="contradict its sensor positions"):
         body = body_from_points(ball.positions, placeholders)
     assert (np.einsum("nd,nd->n", body.normals, ball.normals) > 0.9).all()
 
@@ -138,13 +138,13 @@ def test_the_leg_of_a_robot_is_simulated_from_its_positions(recordings_folder: P
     ("name", "sensors", "error", "message"),
     [
         ("nothing.stl", 10, FileError, "there is no file"),
-        ("notes.txt", 10, FileError, "notes.txt is no body: a mesh ends in .glb"),
-        ("part.stl", None, FileError, "is a mesh and names no sensors"),
-        ("part.stl", 0, InputError, "sensors is 0; it must be a whole number"),
+        ("notes.txt", 10, FileError, "notes.txt is not a body: a mesh ends in .glb"),
+        ("part.stl", None, FileError, "is a mesh without sensors"),
+        ("part.stl", 0, InputError, "sensors must be an integer of at least 1, got 0"),
         ("open.stl", 10, InputError, "the mesh is not closed"),
         ("broken.stl", 10, FileError, "cannot be read as a mesh|has no area"),
-        ("bare.xml", None, FileError, "has no sites, which would be its sensors"),
-        ("floor.xml", 10, FileError, "has no geoms that sensors could stand on"),
+        ("bare.xml", None, FileError, "has no sites to use as sensors"),
+        ("floor.xml", 10, FileError, "has no geoms for sensors"),
         ("broken.xml", 10, FileError, "MuJoCo cannot read"),
     ],
 )
@@ -158,9 +158,9 @@ def test_what_is_no_body_is_refused(
 @pytest.mark.parametrize(
     ("positions", "message"),
     [
-        (np.zeros((3, 3)), "at least 4 sensors in space"),
-        (np.zeros((9, 2)), "at least 4 sensors in space"),
-        (np.vstack([np.eye(3), [[1, 0, 0]]]), "sensors 0 and 3 are at one place"),
+        (np.zeros((3, 3)), "at least 4 sensors in 3D"),
+        (np.zeros((9, 2)), "at least 4 sensors in 3D"),
+        (np.vstack([np.eye(3), [[1, 0, 0]]]), "sensors 0 and 3 coincide"),
     ],
 )
 def test_positions_that_make_no_body_are_refused(

@@ -11,7 +11,7 @@ from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.bodies.lattice import cylinder, sphere
 from anisomap.simulation.options import options_for
 from anisomap.simulation.physics.driving import LocomotionOptions
-from anisomap.simulation.physics.locomotion import Journey, locomotion, roll
+from anisomap.simulation.physics.locomotion import Journey, locomotion, simulate_journey
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 
@@ -24,7 +24,7 @@ def journey(request: pytest.FixtureRequest) -> tuple[Any, LocomotionOptions, Jou
     body = BODIES[request.param]()
     body = body.scaled(1 / body.reach)
     options = options_for(LocomotionOptions, body)
-    return body, options, roll(body, FRAMES, options, np.random.default_rng(7))
+    return body, options, simulate_journey(body, FRAMES, options, np.random.default_rng(7))
 
 
 def test_it_keeps_moving_and_stays_on_the_ground(journey: Any) -> None:
@@ -41,7 +41,7 @@ def test_no_cylinder_strays_or_stands_up(seed: int) -> None:
     body = BODIES["cylinder"]()
     body = body.scaled(1 / body.reach)
     options = LocomotionOptions(half_width=5.0)
-    travelled = roll(body, 400, options, np.random.default_rng(seed))
+    travelled = simulate_journey(body, 400, options, np.random.default_rng(seed))
     axes = travelled.rotations[:, :, 2]
     radius, half_length = body.solids[0].size
     reach = radius * np.sqrt(1 - axes[:, :2] ** 2) + half_length * np.abs(axes[:, :2])
@@ -98,7 +98,7 @@ def test_readings_are_those_of_the_ground_in_each_sensors_range(journey: Any) ->
 
 def test_the_sphere_rolls_about_every_axis() -> None:
     body = sphere()
-    journey = roll(body, 2000, LocomotionOptions(), np.random.default_rng(3))
+    journey = simulate_journey(body, 2000, LocomotionOptions(), np.random.default_rng(3))
     down = -journey.rotations[:, 2]  # the direction of the ground, as the body sees it
     spread = down.T @ down / len(down)
     assert np.linalg.eigvalsh(spread).min() > 0.15  # 1/3 if all directions were alike
@@ -127,7 +127,7 @@ def test_a_body_of_another_size_rolls_alike() -> None:
 
 
 def test_what_slides_is_told_of() -> None:
-    with pytest.warns(AnisomapWarning, match="take more friction"):
+    with pytest.warns(AnisomapWarning, match="increase friction"):
         locomotion(sphere(), 200, LocomotionOptions(friction=0.01), np.random.default_rng(0))
 
 
@@ -139,12 +139,12 @@ def test_too_short_a_run_is_told_of() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"speed": 0}, "speed is 0 m/s"),
-        ({"gravity": -9.81}, "gravity is -9.81"),
-        ({"half_width": float("nan")}, "half_width is nan"),
-        ({"timestep": 0.02}, "take at most 0.006 s"),
-        ({"cell": 0.3}, "take at most half of that"),
-        ({"roughness": 0.3}, "take at most 0.175 m"),
+        ({"speed": 0}, "speed must be positive, got 0 m/s"),
+        ({"gravity": -9.81}, "gravity must be positive, got -9.81"),
+        ({"half_width": float("nan")}, "half_width must be positive, got nan"),
+        ({"timestep": 0.02}, "timestep must be at most 0.006 s"),
+        ({"cell": 0.3}, "cell must be at most half of correlation"),
+        ({"roughness": 0.3}, r"at most 0.35 x correlation \(0.175 m\)"),
     ],
 )
 def test_nonsense_is_refused(change: dict[str, float], message: str) -> None:

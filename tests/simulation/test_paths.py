@@ -15,10 +15,10 @@ from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.bodies.lattice import plane, sphere, y_shape
 from anisomap.simulation.kinematic.paths import (
     StrokeOptions,
-    Wandering,
-    find_skin,
-    wander,
-    wandering_values,
+    StrokePath,
+    draw_strokes,
+    sample_skin,
+    smooth_random,
 )
 from anisomap.simulation.kinematic.settling import Cluster, settle, support
 from anisomap.simulation.options import options_for
@@ -27,17 +27,17 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @cache
-def wandered(name: str, n_frames: int = 2000, seed: int = 1, **given: float) -> Wandering:
+def path_on(name: str, n_frames: int = 2000, seed: int = 1, **given: float) -> StrokePath:
     body = BODIES[name]()
     rng = np.random.default_rng(seed)
     options = options_for(StrokeOptions, body, given)
-    return wander(body, find_skin(body, rng), n_frames, options, rng)
+    return draw_strokes(body, sample_skin(body, rng), n_frames, options, rng)
 
 
 @pytest.mark.parametrize("name", BODIES)
 def test_a_path_keeps_to_the_skin_and_comes_to_every_sensor(name: str) -> None:
     body = BODIES[name]()
-    path = wandered(name)
+    path = path_on(name)
     assert len(path.points) == 2000
     assert np.abs(body.distance(path.points)).max() < 1e-3 * body.reach
     for directions in (path.normals, path.headings):
@@ -53,7 +53,7 @@ def test_a_path_keeps_to_the_skin_and_comes_to_every_sensor(name: str) -> None:
 @pytest.mark.parametrize("name", ["sphere", "plane", "hand"])
 def test_on_the_skin_a_path_goes_on_smoothly_and_only_in_the_air_it_jumps(name: str) -> None:
     body = BODIES[name]()
-    path = wandered(name)
+    path = path_on(name)
     stride = 2.0 * 0.05 * body.reach
     moved = np.linalg.norm(np.diff(path.points, axis=0), axis=1)
     top = (path.lifts[:-1] == 1) & (path.lifts[1:] == 1)
@@ -65,8 +65,8 @@ def test_on_the_skin_a_path_goes_on_smoothly_and_only_in_the_air_it_jumps(name: 
 
 
 def test_lines_are_straight_circles_are_round_and_directions_change() -> None:
-    lines = wandered("plane", circle_share=0.0, lift_share=0.0)
-    circles = wandered("plane", circle_share=1.0, lift_share=0.0)
+    lines = path_on("plane", circle_share=0.0, lift_share=0.0)
+    circles = path_on("plane", circle_share=1.0, lift_share=0.0)
     turns = []
     for path in (lines, circles):
         angle = np.arctan2(path.headings[:, 1], path.headings[:, 0])
@@ -80,19 +80,19 @@ def test_lines_are_straight_circles_are_round_and_directions_change() -> None:
 
 
 def test_all_places_of_a_sphere_are_alike() -> None:
-    path = wandered("sphere", n_frames=4000)
+    path = path_on("sphere", n_frames=4000)
     assert np.linalg.norm(path.points.mean(axis=0)) < 0.1
     assert np.abs(np.cov(path.points.T) - np.eye(3) / 3).max() < 0.1
 
 
 def test_one_sensor_has_a_skin_too() -> None:
     body, rng = sphere(1), np.random.default_rng(1)
-    path = wander(body, find_skin(body, rng), 50, StrokeOptions(), rng)
+    path = draw_strokes(body, sample_skin(body, rng), 50, StrokeOptions(), rng)
     assert np.isfinite(path.points).all()
 
 
 def test_a_stroke_without_end_ends_with_the_recording() -> None:
-    path = wandered("sphere", n_frames=50, stroke_length=1e9, circle_share=0.0, lift_share=0.0)
+    path = path_on("sphere", n_frames=50, stroke_length=1e9, circle_share=0.0, lift_share=0.0)
     # A great circle: three points of it and the middle are in one plane.
     assert abs(np.linalg.det(path.points[[0, 10, 20]])) < 0.02
     assert path.n_strokes == 1
@@ -100,7 +100,7 @@ def test_a_stroke_without_end_ends_with_the_recording() -> None:
 
 @given(st.integers(1, 300), st.floats(0.5, 50), seeds)
 def test_wandering_values_stay_in_range_and_glide(n_frames: int, change: float, seed: int) -> None:
-    values = wandering_values(n_frames, change, np.random.default_rng(seed))
+    values = smooth_random(n_frames, change, np.random.default_rng(seed))
     assert values.shape == (n_frames,)
     assert values.min() >= 0
     assert values.max() <= 1
@@ -112,8 +112,8 @@ def test_wandering_values_stay_in_range_and_glide(n_frames: int, change: float, 
 def test_a_ball_that_settles_reaches_as_deep_into_the_body_as_it_is_pressed(name: str) -> None:
     body = BODIES[name]()
     rng = np.random.default_rng(4)
-    skin = find_skin(body, rng)
-    path = wander(body, skin, 150, options_for(StrokeOptions, body), rng)
+    skin = sample_skin(body, rng)
+    path = draw_strokes(body, skin, 150, options_for(StrokeOptions, body), rng)
     radius = 0.3 * body.reach
     depths = 0.1 * body.reach * path.presses
     cluster = Cluster(np.zeros((150, 1, 3)), np.array([radius]))
@@ -127,8 +127,8 @@ def test_a_ball_that_settles_reaches_as_deep_into_the_body_as_it_is_pressed(name
 def test_a_capsule_that_settles_on_a_sphere_touches_it_with_its_middle() -> None:
     rng = np.random.default_rng(5)
     body = sphere()
-    skin = find_skin(body, rng)
-    path = wander(body, skin, 200, StrokeOptions(), rng)
+    skin = sample_skin(body, rng)
+    path = draw_strokes(body, skin, 200, StrokeOptions(), rng)
     axes = 0.4 * np.cross(path.normals, path.headings)[:, None]
     cluster = Cluster(np.zeros_like(axes), np.array([0.2]), axes)
     heights = settle(body, skin, path, cluster, 0.1 * path.presses)
@@ -138,11 +138,11 @@ def test_a_capsule_that_settles_on_a_sphere_touches_it_with_its_middle() -> None
 def test_a_cluster_on_a_plate_rests_on_its_lowest_ball() -> None:
     rng = np.random.default_rng(6)
     body = plane()
-    skin = find_skin(body, rng)
-    path = wander(body, skin, 200, StrokeOptions(), rng)
+    skin = sample_skin(body, rng)
+    path = draw_strokes(body, skin, 200, StrokeOptions(), rng)
     inside = np.abs(path.points[:, :2]).max(axis=1) < 0.5
     local = np.array([[0, 0, 0.35], [0.3, 0, 0.2]])
-    offsets = np.einsum("tij,bj->tbi", path.frames(np.zeros(200)), local)
+    offsets = np.einsum("tij,bj->tbi", path.orientations(np.zeros(200)), local)
     cluster = Cluster(offsets, np.array([0.2, 0.1]))
     centres = cluster.placed(path, settle(body, skin, path, cluster, np.zeros(200)))
     lowest = (centres[..., 2] - cluster.radii).min(axis=1) - 0.1
@@ -181,13 +181,13 @@ def test_support_of_a_capsule_and_a_box_in_closed_form() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"speed": 0.0}, "speed is 0 m/s"),
-        ({"stroke_length": -1.0}, "stroke_length is -1 m"),
-        ({"press_depth": float("nan")}, "press_depth is nan"),
-        ({"circle_share": 1.5}, r"circle_share is 1\.5; it must be from 0 to 1"),
-        ({"lift_share": float("nan")}, "lift_share is nan"),
-        ({"frame_interval": 0.0}, "frame_interval is 0 s"),
-        ({"speed": 100.0}, "is over within a frame of 0.05 s; take a speed of at most 24 m/s"),
+        ({"speed": 0.0}, "speed must be positive, got 0 m/s"),
+        ({"stroke_length": -1.0}, "stroke_length must be positive, got -1 m"),
+        ({"press_depth": float("nan")}, "press_depth must be positive, got nan"),
+        ({"circle_share": 1.5}, r"circle_share must be between 0 and 1, got 1\.5"),
+        ({"lift_share": float("nan")}, "lift_share must be between 0 and 1, got nan"),
+        ({"frame_interval": 0.0}, "frame_interval must be positive, got 0 s"),
+        ({"speed": 100.0}, r"speed must be at most .* \(24 m/s\), got 100 m/s"),
     ],
 )
 def test_nonsense_is_refused(given: dict[str, float], message: str) -> None:

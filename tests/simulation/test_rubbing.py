@@ -17,15 +17,15 @@ from anisomap.reconstruction import reconstruct
 from anisomap.scene import Prop
 from anisomap.simulation import BODIES, SCENARIOS, simulate
 from anisomap.simulation.bodies.lattice import plane, sphere, y_shape
-from anisomap.simulation.kinematic.paths import find_skin
+from anisomap.simulation.kinematic.paths import sample_skin
 from anisomap.simulation.kinematic.pressing import PressingOptions, draw_presses
 from anisomap.simulation.kinematic.pulses import PulsesOptions, draw_pulses, read_pulses
 from anisomap.simulation.kinematic.rolling import RollerOptions
-from anisomap.simulation.kinematic.rubbing import RubbingOptions, rub, rubbing
+from anisomap.simulation.kinematic.rubbing import RubbingOptions, move_hand, rubbing
 from anisomap.simulation.kinematic.self_touch import (
     SelfTouchOptions,
-    fingertip,
-    touch,
+    fingertip_directions,
+    move_fingertip,
     with_fingertip,
 )
 from anisomap.simulation.kinematic.settling import support
@@ -176,7 +176,9 @@ def test_rubbing_the_hexagon_gives_a_map_as_good_as_the_papers_hardware() -> Non
 def test_the_palm_is_rigid_irregular_and_another_one_with_another_seed() -> None:
     rng = np.random.default_rng(5)
     body = sphere()
-    hand, other = (rub(body, find_skin(body, rng), 100, RubbingOptions(), rng) for _ in range(2))
+    hand, other = (
+        move_hand(body, sample_skin(body, rng), 100, RubbingOptions(), rng) for _ in range(2)
+    )
     assert not np.allclose(hand.radii, other.radii)
     assert len(np.unique(hand.radii)) == len(hand.radii)
     apart = np.linalg.norm(hand.centres[:, :, None] - hand.centres[:, None], axis=-1)
@@ -266,8 +268,8 @@ def test_a_fingertip_and_the_body_feel_the_same_touch() -> None:
 def test_both_sides_of_self_touch_equal_the_closed_form() -> None:
     body, options = sphere(), SelfTouchOptions()
     run = SCENARIOS["self-touch"].run(body, 100, options, np.random.default_rng(11))
-    centres, turns = touch(body, 100, options, np.random.default_rng(11))
-    tip = options.finger_radius * fingertip(options)
+    centres, turns = move_fingertip(body, 100, options, np.random.default_rng(11))
+    tip = options.finger_radius * fingertip_directions(options)
     for t in range(100):
         away = np.linalg.norm(body.positions - centres[t, 0], axis=1) - options.finger_radius
         moved = centres[t] + tip @ turns[t].T
@@ -292,24 +294,36 @@ def test_a_body_with_a_fingertip_is_a_body() -> None:
     body = with_fingertip(y_shape(), SelfTouchOptions())
     assert body.n_sensors == 105 + 16
     assert np.abs(body.distance(body.positions)).max() < 1e-9
-    np.testing.assert_allclose(body.outward(body.positions)[105:], body.normals[105:], atol=1e-4)
+    np.testing.assert_allclose(body.normals_at(body.positions)[105:], body.normals[105:], atol=1e-4)
 
 
 @pytest.mark.parametrize(
     ("scenario", "given", "message"),
     [
-        ("rubbing", {"n_hands": 0}, "n_hands is 0"),
-        ("rubbing", {"press_depth": 0.2}, "deeper than the palm is thick; take at most"),
-        ("rubbing", {"hand_size": -1.0}, "hand_size is -1 m"),
-        ("roller", {"press_depth": 0.2}, "must be less than the roller's radius"),
-        ("roller", {"roller_length": 0.0}, "roller_length is 0 m"),
-        ("pressing", {"tilt": -0.1}, r"tilt is -0\.1; it must be from 0 to pi"),
-        ("pressing", {"press_interval": 0.05}, r"it must be at least two frames, 0\.1 s"),
-        ("self-touch", {"n_finger_sensors": 0}, "n_finger_sensors is 0"),
-        ("self-touch", {"press_depth": 0.3}, "less than the fingertip's radius"),
-        ("pulses", {"n_sources": 0}, "n_sources is 0"),
-        ("pulses", {"field_radius": 0.9}, "leaves no room outside the body; take more than 1 m"),
-        ("pulses", {"half_distance": float("inf")}, "half_distance is inf m"),
+        ("rubbing", {"n_hands": 0}, "n_hands must be an integer of at least 1, got 0"),
+        ("rubbing", {"press_depth": 0.2}, "at most the thickness of the palm"),
+        ("rubbing", {"hand_size": -1.0}, "hand_size must be positive, got -1 m"),
+        ("roller", {"press_depth": 0.2}, "press_depth must be below roller_radius"),
+        ("roller", {"roller_length": 0.0}, "roller_length must be positive, got 0 m"),
+        ("pressing", {"tilt": -0.1}, r"tilt must be between 0 and 3\.14159, got -0\.1"),
+        (
+            "pressing",
+            {"press_interval": 0.05},
+            r"press_interval must be at least two frames \(0\.1 s\)",
+        ),
+        (
+            "self-touch",
+            {"n_finger_sensors": 0},
+            "n_finger_sensors must be an integer of at least 1, got 0",
+        ),
+        ("self-touch", {"press_depth": 0.3}, "press_depth must be below finger_radius"),
+        ("pulses", {"n_sources": 0}, "n_sources must be an integer of at least 1, got 0"),
+        (
+            "pulses",
+            {"field_radius": 0.9},
+            r"field_radius must exceed the reach of the body \(1 m\)",
+        ),
+        ("pulses", {"half_distance": float("inf")}, "half_distance must be positive, got inf m"),
     ],
 )
 def test_nonsense_is_refused(scenario: str, given: dict[str, Any], message: str) -> None:

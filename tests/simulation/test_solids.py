@@ -53,13 +53,13 @@ def test_distance_grows_by_one_a_metre_along_the_normal(kind: str, seed: int) ->
     solid = PRIMITIVES[kind]()
     points = np.random.default_rng(seed).uniform(-1.5, 1.5, size=(30, 3))
     outside = points[solid.distance(points) > 0.01]
-    normals = solids.outward([solid], outside)
+    normals = solids.surface_normals([solid], outside)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
     step = 0.05
     np.testing.assert_allclose(
         solid.distance(outside + step * normals) - solid.distance(outside), step, rtol=1e-6
     )
-    np.testing.assert_allclose(solid.distance(solids.projected([solid], outside)), 0, atol=1e-9)
+    np.testing.assert_allclose(solid.distance(solids.project([solid], outside)), 0, atol=1e-9)
 
 
 def test_a_box_made_of_triangles_is_as_far_as_one_made_of_numbers() -> None:

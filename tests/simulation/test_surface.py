@@ -11,7 +11,7 @@ from anisomap.errors import InputError
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.bodies.geodesics import surface_distances
 from anisomap.simulation.bodies.lattice import cylinder, great_circles, plane, sphere
-from anisomap.simulation.bodies.poisson_disc import DENSEST, covered, uneven_sphere
+from anisomap.simulation.bodies.poisson_disc import MAX_DENSITY, covered, uneven_sphere
 from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.spreading import sample_surface, spread
 
@@ -46,7 +46,7 @@ def test_density_is_what_was_asked_for() -> None:
     height = body.positions[:, 2]
     upper, lower = np.sum(height > 0), np.sum(height < 0)
     # The density grows linearly with height, and so its means over the halves are:
-    expected = (1 + (DENSEST - 1) * 0.75) / (1 + (DENSEST - 1) * 0.25)
+    expected = (1 + (MAX_DENSITY - 1) * 0.75) / (1 + (MAX_DENSITY - 1) * 0.25)
     assert upper / lower == pytest.approx(expected, rel=0.1)
 
 

@@ -1,6 +1,6 @@
-"""Recordings with known truth: bodies, what happens to them, what sensors read, what breaks.
+"""Simulated recordings with known sensor positions: bodies, scenarios, readings and faults.
 
-Needs the extra ``simulation`` (MuJoCo) when a simulation runs, and not before.
+Running a simulation needs the extra ``simulation`` (MuJoCo); importing the package does not.
 """
 
 from anisomap.simulation.bodies import (
@@ -16,14 +16,12 @@ from anisomap.simulation.faults import (
     FAULTS,
     FRAME_FAULTS,
     Fault,
-    dead,
     fault_mask,
     inject,
     injected_faults,
-    noisy,
     parse_fault,
-    saturating,
 )
+from anisomap.simulation.faults.sensors import dead, noisy, saturating
 from anisomap.simulation.kinematic.pressing import PressingOptions
 from anisomap.simulation.kinematic.pulses import PulsesOptions
 from anisomap.simulation.kinematic.rolling import RollerOptions

@@ -1,4 +1,4 @@
-"""Parameters that make no sense are refused, by name."""
+"""Validation of numeric parameters."""
 
 from __future__ import annotations
 
@@ -8,24 +8,36 @@ from anisomap.errors import InputError
 
 
 def check_positive(name: str, value: float, unit: str = "") -> None:
-    """Refuse a parameter that must be a positive number and is not.
+    """Check that a parameter is a finite, positive number.
 
     Raises
     ------
     InputError
-        If `value` is zero, negative, infinite or not a number.
+        If `value` is zero, negative, infinite or NaN.
     """
     if not (np.isfinite(value) and value > 0):
-        raise InputError(f"{name} is {value:g}{unit and ' ' + unit}; it must be a positive number")
+        raise InputError(f"{name} must be positive, got {value:g}{unit and ' ' + unit}")
 
 
 def check_count(name: str, value: int) -> None:
-    """Refuse a count that is not a whole number of at least 1.
+    """Check that a parameter is an integer of at least 1.
 
     Raises
     ------
     InputError
-        If it is not.
+        If `value` is not an integer, or below 1.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise InputError(f"{name} is {value}; it must be a whole number of at least 1")
+        raise InputError(f"{name} must be an integer of at least 1, got {value}")
+
+
+def check_between(name: str, value: float, low: float, high: float) -> None:
+    """Check that a parameter lies in the closed interval from `low` to `high`.
+
+    Raises
+    ------
+    InputError
+        If `value` lies outside the interval, or is NaN.
+    """
+    if not low <= value <= high:
+        raise InputError(f"{name} must be between {low:g} and {high:g}, got {value:g}")

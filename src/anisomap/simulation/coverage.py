@@ -1,7 +1,7 @@
-"""How dense and how long a stimulation must be: what a recording covers as it grows.
+"""Coverage of the sensors by a stimulation, as a function of its length.
 
-For whoever is about to record in a laboratory: simulate a body like theirs and a stimulation like
-theirs, and see when more of it stops helping.
+Helps to plan a recording: simulate a similar body and stimulation, and find the length at which
+coverage and map quality level off.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ from anisomap.simulation.checks import check_count
 from anisomap.simulation.scenarios import simulate_runs
 
 LENGTHS = (62, 125, 250, 500, 1000, 2000)
-"""Frames: up to as many as the paper's runs have."""
+"""Default lengths in frames, up to that of the paper's runs."""
 
 QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Which quantiles over the sensors a curve tells of contacts: least, quartiles and most."""
+"""Quantiles over sensors at which contact counts are given: minimum, quartiles and maximum."""
 
-_NEIGHBOURLY = 1.5  # x distance to the nearest: on a square lattice, diagonals are neighbours, too
+# Times the distance to the nearest sensor: includes the diagonals of a square lattice (1.41).
+_NEIGHBOUR_RADIUS = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class CoverageCurve:
-    """What recordings cover, by their length; L lengths, S seeds.
+    """Coverage by recording length, for L lengths and S seeds.
 
     Attributes
     ----------
     n_frames : ndarray of int, shape (L,)
-        Lengths, rising.
+        Lengths, increasing.
     rate_hz : float
-        Frames a second.
+        Frames per second.
     touched : ndarray of shape (L, S)
-        Share of the sensors that were touched at all.
+        Share of the sensors that were touched at least once.
     contacts : ndarray of shape (L, S, 5)
-        How often a sensor was touched anew; its `QUANTILES` over the sensors.
+        Number of separate contacts of a sensor: `QUANTILES` over the sensors.
     n_pairs : int
-        How many pairs of sensors are neighbours: no further apart along the skin than 1.5 times
-        the distance from one of them to its nearest.
+        Number of neighbouring pairs of sensors, see `neighbouring_pairs`.
     pairs : ndarray of int, shape (L, S)
-        How many of those were touched in the same frame at least once. Where they were not, their
-        distance is anyone's guess.
+        Number of neighbouring pairs that were touched in the same frame at least once. For the
+        others, the recording holds no direct evidence of their distance.
     mantel_r : ndarray of shape (L, S)
-        Of maps made from it, over those sensors that a map places. NaN where there is no map.
+        Mantel r of the reconstructed maps, over the sensors that a map places. NaN without a map.
     """
 
     n_frames: NDArray[np.intp]
@@ -82,22 +82,23 @@ def coverage_curve(
     workers: int | None = 1,
     **parameters: Any,
 ) -> CoverageCurve:
-    """Simulate recordings, and tell what their beginnings cover.
+    """Simulate recordings and measure coverage at several lengths.
 
     Parameters
     ----------
     body, scenario
         See `simulate`.
     n_frames : sequence of int
-        Lengths. The longest is simulated, and stopped earlier for the others.
+        Lengths. The longest recording is simulated once per seed and truncated to the others.
     seeds : iterable of int
     method : str, optional
-        By which maps are made, in `dimensions`; with None, there are none.
+        Method of the maps; None for no maps.
     dimensions : int
+        Dimensions of the maps.
     workers : int, optional
-        Processes that simulate, see `simulate_runs`.
+        Number of processes, see `simulate_runs`.
     **parameters
-        Of the scenario, such as how dense the stimulation is.
+        Options of the scenario.
 
     Returns
     -------
@@ -113,7 +114,7 @@ def coverage_curve(
     lengths = np.unique(np.array(n_frames, dtype=np.intp))
     chosen = list(seeds)
     if not (lengths.size and chosen):
-        raise InputError("a coverage curve takes at least one length and one seed")
+        raise InputError("a coverage curve needs at least one length and one seed")
     if method is not None:
         find_method(method)
     recordings = simulate_runs(
@@ -121,18 +122,18 @@ def coverage_curve(
     )
     first = recordings[0]
     neighbours = neighbouring_pairs(first)
-    touched = [estimate_rest(run.readings).active(run.readings) for run in recordings]
-    cells = [(n, run, on[:n]) for n in lengths for run, on in zip(recordings, touched, strict=True)]
+    active = [estimate_rest(run.readings).active(run.readings) for run in recordings]
+    cells = [(n, run, on[:n]) for n in lengths for run, on in zip(recordings, active, strict=True)]
     shape = (len(lengths), len(chosen))
     return CoverageCurve(
         n_frames=_frozen(lengths),
         rate_hz=first.rate_hz or 1.0,
         touched=_frozen([on.any(axis=0).mean() for _, _, on in cells], shape),
         contacts=_frozen(
-            [np.quantile(_contacts(on), QUANTILES) for _, _, on in cells], (*shape, -1)
+            [np.quantile(_count_contacts(on), QUANTILES) for _, _, on in cells], (*shape, -1)
         ),
         n_pairs=len(neighbours),
-        pairs=_frozen([_together(on, neighbours) for _, _, on in cells], shape),
+        pairs=_frozen([_count_coactive(on, neighbours) for _, _, on in cells], shape),
         mantel_r=_frozen([_mantel_r(run, n, method, dimensions) for n, run, _ in cells], shape),
     )
 
@@ -147,40 +148,45 @@ def neighbouring_pairs(recording: Recording) -> NDArray[np.intp]:
 
     Returns
     -------
-    ndarray of shape (P, 2)
-        No further apart than 1.5 times the distance from one of them to its nearest; along the
-        skin, if that is known.
+    ndarray of int, shape (P, 2)
+        Pairs no further apart than 1.5 times the distance from either sensor to its nearest.
+        Distances are along the skin where known, otherwise straight.
+
+    Raises
+    ------
+    InputError
+        If the recording has no true positions.
     """
-    apart = recording.surface_distances
-    if apart is None:
+    distances = recording.surface_distances
+    if distances is None:
         if recording.positions is None:
-            raise InputError("without true positions, nobody knows which sensors are neighbours")
-        apart = np.linalg.norm(recording.positions[:, None] - recording.positions, axis=2)
-    others = apart + np.diag(np.full(len(apart), np.inf))
+            raise InputError("neighbouring pairs need a recording with true positions")
+        distances = np.linalg.norm(recording.positions[:, None] - recording.positions, axis=2)
+    others = distances + np.diag(np.full(len(distances), np.inf))
     nearest = others.min(axis=1)
-    within = others <= _NEIGHBOURLY * np.maximum(nearest[:, None], nearest)
+    within = others <= _NEIGHBOUR_RADIUS * np.maximum(nearest[:, None], nearest)
     return np.argwhere(np.triu(within & np.isfinite(others), k=1))
 
 
-def _contacts(touched: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Count how often each sensor comes to be touched, shape (N,)."""
-    before = np.vstack([np.zeros_like(touched[:1]), touched[:-1]])
-    return np.asarray(np.count_nonzero(touched & ~before, axis=0))
+def _count_contacts(active: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Count the onsets of contact of each sensor, shape (N,)."""
+    before = np.vstack([np.zeros_like(active[:1]), active[:-1]])
+    return np.asarray(np.count_nonzero(active & ~before, axis=0))
 
 
-def _together(touched: NDArray[np.bool_], pairs: NDArray[np.intp]) -> int:
-    """Count pairs that were touched in the same frame."""
-    counts = touched.astype(np.float32)
+def _count_coactive(active: NDArray[np.bool_], pairs: NDArray[np.intp]) -> int:
+    """Count pairs that were active in the same frame at least once."""
+    counts = active.astype(np.float32)
     return int(np.count_nonzero((counts.T @ counts)[tuple(pairs.T)]))
 
 
 def _mantel_r(recording: Recording, n_frames: int, method: str | None, dimensions: int) -> float:
-    """Score the map of a recording's beginning; NaN if it gives none."""
+    """Score the map of the first frames of a recording; NaN without a map."""
     if method is None or recording.positions is None:
         return float("nan")
     beginning = replace(recording, readings=recording.readings[:n_frames])
     with warnings.catch_warnings():
-        # What a short recording lacks is what the curve shows.
+        # Short recordings warn of the shortcomings that the curve measures.
         warnings.simplefilter("ignore", AnisomapWarning)
         try:
             found = reconstruct(beginning, method, dimensions)

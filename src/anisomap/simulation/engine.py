@@ -1,4 +1,4 @@
-"""The physics engine, imported when a simulation runs and not before."""
+"""Import of the physics engine, deferred until a simulation runs."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from anisomap.errors import MissingExtraError
 
 
 def load_mujoco() -> ModuleType:
-    """Import MuJoCo: the one place that does, so that all else works without it.
+    """Import MuJoCo. All other functions of the package work without it.
 
     Raises
     ------
     MissingExtraError
-        If it is not installed.
+        If MuJoCo is not installed.
     """
     try:
         return importlib.import_module("mujoco")

@@ -1,4 +1,4 @@
-"""Scenes in MuJoCo's own viewer: in a window where there is a screen, else off screen by EGL."""
+"""Display of scenes with MuJoCo, in its interactive viewer or rendered off screen by EGL."""
 
 from __future__ import annotations
 
@@ -21,24 +21,25 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import AnisomapError
 from anisomap.scene import Mesh, Prop, Scene
 from anisomap.simulation.engine import load_mujoco
-from anisomap.simulation.geometry.solids import drawn_ball
+from anisomap.simulation.geometry.solids import coarse_ball
 
 _COLOURS = {
     "ground": (0.72, 0.78, 0.66, 1.0),
     "body": (0.79, 0.81, 0.83, 1.0),
     "stimulus": (0.90, 0.62, 0.0, 0.8),
 }
-_QUIET, _LOUD = np.array([0.27, 0.0, 0.33, 1.0]), np.array([0.99, 0.91, 0.14, 1.0])
-_SENSOR = 0.016  # of the scene's extent
-_DISTANCE = 1.35  # of the eye, times the scene's extent
+# Colours of sensors without a reading and with the largest reading: the ends of viridis.
+_LOW, _HIGH = np.array([0.27, 0.0, 0.33, 1.0]), np.array([0.99, 0.91, 0.14, 1.0])
+_SENSOR_RADIUS = 0.016  # x extent of the sensors
+_CAMERA_DISTANCE = 1.35  # x extent of the scene
 
 
 class NoScreenError(AnisomapError):
-    """There is no screen, or nothing that could render without one."""
+    """No display is available, and off-screen rendering is not possible."""
 
 
 def has_screen() -> bool:
-    """Tell whether there is a screen for a window."""
+    """Return whether a display is available."""
     if sys.platform in ("darwin", "win32"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -59,18 +60,18 @@ def render(
     Returns
     -------
     list of ndarray of uint8, shape (height, width, 3)
-        The body grey, what touches it orange, sensors from violet (nothing) to yellow (the most
-        that any sensor ever reads).
+        The body is grey and stimuli are orange. Sensors range from violet (no reading) to yellow
+        (the largest reading of the recording).
 
     Raises
     ------
     NoScreenError
-        If there is no EGL.
+        If EGL is not available.
     MissingExtraError
         If MuJoCo is not installed.
     """
     load_mujoco()
-    # In a process of its own, since a graphics library that cannot start may end its process.
+    # In a separate process, since a graphics library that fails to start may end its process.
     try:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             return pool.submit(_render_here, scene, list(frames), width, height).result()
@@ -83,61 +84,65 @@ def _render_here(
 ) -> list[NDArray[np.uint8]]:
     os.environ["MUJOCO_GL"] = "egl"  # must be set before MuJoCo is imported
     mujoco = load_mujoco()
-    stage = _build(mujoco, scene, width, height)
-    model = stage.model
+    visual = _build(mujoco, scene, width, height)
+    model = visual.model
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(model, camera)
-    camera.azimuth, camera.elevation, camera.distance = 120, -25, _DISTANCE * model.stat.extent
+    camera.azimuth, camera.elevation, camera.distance = (
+        120,
+        -25,
+        _CAMERA_DISTANCE * model.stat.extent,
+    )
     pixels = []
     with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 100) as renderer:
         for frame in frames:
-            _pose(mujoco, stage, scene, frame)
-            renderer.update_scene(stage.data, camera)
+            _pose(mujoco, visual, scene, frame)
+            renderer.update_scene(visual.data, camera)
             pixels.append(np.array(renderer.render(), dtype=np.uint8))
     return pixels
 
 
 def show(scene: Scene, speed: float = 1.0) -> None:
-    """Play a scene in MuJoCo's window until it is closed.
+    """Play a scene in MuJoCo's viewer until its window is closed.
 
     Parameters
     ----------
     scene : Scene
     speed : float
-        How many times as fast as it happened.
+        Playback speed relative to real time.
 
     Raises
     ------
     NoScreenError
-        If there is no screen.
+        If no display is available.
     MissingExtraError
         If MuJoCo is not installed.
     """
     if not has_screen():
-        raise NoScreenError("there is no screen for MuJoCo's window")
+        raise NoScreenError("there is no screen for MuJoCo's viewer")
     mujoco = load_mujoco()
     viewer = importlib.import_module("mujoco.viewer")
-    stage = _build(mujoco, scene, 960, 720)
+    visual = _build(mujoco, scene, 960, 720)
     step = float(np.median(np.diff(scene.times))) if scene.n_frames > 1 else 1.0
     frame = 0
-    with viewer.launch_passive(stage.model, stage.data) as window:
+    with viewer.launch_passive(visual.model, visual.data) as window:
         while window.is_running():
-            _pose(mujoco, stage, scene, frame)
+            _pose(mujoco, visual, scene, frame)
             window.sync()
             time.sleep(step / speed)
             frame = (frame + 1) % scene.n_frames
 
 
 @dataclass(frozen=True, eq=False)
-class _Stage:
-    """A model that is only looked at: first each of the things that it shows, then the sensors."""
+class _VisualModel:
+    """A MuJoCo model for display: one mocap body per object, then one per sensor."""
 
     model: Any
     data: Any
-    things: tuple[tuple[Prop, int], ...]
+    objects: tuple[tuple[Prop, int], ...]
 
 
-def _build(mujoco: ModuleType, scene: Scene, width: int, height: int) -> _Stage:
+def _build(mujoco: ModuleType, scene: Scene, width: int, height: int) -> _VisualModel:
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
@@ -146,7 +151,7 @@ def _build(mujoco: ModuleType, scene: Scene, width: int, height: int) -> _Stage:
     spec.add_texture(
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=sky, rgb1=[1, 1, 1], width=64, height=384
     )
-    things: list[tuple[Prop, int]] = []
+    objects: list[tuple[Prop, int]] = []
     meshes: dict[tuple[int, float], str] = {}
 
     def add(mesh: Mesh, scale: float, colour: tuple[float, ...]) -> None:
@@ -157,10 +162,10 @@ def _build(mujoco: ModuleType, scene: Scene, width: int, height: int) -> _Stage:
                 name=meshes[key],
                 uservert=scale * mesh.vertices.ravel(),
                 userface=mesh.faces.ravel(),
-                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,  # the ground is not closed
+                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,  # the ground is an open mesh
             )
-        thing = spec.worldbody.add_body(mocap=True)
-        thing.add_geom(
+        body = spec.worldbody.add_body(mocap=True)
+        body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=meshes[key],
             rgba=colour,
@@ -173,28 +178,28 @@ def _build(mujoco: ModuleType, scene: Scene, width: int, height: int) -> _Stage:
             count = prop.centres.shape[1]
             for i, scale in enumerate(np.ones(count) if prop.scales is None else prop.scales):
                 add(prop.mesh, float(scale), _COLOURS[prop.role])
-                things.append((prop, i))
-    bead = drawn_ball()
-    radius = _SENSOR * float(np.ptp(scene.sensors[0], axis=0).max())
+                objects.append((prop, i))
+    marker = coarse_ball()
+    radius = _SENSOR_RADIUS * float(np.ptp(scene.sensors[0], axis=0).max())
     for _ in range(scene.sensors.shape[1]):
-        add(bead, radius, tuple(_QUIET))
-    seen = np.vstack([s for p in scene.props if p.role != "ground" for s in p.surfaces(0)])
-    spec.stat.extent = float(np.ptp(seen, axis=0).max())
-    spec.stat.center = (seen.min(axis=0) + seen.max(axis=0)) / 2
+        add(marker, radius, tuple(_LOW))
+    corners = np.vstack([s for p in scene.props if p.role != "ground" for s in p.surfaces(0)])
+    spec.stat.extent = float(np.ptp(corners, axis=0).max())
+    spec.stat.center = (corners.min(axis=0) + corners.max(axis=0)) / 2
     model = spec.compile()
-    return _Stage(model, mujoco.MjData(model), tuple(things))
+    return _VisualModel(model, mujoco.MjData(model), tuple(objects))
 
 
-def _pose(mujoco: ModuleType, stage: _Stage, scene: Scene, frame: int) -> None:
-    """Put everything where it is in a frame, and colour the sensors by what they read."""
-    model, data, n_things = stage.model, stage.data, len(stage.things)
-    for thing, (prop, i) in enumerate(stage.things):
+def _pose(mujoco: ModuleType, visual: _VisualModel, scene: Scene, frame: int) -> None:
+    """Move objects and sensors to their places in a frame, and colour sensors by their readings."""
+    model, data, n_objects = visual.model, visual.data, len(visual.objects)
+    for index, (prop, i) in enumerate(visual.objects):
         turn = np.eye(3)
         if prop.rotations is not None:
             turn = prop.rotations[frame % len(prop.rotations)][i]
-        data.mocap_pos[thing] = prop.centres[frame % len(prop.centres)][i]
-        data.mocap_quat[thing] = Rotation.from_matrix(turn).as_quat(scalar_first=True)
-    data.mocap_pos[n_things:] = scene.sensors[frame % len(scene.sensors)]
-    loudness = scene.readings[frame] / (float(np.nanmax(scene.readings)) or 1.0)
-    model.geom_rgba[n_things:] = _QUIET + np.nan_to_num(loudness)[:, None] * (_LOUD - _QUIET)
+        data.mocap_pos[index] = prop.centres[frame % len(prop.centres)][i]
+        data.mocap_quat[index] = Rotation.from_matrix(turn).as_quat(scalar_first=True)
+    data.mocap_pos[n_objects:] = scene.sensors[frame % len(scene.sensors)]
+    level = scene.readings[frame] / (float(np.nanmax(scene.readings)) or 1.0)
+    model.geom_rgba[n_objects:] = _LOW + np.nan_to_num(level)[:, None] * (_HIGH - _LOW)
     mujoco.mj_forward(model, data)

@@ -1,4 +1,4 @@
-"""Simulating a recording: a body, what happens to it, and what its sensors read.
+"""Simulation of recordings from a body and a scenario.
 
 To add a scenario, add one function and one line to `SCENARIOS`.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from types import MappingProxyType
@@ -31,52 +31,80 @@ from anisomap.simulation.kinematic.self_touch import SelfTouchOptions, self_touc
 from anisomap.simulation.options import options_for
 from anisomap.simulation.physics.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.physics.driving import LocomotionOptions
-from anisomap.simulation.physics.locomotion import locomotion, rolls
-from anisomap.simulation.world import Progress, Run
+from anisomap.simulation.physics.locomotion import can_roll, locomotion
+from anisomap.simulation.result import Progress, ScenarioResult, no_progress
 
 Entry = TypeVar("Entry")
 
-DEFAULT_FRAMES = 2000
-"""As many as the paper's runs have."""
-
+DEFAULT_FRAMES = 2000  # as many as the paper's runs
 DEFAULT_SEED = 1
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """What can happen to a body.
+    """A way to stimulate the skin of a body.
 
     Attributes
     ----------
     summary : str
-        A line on it.
+        One-line description.
     options : type
-        The frozen dataclass of its parameters; called without arguments it gives the defaults.
-    run : callable
-        Takes body, number of frames, options, a numpy Generator and a progress callable or None;
-        gives a `Run`.
+        Frozen dataclass of parameters, a subclass of `ScenarioOptions`.
+    function : callable
+        Takes a `Body`, the number of frames, the options and a numpy Generator, and returns a
+        `ScenarioResult`. With `uses_mujoco`, it also takes a `Progress`.
     uses_mujoco : bool
-        Whether it runs on the physics engine, whose version is then on the record.
+        Whether it runs on the physics engine. If so, metadata include the engine's version.
     accepts : callable
-        Takes a body; tells whether this can happen to it. `run` refuses others.
+        Predicate of a body. `function` raises InputError for bodies that are not accepted.
     """
 
     summary: str
     options: type[Any]
-    run: Callable[..., Run]
+    function: Callable[..., ScenarioResult]
     uses_mujoco: bool = False
     accepts: Callable[[Body], bool] = lambda _: True
+
+    def run(
+        self,
+        body: Body,
+        n_frames: int,
+        options: Any,
+        rng: np.random.Generator,
+        progress: Progress | None = None,
+    ) -> ScenarioResult:
+        """Run the scenario.
+
+        Parameters
+        ----------
+        body : Body
+        n_frames : int
+        options : ScenarioOptions
+        rng : numpy.random.Generator
+        progress : callable, optional
+            Receives the completed share, from 0 to 1.
+
+        Returns
+        -------
+        ScenarioResult
+            Its facts include the options.
+        """
+        report = progress or no_progress
+        reported = (report,) if self.uses_mujoco else ()
+        result = self.function(body, n_frames, options, rng, *reported)
+        report(1.0)
+        return replace(result, facts=asdict(options) | dict(result.facts))
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A recording, and how it came about.
+    """A simulated recording and its scene.
 
     Attributes
     ----------
     recording : Recording
     scene : Scene
-        What there was to be seen, for pictures.
+        Objects and sensors in each frame, for drawing.
     """
 
     recording: Recording
@@ -86,38 +114,32 @@ class Simulation:
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
     {
         "bombardment": Scenario(
-            "elastic balls fly about the body in a box without gravity",
+            "elastic balls bounce off the body in a box without gravity",
             BombardmentOptions,
             bombardment,
             uses_mujoco=True,
         ),
         "locomotion": Scenario(
-            "a sphere or cylinder rolls over uneven ground under gravity",
+            "the body, a sphere or a cylinder, rolls over uneven ground",
             LocomotionOptions,
             locomotion,
             uses_mujoco=True,
-            accepts=rolls,
+            accepts=can_roll,
         ),
         "rubbing": Scenario(
-            "a palm rubs the skin along lines and circles, pressing more and less",
-            RubbingOptions,
-            rubbing,
+            "a palm rubs the skin along lines and circles", RubbingOptions, rubbing
         ),
-        "roller": Scenario(
-            "a roller lies across the skin and is rolled along it", RollerOptions, roller
-        ),
+        "roller": Scenario("a roller rolls along the skin", RollerOptions, roller),
         "pressing": Scenario(
-            "a large flat surface is pressed against the body from all sides",
-            PressingOptions,
-            pressing,
+            "a flat surface presses on the body from all sides", PressingOptions, pressing
         ),
         "self-touch": Scenario(
-            "a fingertip with sensors of its own strokes the body, and both feel it",
+            "a fingertip strokes the body; the sensors of both are recorded",
             SelfTouchOptions,
             self_touch,
         ),
         "pulses": Scenario(
-            "point sources flash around the body, and the response falls off with distance",
+            "point sources around the body emit pulses; readings fall off with distance",
             PulsesOptions,
             pulses,
         ),
@@ -135,97 +157,94 @@ def simulate(
     progress: Progress | None = None,
     **parameters: Any,
 ) -> Recording:
-    """Simulate a recording whose truth is known.
+    """Simulate a recording with known sensor positions.
 
     Parameters
     ----------
     body : str or Body
-        A name in `BODIES`, or a body of your own (`body_from_mesh` and its like).
+        A name in `BODIES`, or a body made by `body_from_mesh`, `body_from_mjcf`,
+        `body_from_points` or `load_body`.
     scenario : str
         A name in `SCENARIOS`.
     n_frames : int
-        How many frames to record.
+        Number of frames.
     seed : int or numpy.random.Generator
-        Same seed, same recording, byte for byte on one machine. A generator gives the seed that
-        is then used and recorded, so that the recording can be made again from its metadata.
+        The same seed gives the same recording, byte for byte on one machine. From a generator, a
+        seed is drawn and stored in the metadata, so that the recording can be reproduced.
     n_sensors : int, optional
-        Sensors on a body that is named; its own number unless given (60 on the sphere).
+        Number of sensors on a named body. Defaults to that of the body, such as 60 on the sphere.
     progress : callable, optional
-        Told the share done, from 0 to 1.
+        Receives the completed share, from 0 to 1.
     **parameters
-        Those of the scenario, see its options; what is not given has a default that accepts the
-        body.
+        Options of the scenario. Defaults scale with the body.
 
     Returns
     -------
     Recording
-        With true positions, normals and distances along the surface. Its metadata hold body,
-        scenario, seed, versions, every parameter, and what was measured of the physics.
+        With true positions, normals and distances along the surface. Metadata hold the body, the
+        scenario, the seed, versions, all options, and measured physical quantities.
 
     Raises
     ------
     InputError
-        If a name is unknown, or a parameter makes no sense.
+        If a name is unknown, or a parameter is outside its range.
     MissingExtraError
-        If MuJoCo is not installed.
+        If the scenario needs MuJoCo and it is not installed.
 
     Notes
     -----
     McGregor et al. (2011), section "Tactile Data: Simulated Environment",
     doi:10.1371/journal.pone.0026561.
     """
-    return run_simulation(
-        body,
-        scenario,
-        n_frames=n_frames,
-        seed=seed,
-        n_sensors=n_sensors,
-        progress=progress,
-        **parameters,
-    ).recording
+    made = find_body(body, n_sensors)
+    return run_simulation(made, scenario, n_frames, seed, progress, **parameters).recording
 
 
 def run_simulation(
     body: str | Body = "sphere",
     scenario: str = "bombardment",
-    *,
     n_frames: int = DEFAULT_FRAMES,
     seed: int | np.random.Generator = DEFAULT_SEED,
-    n_sensors: int | None = None,
     progress: Progress | None = None,
     **parameters: Any,
 ) -> Simulation:
-    """Simulate as `simulate` does, and keep the scene, too."""
+    """Simulate a recording and its scene; see `simulate`."""
     check_count("n_frames", n_frames)
     chosen = find_scenario(scenario)
-    skin = find_body(body, n_sensors)
-    used = options_for(chosen.options, skin, parameters)
+    given = find_body(body)
+    options = options_for(chosen.options, given, parameters)
     number = _seed_number(seed)
-    run = chosen.run(skin, n_frames, used, np.random.default_rng(number), progress)
-    facts = {
-        "body": skin.name,
+    result = chosen.run(given, n_frames, options, np.random.default_rng(number), progress)
+    metadata = {
+        "body": given.name,
         "scenario": scenario,
         "seed": number,
-        **{name: _plain(value) for name, value in run.facts.items() if value is not None},
+        **{name: _as_python(value) for name, value in result.facts.items() if value is not None},
         "anisomap": __version__,
     }
     if chosen.uses_mujoco:
-        facts["mujoco"] = load_mujoco().__version__
-    carrier = run.body or skin
+        metadata["mujoco"] = load_mujoco().__version__
+    rate_hz = 1 / options.frame_interval
+    read = result.body or given
     recording = Recording(
-        run.readings,
-        names=carrier.names,
-        rate_hz=run.rate_hz,
-        positions=carrier.positions + carrier.origin,
-        normals=carrier.normals,
-        surface_distances=surface_distances(carrier),
-        units=skin.units,
-        source=f"simulated {scenario} of {skin.name}, seed {number}",
-        metadata=facts,
+        result.readings,
+        names=read.names,
+        rate_hz=rate_hz,
+        positions=read.positions + read.origin,
+        normals=read.normals,
+        surface_distances=surface_distances(read),
+        units=given.units,
+        source=f"simulated {scenario} of {given.name}, seed {number}",
+        metadata=metadata,
     )
-    times = np.arange(n_frames) / run.rate_hz
-    title = f"{skin.name}, {scenario}"
-    scene = Scene(title, run.props, run.sensors, recording.readings, times, skin.units)
+    scene = Scene(
+        f"{given.name}, {scenario}",
+        result.props,
+        read.positions[None] if result.sensors is None else result.sensors,
+        recording.readings,
+        np.arange(n_frames) / rate_hz,
+        given.units,
+    )
     return Simulation(recording, scene)
 
 
@@ -237,7 +256,7 @@ def simulate_runs(
     workers: int | None = None,
     **settings: Any,
 ) -> list[Recording]:
-    """Simulate with several seeds, in parallel over the cores.
+    """Simulate recordings with several seeds in parallel.
 
     Parameters
     ----------
@@ -245,46 +264,48 @@ def simulate_runs(
     scenario : str
     seeds : iterable of int
     workers : int, optional
-        Processes; as many as there are cores unless given.
+        Number of processes. Defaults to the number of cores.
     **settings
-        What `simulate` takes besides.
+        Further arguments of `simulate`.
 
     Returns
     -------
     list of Recording
-        In the order of the seeds; each the same as `simulate` gives.
+        In the order of the seeds, identical to those of `simulate`.
     """
     one = partial(_simulate_seed, body, scenario, settings)
     chosen = list(seeds)
     if workers == 1 or len(chosen) < 2:
         return [one(seed) for seed in chosen]
-    # Fresh processes, since forked ones inherit threads of the libraries below.
+    # Spawned, since forked processes inherit the threads of numerical libraries.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         return list(pool.map(one, chosen))
 
 
 def find_scenario(name: str) -> Scenario:
-    """Look a scenario up.
+    """Look up a scenario by name.
 
     Raises
     ------
     InputError
-        If there is none of that name; the message lists those that there are.
+        If there is no such scenario; the message lists the choices.
     """
     return _find("scenario", SCENARIOS, name)
 
 
 def find_body(body: str | Body, n_sensors: int | None = None) -> Body:
-    """Make a body by its name, or take one that is made.
+    """Create a body by name. A `Body` is returned unchanged.
 
     Raises
     ------
     InputError
-        If there is no body of that name, or `n_sensors` is given for one that is made.
+        If there is no such body, or `n_sensors` is given with a `Body`.
     """
     if isinstance(body, Body):
         if n_sensors is not None:
-            raise InputError(f"n_sensors is {n_sensors}, but the body {body.name} has its sensors")
+            raise InputError(
+                f"n_sensors must be left out: the body {body.name} has {body.n_sensors} sensors"
+            )
         return body
     make = _find("body", BODIES, body)
     return make() if n_sensors is None else make(n_sensors)
@@ -296,14 +317,14 @@ def _simulate_seed(
     return simulate(body, scenario, seed=seed, **settings)
 
 
-def _find(what: str, registry: Mapping[str, Entry], name: str) -> Entry:
+def _find(kind: str, registry: Mapping[str, Entry], name: str) -> Entry:
     if name not in registry:
-        raise InputError(f"there is no {what} {name!r}; choose from {', '.join(registry)}")
+        raise InputError(f"there is no {kind} {name!r}; choose from {', '.join(registry)}")
     return registry[name]
 
 
-def _plain(value: Scalar) -> Scalar:
-    """Make numpy's numbers Python's, which is what files hold."""
+def _as_python(value: Scalar) -> Scalar:
+    """Convert numpy scalars, which files cannot hold, to Python's types."""
     return value.item() if isinstance(value, np.generic) else value
 
 
@@ -311,7 +332,5 @@ def _seed_number(seed: int | np.random.Generator) -> int:
     if isinstance(seed, np.random.Generator):
         return int(seed.integers(2**63))
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(
-            f"seed is {seed!r}; it must be a whole number of at least 0, or a numpy Generator"
-        )
+        raise InputError(f"seed must be a non-negative integer or a numpy Generator, got {seed!r}")
     return int(seed)

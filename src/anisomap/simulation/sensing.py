@@ -1,4 +1,4 @@
-"""What sensors read, in closed form: they add nothing to the dynamics."""
+"""Sensor readings in closed form. Sensors do not affect the dynamics."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ def read_balls(
     Parameters
     ----------
     sensors : array_like of shape (N, 3)
-        Where the sensors are.
+        Sensor positions.
     centres : array_like of shape (T, B, 3)
-        Where the centres of B balls are in each of T frames.
+        Centres of B balls in each of T frames.
     ball_radius : float or array_like of shape (B,)
-        Of all balls, or of each.
     detection_radius : float
-        Radius of the sphere about a sensor in which it detects.
+        Radius of the detection sphere around each sensor.
 
     Returns
     -------
-    ndarray of shape (T, N)
-        How deep the deepest ball reaches into each sensor's sphere of detection,
+    ndarray of float32, shape (T, N)
+        Penetration depth of the deepest ball into the detection sphere,
         ``max(0, detection_radius + ball_radius - distance)``, in the unit of the lengths.
 
     Notes
     -----
     McGregor et al. (2011), section "Sensor Modelling": "proportional to the detectable body's
-    maximum penetration into the sensor's sphere of detection". Single precision keeps seven
-    digits, more than any sensor has, at half the size.
+    maximum penetration into the sensor's sphere of detection". Single precision halves the size;
+    its seven digits exceed the resolution of real sensors.
     """
     sensors, frames = np.asarray(sensors, dtype=np.float64), np.asarray(centres, dtype=np.float64)
     radius = np.asarray(ball_radius, dtype=np.float64)
@@ -56,13 +55,13 @@ def read_capsules(
     ----------
     sensors : array_like of shape (N, 3)
     starts, ends : array_like of shape (T, B, 3)
-        Of the segments of B capsules in each of T frames.
+        Ends of the segments of B capsules in each of T frames.
     capsule_radius, detection_radius : float
 
     Returns
     -------
-    ndarray of shape (T, N)
-        As `read_balls` gives, with the distance from the segment.
+    ndarray of float32, shape (T, N)
+        As `read_balls`, with the distance from the segment.
     """
     sensors = np.asarray(sensors, dtype=np.float64)
     frames = np.asarray(starts, dtype=np.float64), np.asarray(ends, dtype=np.float64)
@@ -71,28 +70,28 @@ def read_capsules(
         axis = end - start
         from_start = sensors[:, None] - start
         along = np.einsum("nbd,bd->nb", from_start, axis) / np.einsum("bd,bd->b", axis, axis)
-        away = np.linalg.norm(from_start - np.clip(along, 0, 1)[..., None] * axis, axis=2)
-        row[:] = (detection_radius + capsule_radius - away).max(axis=1)
+        distance = np.linalg.norm(from_start - np.clip(along, 0, 1)[..., None] * axis, axis=2)
+        row[:] = (detection_radius + capsule_radius - distance).max(axis=1)
     return np.maximum(readings, 0, out=readings)
 
 
 def read_half_spaces(
     sensors: ArrayLike, directions: ArrayLike, offsets: ArrayLike, detection_radius: float
 ) -> NDArray[np.float32]:
-    """Read a flat surface without end: all points ``x`` with ``x @ direction >= offset``.
+    """Read an infinite flat surface: all points ``x`` with ``x @ direction >= offset``.
 
     Parameters
     ----------
     sensors : array_like of shape (N, 3)
     directions : array_like of shape (T, 3)
-        Unit vectors into what is behind the surface, one a frame.
+        Unit normals of the surface in each frame, pointing into the solid half space.
     offsets : array_like of shape (T,)
     detection_radius : float
 
     Returns
     -------
-    ndarray of shape (T, N)
-        How deep it reaches into each sensor's sphere of detection.
+    ndarray of float32, shape (T, N)
+        Penetration depth into the detection sphere of each sensor.
     """
     heights = np.asarray(directions, dtype=np.float64) @ np.asarray(sensors, dtype=np.float64).T
     gaps = np.asarray(offsets, dtype=np.float64)[:, None] - heights

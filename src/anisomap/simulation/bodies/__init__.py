@@ -1,8 +1,12 @@
-"""Bodies with sensors on their surface: to add one, add a function and a line to `BODIES`."""
+"""Bodies with sensors on their surface.
+
+To add a body, add one function and one line to `BODIES`.
+"""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
+from anisomap.simulation.bodies import lattice, poisson_disc
 from anisomap.simulation.bodies.body import UNITS, Body
 from anisomap.simulation.bodies.hexagonal_patch import hexagon
 from anisomap.simulation.bodies.imported import (
@@ -10,16 +14,6 @@ from anisomap.simulation.bodies.imported import (
     body_from_mjcf,
     body_from_points,
     load_body,
-)
-from anisomap.simulation.bodies.lattice import cylinder, plane, sphere, y_shape
-from anisomap.simulation.bodies.poisson_disc import (
-    cube,
-    hand,
-    hemisphere,
-    holed_plate,
-    torus,
-    tube,
-    uneven_sphere,
 )
 
 __all__ = [
@@ -34,18 +28,18 @@ __all__ = [
 
 BODIES: Mapping[str, Callable[..., Body]] = MappingProxyType(
     {
-        "sphere": sphere,
-        "cylinder": cylinder,
-        "y-shape": y_shape,
-        "plane": plane,
+        "sphere": lattice.sphere,
+        "cylinder": lattice.cylinder,
+        "y-shape": lattice.y_shape,
+        "plane": lattice.plane,
         "hexagon": hexagon,
-        "torus": torus,
-        "cube": cube,
-        "hemisphere": hemisphere,
-        "hand": hand,
-        "tube": tube,
-        "holed-plate": holed_plate,
-        "uneven-sphere": uneven_sphere,
+        "torus": poisson_disc.torus,
+        "cube": poisson_disc.cube,
+        "hemisphere": poisson_disc.hemisphere,
+        "hand": poisson_disc.hand,
+        "tube": poisson_disc.tube,
+        "holed-plate": poisson_disc.holed_plate,
+        "uneven-sphere": poisson_disc.uneven_sphere,
     }
 )
-"""Each takes the number of its sensors, and has a default for it. The paper's come first."""
+"""Functions ``make(n_sensors)`` with a default number of sensors. The paper's bodies come first."""

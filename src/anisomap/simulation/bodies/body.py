@@ -1,4 +1,4 @@
-"""What a body is: solids, and sensors on their surface."""
+"""Body: solids with sensors on their surface."""
 
 from __future__ import annotations
 
@@ -13,13 +13,19 @@ from scipy.spatial import KDTree
 from anisomap.errors import InputError
 from anisomap.recording import default_names
 from anisomap.scene import frozen
-from anisomap.simulation.geometry.solids import Points, Solid, distance_to_all, outward, projected
+from anisomap.simulation.geometry.solids import (
+    Points,
+    Solid,
+    project,
+    surface_normals,
+    union_distance,
+)
 
 UNITS = "m"
-"""Unit of every length in a simulation, unless a body that a user brings has another."""
+"""Unit of the lengths of all bodies in `BODIES`."""
 
 ON_SURFACE = 1e-6
-"""How far off the surface a sensor may be, as a share of the body's reach."""
+"""Largest distance of a sensor from the surface, x reach of the body."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,25 +35,24 @@ class Body:
     Parameters
     ----------
     name : str
-        Its name, for the record.
     positions : array_like of shape (N, 3)
         Sensors, on the surface.
     normals : array_like of shape (N, 3)
         Outward unit normals of the surface at the sensors.
     solids : sequence of Solid
-        What things bounce off; together they are the body. Its middle is near the origin.
+        Their union is the body. Its middle is near the origin.
     names : tuple of str, optional
-        One unique name a sensor; ``s0, s1, ...`` unless given.
+        Unique name of each sensor. Default: ``s0, s1, ...``.
     units : str
-        Unit of every length.
+        Unit of all lengths.
     origin : array_like of shape (3,)
-        Where the body's origin is in the frame in which a user gave it, and in which recordings
-        tell its sensors' places.
+        Position of the body's origin in the user's frame, in which recordings give positions.
     is_whole : bool
-        Whether the solids' surface is the body's between the sensors, too.
+        Whether the solids also represent the surface between the sensors.
     geodesic : callable, optional
-        Takes positions; gives their (N, N) distances along the surface, where there is a closed
-        form. Others are found by `anisomap.simulation.bodies.geodesics.surface_distances`.
+        Function of positions (N, 3) that returns their distances along the surface (N, N), if
+        there is a closed form. Otherwise, see
+        `anisomap.simulation.bodies.geodesics.surface_distances`.
 
     Raises
     ------
@@ -69,14 +74,19 @@ class Body:
         positions, normals = frozen(self.positions), frozen(self.normals)
         if positions.ndim != 2 or positions.shape[1] != 3 or not len(positions):
             raise InputError(
-                f"sensors of the body {self.name} have shape {positions.shape}; "
-                "they must be points in space, shape (N, 3)"
+                f"sensor positions of the body {self.name} must have shape (N, 3), "
+                f"got {positions.shape}"
             )
         if normals.shape != positions.shape:
-            raise InputError(f"{len(positions)} sensors of {self.name} need as many normals")
+            raise InputError(
+                f"normals of the body {self.name} must have the shape of the positions "
+                f"{positions.shape}, got {normals.shape}"
+            )
         for i, row in enumerate(np.column_stack([positions, normals])):
             if not np.isfinite(row).all():
-                raise InputError(f"sensor {i} of the body {self.name} has no finite place")
+                raise InputError(
+                    f"sensor {i} of the body {self.name} must have a finite position and normal"
+                )
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "normals", normals)
         object.__setattr__(self, "origin", frozen(self.origin))
@@ -86,8 +96,8 @@ class Body:
         if off.max() > ON_SURFACE * self.reach:
             worst = int(off.argmax())
             raise InputError(
-                f"sensor {self.names[worst]} of the body {self.name} is {off[worst]:g} "
-                f"{self.units} off its surface; sensors must be on it"
+                f"sensors must be on the surface of the body {self.name}; "
+                f"sensor {self.names[worst]} is {off[worst]:g} {self.units} off"
             )
 
     @property
@@ -97,30 +107,30 @@ class Body:
 
     @cached_property
     def reach(self) -> float:
-        """Radius of a ball about the origin that holds the body."""
+        """Radius of the bounding ball about the origin."""
         return max(solid.reach for solid in self.solids)
 
     @cached_property
     def spacing(self) -> float:
-        """Median distance from a sensor to its nearest neighbour; with one sensor, the reach."""
+        """Median distance to the nearest sensor; the reach if there is one sensor."""
         if self.n_sensors == 1:
             return self.reach
         return float(np.median(nearest_neighbours(self.positions, 1)[0]))
 
     def distance(self, points: ArrayLike) -> Points:
-        """Measure how far points are from the surface, shape (n,); negative inside the body."""
-        return distance_to_all(self.solids, points)
+        """Compute the distance of points from the surface, shape (n,); negative inside."""
+        return union_distance(self.solids, points)
 
-    def outward(self, points: ArrayLike) -> Points:
-        """Give the normals of the surface at points on it, shape (n, 3)."""
-        return outward(self.solids, points)
+    def normals_at(self, points: ArrayLike) -> Points:
+        """Compute the outward unit normals at points on the surface, shape (n, 3)."""
+        return surface_normals(self.solids, points)
 
-    def projected(self, points: ArrayLike) -> Points:
-        """Move points along the normals to the surface, shape (n, 3)."""
-        return projected(self.solids, points)
+    def project(self, points: ArrayLike) -> Points:
+        """Project points along the normals onto the surface, shape (n, 3)."""
+        return project(self.solids, points)
 
     def scaled(self, factor: float) -> Body:
-        """Make it `factor` times as large, about the origin."""
+        """Scale the body by `factor` about the origin."""
         geodesic = self.geodesic
         return replace(
             self,
@@ -131,11 +141,11 @@ class Body:
 
 
 def nearest_neighbours(points: Points, n_neighbours: int) -> tuple[Points, NDArray[np.intp]]:
-    """Find the nearest others of each point: distances and indices, shape (n, n_neighbours)."""
+    """Find the nearest other points: distances and indices, both of shape (n, n_neighbours)."""
     distances, indices = KDTree(points).query(points, k=[*range(2, n_neighbours + 2)])
     return np.asarray(distances), np.asarray(indices)
 
 
 def straight_lines(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances along a flat face: straight lines."""
+    """Compute Euclidean distances, which are the geodesics of a flat face; shape (N, N)."""
     return np.asarray(np.linalg.norm(positions[:, None] - positions, axis=-1))

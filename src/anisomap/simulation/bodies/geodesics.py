@@ -1,4 +1,4 @@
-"""Distances along the surface of a body."""
+"""Geodesic distances along the surface of a body."""
 
 from __future__ import annotations
 
@@ -12,63 +12,59 @@ from anisomap.simulation.bodies.body import Body, nearest_neighbours
 from anisomap.simulation.geometry.solids import Points
 from anisomap.simulation.geometry.spreading import sample_surface
 
-_STEPPING_STONES = 6000
-_JOINED = 100  # neighbours; with fewer, paths zigzag by some per cent
-_SAG = 0.15  # of a hop: how far its middle may be off the surface before it is a short cut
-_FACING = -0.5  # cosine between normals
+_N_SAMPLES = 6000
+_N_NEIGHBOURS = 100  # with fewer, zigzag paths are longer by some per cent
+_MAX_SAG = 0.15  # x chord: largest distance of the middle of an edge from the surface
+_MIN_FACING = -0.5  # cosine between the normals at the ends of an edge
 
 
 def surface_distances(body: Body, rng: np.random.Generator | int = 0) -> NDArray[np.float64] | None:
-    """Measure distances between sensors along the surface (geodesic distances).
+    """Compute geodesic distances between the sensors of a body.
 
     Parameters
     ----------
     body : Body
     rng : numpy.random.Generator or int
-        Draws the stepping stones.
+        Draws sample points of the surface.
 
     Returns
     -------
     ndarray of shape (N, N), or None
-        None if what lies between the sensors is not known (`body_from_points`). Symmetric; inf
-        between parts that do not touch. Where the body has no closed form: shortest paths over
-        thousands of points drawn from the surface, each joined to those around it unless the
-        straight line between them leaves the surface. Within 4 % of the truth on spheres,
-        cylinders and plates, and mostly within 1 %.
+        None if the surface between the sensors is unknown (`body_from_points`). Symmetric; inf
+        between disconnected parts. Exact where the body has a closed form. Otherwise, lengths of
+        shortest paths on a graph of surface points, joined to their neighbours unless the straight
+        line leaves the surface; within 4 % of the truth on spheres, cylinders and plates, and
+        mostly within 1 %.
     """
     if not body.is_whole:
         return None
     if body.geodesic is not None:
         return body.geodesic(body.positions)
-    stones, normals = sample_surface(body.solids, _STEPPING_STONES, np.random.default_rng(rng))
-    points, outward = np.vstack([body.positions, stones]), np.vstack([body.normals, normals])
-    lengths, neighbours = nearest_neighbours(points, _JOINED)
-    hops = np.column_stack([np.repeat(np.arange(len(points)), _JOINED), neighbours.ravel()])
-    chord = np.maximum(lengths.ravel(), 1e-12 * body.reach)  # a stored 0 is no edge
-    turn = _along(outward, hops, np.diff(points[hops], axis=1)[:, 0])
-    # An arc is longer than its chord by the square of the angle it turns, over 24.
+    drawn, drawn_normals = sample_surface(body.solids, _N_SAMPLES, np.random.default_rng(rng))
+    points, normals = np.vstack([body.positions, drawn]), np.vstack([body.normals, drawn_normals])
+    lengths, neighbours = nearest_neighbours(points, _N_NEIGHBOURS)
+    edges = np.column_stack([np.repeat(np.arange(len(points)), _N_NEIGHBOURS), neighbours.ravel()])
+    chord = np.maximum(lengths.ravel(), 1e-12 * body.reach)  # scipy reads a stored 0 as no edge
+    directions = np.diff(points[edges], axis=1)[:, 0]
+    turn = np.einsum("hd,hd->h", np.diff(normals[edges], axis=1)[:, 0], directions)
+    # An arc that turns by an angle a is longer than its chord by the factor 1 + a^2 / 24.
     arc = chord * (1 + (turn / chord) ** 2 / 24)
-    stays = _stays_on_surface(points, outward, hops, chord)
-    graph = coo_array((arc[stays], tuple(hops[stays].T)), shape=(len(points), len(points)))
+    valid = _on_surface(points, normals, edges, chord)
+    graph = coo_array((arc[valid], tuple(edges[valid].T)), shape=(len(points), len(points)))
     found = dijkstra(graph.tocsr(), directed=False, indices=np.arange(body.n_sensors))
     between = found[:, : body.n_sensors]
     return np.asarray(np.minimum(between, between.T))
 
 
-def _along(outward: Points, hops: NDArray[np.intp], directions: Points) -> NDArray[np.float64]:
-    """Tell by how much the normals at the ends of hops differ along directions, shape (H,)."""
-    return np.asarray(np.einsum("hd,hd->h", np.diff(outward[hops], axis=1)[:, 0], directions))
-
-
-def _stays_on_surface(
-    points: Points, outward: Points, hops: NDArray[np.intp], chord: NDArray[np.float64]
+def _on_surface(
+    points: Points, normals: Points, edges: NDArray[np.intp], chord: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Tell which hops run along the surface, and not through the air or a thin plate."""
-    start, end = hops.T
-    # Over an edge of 90 degrees is fine; from one face of a thin plate to the other is not.
-    alike = np.einsum("hd,hd->h", outward[start], outward[end]) > _FACING
+    """Mark edges that follow the surface, not those through air or across a thin plate."""
+    start, end = edges.T
+    # Allows an edge around a corner of 90 degrees, but not to the other face of a thin plate.
+    similar = np.einsum("hd,hd->h", normals[start], normals[end]) > _MIN_FACING
     middle = (points[start] + points[end]) / 2
-    away, stone = map(np.asarray, KDTree(points).query(middle))
-    depth = np.abs(np.einsum("hd,hd->h", middle - points[stone], outward[stone]))
+    distance, nearest = map(np.asarray, KDTree(points).query(middle))
+    sag = np.abs(np.einsum("hd,hd->h", middle - points[nearest], normals[nearest]))
     gap = 3 * float(np.median(nearest_neighbours(points, 1)[0]))
-    return np.asarray(alike & (depth <= _SAG * chord) & (away <= _SAG * chord + gap))
+    return np.asarray(similar & (sag <= _MAX_SAG * chord) & (distance <= _MAX_SAG * chord + gap))

@@ -1,4 +1,4 @@
-"""Bodies that users bring: meshes, MuJoCo models, and bare positions of sensors."""
+"""Bodies from meshes, MuJoCo models and positions of sensors."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ MESH_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
 MODEL_SUFFIXES = (".mjcf", ".xml")
 
 TOLERANCE = 0.02
-"""How far off the surface a given sensor may be, as a share of the body's reach."""
+"""Largest distance of a given sensor from the surface, x reach of the body."""
 
 _SEED = 0
-_PEBBLE = 0.6  # of the spacing: neighbouring pebbles overlap, so that nothing slips between them
-_DISAGREE = 45.0  # degrees
-_CONTRADICTIONS = 0.1  # of the sensors; on an edge an estimate can be wrong
+_MAX_BALL_RADIUS = 0.6  # x median spacing: adjacent balls overlap, so nothing passes between them
+_MAX_NORMAL_ERROR = 45.0  # degrees between a given and an estimated normal
+_MAX_CONTRADICTIONS = 0.1  # share of the sensors, since estimates can be wrong at edges
 
 
 def load_body(
@@ -43,22 +43,22 @@ def load_body(
     path : pathlib.Path
         A closed mesh (`MESH_SUFFIXES`) or a model (`MODEL_SUFFIXES`).
     sensors : int or array_like of shape (N, 3), optional
-        How many sensors to spread evenly over the surface, or where they are. A model's sites
-        unless given; a mesh has none of its own.
+        Number of sensors to spread evenly over the surface, or their positions. Defaults to the
+        sites of a model; required for a mesh.
     names : sequence of str, optional
-        Of sensors whose places are given.
+        Names of sensors with given positions.
 
     Returns
     -------
     Body
-        Its lengths are in the unit of the file: metres in a model, unknown in a mesh.
+        In the length unit of the file: m for a model, unknown for a mesh.
 
     Raises
     ------
     FileError
-        If the file cannot be read, is of another kind, or holds no body with sensors.
+        If the file cannot be read, has an unknown suffix, or defines no sensors.
     InputError
-        If a sensor is off the surface.
+        If a sensor is not on the surface.
     """
     suffix = path.suffix.lower()
     if not path.is_file():
@@ -66,15 +66,15 @@ def load_body(
     if suffix in MESH_SUFFIXES:
         if sensors is None:
             raise FileError(
-                f"{path} is a mesh and names no sensors: say how many to spread over it, or give "
-                "a file with their positions (--sensors)"
+                f"{path} is a mesh without sensors; give their number or a file with their "
+                "positions (--sensors)"
             )
         vertices, faces = _read_mesh(path)
         return body_from_mesh(vertices, faces, sensors, names=names, name=path.stem)
     if suffix in MODEL_SUFFIXES:
         return body_from_mjcf(path, sensors, names)
     raise FileError(
-        f"{path} is no body: a mesh ends in {', '.join(MESH_SUFFIXES)}, "
+        f"{path} is not a body: a mesh ends in {', '.join(MESH_SUFFIXES)}, "
         f"a MuJoCo model in {' or '.join(MODEL_SUFFIXES)}"
     )
 
@@ -88,16 +88,17 @@ def body_from_mesh(
     name: str = "mesh",
     units: str = "",
 ) -> Body:
-    """Make a body of a closed mesh.
+    """Make a body from a closed mesh.
 
     Parameters
     ----------
     vertices : array_like of shape (V, 3)
     faces : array_like of int, shape (F, 3)
     sensors : int or array_like of shape (N, 3)
-        How many to spread evenly over the surface, or where they are: on the surface, or off it by
-        at most `TOLERANCE`.
+        Number of sensors to spread evenly over the surface, or positions at most `TOLERANCE` x
+        reach from the surface, onto which they are projected.
     names : sequence of str, optional
+        Names of the sensors.
     name : str
     units : str
         Unit of the lengths, if known.
@@ -109,34 +110,35 @@ def body_from_mesh(
     Raises
     ------
     InputError
-        If the mesh is not closed or has no area, or a sensor is off its surface.
+        If the mesh is not closed or has no area, or a sensor is not on its surface.
     """
-    return _equipped(name, [solids.mesh(vertices, faces)], sensors, names, units)
+    return _with_sensors(name, [solids.mesh(vertices, faces)], sensors, names, units)
 
 
 def body_from_mjcf(
     path: Path, sensors: int | ArrayLike | None = None, names: Sequence[str] = ()
 ) -> Body:
-    """Make a body of the geoms of a MuJoCo model, as it stands in its initial posture.
+    """Make a body from the geoms of a MuJoCo model in its initial pose.
 
     Parameters
     ----------
     path : pathlib.Path
     sensors : int or array_like of shape (N, 3), optional
-        See `load_body`; the model's sites unless given.
+        See `load_body`. Defaults to the sites of the model.
     names : sequence of str, optional
+        Names of sensors with given positions.
 
     Returns
     -------
     Body
-        Planes and height fields are the scenery and left out, and so is what collides with nothing
-        (unless nothing collides). A mesh that is not closed is taken for its convex hull, which is
-        what MuJoCo takes any mesh for.
+        Without planes and height fields, and without geoms that collide with nothing (unless none
+        do). A mesh that is not closed is replaced by its convex hull, as MuJoCo does with all
+        meshes.
 
     Raises
     ------
     FileError
-        If MuJoCo cannot read the model, or it has no geoms or, with no other sensors, no sites.
+        If MuJoCo cannot read the model, or it has no geoms, or no sites and no sensors are given.
     """
     mujoco = load_mujoco()
     try:
@@ -147,20 +149,20 @@ def body_from_mjcf(
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     scenery = {int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)}
-    solid_geoms = [i for i in range(model.ngeom) if int(model.geom_type[i]) not in scenery]
-    touching = [i for i in solid_geoms if model.geom_contype[i] or model.geom_conaffinity[i]]
-    parts = [_solid_of_geom(mujoco, model, data, i) for i in touching or solid_geoms]
+    candidates = [i for i in range(model.ngeom) if int(model.geom_type[i]) not in scenery]
+    colliding = [i for i in candidates if model.geom_contype[i] or model.geom_conaffinity[i]]
+    parts = [_solid_from_geom(mujoco, model, data, i) for i in colliding or candidates]
     if not parts:
-        raise FileError(f"{path} has no geoms that sensors could stand on")
+        raise FileError(f"{path} has no geoms for sensors")
     if sensors is None:
         if not model.nsite:
             raise FileError(
-                f"{path} has no sites, which would be its sensors; add some, or say how many "
-                "sensors to spread over it (--sensors)"
+                f"{path} has no sites to use as sensors; add sites or give the number of sensors "
+                "(--sensors)"
             )
         sensors = np.array(data.site_xpos)
         names = [model.site(i).name or f"site{i}" for i in range(model.nsite)]
-    return _equipped(path.stem, parts, sensors, names, "m")
+    return _with_sensors(path.stem, parts, sensors, names, "m")
 
 
 def body_from_points(
@@ -171,61 +173,68 @@ def body_from_points(
     name: str = "points",
     units: str = "",
 ) -> Body:
-    """Make a body under sensors of which only the places are known.
+    """Make a body from the positions of sensors alone.
 
     Parameters
     ----------
     positions : array_like of shape (N, 3)
         At least 4 sensors.
     normals : array_like of shape (N, 3), optional
-        Which way is out of the skin; estimated from the sensors around each unless given. Normals
-        that contradict the positions are warned of, and not used.
+        Outward normals. By default, and with a warning if they contradict the positions, they are
+        estimated from nearby sensors.
     names : sequence of str, optional
+        Names of the sensors.
     name, units : str
 
     Returns
     -------
     Body
-        Under each sensor lies a ball that touches the surface there and, where the skin is not
-        bent inwards, overlaps its neighbours: a pebbled skin, from which things bounce off much as
-        from the true one.
+        A union of balls, each of which touches the surface at one sensor from below. Where the
+        skin is not concave they overlap, and approximate the unknown surface.
 
     Raises
     ------
     InputError
-        If there are too few sensors, two are at one place, or they are not points in space.
+        If there are fewer than 4 sensors, they are not 3D, or two have the same position.
+
+    Warns
+    -----
+    AnisomapWarning
+        If normals are given and contradict the positions.
     """
     places = np.asarray(positions, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 3 or len(places) < 4:
-        raise InputError(
-            f"positions have shape {places.shape}; a body needs at least 4 sensors in space"
-        )
-    apart = nearest_neighbours(places, 1)[0]
-    if apart.min() <= 0:
-        here = places[int(apart.argmin())]
+        raise InputError(f"positions must be at least 4 sensors in 3D, got shape {places.shape}")
+    spacing = nearest_neighbours(places, 1)[0]
+    if spacing.min() <= 0:
+        here = places[int(spacing.argmin())]
         first, second = np.flatnonzero((places == here).all(axis=1))[:2]
-        raise InputError(f"sensors {first} and {second} are at one place")
+        raise InputError(f"positions must be distinct; sensors {first} and {second} coincide")
     outward, _ = estimate_normals(places)
     if normals is not None:
         given = np.asarray(normals, dtype=np.float64)
         agreement = np.abs(np.einsum("nd,nd->n", given, outward))
-        contradicting = float(np.mean(agreement < np.cos(np.radians(_DISAGREE))))
-        if contradicting <= _CONTRADICTIONS:
+        contradicting = float(np.mean(agreement < np.cos(np.radians(_MAX_NORMAL_ERROR))))
+        if contradicting <= _MAX_CONTRADICTIONS:
             outward = given / np.linalg.norm(given, axis=1, keepdims=True)
         else:
             warnings.warn(
-                f"the normals of {name} contradict the places of its sensors ({contradicting:.0%} "
-                f"are more than {_DISAGREE:g} degrees off); they are estimated instead",
+                f"the normals of {name} contradict its sensor positions and are replaced by "
+                f"estimates ({contradicting:.0%} are off by more than {_MAX_NORMAL_ERROR:g} "
+                "degrees)",
                 AnisomapWarning,
                 stacklevel=2,
             )
     origin = (places.min(axis=0) + places.max(axis=0)) / 2
     centred = places - origin
-    widest = _PEBBLE * float(np.median(apart))
+    largest = _MAX_BALL_RADIUS * float(np.median(spacing))
     radii = np.array(
-        [_largest_ball(centred - at, out, widest) for at, out in zip(centred, outward, strict=True)]
+        [
+            _ball_radius(centred - at, normal, largest)
+            for at, normal in zip(centred, outward, strict=True)
+        ]
     )
-    pebbles = [
+    balls = [
         solids.ball(radius, centre)
         for radius, centre in zip(radii, centred - radii[:, None] * outward, strict=True)
     ]
@@ -233,7 +242,7 @@ def body_from_points(
         name,
         centred,
         outward,
-        pebbles,
+        balls,
         names=tuple(names),
         units=units,
         origin=origin,
@@ -241,22 +250,22 @@ def body_from_points(
     )
 
 
-def _largest_ball(others: Points, outward: Points, widest: float) -> float:
-    """Find the radius of the largest ball below a sensor in the origin that holds no other."""
-    below = others @ outward < 0
+def _ball_radius(others: Points, normal: Points, largest: float) -> float:
+    """Return the radius of the largest ball below a sensor at the origin without other sensors."""
+    below = others @ normal < 0
     squared = np.einsum("nd,nd->n", others[below], others[below])
-    touching = squared / (-2 * (others[below] @ outward))
-    return float(min(widest, touching.min(initial=np.inf)))
+    touching = squared / (-2 * (others[below] @ normal))
+    return float(min(largest, touching.min(initial=np.inf)))
 
 
-def _equipped(
+def _with_sensors(
     name: str,
     parts: Sequence[Solid],
     sensors: int | ArrayLike,
     names: Sequence[str],
     units: str,
 ) -> Body:
-    """Shift solids to the origin, and put sensors on them."""
+    """Centre solids at the origin and add sensors."""
     corners = np.vstack([part.outline.vertices for part in parts])
     origin = (corners.min(axis=0) + corners.max(axis=0)) / 2
     centred = [part.moved(np.eye(3), -origin) for part in parts]
@@ -266,28 +275,26 @@ def _equipped(
     else:
         places = np.asarray(sensors, dtype=np.float64)
         if places.ndim != 2 or places.shape[1] != 3 or not len(places):
-            raise InputError(
-                f"sensors have shape {places.shape}; they must be points in space, shape (N, 3)"
-            )
+            raise InputError(f"sensors must have shape (N, 3), got {places.shape}")
         positions = places - origin
         _check_near_surface(name, centred, positions, names, units)
-        positions = solids.projected(centred, positions)
-        normals = solids.outward(centred, positions)
+        positions = solids.project(centred, positions)
+        normals = solids.surface_normals(centred, positions)
     return Body(name, positions, normals, centred, names=tuple(names), units=units, origin=origin)
 
 
 def _check_near_surface(
     name: str, parts: Sequence[Solid], positions: Points, names: Sequence[str], units: str
 ) -> None:
-    off = np.abs(solids.distance_to_all(parts, positions))
+    distances = np.abs(solids.union_distance(parts, positions))
     allowed = TOLERANCE * max(part.reach for part in parts)
-    if not off.max() <= allowed:
-        worst = int(off.argmax())
+    if not distances.max() <= allowed:
+        worst = int(distances.argmax())
         label = (tuple(names) or default_names(len(positions)))[worst]
         raise InputError(
-            f"sensor {label} is {off[worst]:.4g}{units and ' ' + units} off the surface of "
-            f"{name}, and {int((off > allowed).sum())} sensors are more than {allowed:.4g} off; "
-            "are they in the frame and unit of the body?"
+            f"sensor {label} is {distances[worst]:.4g}{units and ' ' + units} off the surface of "
+            f"{name}, and {int((distances > allowed).sum())} sensors are more than {allowed:.4g} "
+            "off; check that they use the frame and unit of the body"
         )
 
 
@@ -297,12 +304,12 @@ def _read_mesh(path: Path) -> tuple[Points, NDArray[np.intp]]:
         loaded = trimesh.load_mesh(path)
         return np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces)
     except Exception as error:
-        # What a damaged mesh raises depends on its format and on the library's version.
+        # The type of the error depends on the format and on the version of trimesh.
         raise FileError(f"{path} cannot be read as a mesh: {error}") from error
 
 
-def _solid_of_geom(mujoco: Any, model: Any, data: Any, i: int) -> Solid:
-    kinds = {
+def _solid_from_geom(mujoco: Any, model: Any, data: Any, i: int) -> Solid:
+    primitives = {
         int(mujoco.mjtGeom.mjGEOM_SPHERE): ("sphere", 1),
         int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
         int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
@@ -310,19 +317,18 @@ def _solid_of_geom(mujoco: Any, model: Any, data: Any, i: int) -> Solid:
     }
     rotation, centre = data.geom_xmat[i].reshape(3, 3), data.geom_xpos[i]
     kind = int(model.geom_type[i])
-    if kind in kinds:
-        word, n_sizes = kinds[kind]
+    if kind in primitives:
+        name, n_sizes = primitives[kind]
         size = tuple(float(length) for length in model.geom_size[i][:n_sizes])
-        return Solid(word, size).moved(rotation, centre)
+        return Solid(name, size).moved(rotation, centre)
     if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID):
-        round_one = solids.ball(1.0).outline
-        return solids.mesh(round_one.vertices * model.geom_size[i], round_one.faces).moved(
-            rotation, centre
-        )
+        unit = solids.ball(1.0).outline
+        scaled = solids.mesh(unit.vertices * model.geom_size[i], unit.faces)
+        return scaled.moved(rotation, centre)
     if kind != int(mujoco.mjtGeom.mjGEOM_MESH):
         raise InputError(
-            f"geom {model.geom(i).name or i} is of a kind that sensors cannot stand on; a body "
-            "is made of spheres, capsules, cylinders, boxes, ellipsoids and meshes"
+            f"geom {model.geom(i).name or i} must be a sphere, capsule, cylinder, box, ellipsoid "
+            "or mesh"
         )
     shape = model.mesh(model.geom_dataid[i])
     first, count = int(shape.vertadr[0]), int(shape.vertnum[0])

@@ -1,6 +1,8 @@
-"""The bodies of McGregor et al. (2011), section "Geometries" and Figure 5.
+"""Bodies with sensors on regular lattices: sphere, cylinder, Y-shape and plane.
 
-The paper gives no lengths. Here a body reaches to about 1 m from its middle.
+These are the simulated bodies of McGregor et al. (2011), section "Geometries" and Figure 5. The
+paper gives no lengths; those here give each body a reach of about 1 m. All functions raise
+InputError if `n_sensors` does not fit the lattice.
 """
 
 from __future__ import annotations
@@ -13,53 +15,44 @@ from anisomap.simulation.bodies.body import Body, straight_lines
 from anisomap.simulation.checks import check_count
 from anisomap.simulation.geometry import solids
 
-SPHERE_RADIUS = 1.0
-"""Metres: the unit of all other lengths."""
+SPHERE_RADIUS = 1.0  # m, the reference of all other lengths
 
+# m. With 10 columns of 6, the spacing is 0.31 around the cylinder and 0.33 along it.
 CYLINDER_RADIUS = 0.5
 CYLINDER_LENGTH = 2.0
-"""Metres. With 10 columns of 6, neighbours are 0.31 apart around it and 0.33 along it."""
+CYLINDER_COLUMNS = 10
 
+# m. With 7 rings of 5, the spacing is 0.13 along an arm and 0.15 around it.
 Y_ARMS = 3
 Y_ARM_LENGTH = 1.0
 Y_ARM_RADIUS = 0.13
-"""Metres. With 7 rings of 5, neighbours are 0.13 apart along an arm and 0.15 around it."""
-_Y_AROUND = 5
-_Y_CLEAR = 0.22  # where the arms' surfaces have parted: 0.13 / sin(60 deg) = 0.15, and some more
+Y_RING_SENSORS = 5
+Y_FIRST_RING = 0.22  # beyond 0.13 / sin(60 deg) = 0.15, where the surfaces of two arms meet
 
-PLANE_EDGE = 2.0
-PLANE_THICKNESS = 0.2
+PLANE_EDGE = 2.0  # m
+PLANE_THICKNESS = 0.2  # m
 
 
 def sphere(n_sensors: int = 60) -> Body:
-    """Make a sphere with sensors spread evenly over it.
+    """Make a sphere with evenly spaced sensors.
 
     Parameters
     ----------
     n_sensors : int
-        The paper's has 60.
+        60 in the paper.
 
     Returns
     -------
     Body
 
-    Raises
-    ------
-    InputError
-        If `n_sensors` is not a positive whole number.
-
     Notes
     -----
-    The sensors are a Fibonacci lattice (Gonzalez 2010, Mathematical Geosciences 42: 49-64,
-    doi:10.1007/s11004-009-9257-x): each stands for the same area, and the distances between
-    neighbours differ by a few per cent only.
+    Sensors form a Fibonacci lattice (Gonzalez 2010, Mathematical Geosciences 42: 49-64,
+    doi:10.1007/s11004-009-9257-x): each represents the same area, and distances between
+    neighbours differ by a few per cent.
     """
     check_count("n_sensors", n_sensors)
-    turns = np.arange(n_sensors)
-    height = 1 - (2 * turns + 1) / n_sensors
-    angle = np.pi * (3 - np.sqrt(5)) * turns
-    ring = np.sqrt(1 - height**2)
-    normals = np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
+    normals = fibonacci_cap(n_sensors)
     return Body(
         name="sphere",
         positions=SPHERE_RADIUS * normals,
@@ -70,26 +63,21 @@ def sphere(n_sensors: int = 60) -> Body:
 
 
 def cylinder(n_sensors: int = 60) -> Body:
-    """Make a cylinder with columns of sensors on its side, and none on its ends.
+    """Make a cylinder with columns of sensors on its side and none on its ends.
 
     Parameters
     ----------
     n_sensors : int
-        A multiple of 10: they stand in 10 columns. The paper's has 60, 6 a column.
+        A multiple of 10, the number of columns. 60 in the paper, 6 per column.
 
     Returns
     -------
     Body
-
-    Raises
-    ------
-    InputError
-        If `n_sensors` does not make 10 columns.
     """
-    n_rows = _share(n_sensors, 10, "columns")
-    normals = ring_directions(10)
-    heights = middles(n_rows, CYLINDER_LENGTH)
-    around, up = np.repeat(normals, n_rows, axis=0), np.tile(heights, 10)
+    n_rows = _divided(n_sensors, CYLINDER_COLUMNS, "number of columns")
+    normals = ring_directions(CYLINDER_COLUMNS)
+    heights = midpoints(n_rows, CYLINDER_LENGTH)
+    around, up = np.repeat(normals, n_rows, axis=0), np.tile(heights, CYLINDER_COLUMNS)
     return Body(
         name="cylinder",
         positions=CYLINDER_RADIUS * around + up[:, None] * [0, 0, 1],
@@ -99,27 +87,22 @@ def cylinder(n_sensors: int = 60) -> Body:
 
 
 def y_shape(n_sensors: int = 105) -> Body:
-    """Make three round arms that meet at equal angles, with rings of sensors around each.
+    """Make three round arms joined at equal angles, with rings of sensors around each.
 
     Parameters
     ----------
     n_sensors : int
-        A multiple of 15: each arm has rings of 5. The paper's has 105, 7 rings an arm.
+        A multiple of 15: three arms with rings of 5. 105 in the paper, 7 rings per arm.
 
     Returns
     -------
     Body
-
-    Raises
-    ------
-    InputError
-        If `n_sensors` does not make rings of 5 on 3 arms.
     """
-    n_rings = _share(n_sensors, Y_ARMS * _Y_AROUND, "places around the arms")
+    n_rings = _divided(n_sensors, Y_ARMS * Y_RING_SENSORS, "number of sensors per ring of 3 arms")
     arms = ring_directions(Y_ARMS)
-    # A ring in the frame of its arm: x along it, so that y and z go around.
-    ring = np.roll(ring_directions(_Y_AROUND), 1, axis=1)
-    along = np.linspace(_Y_CLEAR, Y_ARM_LENGTH, n_rings) if n_rings > 1 else [Y_ARM_LENGTH]
+    # A ring in the frame of its arm, which lies along x.
+    ring = np.roll(ring_directions(Y_RING_SENSORS), 1, axis=1)
+    along = np.linspace(Y_FIRST_RING, Y_ARM_LENGTH, n_rings) if n_rings > 1 else [Y_ARM_LENGTH]
     positions, normals = [], []
     for arm in arms:
         frame = np.column_stack([arm, np.cross([0, 0, 1], arm), [0, 0, 1]])
@@ -140,24 +123,19 @@ def plane(n_sensors: int = 169) -> Body:
     Parameters
     ----------
     n_sensors : int
-        A square number. The paper's has 169: 13 x 13.
+        A square number. 169 = 13 x 13 in the paper.
 
     Returns
     -------
     Body
-
-    Raises
-    ------
-    InputError
-        If `n_sensors` is not a square number.
     """
     check_count("n_sensors", n_sensors)
     side = round(np.sqrt(n_sensors))
     if side**2 != n_sensors:
         raise InputError(
-            f"n_sensors is {n_sensors}; a plane takes a square number, such as {side**2}"
+            f"n_sensors of a plane must be a square number such as {side**2}, got {n_sensors}"
         )
-    grid = middles(side, PLANE_EDGE)
+    grid = midpoints(side, PLANE_EDGE)
     x, y = np.meshgrid(grid, grid, indexing="ij")
     half = PLANE_EDGE / 2
     return Body(
@@ -169,26 +147,37 @@ def plane(n_sensors: int = 169) -> Body:
     )
 
 
+def fibonacci_cap(n: int, lowest: float = -1.0) -> NDArray[np.float64]:
+    """Return n evenly spaced unit vectors with z of at least `lowest`, shape (n, 3)."""
+    index = np.arange(n)
+    height = 1 - (1 - lowest) * (index + 0.5) / n
+    angle = np.pi * (3 - np.sqrt(5)) * index
+    radius = np.sqrt(1 - height**2)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+
+
 def great_circles(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances along a sphere about the origin."""
+    """Compute the distances along a sphere centred at the origin, shape (N, N)."""
     radius = np.linalg.norm(positions, axis=1).mean()
     chords = straight_lines(positions)
     return np.asarray(2 * radius * np.arcsin(np.clip(chords / (2 * radius), 0, 1)))
 
 
 def ring_directions(n: int) -> NDArray[np.float64]:
-    """Give n unit vectors in the x-y plane at equal angles, the first along x; shape (n, 3)."""
+    """Return n unit vectors in the x-y plane at equal angles, starting at x; shape (n, 3)."""
     angle = 2 * np.pi * np.arange(n) / n
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(n)])
 
 
-def middles(n: int, length: float) -> NDArray[np.float64]:
-    """Cut a length about 0 into n equal parts, and give their middles."""
+def midpoints(n: int, length: float) -> NDArray[np.float64]:
+    """Return the midpoints of n equal parts of an interval centred at 0; shape (n,)."""
     return np.asarray(length * ((np.arange(n) + 0.5) / n - 0.5))
 
 
-def _share(n_sensors: int, groups: int, what: str) -> int:
+def _divided(n_sensors: int, groups: int, meaning: str) -> int:
     check_count("n_sensors", n_sensors)
     if n_sensors % groups:
-        raise InputError(f"n_sensors is {n_sensors}; it must be a multiple of the {groups} {what}")
+        raise InputError(
+            f"n_sensors must be a multiple of {groups}, the {meaning}; got {n_sensors}"
+        )
     return n_sensors // groups

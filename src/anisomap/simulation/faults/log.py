@@ -1,4 +1,4 @@
-"""What was done to a recording, on the record, so that whatever looks for faults can be scored."""
+"""Log of injected faults in the metadata of a recording: ground truth for fault detection."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from numpy.typing import NDArray
 from anisomap.errors import InputError
 from anisomap.recording import Recording
 
-RECORD = "faults"
-"""Key of the metadata that holds, as JSON, what was done."""
+METADATA_KEY = "faults"
+"""Key of the metadata that holds the log as JSON."""
 
 ALL_SENSORS = "*"
-"""Stands for every sensor."""
+"""Name that stands for all sensors."""
 
 Spans: TypeAlias = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What was done to a sensor, or to frames.
+    """A fault of a sensor or of frames.
 
     Attributes
     ----------
     kind : str
         A name in `FAULTS` or `FRAME_FAULTS`.
     sensor : str
-        Its name; `ALL_SENSORS` for all of them; empty if no reading is wrong, but its time is.
+        Name of the sensor; `ALL_SENSORS` for all; empty if only frames or times are affected and
+        no reading is wrong.
     spans : tuple of (int, int)
-        Frames that it may have changed: from the first number up to, not including, the second.
+        Affected frames as half-open intervals (start, stop).
     """
 
     kind: str
@@ -42,7 +43,7 @@ class Fault:
 
 
 def injected_faults(recording: Recording) -> tuple[Fault, ...]:
-    """Tell what was done to a recording by the faults of this module.
+    """Return the faults logged in the metadata of a recording.
 
     Parameters
     ----------
@@ -51,15 +52,15 @@ def injected_faults(recording: Recording) -> tuple[Fault, ...]:
     Returns
     -------
     tuple of Fault
-        In the order in which they were done; empty if nothing was.
+        In the order of injection; empty if there are none.
 
     Raises
     ------
     InputError
-        If the metadata's record of it is damaged.
+        If the log is damaged.
     """
     try:
-        entries = json.loads(str(recording.metadata.get(RECORD, "[]")))
+        entries = json.loads(str(recording.metadata.get(METADATA_KEY, "[]")))
         return tuple(
             Fault(
                 str(entry["kind"]),
@@ -70,24 +71,29 @@ def injected_faults(recording: Recording) -> tuple[Fault, ...]:
         )
     except (ValueError, TypeError, KeyError) as error:
         raise InputError(
-            f"the metadata {RECORD!r} do not say what was done to which sensor; "
-            "they must be the JSON that the faults of anisomap.simulation write"
+            f"the metadata entry {METADATA_KEY!r} is not a valid log of faults; it must be the "
+            "JSON written by anisomap.simulation.inject"
         ) from error
 
 
 def fault_mask(recording: Recording, kinds: Sequence[str] = ()) -> NDArray[np.bool_]:
-    """Tell which readings were spoilt.
+    """Mark the readings affected by injected faults.
 
     Parameters
     ----------
     recording : Recording
-        With the frames that it had when it was spoilt; sensors may have been left out since.
+        With the same frames as after the injection. Sensors may have been removed since.
     kinds : sequence of str
-        Which faults to look at; all unless given.
+        Kinds of faults to include. Defaults to all.
 
     Returns
     -------
     ndarray of bool, shape (T, N)
+
+    Raises
+    ------
+    InputError
+        If the log is damaged.
     """
     mask = np.zeros(recording.readings.shape, dtype=bool)
     column = {name: i for i, name in enumerate(recording.names)}
@@ -102,62 +108,31 @@ def fault_mask(recording: Recording, kinds: Sequence[str] = ()) -> NDArray[np.bo
     return mask
 
 
-def spoilt(
+def with_faults(
     recording: Recording, readings: NDArray[np.floating], faults: Iterable[Fault]
 ) -> Recording:
-    """Give a recording other readings, and put on the record what was done.
+    """Replace the readings of a recording and append faults to its log.
 
     Parameters
     ----------
     recording : Recording
     readings : ndarray of shape (T, N)
     faults : iterable of Fault
-        What was done now; added to what was done before.
 
     Returns
     -------
     Recording
     """
-    return on_record(replace(recording, readings=readings), [*injected_faults(recording), *faults])
+    faulty = replace(recording, readings=readings)
+    return with_log(faulty, [*injected_faults(recording), *faults])
 
 
-def on_record(recording: Recording, faults: Iterable[Fault]) -> Recording:
-    """Replace what is on a recording's record of faults."""
+def with_log(recording: Recording, faults: Iterable[Fault]) -> Recording:
+    """Replace the log of a recording."""
     text = json.dumps([asdict(fault) for fault in faults], separators=(",", ":"))
-    return replace(recording, metadata={**recording.metadata, RECORD: text})
+    return replace(recording, metadata={**recording.metadata, METADATA_KEY: text})
 
 
-def random_spans(
-    n_frames: int, mean_gap: float, mean_span: float, rng: np.random.Generator
-) -> Spans:
-    """Draw spans of frames with geometric gaps and lengths: a fault that forgets its age.
-
-    Raises
-    ------
-    InputError
-        If a mean is below 1 frame.
-    """
-    for name, frames in {"mean_gap": mean_gap, "mean_span": mean_span}.items():
-        if not (np.isfinite(frames) and frames >= 1):
-            raise InputError(f"{name} is {frames:g} frames; it must be at least 1")
-    # A gap and a span last two frames or more, so that these are enough to fill the recording.
-    shape = (n_frames // 2 + 1, 2)
-    edges = rng.geometric([1 / mean_gap, 1 / mean_span], size=shape).cumsum().reshape(shape)
-    return tuple(
-        (int(start), int(min(stop, n_frames))) for start, stop in edges if start < n_frames
-    )
-
-
-def throughout(n_frames: int) -> Spans:
-    """Give the span of all frames."""
+def all_frames(n_frames: int) -> Spans:
+    """Return the span of all frames."""
     return ((0, n_frames),)
-
-
-def value_range(recording: Recording) -> tuple[float, float]:
-    """Give the lowest and the highest finite reading; 0 and 0 if there is none."""
-    finite = np.isfinite(recording.readings)
-    if not finite.any():
-        return 0.0, 0.0
-    lowest = recording.readings.min(where=finite, initial=np.inf)
-    highest = recording.readings.max(where=finite, initial=-np.inf)
-    return float(lowest), float(highest)

@@ -1,4 +1,4 @@
-"""Faults as they are asked for in a line of text."""
+"""Registry of faults, and requests for faults written as text."""
 
 from __future__ import annotations
 
@@ -11,65 +11,56 @@ import numpy as np
 
 from anisomap.errors import InputError
 from anisomap.recording import Recording
+from anisomap.simulation.faults import sensors, timing, wiring
 from anisomap.simulation.faults.log import ALL_SENSORS
-from anisomap.simulation.faults.sensors import (
-    Randomness,
-    dead,
-    drifting,
-    gain_spread,
-    hysteresis,
-    nan_bursts,
-    noisy,
-    quantised,
-    saturating,
-    stuck,
-    thresholded,
-)
-from anisomap.simulation.faults.timing import clock_jitter, dropped_frames, repeated_frames
-from anisomap.simulation.faults.wiring import crosstalk, duplicated, mirrored, swapped
+from anisomap.simulation.faults.sensors import Randomness
 
 FAULTS: Mapping[str, Callable[..., Recording]] = MappingProxyType(
     {
-        "dead": dead,
-        "stuck": stuck,
-        "saturating": saturating,
-        "noisy": noisy,
-        "drifting": drifting,
-        "gain-spread": gain_spread,
-        "hysteresis": hysteresis,
-        "quantised": quantised,
-        "thresholded": thresholded,
-        "nan-bursts": nan_bursts,
-        "crosstalk": crosstalk,
-        "swapped": swapped,
-        "mirrored": mirrored,
-        "duplicated": duplicated,
+        "dead": sensors.dead,
+        "stuck": sensors.stuck,
+        "saturating": sensors.saturating,
+        "noisy": sensors.noisy,
+        "drifting": sensors.drifting,
+        "gain-spread": sensors.gain_spread,
+        "hysteresis": sensors.hysteresis,
+        "quantised": sensors.quantised,
+        "thresholded": sensors.thresholded,
+        "nan-bursts": sensors.nan_bursts,
+        "crosstalk": wiring.crosstalk,
+        "swapped": wiring.swapped,
+        "mirrored": wiring.mirrored,
+        "duplicated": wiring.duplicated,
     }
 )
-"""Each takes a recording, sensors, and ``rng``; its other parameters have defaults."""
+"""Faults of sensors: functions ``fault(recording, sensors, *, rng=0, **parameters)``.
+
+``sensors`` are names or indices, ``rng`` is a numpy Generator or a seed, and all further parameters
+have defaults.
+"""
 
 FRAME_FAULTS: Mapping[str, Callable[..., Recording]] = MappingProxyType(
     {
-        "dropped-frames": dropped_frames,
-        "repeated-frames": repeated_frames,
-        "clock-jitter": clock_jitter,
+        "dropped-frames": timing.dropped_frames,
+        "repeated-frames": timing.repeated_frames,
+        "clock-jitter": timing.clock_jitter,
     }
 )
-"""Each takes a recording and ``rng``; it befalls all sensors."""
+"""Faults of whole frames: functions ``fault(recording, *, rng=0, **parameters)``."""
 
 
 @dataclass(frozen=True)
 class FaultRequest:
-    """A fault to be inflicted.
+    """A fault to inject.
 
     Attributes
     ----------
     kind : str
         A name in `FAULTS` or `FRAME_FAULTS`.
     sensors : tuple of str
-        Names, indices, ``*`` for all, ``10%`` for as many at random; empty for frames.
+        Names, indices, ``*`` for all, or ``10%`` for a random share; empty for frame faults.
     parameters : tuple of (str, float)
-        Those that are not to have their defaults.
+        Parameters that replace their defaults.
     """
 
     kind: str
@@ -77,12 +68,12 @@ class FaultRequest:
     parameters: tuple[tuple[str, float], ...] = ()
 
     def inject(self, recording: Recording, rng: Randomness) -> Recording:
-        """Do it to a recording.
+        """Inject the fault into a recording.
 
         Raises
         ------
         InputError
-            If it cannot be done to this recording.
+            If a sensor does not exist, or the fault does not apply to this recording.
         """
         generator = np.random.default_rng(rng)
         parameters = dict(self.parameters)
@@ -93,12 +84,12 @@ class FaultRequest:
 
 
 def parse_fault(text: str) -> FaultRequest:
-    """Read a fault from a line such as ``saturating:s3,s7,level=1`` or ``dead:10%``.
+    """Parse a fault such as ``saturating:s3,s7,level=1`` or ``dead:10%``.
 
     Parameters
     ----------
     text : str
-        The kind; after a colon and between commas, sensors and parameters.
+        The kind, followed by a colon and a comma-separated list of sensors and parameters.
 
     Returns
     -------
@@ -107,7 +98,7 @@ def parse_fault(text: str) -> FaultRequest:
     Raises
     ------
     InputError
-        If there is no such fault or parameter, a value is no number, or sensors are missing.
+        If the kind or a parameter is unknown, a value is not a number, or sensors are missing.
     """
     kind, _, rest = text.partition(":")
     kind = kind.strip()
@@ -115,21 +106,21 @@ def parse_fault(text: str) -> FaultRequest:
     if kind not in known:
         raise InputError(f"there is no fault {kind!r}; choose from {', '.join(known)}")
     items = [item.strip() for item in rest.split(",") if item.strip()]
-    sensors = tuple(item for item in items if "=" not in item)
-    parameters = tuple(_parameter(kind, known[kind], item) for item in items if "=" in item)
-    if kind in FRAME_FAULTS and sensors:
-        raise InputError(f"{kind} befalls all sensors; leave {', '.join(sensors)} out")
-    if kind in FAULTS and not sensors:
+    chosen = tuple(item for item in items if "=" not in item)
+    parameters = tuple(_parse_parameter(kind, known[kind], item) for item in items if "=" in item)
+    if kind in FRAME_FAULTS and chosen:
+        raise InputError(f"the fault {kind} affects all sensors; leave out {', '.join(chosen)}")
+    if kind in FAULTS and not chosen:
         raise InputError(
             f"the fault {kind} needs sensors: {kind}:NAME,NAME or {kind}:10% or {kind}:*"
         )
-    return FaultRequest(kind, sensors, parameters)
+    return FaultRequest(kind, chosen, parameters)
 
 
 def inject(
     recording: Recording, requests: Iterable[FaultRequest], rng: Randomness = 0
 ) -> Recording:
-    """Do several faults to a recording, one after the other.
+    """Inject faults into a recording, one after the other.
 
     Parameters
     ----------
@@ -140,6 +131,12 @@ def inject(
     Returns
     -------
     Recording
+        With the faults logged in its metadata; see `injected_faults` and `fault_mask`.
+
+    Raises
+    ------
+    InputError
+        If a sensor does not exist, or a fault does not apply to this recording.
     """
     generator = np.random.default_rng(rng)
     for request in requests:
@@ -147,7 +144,7 @@ def inject(
     return recording
 
 
-def _parameter(kind: str, function: Callable[..., Recording], item: str) -> tuple[str, float]:
+def _parse_parameter(kind: str, function: Callable[..., Recording], item: str) -> tuple[str, float]:
     name, _, value = (part.strip() for part in item.partition("="))
     name = name.replace("-", "_")
     known = [
@@ -161,31 +158,33 @@ def _parameter(kind: str, function: Callable[..., Recording], item: str) -> tupl
     try:
         return name, int(value) if value.lstrip("+-").isdecimal() else float(value)
     except ValueError as error:
-        raise InputError(f"{name} of the fault {kind} is {value!r}, which is no number") from error
+        raise InputError(
+            f"parameter {name} of the fault {kind} must be a number, got {value!r}"
+        ) from error
 
 
-def _resolve(sensors: tuple[str, ...], recording: Recording, rng: np.random.Generator) -> list[str]:
-    """Turn ``*`` and shares into names; a sensor that bears such a name comes first."""
-    chosen: list[str] = []
-    for text in sensors:
+def _resolve(chosen: tuple[str, ...], recording: Recording, rng: np.random.Generator) -> list[str]:
+    """Expand ``*`` and shares to names. A sensor with such a name takes precedence."""
+    names: list[str] = []
+    for text in chosen:
         if text in recording.names:
-            chosen.append(text)
+            names.append(text)
         elif text == ALL_SENSORS:
-            chosen += recording.names
+            names += recording.names
         elif text.endswith("%"):
-            chosen += _at_random(text, recording, rng)
+            names += _draw_share(text, recording, rng)
         else:
-            chosen.append(text)
-    return chosen
+            names.append(text)
+    return names
 
 
-def _at_random(text: str, recording: Recording, rng: np.random.Generator) -> list[str]:
+def _draw_share(text: str, recording: Recording, rng: np.random.Generator) -> list[str]:
     try:
         share = float(text[:-1]) / 100
     except ValueError:
         share = float("nan")
     if not 0 < share <= 1:
-        raise InputError(f"{text!r} is no share of the sensors; write 10% or the like")
+        raise InputError(f"a share of the sensors must be above 0% and at most 100%, got {text!r}")
     count = max(1, round(share * recording.n_sensors))
     picked = np.sort(rng.choice(recording.n_sensors, size=count, replace=False))
     return [recording.names[i] for i in picked]

@@ -1,11 +1,13 @@
-"""What goes wrong with one sensor.
+"""Faults of single sensors.
 
-Each takes a recording and the sensors to spoil, and gives a new recording.
+All take a recording, sensors (names or indices) and ``rng`` (a numpy Generator or a seed, ignored
+by faults that are not random), and return a new recording with the fault in its log.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -15,41 +17,63 @@ from anisomap.errors import InputError
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 from anisomap.simulation.checks import check_count, check_positive
-from anisomap.simulation.faults.log import (
-    Fault,
-    Spans,
-    random_spans,
-    spoilt,
-    throughout,
-    value_range,
-)
+from anisomap.simulation.faults.log import Fault, Spans, all_frames, with_faults
 
 Column: TypeAlias = NDArray[np.floating]
 Sensors: TypeAlias = Iterable[str | int]
 Randomness: TypeAlias = np.random.Generator | int
 
 
-def dead(recording: Recording, sensors: Sensors, *, rng: Randomness = 0) -> Recording:
-    """Make sensors read their rest value always.
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """Readings of one sensor before a fault.
 
-    Parameters
+    Attributes
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Nothing here is random; taken so that all faults are called alike.
-
-    Returns
-    -------
-    Recording
-        Rest is each sensor's most frequent reading: `anisomap.numerics.similarity.rest.Rest`.
+    readings : ndarray of shape (T,)
+        A copy.
+    lowest, highest : float
+        Range of the finite readings of all sensors; 0 and 0 if there are none.
+    rng : numpy.random.Generator
     """
 
-    def silence(column: Column) -> tuple[Column, Spans]:
-        return np.full_like(column, rest_of(column)), throughout(column.size)
+    readings: Column
+    lowest: float
+    highest: float
+    rng: np.random.Generator
 
-    return _inject(recording, "dead", sensors, silence)
+    @property
+    def span(self) -> float:
+        """Width of the range of the recording."""
+        return self.highest - self.lowest
+
+    @property
+    def rest(self) -> float:
+        """Estimated reading at rest. Missing readings are interpolated first."""
+        complete = Recording(self.readings[:, None]).complete("interpolate")
+        return float(estimate_rest(complete.readings).value[0])
+
+    def overwritten(self, value: float, mean_gap: float, mean_span: float) -> tuple[Column, Spans]:
+        """Set the readings of random spans to a value; see `random_spans`."""
+        spans = random_spans(self.readings.size, mean_gap, mean_span, self.rng)
+        for start, stop in spans:
+            self.readings[start:stop] = value
+        return self.readings, spans
+
+
+def dead(recording: Recording, sensors: Sensors, *, rng: Randomness = 0) -> Recording:
+    """Fix sensors at their rest value.
+
+    The rest value is the most frequent reading of each sensor, see
+    `anisomap.numerics.similarity.rest.Rest`.
+    """
+    return _inject(
+        recording,
+        "dead",
+        sensors,
+        rng,
+        lambda channel: np.full_like(channel.readings, channel.rest),
+    )
 
 
 def saturating(
@@ -61,272 +85,204 @@ def saturating(
     mean_gap: float = 100.0,
     mean_span: float = 20.0,
 ) -> Recording:
-    """Make sensors jump to full scale now and then, touched or not: the paper's sensor 30.
+    """Set sensors to full scale intermittently, independent of touch.
 
     Parameters
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Decides when, or the seed of what does.
+    recording, sensors, rng
+        See `FAULTS`.
     level : float, optional
-        Full scale, in the unit of the readings; the recording's highest reading unless given.
+        Full scale, in the unit of the readings. Defaults to the highest reading of the recording.
     mean_gap, mean_span : float
-        How many frames, at least 1, pass on average between two jumps, and how many each lasts.
-        Both are geometric: a sensor forgets how long it has been well or unwell. The paper gives
-        no numbers; these keep a sensor saturated a sixth of the time.
+        Mean number of frames between saturated spans, and of their length; at least 1. Both are
+        geometrically distributed. Chosen by hand, as the paper gives no values: a sensor is
+        saturated one sixth of the time.
 
     Returns
     -------
     Recording
-        One that is short beside `mean_gap` may be spared; its faults' spans are empty then.
+        If the recording is short compared to `mean_gap`, some sensors may have no saturated span.
+
+    Raises
+    ------
+    InputError
+        If `mean_gap` or `mean_span` is below 1.
 
     Notes
     -----
-    McGregor et al. (2011), section "Prototyping Issues": "a tendency to saturate intermittently
-    regardless of whether it was being physically stimulated or not".
+    Sensor 30 of McGregor et al. (2011), section "Prototyping Issues": "a tendency to saturate
+    intermittently regardless of whether it was being physically stimulated or not".
     """
-    generator = np.random.default_rng(rng)
-    full_scale = value_range(recording)[1] if level is None else level
 
-    def jump(column: Column) -> tuple[Column, Spans]:
-        spans = random_spans(column.size, mean_gap, mean_span, generator)
-        for start, stop in spans:
-            column[start:stop] = full_scale
-        return column, spans
+    def saturate(channel: Channel) -> tuple[Column, Spans]:
+        full_scale = channel.highest if level is None else level
+        return channel.overwritten(full_scale, mean_gap, mean_span)
 
-    return _inject(recording, "saturating", sensors, jump)
+    return _inject(recording, "saturating", sensors, rng, saturate)
 
 
 def noisy(
-    recording: Recording,
-    sensors: Sensors,
-    *,
-    rng: Randomness = 0,
-    level: float = 0.1,
+    recording: Recording, sensors: Sensors, *, rng: Randomness = 0, level: float = 0.1
 ) -> Recording:
-    """Add white noise to sensors.
+    """Add white Gaussian noise to sensors.
 
     Parameters
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Source of the noise, or its seed.
+    recording, sensors, rng
+        See `FAULTS`.
     level : float
-        Standard deviation of the (normal) noise, as a share of the recording's range.
-
-    Returns
-    -------
-    Recording
+        Standard deviation, as a share of the range of the recording.
     """
     check_positive("level", level)
-    generator = np.random.default_rng(rng)
-    lowest, highest = value_range(recording)
-    spread = level * (highest - lowest)
 
-    def disturb(column: Column) -> tuple[Column, Spans]:
-        return column + spread * generator.standard_normal(column.size), throughout(column.size)
+    def disturb(channel: Channel) -> Column:
+        noise = channel.rng.standard_normal(channel.readings.size)
+        return np.asarray(channel.readings + level * channel.span * noise)
 
-    return _inject(recording, "noisy", sensors, disturb)
+    return _inject(recording, "noisy", sensors, rng, disturb)
 
 
 def stuck(
-    recording: Recording,
-    sensors: Sensors,
-    *,
-    rng: Randomness = 0,
-    level: float | None = None,
+    recording: Recording, sensors: Sensors, *, rng: Randomness = 0, level: float | None = None
 ) -> Recording:
-    """Make sensors read one value always, other than rest.
+    """Fix sensors at a value other than rest.
 
     Parameters
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Chooses the value, unless it is given.
+    recording, sensors, rng
+        See `FAULTS`.
     level : float, optional
-        The value, in the unit of the readings; anywhere in the upper half of the recording's range
-        unless given, so that it is not taken for rest.
-
-    Returns
-    -------
-    Recording
+        The value, in the unit of the readings. By default, drawn uniformly from the upper half of
+        the range of the recording, to be distinct from rest.
     """
-    generator = np.random.default_rng(rng)
-    lowest, highest = value_range(recording)
 
-    def stick(column: Column) -> tuple[Column, Spans]:
-        value = generator.uniform((lowest + highest) / 2, highest) if level is None else level
-        return np.full_like(column, value), throughout(column.size)
+    def fix(channel: Channel) -> Column:
+        middle = (channel.lowest + channel.highest) / 2
+        value = channel.rng.uniform(middle, channel.highest) if level is None else level
+        return np.full_like(channel.readings, value)
 
-    return _inject(recording, "stuck", sensors, stick)
+    return _inject(recording, "stuck", sensors, rng, fix)
 
 
 def drifting(
     recording: Recording, sensors: Sensors, *, rng: Randomness = 0, level: float = 0.3
 ) -> Recording:
-    """Let the baseline of sensors wander, as capacitance does with temperature.
+    """Add a slow random walk to the baseline of sensors, as temperature does to capacitance.
 
     Parameters
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Decides how it wanders.
+    recording, sensors, rng
+        See `FAULTS`.
     level : float
-        How far it strays at most, as a share of the recording's range. 0.3: it can be mistaken for
-        a light touch.
-
-    Returns
-    -------
-    Recording
-        A random walk is added, which starts at 0.
+        Largest deviation of the walk, which starts at 0, as a share of the range of the recording.
+        Chosen by hand: 0.3 resembles a light touch.
     """
     check_positive("level", level)
-    generator = np.random.default_rng(rng)
-    lowest, highest = value_range(recording)
 
-    def drift(column: Column) -> tuple[Column, Spans]:
-        walk = np.cumsum(generator.standard_normal(column.size))
+    def drift(channel: Channel) -> Column:
+        walk = np.cumsum(channel.rng.standard_normal(channel.readings.size))
         walk -= walk[0]
         furthest = float(np.abs(walk).max()) or 1.0
-        return column + level * (highest - lowest) / furthest * walk, throughout(column.size)
+        return np.asarray(channel.readings + level * channel.span / furthest * walk)
 
-    return _inject(recording, "drifting", sensors, drift)
+    return _inject(recording, "drifting", sensors, rng, drift)
 
 
 def gain_spread(
     recording: Recording, sensors: Sensors, *, rng: Randomness = 0, factor: float = 5.0
 ) -> Recording:
-    """Give sensors different gains.
+    """Multiply the readings of sensors, including rest, by random gains.
 
     Parameters
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Draws the gains.
+    recording, sensors, rng
+        See `FAULTS`.
     factor : float
-        Largest gain over the smallest, at least 1; drawn evenly on a logarithmic scale about 1.
-        5: what elastomers of uneven thickness do.
-
-    Returns
-    -------
-    Recording
-        Readings are multiplied, rest and all.
+        Ratio of the largest to the smallest gain, at least 1. Gains are distributed uniformly
+        around 1 on a logarithmic scale. Chosen by hand for elastomers of uneven thickness.
     """
     if not (np.isfinite(factor) and factor >= 1):
-        raise InputError(f"factor is {factor:g}; it must be at least 1")
-    generator = np.random.default_rng(rng)
+        raise InputError(f"factor must be at least 1, got {factor:g}")
 
-    def amplify(column: Column) -> tuple[Column, Spans]:
-        return column * factor ** generator.uniform(-0.5, 0.5), throughout(column.size)
+    def amplify(channel: Channel) -> Column:
+        return np.asarray(channel.readings * factor ** channel.rng.uniform(-0.5, 0.5))
 
-    return _inject(recording, "gain-spread", sensors, amplify)
+    return _inject(recording, "gain-spread", sensors, rng, amplify)
 
 
 def hysteresis(
     recording: Recording, sensors: Sensors, *, rng: Randomness = 0, recovery: float = 20.0
 ) -> Recording:
-    """Let sensors come back to rest slowly, as foam and silicone do.
+    """Delay the return of sensors to rest, as foam and silicone do.
 
     Parameters
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Nothing here is random; taken so that all faults are called alike.
+    recording, sensors, rng
+        See `FAULTS`.
     recovery : float
-        Frames in which what is left of a touch falls to 1/e. 20: a second at 20 frames a second.
-
-    Returns
-    -------
-    Recording
-        A reading rises at once, away from rest, and falls no faster than the skin recovers.
+        Time constant of the exponential return to rest, in frames. Readings move away from rest
+        without delay. Chosen by hand: 20 frames are 1 s at 20 Hz.
     """
     check_positive("recovery", recovery, "frames")
     kept = np.exp(-1 / recovery)
 
-    def lag(column: Column) -> tuple[Column, Spans]:
-        rest = rest_of(column)
-        beyond = column - rest
+    def lag(channel: Channel) -> Column:
+        rest = channel.rest
+        beyond = channel.readings - rest
         side = 1.0 if np.nanmax(beyond, initial=0) >= -np.nanmin(beyond, initial=0) else -1.0
-        left, lagging = 0.0, np.array(column)
+        left, lagging = 0.0, np.array(channel.readings)
         for frame, depth in enumerate(side * beyond):
             left = max(kept * left, depth) if np.isfinite(depth) else kept * left
             if np.isfinite(depth):
                 lagging[frame] = rest + side * left
-        return lagging, throughout(column.size)
+        return lagging
 
-    return _inject(recording, "hysteresis", sensors, lag)
+    return _inject(recording, "hysteresis", sensors, rng, lag)
 
 
 def quantised(
     recording: Recording, sensors: Sensors, *, rng: Randomness = 0, levels: int = 16
 ) -> Recording:
-    """Round readings to a few values, as a cheap converter does.
+    """Round the readings of sensors to few levels, as a low-resolution converter does.
 
     Parameters
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Nothing here is random; taken so that all faults are called alike.
+    recording, sensors, rng
+        See `FAULTS`.
     levels : int
-        How many values over the recording's range, at least 2. 16: four bits.
-
-    Returns
-    -------
-    Recording
+        Number of levels over the range of the recording, at least 2. 16 are 4 bits.
     """
     check_count("levels", levels)
     if levels < 2:
-        raise InputError(f"levels is {levels}; it must be at least 2")
-    lowest, highest = value_range(recording)
-    step = (highest - lowest) / (levels - 1) or 1.0
+        raise InputError(f"levels must be at least 2, got {levels}")
 
-    def quantise(column: Column) -> tuple[Column, Spans]:
-        return lowest + step * np.round((column - lowest) / step), throughout(column.size)
+    def quantise(channel: Channel) -> Column:
+        step = channel.span / (levels - 1) or 1.0
+        rounded = np.round((channel.readings - channel.lowest) / step)
+        return np.asarray(channel.lowest + step * rounded)
 
-    return _inject(recording, "quantised", sensors, quantise)
+    return _inject(recording, "quantised", sensors, rng, quantise)
 
 
 def thresholded(
     recording: Recording, sensors: Sensors, *, rng: Randomness = 0, level: float = 0.1
 ) -> Recording:
-    """Leave of each reading only whether the sensor is touched: 0 or 1.
+    """Reduce the readings of sensors to 0 (at rest) and 1 (touched).
 
     Parameters
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Nothing here is random; taken so that all faults are called alike.
+    recording, sensors, rng
+        See `FAULTS`.
     level : float
-        How far from its rest a sensor counts as touched, as a share of the recording's range.
-
-    Returns
-    -------
-    Recording
+        Least deviation from rest that counts as touch, as a share of the range of the recording.
     """
     check_positive("level", level)
-    lowest, highest = value_range(recording)
 
-    def threshold(column: Column) -> tuple[Column, Spans]:
-        touched = np.abs(column - rest_of(column)) > level * (highest - lowest)
-        return np.where(np.isfinite(column), touched, column), throughout(column.size)
+    def threshold(channel: Channel) -> Column:
+        touched = np.abs(channel.readings - channel.rest) > level * channel.span
+        return np.where(np.isfinite(channel.readings), touched, channel.readings)
 
-    return _inject(recording, "thresholded", sensors, threshold)
+    return _inject(recording, "thresholded", sensors, rng, threshold)
 
 
 def nan_bursts(
@@ -337,48 +293,60 @@ def nan_bursts(
     mean_gap: float = 200.0,
     mean_span: float = 5.0,
 ) -> Recording:
-    """Lose readings now and then, as a bus with a loose plug does.
+    """Replace readings by NaN intermittently, as a loose connector does.
 
     Parameters
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Decides when.
+    recording, sensors, rng
+        See `FAULTS`.
     mean_gap, mean_span : float
-        How many frames, at least 1, pass on average between two bursts, and how many each lasts.
-
-    Returns
-    -------
-    Recording
-        Lost readings are NaN.
+        Mean number of frames between bursts, and of their length; at least 1. Both are
+        geometrically distributed. Chosen by hand.
     """
-    generator = np.random.default_rng(rng)
 
-    def lose(column: Column) -> tuple[Column, Spans]:
-        spans = random_spans(column.size, mean_gap, mean_span, generator)
-        for start, stop in spans:
-            column[start:stop] = np.nan
-        return column, spans
+    def lose(channel: Channel) -> tuple[Column, Spans]:
+        return channel.overwritten(np.nan, mean_gap, mean_span)
 
-    return _inject(recording, "nan-bursts", sensors, lose)
+    return _inject(recording, "nan-bursts", sensors, rng, lose)
 
 
-def rest_of(column: Column) -> float:
-    """Estimate what a sensor reads at rest, whatever readings it misses."""
-    filled = Recording(column[:, None]).complete("interpolate").readings
-    return float(estimate_rest(filled).value[0])
+def random_spans(
+    n_frames: int, mean_gap: float, mean_span: float, rng: np.random.Generator
+) -> Spans:
+    """Draw spans of frames with geometrically distributed gaps and lengths.
+
+    Raises
+    ------
+    InputError
+        If a mean is below 1 frame.
+    """
+    for name, frames in {"mean_gap": mean_gap, "mean_span": mean_span}.items():
+        if not (np.isfinite(frames) and frames >= 1):
+            raise InputError(f"{name} must be at least 1 frame, got {frames:g}")
+    # A gap and a span take at least two frames together, so this number fills the recording.
+    shape = (n_frames // 2 + 1, 2)
+    edges = rng.geometric([1 / mean_gap, 1 / mean_span], size=shape).cumsum().reshape(shape)
+    return tuple(
+        (int(start), int(min(stop, n_frames))) for start, stop in edges if start < n_frames
+    )
 
 
 def _inject(
     recording: Recording,
     kind: str,
     sensors: Sensors,
-    spoil: Callable[[Column], tuple[Column, Spans]],
+    rng: Randomness,
+    effect: Callable[[Channel], Column | tuple[Column, Spans]],
 ) -> Recording:
+    """Apply an effect to each sensor and log it; without spans, it affects all frames."""
+    generator = np.random.default_rng(rng)
+    finite = recording.readings[np.isfinite(recording.readings)]
+    lowest, highest = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
     readings, faults = np.array(recording.readings), []
     for i in recording.indices(sensors):
-        readings[:, i], spans = spoil(readings[:, i].copy())
+        found = effect(Channel(readings[:, i].copy(), lowest, highest, generator))
+        readings[:, i], spans = (
+            found if isinstance(found, tuple) else (found, all_frames(recording.n_frames))
+        )
         faults.append(Fault(kind, recording.names[i], spans))
-    return spoilt(recording, readings, faults)
+    return with_faults(recording, readings, faults)

@@ -1,10 +1,11 @@
-"""What goes wrong with frames and the clock; it befalls all sensors at once."""
+"""Faults of whole frames and of the clock, which affect all sensors."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anisomap.errors import InputError
 from anisomap.recording import Recording
@@ -12,31 +13,32 @@ from anisomap.simulation.faults.log import (
     ALL_SENSORS,
     Fault,
     Spans,
+    all_frames,
     injected_faults,
-    on_record,
-    spoilt,
-    throughout,
+    with_faults,
+    with_log,
 )
 from anisomap.simulation.faults.sensors import Randomness
 
+# x the interval to the next frame. Two neighbours move by at most 0.9 of it, and stay in order.
+_MAX_JITTER = 0.45
+
 
 def dropped_frames(recording: Recording, *, rng: Randomness = 0, share: float = 0.05) -> Recording:
-    """Lose whole frames, as an overloaded logger does.
+    """Remove random frames, as an overloaded logger does.
 
     Parameters
     ----------
     recording : Recording
     rng : numpy.random.Generator or int
-        Decides which.
     share : float
-        Of the frames, between 0 and 1; at least one frame stays.
+        Expected share of the frames, between 0 and 1. At least one frame remains.
 
     Returns
     -------
     Recording
-        Without those frames and their times; a rate stays as it was told. On the record is the
-        frame after each gap; no reading is wrong. Spans of earlier faults count the frames that
-        are left.
+        The frames and their times are removed; the nominal rate is kept. The log marks the frame
+        after each gap, but no reading as wrong. Spans of earlier faults are renumbered.
     """
     _check_share(share)
     lost = np.random.default_rng(rng).random(recording.n_frames) < share
@@ -45,88 +47,81 @@ def dropped_frames(recording: Recording, *, rng: Randomness = 0, share: float = 
     kept = np.flatnonzero(~lost)
     after_gap = np.flatnonzero(np.diff(kept, prepend=-1) > 1)
     earlier = [
-        replace(fault, spans=_left_of(fault.spans, kept)) for fault in injected_faults(recording)
+        replace(fault, spans=_renumbered(fault.spans, kept)) for fault in injected_faults(recording)
     ]
     times = None if recording.times is None else recording.times[kept]
     shorter = replace(recording, readings=recording.readings[kept], times=times)
-    return on_record(shorter, [*earlier, Fault("dropped-frames", "", _single(after_gap))])
+    return with_log(shorter, [*earlier, Fault("dropped-frames", "", _single_frames(after_gap))])
 
 
 def repeated_frames(recording: Recording, *, rng: Randomness = 0, share: float = 0.05) -> Recording:
-    """Deliver the last frame again in place of a new one, as a slow driver does.
+    """Replace random frames by the previous frame, as a slow driver does.
 
     Parameters
     ----------
     recording : Recording
     rng : numpy.random.Generator or int
-        Decides when.
     share : float
-        Of the frames, between 0 and 1; never the first.
-
-    Returns
-    -------
-    Recording
-        As many frames as before.
+        Expected share of the frames, between 0 and 1. The first frame is never replaced.
     """
     _check_share(share)
     stale = np.random.default_rng(rng).random(recording.n_frames) < share
     stale[0] = False
     source = np.maximum.accumulate(np.where(stale, 0, np.arange(recording.n_frames)))
-    fault = Fault("repeated-frames", ALL_SENSORS, _single(np.flatnonzero(stale)))
-    return spoilt(recording, recording.readings[source], [fault])
+    fault = Fault("repeated-frames", ALL_SENSORS, _single_frames(np.flatnonzero(stale)))
+    return with_faults(recording, recording.readings[source], [fault])
 
 
 def clock_jitter(recording: Recording, *, rng: Randomness = 0, level: float = 0.2) -> Recording:
-    """Shake the times of frames.
+    """Add Gaussian jitter to the times of frames.
 
     Parameters
     ----------
     recording : Recording
-        With times, or a rate that gives them.
+        With times, or with a rate from which times are computed.
     rng : numpy.random.Generator or int
-        Shakes.
     level : float
-        Standard deviation of a frame's time, as a share of the interval between frames, between 0
-        and 1. At most 0.45 of the interval to its neighbours, so that times still increase.
+        Standard deviation as a share of the median interval, between 0 and 1. Jitter is limited to
+        0.45 of the intervals on either side, so that times increase.
 
     Returns
     -------
     Recording
-        With the same readings. On the record are all frames, and no sensor.
+        Readings are unchanged. The log marks all frames, but no reading as wrong.
 
     Raises
     ------
     InputError
-        If neither times nor rate are known.
+        If the recording has neither times nor a rate.
     """
     _check_share(level, "level")
     if recording.times is None and recording.rate_hz is None:
-        raise InputError("the recording has neither times nor a rate, so no clock can jitter")
+        raise InputError("clock jitter needs a recording with times or a rate")
     times = recording.times
     if times is None:
         times = np.arange(recording.n_frames) / (recording.rate_hz or 1.0)
     gaps = np.diff(times)
-    room = 0.45 * np.minimum(
+    limit = _MAX_JITTER * np.minimum(
         np.append(gaps, gaps[-1:] if len(gaps) else 1.0),
         np.concatenate([gaps[:1] if len(gaps) else [1.0], gaps]),
     )
     typical = float(np.median(gaps)) if len(gaps) else 1.0
-    shake = level * typical * np.random.default_rng(rng).standard_normal(len(times))
-    shaken = replace(recording, times=times + np.clip(shake, -room, room))
-    fault = Fault("clock-jitter", "", throughout(recording.n_frames))
-    return on_record(shaken, [*injected_faults(recording), fault])
+    jitter = level * typical * np.random.default_rng(rng).standard_normal(len(times))
+    jittered = replace(recording, times=times + np.clip(jitter, -limit, limit))
+    fault = Fault("clock-jitter", "", all_frames(recording.n_frames))
+    return with_log(jittered, [*injected_faults(recording), fault])
 
 
 def _check_share(share: float, name: str = "share") -> None:
     if not 0 < share < 1:
-        raise InputError(f"{name} is {share:g}; it must be between 0 and 1")
+        raise InputError(f"{name} must be above 0 and below 1, got {share:g}")
 
 
-def _single(frames: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Spans:
+def _single_frames(frames: NDArray[np.intp]) -> Spans:
     return tuple((int(frame), int(frame) + 1) for frame in frames)
 
 
-def _left_of(spans: Spans, kept: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Spans:
-    """Count spans in the frames that are left of them."""
+def _renumbered(spans: Spans, kept: NDArray[np.intp]) -> Spans:
+    """Express spans in the numbering of the remaining frames."""
     moved = (tuple(int(edge) for edge in np.searchsorted(kept, span)) for span in spans)
     return tuple((start, stop) for start, stop in moved if stop > start)

@@ -1,4 +1,7 @@
-"""What goes wrong between sensors: crosstalk, and readings under another sensor's name."""
+"""Faults between sensors: crosstalk, and readings assigned to the wrong sensor.
+
+All take a recording, sensors and ``rng``, like the faults of single sensors.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.recording import Recording
-from anisomap.simulation.faults.log import Fault, spoilt, throughout
+from anisomap.simulation.faults.log import Fault, all_frames, with_faults
 from anisomap.simulation.faults.sensors import Randomness, Sensors
 
 
@@ -22,101 +25,82 @@ def crosstalk(
     share: float = 0.2,
     n_neighbours: int = 4,
 ) -> Recording:
-    """Let sensors read some of what their neighbours do.
+    """Mix the readings of sensors with those of their neighbours.
 
     Parameters
     ----------
     recording : Recording
-        With true positions, which tell who is whose neighbour.
-    sensors : iterable of str or int
-        Names or indices.
-    rng : numpy.random.Generator or int
-        Nothing here is random; taken so that all faults are called alike.
+        With true positions, which define the neighbours.
+    sensors, rng
+        See `FAULTS`.
     share : float
-        How much of a reading is the mean of the neighbours', between 0 and 1.
+        Weight of the neighbours' mean, above 0 and at most 1.
     n_neighbours : int
-        How many neighbours count. 4: those beside a sensor on a grid.
-
-    Returns
-    -------
-    Recording
+        Number of nearest sensors that are mixed in. 4 are those of a square grid.
 
     Raises
     ------
     InputError
-        If positions are not known, or there are too few sensors.
+        If the recording has no positions, or no more than `n_neighbours` sensors.
     """
     if not 0 < share <= 1:
-        raise InputError(f"share is {share:g}; it must be above 0 and at most 1")
+        raise InputError(f"share must be above 0 and at most 1, got {share:g}")
     if recording.positions is None:
-        raise InputError(
-            "crosstalk is between neighbours, and the recording does not say where its sensors "
-            "are; give it true positions"
-        )
+        raise InputError("crosstalk needs a recording with true positions of its sensors")
     if not 1 <= n_neighbours < recording.n_sensors:
         raise InputError(
-            f"n_neighbours is {n_neighbours}; it must be at least 1 and less than the "
-            f"{recording.n_sensors} sensors"
+            f"n_neighbours must be at least 1 and below the number of sensors "
+            f"({recording.n_sensors}), got {n_neighbours}"
         )
     clean = recording.readings
     chosen = recording.indices(sensors)
-    # A sensor that shares its place with another need not be the first that is found there.
-    around = KDTree(recording.positions).query(recording.positions[chosen], k=n_neighbours + 1)[1]
+    # One more than needed: the sensor itself need not come first if others share its position.
+    nearest = KDTree(recording.positions).query(recording.positions[chosen], k=n_neighbours + 1)[1]
     readings = np.array(clean)
-    for i, near in zip(chosen, np.asarray(around), strict=True):
+    for i, near in zip(chosen, np.asarray(nearest), strict=True):
         others = near[near != i][:n_neighbours]
         readings[:, i] = (1 - share) * clean[:, i] + share * clean[:, others].mean(axis=1)
-    return _throughout(recording, readings, "crosstalk", chosen)
+    return _logged(recording, readings, "crosstalk", chosen)
 
 
 def swapped(recording: Recording, sensors: Sensors, *, rng: Randomness = 0) -> Recording:
-    """Exchange the readings of two groups of sensors, as plugs of two triangles can be.
+    """Exchange the readings of two groups of sensors, as two swapped connectors do.
 
     Parameters
     ----------
-    recording : Recording
+    recording, rng
+        See `FAULTS`.
     sensors : iterable of str or int
-        An even number; the first half trades places with the second, each with its counterpart.
-    rng : numpy.random.Generator or int
-        Nothing here is random; taken so that all faults are called alike.
-
-    Returns
-    -------
-    Recording
-        Names and positions stay; the readings are wrong for both.
+        An even number. The first half is exchanged with the second, in order. Names and positions
+        are kept.
 
     Raises
     ------
     InputError
-        If the number is odd, or a sensor stands there twice.
+        If the number of sensors is odd, or a sensor is listed twice.
     """
     chosen = _in_order(recording, sensors)
     if len(chosen) % 2:
-        raise InputError(f"{len(chosen)} sensors cannot be swapped; give an even number")
+        raise InputError(f"swapping needs an even number of sensors, got {len(chosen)}")
     half = len(chosen) // 2
     return _rewired(recording, "swapped", chosen, [*chosen[half:], *chosen[:half]])
 
 
 def mirrored(recording: Recording, sensors: Sensors, *, rng: Randomness = 0) -> Recording:
-    """Reverse the order of a group of sensors, as of a triangle that is mounted wrongly.
+    """Reverse the order of the readings of a group of sensors, as a rotated module does.
 
     Parameters
     ----------
-    recording : Recording
+    recording, rng
+        See `FAULTS`.
     sensors : iterable of str or int
-        The first takes the readings of the last, and so on.
-    rng : numpy.random.Generator or int
-        Nothing here is random; taken so that all faults are called alike.
-
-    Returns
-    -------
-    Recording
-        Names and positions stay. The middle one of an odd number keeps its readings.
+        The first takes the readings of the last, and so on. The middle one of an odd number is
+        not affected. Names and positions are kept.
 
     Raises
     ------
     InputError
-        If a sensor stands there twice.
+        If a sensor is listed twice.
     """
     chosen = _in_order(recording, sensors)
     return _rewired(recording, "mirrored", chosen, chosen[::-1])
@@ -129,32 +113,25 @@ def duplicated(
     rng: Randomness = 0,
     source: str | int | None = None,
 ) -> Recording:
-    """Make channels copies of another.
+    """Replace the readings of sensors by those of another sensor.
 
     Parameters
     ----------
-    recording : Recording
-    sensors : iterable of str or int
-        The copies.
-    rng : numpy.random.Generator or int
-        Chooses what each copies, unless that is given.
+    recording, sensors, rng
+        See `FAULTS`.
     source : str or int, optional
-        What all copy; one of the other sensors at random, each, unless given.
-
-    Returns
-    -------
-    Recording
+        Sensor to copy from. By default, one of the other sensors is drawn for each copy.
 
     Raises
     ------
     InputError
-        If no other sensor is left to copy.
+        If no other sensor is left to copy from.
     """
     generator = np.random.default_rng(rng)
     copies = recording.indices(sensors)
     others = np.setdiff1d(np.arange(recording.n_sensors), copies)
     if not len(others):
-        raise InputError("every sensor would be a copy, and none is left to copy from")
+        raise InputError("duplicating needs at least one sensor that is not itself a copy")
     if source is None:
         sources = [int(i) for i in generator.choice(others, size=len(copies))]
     else:
@@ -162,21 +139,23 @@ def duplicated(
     return _rewired(recording, "duplicated", [int(i) for i in copies], sources)
 
 
-def _rewired(recording: Recording, kind: str, to: Sequence[int], by: Sequence[int]) -> Recording:
+def _rewired(
+    recording: Recording, kind: str, targets: Sequence[int], sources: Sequence[int]
+) -> Recording:
     readings = np.array(recording.readings)
-    readings[:, to] = recording.readings[:, by]
-    moved = [i for i, j in zip(to, by, strict=True) if i != j]
-    return _throughout(recording, readings, kind, moved)
+    readings[:, targets] = recording.readings[:, sources]
+    moved = [i for i, j in zip(targets, sources, strict=True) if i != j]
+    return _logged(recording, readings, kind, moved)
 
 
-def _throughout(
+def _logged(
     recording: Recording,
     readings: NDArray[np.floating],
     kind: str,
     sensors: Sequence[int] | NDArray[np.intp],
 ) -> Recording:
-    spans = throughout(recording.n_frames)
-    return spoilt(
+    spans = all_frames(recording.n_frames)
+    return with_faults(
         recording, readings, [Fault(kind, recording.names[int(i)], spans) for i in sensors]
     )
 
@@ -185,5 +164,5 @@ def _in_order(recording: Recording, sensors: Sensors) -> list[int]:
     chosen = [int(recording.indices([sensor])[0]) for sensor in sensors]
     for i in chosen:
         if chosen.count(i) > 1:
-            raise InputError(f"sensor {recording.names[i]} is named twice; name each once")
+            raise InputError(f"sensor {recording.names[i]} is listed twice; list each sensor once")
     return chosen

@@ -1,1 +1,1 @@
-"""Solids, triangle meshes, points and distances on surfaces."""
+"""Solids, triangle meshes, and points spread over their surfaces."""

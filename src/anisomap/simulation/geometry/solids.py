@@ -1,7 +1,6 @@
-"""Solids that bodies and what touches them are made of, with exact distances from their surfaces.
+"""Solids with exact signed distances: primitives in closed form, and closed triangle meshes.
 
-Each is a primitive that has a closed form, or a closed mesh of triangles. A distance is positive
-outside and negative inside.
+Distances are positive outside and negative inside.
 """
 
 from __future__ import annotations
@@ -22,29 +21,28 @@ from anisomap.simulation.geometry.triangles import TriangleSearch
 
 Points: TypeAlias = NDArray[np.float64]
 
-_ROUND = 48  # corners of a drawn circle
-_COARSE = 16  # the same, where there are many
-_SLOPE_STEP = 1e-5  # of the reach
-_PROJECTIONS = 4
+_CIRCLE_VERTICES = 48
+_COARSE_VERTICES = 16
+_GRADIENT_STEP = 1e-5  # x reach
+_N_PROJECTIONS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """One solid; make it with `ball`, `capsule`, `cylinder`, `box` or `mesh`.
+    """A solid, made by `ball`, `capsule`, `cylinder`, `box` or `mesh`.
 
     Parameters
     ----------
     kind : str
-        MuJoCo's word for it: ``"sphere"``, ``"capsule"``, ``"cylinder"``, ``"box"``, ``"mesh"``.
+        Type of geom in MuJoCo: ``"sphere"``, ``"capsule"``, ``"cylinder"``, ``"box"`` or
+        ``"mesh"``.
     size : tuple of float
-        What MuJoCo takes as its size: radius; radius and half of the length of the axis; half of
-        each edge.
+        Size as in MuJoCo: (radius,); (radius, half length of the axis); or the half edges.
     centre : ndarray of shape (3,)
-        Where its middle is.
     rotation : ndarray of shape (3, 3)
-        Columns are its own x, y and z; the axis of a capsule or cylinder is its z.
+        Columns are the local x, y and z axes; capsules and cylinders lie along z.
     shape : Mesh, optional
-        Of a mesh, its triangles about `centre`.
+        Triangles of a mesh, in local coordinates.
     """
 
     kind: str
@@ -54,7 +52,7 @@ class Solid:
     shape: Mesh | None = None
 
     def distance(self, points: ArrayLike) -> Points:
-        """Measure how far points are from the surface.
+        """Compute the exact signed distance of points from the surface.
 
         Parameters
         ----------
@@ -63,19 +61,19 @@ class Solid:
         Returns
         -------
         ndarray of shape (n,)
-            Negative inside. Exact for every kind, inside and outside.
+            Negative inside.
         """
-        local = self.into_own_frame(points)
+        local = self.to_local(points)
         if self.kind == "mesh":
             return self._search.signed_distance(local)
         return _DISTANCES[self.kind](local, self.size)
 
-    def into_own_frame(self, points: ArrayLike) -> Points:
-        """Express points in the solid's own frame, shape (n, 3)."""
+    def to_local(self, points: ArrayLike) -> Points:
+        """Transform points (n, 3) to local coordinates."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.centre) @ self.rotation)
 
     def moved(self, rotation: ArrayLike, centre: ArrayLike) -> Solid:
-        """Turn it about the origin, then shift it."""
+        """Rotate the solid about the origin, then translate it."""
         turn = np.asarray(rotation, dtype=np.float64)
         return replace(
             self,
@@ -84,25 +82,25 @@ class Solid:
         )
 
     def scaled(self, factor: float) -> Solid:
-        """Make it `factor` times as large, about the origin."""
+        """Scale the solid by `factor` about the origin."""
         shape = self.shape and Mesh(factor * self.shape.vertices, self.shape.faces)
         size = tuple(factor * length for length in self.size)
         return replace(self, size=size, centre=frozen(factor * self.centre), shape=shape)
 
     @cached_property
     def outline(self) -> Mesh:
-        """Its surface as triangles; round ones with flats that are smaller than one can see."""
-        drawn = self.shape or _tessellated(self.kind, self.size)
-        return Mesh(drawn.vertices @ self.rotation.T + self.centre, drawn.faces)
+        """Surface as triangles, which approximate round solids."""
+        local = self.shape or _tessellated(self.kind, self.size)
+        return Mesh(local.vertices @ self.rotation.T + self.centre, local.faces)
 
     @property
     def is_flat(self) -> bool:
-        """Whether `outline` is its very surface, and not a drawing of something round."""
+        """Whether `outline` is exact."""
         return self.kind in ("box", "mesh")
 
     @property
     def reach(self) -> float:
-        """Radius of a ball about the origin that holds it."""
+        """Radius of the bounding ball about the origin."""
         if self.kind == "sphere":
             return float(np.linalg.norm(self.centre)) + self.size[0]
         if self.kind == "capsule":
@@ -114,7 +112,7 @@ class Solid:
     @cached_property
     def _search(self) -> TriangleSearch:
         if self.shape is None:
-            raise InputError(f"a solid of the kind {self.kind!r} must have a mesh as its shape")
+            raise InputError(f"a solid of the kind {self.kind!r} must have a shape")
         return TriangleSearch(self.shape)
 
 
@@ -123,68 +121,68 @@ def ball(radius: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
     return Solid("sphere", (float(radius),), frozen(centre))
 
 
-def drawn_ball() -> Mesh:
-    """Give a ball of radius 1 for drawing in numbers, with few triangles."""
-    angle = np.linspace(-np.pi / 2, np.pi / 2, _COARSE // 2 + 1)
-    return revolved(np.column_stack([np.cos(angle), np.sin(angle)]), _COARSE)
+def coarse_ball() -> Mesh:
+    """Make a mesh of a unit ball with few triangles, for drawing many."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, _COARSE_VERTICES // 2 + 1)
+    return revolved(np.column_stack([np.cos(angle), np.sin(angle)]), _COARSE_VERTICES)
 
 
 def capsule(radius: float, start: ArrayLike, end: ArrayLike) -> Solid:
     """Make a capsule: all points within `radius` of the segment from `start` to `end`."""
     first, last = frozen(start), frozen(end)
     length = float(np.linalg.norm(last - first))
-    turned = frozen(turned_to((last - first) / length))
-    return Solid("capsule", (float(radius), length / 2), frozen((first + last) / 2), turned)
+    rotation = frozen(rotation_to((last - first) / length))
+    return Solid("capsule", (float(radius), length / 2), frozen((first + last) / 2), rotation)
 
 
 def cylinder(radius: float, half_length: float) -> Solid:
-    """Make a cylinder about the z axis, its middle in the origin."""
+    """Make a cylinder along the z axis, centred at the origin."""
     return Solid("cylinder", (float(radius), float(half_length)))
 
 
 def box(half_edges: Sequence[float], centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
-    """Make a box along the axes."""
+    """Make a box aligned with the axes."""
     x, y, z = half_edges
     return Solid("box", (float(x), float(y), float(z)), frozen(centre))
 
 
 def mesh(vertices: ArrayLike, faces: ArrayLike) -> Solid:
-    """Make a solid of triangles.
+    """Make a solid from a closed triangle mesh.
 
     Raises
     ------
     InputError
-        If the triangles do not close, or have no area.
+        If the mesh is not closed, or has no area.
     MissingExtraError
         If trimesh is not installed.
     """
     surface = load_trimesh().Trimesh(vertices, faces, process=True)
     if not (len(surface.faces) and np.isfinite(surface.area) and surface.area > 0):
-        raise InputError("the mesh has no area; it must be made of triangles that enclose a body")
+        raise InputError("the mesh has no area; it must consist of triangles that enclose a body")
     if not surface.is_watertight:
-        # An edge of a closed surface has a triangle on either side.
-        edges, sides = np.unique(surface.edges_sorted, axis=0, return_counts=True)
+        edges, counts = np.unique(surface.edges_sorted, axis=0, return_counts=True)
         raise InputError(
-            f"the mesh is not closed: {int((sides != 2).sum())} of its {len(edges)} edges do not "
-            "have exactly two triangles; fill its holes, or give sensors without a mesh"
+            f"the mesh is not closed: {int((counts != 2).sum())} of its {len(edges)} edges do not "
+            "belong to exactly two triangles; fill its holes, or give sensor positions without a "
+            "mesh"
         )
     surface.fix_normals(multibody=True)
     return Solid("mesh", (), shape=Mesh(surface.vertices, surface.faces))
 
 
-def distance_to_all(solids: Sequence[Solid], points: ArrayLike) -> Points:
-    """Measure how far points are from solids taken together.
+def union_distance(solids: Sequence[Solid], points: ArrayLike) -> Points:
+    """Compute the signed distance of points from a union of solids.
 
     Returns
     -------
     ndarray of shape (n,)
-        Exact outside; inside, where solids overlap, the surface may be further off than it says.
+        Exact outside. Inside overlapping solids, a lower bound of the depth.
     """
     return np.asarray(np.min([solid.distance(points) for solid in solids], axis=0))
 
 
-def outward(solids: Sequence[Solid], points: ArrayLike) -> Points:
-    """Give the direction in which the distance grows fastest: on the surface, its normal.
+def surface_normals(solids: Sequence[Solid], points: ArrayLike) -> Points:
+    """Compute the normalised gradient of the distance: the outward normal on the surface.
 
     Parameters
     ----------
@@ -197,30 +195,30 @@ def outward(solids: Sequence[Solid], points: ArrayLike) -> Points:
         Unit vectors, by central differences.
     """
     points = np.asarray(points, dtype=np.float64)
-    step = _SLOPE_STEP * max(solid.reach for solid in solids)
+    step = _GRADIENT_STEP * max(solid.reach for solid in solids)
     shifted = np.stack([points + s * axis for axis in np.eye(3) for s in (step, -step)])
-    distances = distance_to_all(solids, shifted.reshape(-1, 3)).reshape(3, 2, -1)
-    slope = (distances[:, 0] - distances[:, 1]).T
-    # On an edge the slope can vanish: any direction is as good as another there.
-    slope[~slope.any(axis=1)] = [0, 0, 1]
-    return np.asarray(slope / np.linalg.norm(slope, axis=1, keepdims=True))
+    distances = union_distance(solids, shifted.reshape(-1, 3)).reshape(3, 2, -1)
+    gradient = (distances[:, 0] - distances[:, 1]).T
+    # The gradient can vanish on the medial axis, where any direction serves.
+    gradient[~gradient.any(axis=1)] = [0, 0, 1]
+    return np.asarray(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
 
 
-def projected(solids: Sequence[Solid], points: ArrayLike) -> Points:
-    """Move points along the normals to the surface, shape (n, 3)."""
+def project(solids: Sequence[Solid], points: ArrayLike) -> Points:
+    """Project points along the normals onto the surface, shape (n, 3)."""
     moved = np.array(points, dtype=np.float64)
-    for _ in range(_PROJECTIONS):
-        moved -= distance_to_all(solids, moved)[:, None] * outward(solids, moved)
+    for _ in range(_N_PROJECTIONS):
+        moved -= union_distance(solids, moved)[:, None] * surface_normals(solids, moved)
     return moved
 
 
 def load_trimesh() -> ModuleType:
-    """Import trimesh, which reads meshes and knows whether they close.
+    """Import trimesh.
 
     Raises
     ------
     MissingExtraError
-        If it is not installed.
+        If trimesh is not installed.
     """
     try:
         return importlib.import_module("trimesh")
@@ -250,7 +248,7 @@ def _box_distance(points: Points, size: tuple[float, ...]) -> Points:
 
 
 def _from_slabs(beyond: Points) -> Points:
-    """Combine how far points are beyond each of some faces that meet at right angles."""
+    """Combine the distances beyond faces that meet at right angles, shape (n, faces)."""
     outside = np.linalg.norm(np.maximum(beyond, 0), axis=1)
     return np.asarray(outside + np.minimum(beyond.max(axis=1), 0))
 
@@ -265,8 +263,8 @@ _DISTANCES: Mapping[str, Callable[[Points, tuple[float, ...]], Points]] = Mappin
 )
 
 
-def turned_to(axis: Points) -> Points:
-    """Give a rotation whose third column is a unit vector."""
+def rotation_to(axis: Points) -> Points:
+    """Return a rotation matrix that maps z to a unit vector."""
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(helper, axis)
     first /= np.linalg.norm(first)
@@ -283,27 +281,27 @@ def _tessellated(kind: str, size: tuple[float, ...]) -> Mesh:
 
 
 def _profile(kind: str, size: tuple[float, ...]) -> Points:
-    """Give the outline (radius, height) of a solid of turning, from its lower pole up."""
+    """Return the outline (radius, height) of a solid of revolution, from the lower pole up."""
     radius = size[0]
     if kind == "cylinder":
         return np.array([(0, -size[1]), (radius, -size[1]), (radius, size[1]), (0, size[1])])
-    quarter = np.linspace(-np.pi / 2, 0, _ROUND // 4 + 1)
+    quarter = np.linspace(-np.pi / 2, 0, _CIRCLE_VERTICES // 4 + 1)
     lower = radius * np.column_stack([np.cos(quarter), np.sin(quarter)])
     half_axis = size[1] if kind == "capsule" else 0.0
     upper = lower[::-1] * [1, -1]
-    # A ball has one equator, a capsule two.
+    # The equator of a ball belongs to both halves; a capsule has two equators.
     return np.vstack([lower - [0, half_axis], (upper if half_axis else upper[1:]) + [0, half_axis]])
 
 
-def revolved(profile: ArrayLike, n_around: int = _ROUND) -> Mesh:
-    """Turn an outline about the z axis into a closed mesh.
+def revolved(profile: ArrayLike, n_around: int = _CIRCLE_VERTICES) -> Mesh:
+    """Revolve an outline about the z axis to a closed mesh.
 
     Parameters
     ----------
     profile : array_like of shape (P, 2)
-        Radius and height; the first and last lie on the axis, no others.
+        Radius and height. The first and the last point lie on the axis, no others.
     n_around : int
-        Corners of each circle.
+        Vertices per circle.
     """
     outline = np.asarray(profile, dtype=np.float64)
     angle = 2 * np.pi * np.arange(n_around) / n_around

@@ -1,4 +1,4 @@
-"""Exact distances from surfaces made of triangles."""
+"""Exact signed distances from triangle meshes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from anisomap.scene import Mesh
 
 Points = NDArray[np.float64]
 
-_AT_ONCE = 2_000_000  # pairs of a point and a triangle, which bounds the memory
-_LONGEST = 2.5  # x what the edge of a typical triangle is: longer ones are cut
-_PIECES = 50  # across the whole, at most
+_MAX_PAIRS = 2_000_000  # of a point and a triangle at once; limits memory
+_MAX_EDGE = 2.5  # x root of twice the mean area; triangles with longer edges are split
+_MAX_SPLITS = 50  # edges are not split below this fraction of the extent of the mesh
 
 
 class TriangleSearch:
-    """Finds the nearest of many triangles, exactly.
+    """Exact search for the nearest of many triangles.
 
     Parameters
     ----------
@@ -25,24 +25,24 @@ class TriangleSearch:
 
     Notes
     -----
-    A triangle lies in a ball about its middle. So none can be nearest whose middle is further
-    than the nearest vertex and the largest such ball together. A few large triangles among small
-    ones would make that a bad bound, so they are cut up.
+    Each triangle lies in a ball about its centroid. A triangle whose centroid is further than the
+    nearest vertex plus the largest such radius cannot be the nearest. Large triangles, which would
+    weaken this bound, are split.
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self._corners = _cut_up(mesh.vertices[mesh.faces])
-        middles = self._corners.mean(axis=1)
-        self._largest = float(np.linalg.norm(self._corners - middles[:, None], axis=2).max())
-        self._middles, self._vertices = KDTree(middles), KDTree(self._corners.reshape(-1, 3))
+        self._corners = _split_large(mesh.vertices[mesh.faces])
+        centroids = self._corners.mean(axis=1)
+        self._largest = float(np.linalg.norm(self._corners - centroids[:, None], axis=2).max())
+        self._centroids, self._vertices = KDTree(centroids), KDTree(self._corners.reshape(-1, 3))
         cross = np.cross(
             self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0]
         )
-        # A triangle without area has no side, and leaves the sign to its neighbours.
+        # A triangle without area has no normal; its neighbours determine the sign.
         self._normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
 
     def signed_distance(self, points: Points) -> Points:
-        """Measure how far points are from the triangles.
+        """Compute the signed distance of points from the nearest triangle.
 
         Parameters
         ----------
@@ -51,44 +51,44 @@ class TriangleSearch:
         Returns
         -------
         ndarray of shape (n,)
-            Negative on the inner side of triangles that are counter-clockwise from outside.
+            Negative on the inner side of triangles, which are counter-clockwise from outside.
 
         Notes
         -----
-        Where an edge or a corner is nearest, its triangles may disagree about the side; the one
-        that the point stands above most steeply is right.
+        Triangles that share a nearest edge or corner can differ in the sign. The one with the
+        largest distance along its normal determines it.
         """
         bound = np.asarray(self._vertices.query(points)[0]) + self._largest
         found = np.empty(len(points))
-        counts = np.asarray(self._middles.query_ball_point(points, bound, return_length=True))
-        blocks = np.cumsum(counts) // _AT_ONCE
+        counts = np.asarray(self._centroids.query_ball_point(points, bound, return_length=True))
+        blocks = np.cumsum(counts) // _MAX_PAIRS
         for block in np.unique(blocks):
             chosen = np.flatnonzero(blocks == block)
-            found[chosen] = self._among(points[chosen], bound[chosen])
+            found[chosen] = self._distance_in_block(points[chosen], bound[chosen])
         return found
 
-    def _among(self, points: Points, bound: NDArray[np.float64]) -> Points:
-        candidates = self._middles.query_ball_point(points, bound)
+    def _distance_in_block(self, points: Points, bound: NDArray[np.float64]) -> Points:
+        candidates = self._centroids.query_ball_point(points, bound)
         counts = np.array([len(near) for near in candidates])
         triangle = np.concatenate(candidates).astype(np.intp)
-        whose = np.repeat(np.arange(len(points)), counts)
-        away = points[whose] - nearest_on_triangles(points[whose], self._corners[triangle])
-        squared = np.einsum("pd,pd->p", away, away)
+        index = np.repeat(np.arange(len(points)), counts)
+        offset = points[index] - nearest_on_triangles(points[index], self._corners[triangle])
+        squared = np.einsum("pd,pd->p", offset, offset)
         first = np.concatenate([[0], np.cumsum(counts)[:-1]])
         least = np.minimum.reduceat(squared, first)
-        # A tie is a point that several triangles share, up to rounding.
-        tied = squared <= least[whose] * (1 + 1e-9) + 1e-300
-        above = np.where(tied, np.einsum("pd,pd->p", away, self._normals[triangle]), 0.0)
+        # Triangles with a common nearest point tie, up to rounding.
+        tied = squared <= least[index] * (1 + 1e-9) + 1e-300
+        above = np.where(tied, np.einsum("pd,pd->p", offset, self._normals[triangle]), 0.0)
         highest, lowest = np.maximum.reduceat(above, first), np.minimum.reduceat(above, first)
         return np.asarray(np.where(highest >= -lowest, 1.0, -1.0) * np.sqrt(least))
 
 
-def _cut_up(corners: Points) -> Points:
-    """Halve triangles until their edges are of like length; corners of shape (n, 3, 3)."""
+def _split_large(corners: Points) -> Points:
+    """Halve triangles with long edges; corners of shape (n, 3, 3)."""
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     typical = np.sqrt(np.linalg.norm(doubled, axis=1).mean())
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-    longest = max(_LONGEST * typical, extent / _PIECES)
+    longest = max(_MAX_EDGE * typical, extent / _MAX_SPLITS)
     done = []
     while len(corners):
         lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
@@ -103,18 +103,18 @@ def _cut_up(corners: Points) -> Points:
 
 
 def nearest_on_triangles(points: Points, corners: NDArray[np.float64]) -> Points:
-    """Find the point of each triangle that is nearest to a point.
+    """Find the nearest point on each of n triangles to one point each.
 
     Parameters
     ----------
     points : ndarray of shape (n, 3)
     corners : ndarray of shape (n, 3, 3)
-        Of one triangle a point.
+        Corners of the triangles.
 
     Returns
     -------
     ndarray of shape (n, 3)
-        The point's foot on the plane where that lies in the triangle, else the nearest point of
+        The projection onto the plane if it lies in the triangle, otherwise the nearest point on
         the three edges.
     """
     origin, edge_one, edge_two = (
@@ -138,8 +138,8 @@ def nearest_on_triangles(points: Points, corners: NDArray[np.float64]) -> Points
     on_edges = np.stack(
         [_nearest_on_segments(points, corners[:, i], corners[:, (i + 1) % 3]) for i in range(3)]
     )
-    away = np.einsum("epd,epd->ep", on_edges - points, on_edges - points)
-    edge = np.take_along_axis(on_edges, away.argmin(axis=0)[None, :, None], axis=0)[0]
+    squared = np.einsum("epd,epd->ep", on_edges - points, on_edges - points)
+    edge = np.take_along_axis(on_edges, squared.argmin(axis=0)[None, :, None], axis=0)[0]
     return np.asarray(np.where(inside[:, None], foot, edge))
 
 

@@ -1,1 +1,1 @@
-"""Scenarios whose contacts follow prescribed paths."""
+"""Scenarios with prescribed motion of the stimulus."""

@@ -1,7 +1,8 @@
-"""Paths over a body's skin: strokes along lines and circles, in changing directions.
+"""Paths of strokes over the skin: lines and circles in changing directions.
 
-Whatever is moved over a skin by hand follows one: a palm, a roller, a fingertip. The pressure on
-the way varies slowly, and now and then the hand lifts off and comes down elsewhere.
+All stimuli guided by hand (a palm, a roller, a fingertip) follow such a path. Pressure varies
+slowly, and some strokes end with the stimulus lifted off and set down elsewhere. Parameters without
+a source were chosen by hand.
 """
 
 from __future__ import annotations
@@ -15,113 +16,106 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.simulation.bodies.body import ON_SURFACE, Body, nearest_neighbours
-from anisomap.simulation.checks import check_positive
 from anisomap.simulation.geometry.solids import Points
 from anisomap.simulation.geometry.spreading import sample_surface
-from anisomap.simulation.options import REACH, parameter
+from anisomap.simulation.options import REACH, ScenarioOptions, between, positive
 
-_STONES = 4000
-_FACING = 0.5  # cosine: a stone that faces further away than this is no part of a sensor's skin
-_HOLE = 4.0  # typical gaps between stones: the largest hole that chance leaves in them
-_STEP = 0.02  # of the reach
-_FREE = 0.2  # of a stroke's length: nearer than that there is nowhere to head for
-_STRAY = 0.3  # radians by which a stroke misses what it heads for
-_ATTEMPTS = 3
-_STEEPEST = 0.1  # sine between heading and normal: a wall
-_LINE = (0.5, 1.5)  # x stroke length
-_CIRCLE = (0.15, 0.35)  # radius, x stroke length
-_TURNS = (1.0, 2.0)
-_PRESS_CHANGES = 0.5  # seconds from one random pressure to the next
-_RISE = np.array([1, 2, 3]) / 3
+_N_SAMPLES = 4000
+_MIN_FACING = 0.5  # cosine between the normals of a surface point and of its nearest sensor
+_MAX_HOLE = 4.0  # x median gap between surface points: larger than any gap of a random sample
+_MAX_STEP = 0.02  # x reach
+_MIN_TARGET_DISTANCE = 0.2  # x stroke length
+_AIM_SPREAD = 0.3  # standard deviation of the direction of a stroke, in rad
+_MAX_FAILURES = 3  # strokes in a row that leave the skin at once
+_MIN_SLOPE = 0.1  # sine of the angle between heading and normal; smaller at steep walls
+_LINE_LENGTH = (0.5, 1.5)  # x stroke length
+_CIRCLE_RADIUS = (0.15, 0.35)  # x stroke length
+_CIRCLE_TURNS = (1.0, 2.0)
+_PRESSURE_PERIOD = 0.5  # seconds between independent pressures
+_LIFT_PROFILE = np.array([1, 2, 3]) / 3
 
 
 @dataclass(frozen=True)
-class StrokeOptions:
-    """Parameters of strokes; defaults are for the paper's sphere, see `simulation.options`.
+class StrokeOptions(ScenarioOptions):
+    """Options of strokes. Defaults are for the paper's sphere, see `simulation.options`.
 
     Parameters
     ----------
     speed : float
-        Metres a second along the skin. 2: a way around the sphere takes 3 s, as a hand that rubs
-        a ball or a patch of its own size takes it.
+        Speed along the skin, in m/s. 2: once around the sphere in 3 s, as a hand that rubs a ball
+        or a patch of its own size.
     stroke_length : float
-        Metres. 1.2: some three sensors of the sphere, or across most of a patch; each stroke
-        takes half of it to one and a half.
+        Mean length of a stroke, in m; lengths vary from half to one and a half of it. 1.2: about
+        three sensor spacings of the sphere, or most of the width of a patch.
     circle_share : float
-        Which share of strokes are circles, from 0 to 1. 0.4: the paper's experimenters made both.
+        Share of strokes that are circles, from 0 to 1. 0.4: the paper's experimenters made lines
+        and circles.
     lift_share : float
-        After which share of strokes the hand comes down elsewhere, from 0 to 1. 0.25: so that it
-        comes to parts that no stroke leads to.
+        Share of strokes after which the stimulus is set down elsewhere, from 0 to 1. 0.25: reaches
+        parts of the skin that no stroke leads to.
     press_depth : float
-        Metres that it presses into the skin at most; how much wanders between 0 and that within
-        half a second. 0.1: a skin of silicone is some millimetres thick on a patch of some
+        Largest depth to which the stimulus presses into the skin, in m. Depth varies between 0 and
+        this within half a second. 0.1: as silicone some millimetres thick on a patch of some
         centimetres.
     frame_interval : float
-        Seconds between frames. 0.05: from one to the next, it moves by a quarter of the distance
-        between neighbouring sensors of the sphere.
+        Time between frames, in s. 0.05: the stimulus moves by a quarter of the sensor spacing of
+        the sphere.
 
     Raises
     ------
     InputError
         If a length, the speed or the interval is not positive, a share is not in [0, 1], or a
-        stroke is over within a frame.
+        stroke is shorter than a frame.
     """
 
-    speed: float = parameter(2.0, "m/s", REACH)
-    stroke_length: float = parameter(1.2, "m", REACH)
-    circle_share: float = 0.4
-    lift_share: float = 0.25
-    press_depth: float = parameter(0.1, "m", REACH)
-    frame_interval: float = 0.05
+    speed: float = positive(2.0, "m/s", REACH)
+    stroke_length: float = positive(1.2, "m", REACH)
+    circle_share: float = between(0.4, 0, 1)
+    lift_share: float = between(0.25, 0, 1)
+    press_depth: float = positive(0.1, "m", REACH)
+    frame_interval: float = positive(0.05, "s")
 
     def __post_init__(self) -> None:
-        check_positive("speed", self.speed, "m/s")
-        check_positive("stroke_length", self.stroke_length, "m")
-        check_positive("press_depth", self.press_depth, "m")
-        check_positive("frame_interval", self.frame_interval, "s")
-        for name in ("circle_share", "lift_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InputError(f"{name} is {getattr(self, name):g}; it must be from 0 to 1")
+        super().__post_init__()
+        fastest = self.stroke_length / self.frame_interval
         if self.speed * self.frame_interval > self.stroke_length:
             raise InputError(
-                f"at {self.speed:g} m/s a stroke of {self.stroke_length:g} m is over within a "
-                f"frame of {self.frame_interval:g} s; take a speed of at most "
-                f"{self.stroke_length / self.frame_interval:g} m/s, or shorter frames"
+                f"speed must be at most stroke_length / frame_interval ({fastest:g} m/s), "
+                f"got {self.speed:g} m/s"
             )
 
 
 @dataclass(frozen=True, eq=False)
-class Skin:
-    """A body's surface as points that stand densely on it.
+class SurfaceSample:
+    """Dense sample of the surface of a body.
 
     Attributes
     ----------
     points, normals : ndarray of shape (P, 3)
-        All of the surface, the sensors first.
-    near : ndarray of shape (Q,)
-        Which of them belong to a sensor: no further from it than its neighbours are, and facing
-        the same way.
+        The sensors, then points of the whole surface.
+    skin : ndarray of int, shape (Q,)
+        Indices of the points that belong to the skin: no further from their nearest sensor than
+        its neighbours are, and with a similar normal.
     """
 
     points: Points
     normals: Points
-    near: NDArray[np.intp]
+    skin: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class Wandering:
-    """A path over a skin.
+class StrokePath:
+    """A path over the skin.
 
     Attributes
     ----------
     points, normals, headings : ndarray of shape (T, 3)
-        Where it is on the surface in each frame, the unit normal there, and the unit direction in
-        which it moves.
+        Position on the surface in each frame, the unit normal there, and the unit direction of
+        motion.
     lifts : ndarray of shape (T,)
-        How far it is lifted off, from 0 on the skin to 1 at the top. At the top it is somewhere
-        else from one frame to the next.
+        Height above the skin, from 0 (in contact) to 1. At 1, the position jumps between frames.
     presses : ndarray of shape (T,)
-        How hard it presses, from 0 to 1; continuous in time.
+        Pressure from 0 to 1, continuous in time.
     n_strokes : int
     """
 
@@ -132,93 +126,96 @@ class Wandering:
     presses: NDArray[np.float64]
     n_strokes: int
 
-    def frames(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Give the orientation of what moves along without turning with its strokes.
+    def orientations(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return orientations that do not follow the headings of strokes.
 
         Parameters
         ----------
         angles : ndarray of shape (T,)
-            By how much it is turned about the normal. Radians.
+            Rotation about the normal, in rad.
 
         Returns
         -------
         ndarray of shape (T, 3, 3)
-            Columns are its x, y and z; z is the normal, and x is carried along the surface as
-            straight as that allows (parallel transport).
+            Columns are x, y and z axes. z is the normal; x is carried along the path by parallel
+            transport and rotated by `angles`.
         """
-        ahead = np.empty_like(self.points)
+        x_axes = np.empty_like(self.points)
         carried = self.headings[0]
         for t, normal in enumerate(self.normals):
-            ahead[t] = carried = tangent(carried, normal)
-        ahead = turned(ahead, self.normals, angles[:, None])
-        return np.stack([ahead, np.cross(self.normals, ahead), self.normals], axis=-1)
+            x_axes[t] = carried = tangent(carried, normal)
+        x_axes = rotate_about(x_axes, self.normals, angles[:, None])
+        return np.stack([x_axes, np.cross(self.normals, x_axes), self.normals], axis=-1)
 
 
-def find_skin(body: Body, rng: np.random.Generator) -> Skin:
-    """Sample a body's surface, and tell which part of it bears sensors."""
-    stones, outward = sample_surface(body.solids, _STONES, rng)
-    points, normals = np.vstack([body.positions, stones]), np.vstack([body.normals, outward])
-    away, owner = map(np.asarray, KDTree(body.positions).query(points))
-    room = np.full(body.n_sensors, body.spacing)
+def sample_skin(body: Body, rng: np.random.Generator) -> SurfaceSample:
+    """Sample the surface of a body and find the part that is covered by sensors."""
+    drawn, outward = sample_surface(body.solids, _N_SAMPLES, rng)
+    points, normals = np.vstack([body.positions, drawn]), np.vstack([body.normals, outward])
+    distance, sensor = map(np.asarray, KDTree(body.positions).query(points))
+    radius = np.full(body.n_sensors, body.spacing)
     if body.n_sensors > 1:
-        room = np.maximum(room, nearest_neighbours(body.positions, 1)[0][:, 0])
-    facing = np.einsum("pd,pd->p", normals, body.normals[owner])
-    return Skin(points, normals, np.flatnonzero((away <= room[owner]) & (facing > _FACING)))
+        radius = np.maximum(radius, nearest_neighbours(body.positions, 1)[0][:, 0])
+    facing = np.einsum("pd,pd->p", normals, body.normals[sensor])
+    skin = np.flatnonzero((distance <= radius[sensor]) & (facing > _MIN_FACING))
+    return SurfaceSample(points, normals, skin)
 
 
-def wander(
-    body: Body, skin: Skin, n_frames: int, options: StrokeOptions, rng: np.random.Generator
-) -> Wandering:
-    """Stroke a body's skin, heading for where it has been least.
+def draw_strokes(
+    body: Body,
+    sample: SurfaceSample,
+    n_frames: int,
+    options: StrokeOptions,
+    rng: np.random.Generator,
+) -> StrokePath:
+    """Draw strokes over the skin of a body, towards the sensors visited least.
 
     Parameters
     ----------
     body : Body
-    skin : Skin
-        Of that body.
+    sample : SurfaceSample
+        Of the same body.
     n_frames : int
     options : StrokeOptions
     rng : numpy.random.Generator
 
     Returns
     -------
-    Wandering
+    StrokePath
     """
-    walk = _Walk(body, skin, options)
-    where = _set_down(walk, rng)
+    walk = _Walk(body, sample, options)
+    state = _set_down(walk, rng)
     frames: list[Points] = []
     lifts: list[NDArray[np.float64]] = []
     n_done = n_strokes = failures = 0
     while n_done < n_frames:
-        stroke = _stroke(walk, where, n_frames - n_done, rng)
+        stroke = _draw_stroke(walk, state, n_frames - n_done, rng)
         n_strokes += bool(len(stroke))
         failures = 0 if len(stroke) else failures + 1
         parts, heights = [stroke], [np.zeros(len(stroke))]
         if len(stroke):
-            where = stroke[-1]
-            walk.count(stroke[:, 0])
-        if failures == _ATTEMPTS or rng.random() < options.lift_share:
+            state = stroke[-1]
+            walk.count_visits(stroke[:, 0])
+        if failures == _MAX_FAILURES or rng.random() < options.lift_share:
             landing = _set_down(walk, rng)
-            parts += [np.repeat(place[None], len(_RISE), axis=0) for place in (where, landing)]
-            heights += [_RISE, _RISE[::-1]]
-            where, failures = landing, 0
+            parts += [np.repeat(end[None], len(_LIFT_PROFILE), axis=0) for end in (state, landing)]
+            heights += [_LIFT_PROFILE, _LIFT_PROFILE[::-1]]
+            state, failures = landing, 0
         frames += parts
         lifts += heights
         n_done += sum(len(part) for part in parts)
-    return _on_surface(
+    return _project_path(
         body,
         np.concatenate(frames)[:n_frames],
         np.concatenate(lifts)[:n_frames],
-        wandering_values(n_frames, _PRESS_CHANGES / options.frame_interval, rng),
+        smooth_random(n_frames, _PRESSURE_PERIOD / options.frame_interval, rng),
         n_strokes,
     )
 
 
-def wandering_values(
-    n_frames: int, frames_a_change: float, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Draw a value from 0 to 1 every so many frames, and glide from one to the next; (T,)."""
-    time = np.arange(n_frames) / frames_a_change
+def smooth_random(n_frames: int, period: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw uniform values in [0, 1], one per `period` frames, with cosine interpolation; (T,)."""
+    time = np.arange(n_frames) / period
     drawn = rng.random(int(time[-1]) + 2)
     before = time.astype(np.intp)
     share = (1 - np.cos(np.pi * (time - before))) / 2
@@ -226,120 +223,119 @@ def wandering_values(
 
 
 class _Walk:
-    """What a walk over a skin keeps in mind: the ground, and how often it was at each sensor."""
+    """Skin and visit counts of a walk. Its state is (point, heading, normal), shape (3, 3)."""
 
-    def __init__(self, body: Body, skin: Skin, options: StrokeOptions) -> None:
+    def __init__(self, body: Body, sample: SurfaceSample, options: StrokeOptions) -> None:
         self.options = options
         self.stride = options.speed * options.frame_interval
-        self.steps = max(1, math.ceil(self.stride / (_STEP * body.reach)))
-        self.sensors, self.facing = body.positions, body.normals
+        self.n_steps = max(1, math.ceil(self.stride / (_MAX_STEP * body.reach)))
+        self.sensors, self.sensor_normals = body.positions, body.normals
         self.visits = np.zeros(body.n_sensors)
-        self._nearest_sensor = KDTree(body.positions)
-        self._points, self._normals = skin.points[skin.near], skin.normals[skin.near]
-        self._ground = KDTree(self._points)
+        self._sensor_tree = KDTree(body.positions)
+        self._points, self._normals = sample.points[sample.skin], sample.normals[sample.skin]
+        self._point_tree = KDTree(self._points)
         gaps = nearest_neighbours(self._points, 1)[0] if len(self._points) > 1 else [[body.reach]]
-        self._hole = _HOLE * float(np.median(gaps)) + self.stride / self.steps
+        self._max_distance = _MAX_HOLE * float(np.median(gaps)) + self.stride / self.n_steps
 
-    def count(self, points: Points) -> None:
-        """Count visits of the sensors that are nearest to points."""
-        nearest = np.asarray(self._nearest_sensor.query(points)[1])
+    def count_visits(self, points: Points) -> None:
+        """Count a visit of the sensor nearest to each point."""
+        nearest = np.asarray(self._sensor_tree.query(points)[1])
         self.visits += np.bincount(nearest, minlength=len(self.visits))
 
-    def step(self, place: Points, turn: float) -> Points | None:
-        """Take one step; None where that leaves the skin.
-
-        A place is a point, the heading there, and the normal: shape (3, 3).
-        """
-        point, heading, normal = place
+    def step(self, state: Points, turn: float) -> Points | None:
+        """Take one step; return None if it leaves the skin."""
+        point, heading, normal = state
         if turn:
-            heading = turned(heading, normal, turn)
-        point = point + self.stride / self.steps * heading
-        away, stone = self._ground.query(point)
-        if away > self._hole:
+            heading = rotate_about(heading, normal, turn)
+        point = point + self.stride / self.n_steps * heading
+        distance, nearest = self._point_tree.query(point)
+        if distance > self._max_distance:
             return None
-        normal = self._normals[stone]
+        normal = self._normals[nearest]
         across = heading - (heading @ normal) * normal
         length = math.sqrt(across @ across)
-        if length < _STEEPEST:
+        if length < _MIN_SLOPE:
             return None
-        return np.array(
-            [point - ((point - self._points[stone]) @ normal) * normal, across / length, normal]
-        )
+        height = (point - self._points[nearest]) @ normal
+        return np.array([point - height * normal, across / length, normal])
 
 
 def _set_down(walk: _Walk, rng: np.random.Generator) -> Points:
-    """Come down where the walk has been least; gives a place, shape (3, 3)."""
+    """Start at the sensor visited least, in a random direction."""
     sensor = int(np.argmin(walk.visits + rng.random(len(walk.visits))))
-    normal = walk.facing[sensor]
+    normal = walk.sensor_normals[sensor]
     return np.array([walk.sensors[sensor], tangent(rng.standard_normal(3), normal), normal])
 
 
-def _stroke(walk: _Walk, place: Points, most: int, rng: np.random.Generator) -> Points:
-    """Make one stroke, until it is done or leaves the skin; places, shape (<= most, 3, 3)."""
+def _draw_stroke(walk: _Walk, state: Points, max_frames: int, rng: np.random.Generator) -> Points:
+    """Draw one stroke, which ends early if it leaves the skin; (<= max_frames, 3, 3)."""
     length, stride = walk.options.stroke_length, walk.stride
     if rng.random() < walk.options.circle_share:
-        radius = length * rng.uniform(*_CIRCLE)
-        n_frames = math.ceil(2 * np.pi * radius * rng.uniform(*_TURNS) / stride)
-        turn = rng.choice([-1, 1]) * stride / radius / walk.steps
+        radius = length * rng.uniform(*_CIRCLE_RADIUS)
+        n_frames = math.ceil(2 * np.pi * radius * rng.uniform(*_CIRCLE_TURNS) / stride)
+        turn = rng.choice([-1, 1]) * stride / radius / walk.n_steps
     else:
-        n_frames, turn = math.ceil(length * rng.uniform(*_LINE) / stride), 0.0
-        place = np.array([place[0], _aim(walk, place, rng), place[2]])
+        n_frames, turn = math.ceil(length * rng.uniform(*_LINE_LENGTH) / stride), 0.0
+        state = np.array([state[0], _aim(walk, state, rng), state[2]])
     frames: list[Points] = []
-    for _ in range(min(n_frames, most)):
-        for _ in range(walk.steps):
-            taken = walk.step(place, turn)
-            if taken is None:
+    for _ in range(min(n_frames, max_frames)):
+        for _ in range(walk.n_steps):
+            following = walk.step(state, turn)
+            if following is None:
                 return np.array(frames).reshape(-1, 3, 3)
-            place = taken
-        frames.append(place)
+            state = following
+        frames.append(state)
     return np.array(frames)
 
 
-def _aim(walk: _Walk, place: Points, rng: np.random.Generator) -> Points:
-    """Choose a direction, towards a sensor within a stroke that was visited least; (3,)."""
-    point, _, normal = place
+def _aim(walk: _Walk, state: Points, rng: np.random.Generator) -> Points:
+    """Draw a direction, roughly towards the least visited sensor within a stroke; (3,)."""
+    point, _, normal = state
     length = walk.options.stroke_length
-    away = np.linalg.norm(walk.sensors - point, axis=1)
-    candidates = np.flatnonzero((away > _FREE * length) & (away < _LINE[1] * length))
+    distance = np.linalg.norm(walk.sensors - point, axis=1)
+    candidates = np.flatnonzero(
+        (distance > _MIN_TARGET_DISTANCE * length) & (distance < _LINE_LENGTH[1] * length)
+    )
     if not candidates.size:
         return tangent(rng.standard_normal(3), normal)
     chosen = candidates[np.argmin(walk.visits[candidates] + rng.random(candidates.size))]
     aimed = tangent(walk.sensors[chosen] - point, normal)
-    return turned(aimed, normal, _STRAY * rng.standard_normal())
+    return rotate_about(aimed, normal, _AIM_SPREAD * rng.standard_normal())
 
 
-def tangent(direction: Points, normal: Points) -> Points:
-    """Turn directions into the plane across normals; both (..., 3), unit vectors come back."""
-    across = direction - np.sum(direction * normal, axis=-1, keepdims=True) * normal
+def tangent(directions: Points, normals: Points) -> Points:
+    """Project directions onto tangent planes and normalise them; both of shape (..., 3)."""
+    across = directions - np.sum(directions * normals, axis=-1, keepdims=True) * normals
     length = np.linalg.norm(across, axis=-1, keepdims=True)
-    # Straight down there is no way but any.
-    any_way = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=-1)])
-    any_way = any_way / np.linalg.norm(any_way, axis=-1, keepdims=True)
-    return np.asarray(np.where(length > 1e-9, across / np.maximum(length, 1e-9), any_way))
+    # Directions along the normal have no projection; any tangent serves.
+    fallback = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=-1)])
+    fallback = fallback / np.linalg.norm(fallback, axis=-1, keepdims=True)
+    return np.asarray(np.where(length > 1e-9, across / np.maximum(length, 1e-9), fallback))
 
 
-def turned(
-    direction: Points, normal: Points, angle: float | NDArray[np.float64]
+def rotate_about(
+    tangents: Points, normals: Points, angle: float | NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Turn tangents about normals; both (..., 3), angles in radians."""
+    """Rotate tangents about normals, both of shape (..., 3), by angles in rad."""
     cosine, sine = np.cos(angle), np.sin(angle)
-    return np.asarray(cosine * direction + sine * np.cross(normal, direction))
+    return np.asarray(cosine * tangents + sine * np.cross(normals, tangents))
 
 
-def _on_surface(
+def _project_path(
     body: Body,
     frames: Points,
     lifts: NDArray[np.float64],
     presses: NDArray[np.float64],
     n_strokes: int,
-) -> Wandering:
-    # So near the surface, the slope of the distance leads to it in one step, save where parts meet.
+) -> StrokePath:
+    """Move a path from the sampled points to the exact surface."""
+    # One step along the gradient of the distance is exact, except near edges between solids.
     points = frames[:, 0]
-    normals = body.outward(points)
+    normals = body.normals_at(points)
     points = points - body.distance(points)[:, None] * normals
     off = np.abs(body.distance(points)) > ON_SURFACE * body.reach
     if off.any():
-        points[off] = body.projected(points[off])
-        normals[off] = body.outward(points[off])
+        points[off] = body.project(points[off])
+        normals[off] = body.normals_at(points[off])
     headings = tangent(frames[:, 1], normals)
-    return Wandering(points, normals, headings, lifts, presses, n_strokes)
+    return StrokePath(points, normals, headings, lifts, presses, n_strokes)

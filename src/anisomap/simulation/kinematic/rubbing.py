@@ -1,13 +1,13 @@
-"""Rubbing: a palm moves over the skin along lines and circles, pressing more and less.
+"""Rubbing: a palm moves over the skin along lines and circles with varying pressure.
 
-The hardware experiment of McGregor et al. (2011), section "Experimental Data": "an irregular
+Models the hardware experiment of McGregor et al. (2011), section "Experimental Data": "an irregular
 rubbing motion ... circular and linear motions in various directions pressing the palm of the hand
 against the skin patch". Its runs had 1,054 to 2,128 frames.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,79 +15,77 @@ from numpy.typing import NDArray
 from anisomap.errors import InputError
 from anisomap.scene import Prop
 from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.checks import check_count, check_positive
 from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.solids import Points
 from anisomap.simulation.kinematic.paths import (
-    Skin,
     StrokeOptions,
-    find_skin,
-    wander,
-    wandering_values,
+    SurfaceSample,
+    draw_strokes,
+    sample_skin,
+    smooth_random,
 )
-from anisomap.simulation.kinematic.settling import CLEAR, Cluster, settle
-from anisomap.simulation.options import REACH, parameter
+from anisomap.simulation.kinematic.settling import LIFT_HEIGHT, Cluster, settle
+from anisomap.simulation.options import REACH, count, positive
+from anisomap.simulation.result import ScenarioResult, static_props
 from anisomap.simulation.sensing import read_balls
-from anisomap.simulation.world import Progress, Run, still_life
 
-_PADS = 7
-_THICK = (0.3, 0.6)  # radius of a pad, x hand size
-_UNEVEN = 0.2  # x hand size, how much higher one pad may lie than another
-_TURNING = 0.5  # radians a second, at most
-_TURN_CHANGES = 2.0  # seconds
+# The shape and rotation of the palm were chosen by hand.
+_N_PADS = 7
+_PAD_RADIUS = (0.3, 0.6)  # x hand_size
+_PAD_HEIGHT_SPREAD = 0.2  # x hand_size
+_MAX_TURN_RATE = 0.5  # rad/s
+_TURN_PERIOD = 2.0  # seconds between independent turn rates
 
 
 @dataclass(frozen=True)
 class RubbingOptions(StrokeOptions):
-    """Parameters of rubbing, beside those of `StrokeOptions`.
+    """Options of rubbing, in addition to those of `StrokeOptions`.
 
     Parameters
     ----------
     hand_size : float
-        Metres from the middle of the palm to the furthest of its soft pads. 0.35: the palm is
-        smaller than what it rubs, and it touches a few sensors of the sphere at once. With 0.6 it
-        lies along the cylinder as a whole, and the map is worse (Mantel r .71 for .88).
+        Distance from the middle of the palm to its furthest soft pad, in m. 0.35: the palm is
+        smaller than the body and touches a few sensors of the sphere at once. At 0.6 it covers the
+        length of the cylinder, and the map is worse (Mantel r .71 instead of .88).
     detection_radius : float
-        Metres. 0.3: less than in `BombardmentOptions`, as the pads of a palm touch several sensors
-        as it is. r-ANISOMAP reaches a Mantel r of .98 on the hexagon whatever it is (in 2D), .95,
-        .97, .98, .99 on the sphere with 0.15, 0.2, 0.3, 0.44, and .85, .88, .88, .85 on the
-        cylinder (means of 3 to 5 seeds).
+        Detection radius of the sensors, in m. 0.3: below that of `BombardmentOptions`, since the
+        pads of a palm already touch several sensors. r-ANISOMAP reaches a Mantel r of .98 on the
+        hexagon for any value (in 2D), .95, .97, .98, .99 on the sphere for 0.15, 0.2, 0.3, 0.44,
+        and .85, .88, .88, .85 on the cylinder (means of 3 to 5 seeds).
     n_hands : int
-        1; with 2, there are two contacts at once. Hands take no notice of each other.
+        Number of hands, which move independently. 1: as in the paper.
 
     Raises
     ------
     InputError
-        As `StrokeOptions`; or if there is no hand, or the palm is too thin to press that deep.
+        As `StrokeOptions`, or if there is no hand, or `press_depth` exceeds the thickness of the
+        palm.
     """
 
-    hand_size: float = parameter(0.35, "m", REACH)
-    detection_radius: float = parameter(0.3, "m", REACH)
-    n_hands: int = 1
+    hand_size: float = positive(0.35, "m", REACH)
+    detection_radius: float = positive(0.3, "m", REACH)
+    n_hands: int = count(1)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive("hand_size", self.hand_size, "m")
-        check_positive("detection_radius", self.detection_radius, "m")
-        check_count("n_hands", self.n_hands)
-        deepest = _THICK[0] * self.hand_size
-        if self.press_depth > deepest:
+        thickness = _PAD_RADIUS[0] * self.hand_size
+        if self.press_depth > thickness:
             raise InputError(
-                f"press_depth is {self.press_depth:g} m, deeper than the palm is thick; take at "
-                f"most {deepest:g} m, or a larger hand_size"
+                f"press_depth must be at most the thickness of the palm ({thickness:g} m), "
+                f"got {self.press_depth:g} m; reduce it or increase hand_size"
             )
 
 
 @dataclass(frozen=True, eq=False)
-class Rub:
-    """Where a hand was.
+class HandMotion:
+    """Motion of one hand.
 
     Attributes
     ----------
     centres : ndarray of shape (T, P, 3)
-        Of the pads of its palm, in each frame.
+        Centres of the pads of the palm in each frame.
     radii : ndarray of shape (P,)
-        Of the pads.
+        Radii of the pads.
     n_strokes : int
     """
 
@@ -97,82 +95,56 @@ class Rub:
 
 
 def rubbing(
-    body: Body,
-    n_frames: int,
-    options: RubbingOptions,
-    rng: np.random.Generator,
-    progress: Progress | None = None,
-) -> Run:
-    """Record what a body's sensors read while hands rub it.
-
-    Parameters
-    ----------
-    body : Body
-    n_frames : int
-    options : RubbingOptions
-    rng : numpy.random.Generator
-        Draws hands and their ways.
-    progress : callable, optional
-        Told the share done, from 0 to 1.
-
-    Returns
-    -------
-    Run
-    """
-    skin = find_skin(body, rng)
-    hands = []
-    for done in range(options.n_hands):
-        if progress is not None:
-            progress(done / options.n_hands)
-        hands.append(rub(body, skin, n_frames, options, rng))
+    body: Body, n_frames: int, options: RubbingOptions, rng: np.random.Generator
+) -> ScenarioResult:
+    """Simulate hands that rub a body."""
+    skin = sample_skin(body, rng)
+    hands = [move_hand(body, skin, n_frames, options, rng) for _ in range(options.n_hands)]
     pads = np.concatenate([hand.centres for hand in hands], axis=1)
-    sizes = np.concatenate([hand.radii for hand in hands])
-    readings = read_balls(body.positions, pads, sizes, options.detection_radius)
-    if progress is not None:
-        progress(1.0)
-    return Run(
-        readings,
-        rate_hz=1 / options.frame_interval,
-        facts=asdict(options) | {"n_strokes": sum(hand.n_strokes for hand in hands)},
-        props=(
-            *still_life(body),
-            Prop("stimulus", solids.ball(1.0).outline, pads, scales=sizes),
-        ),
-        sensors=body.positions[None],
+    radii = np.concatenate([hand.radii for hand in hands])
+    return ScenarioResult(
+        read_balls(body.positions, pads, radii, options.detection_radius),
+        (*static_props(body), Prop("stimulus", solids.ball(1.0).outline, pads, scales=radii)),
+        facts={"n_strokes": sum(hand.n_strokes for hand in hands)},
     )
 
 
-def rub(
-    body: Body, skin: Skin, n_frames: int, options: RubbingOptions, rng: np.random.Generator
-) -> Rub:
-    """Move a hand of its own shape over a body."""
+def move_hand(
+    body: Body,
+    skin: SurfaceSample,
+    n_frames: int,
+    options: RubbingOptions,
+    rng: np.random.Generator,
+) -> HandMotion:
+    """Draw a hand and move it over a body."""
     pads, radii = draw_palm(options.hand_size, rng)
-    path = wander(body, skin, n_frames, options, rng)
-    angles = _turning(n_frames, options.frame_interval, rng)
-    cluster = Cluster(np.einsum("tij,pj->tpi", path.frames(angles), pads), radii)
+    path = draw_strokes(body, skin, n_frames, options, rng)
+    angles = _draw_angles(n_frames, options.frame_interval, rng)
+    cluster = Cluster(np.einsum("tij,pj->tpi", path.orientations(angles), pads), radii)
     heights = settle(body, skin, path, cluster, options.press_depth * path.presses)
-    heights += path.lifts * CLEAR * options.detection_radius
-    return Rub(cluster.placed(path, heights), radii, path.n_strokes)
+    heights += path.lifts * LIFT_HEIGHT * options.detection_radius
+    return HandMotion(cluster.placed(path, heights), radii, path.n_strokes)
 
 
 def draw_palm(size: float, rng: np.random.Generator) -> tuple[Points, NDArray[np.float64]]:
-    """Draw a palm: a pad in the middle, and others about it, none like another.
+    """Draw a palm: a central pad surrounded by others of irregular size and position.
 
     Returns
     -------
     centres : ndarray of shape (P, 3)
-        x and y along the palm, z out of it; all pads are above z = 0.
+        x and y along the palm, z away from the skin. No pad extends below z = 0.
     radii : ndarray of shape (P,)
     """
-    angle = 2 * np.pi * (np.arange(_PADS - 1) + rng.uniform(-0.3, 0.3, _PADS - 1)) / (_PADS - 1)
-    away = size * rng.uniform(0.5, 1.0, _PADS - 1)
-    radii = size * rng.uniform(*_THICK, _PADS)
-    height = radii + size * _UNEVEN * rng.random(_PADS)
-    flat = np.column_stack([away * np.cos(angle), away * np.sin(angle)])
+    n_outer = _N_PADS - 1
+    angle = 2 * np.pi * (np.arange(n_outer) + rng.uniform(-0.3, 0.3, n_outer)) / n_outer
+    distance = size * rng.uniform(0.5, 1.0, n_outer)
+    radii = size * rng.uniform(*_PAD_RADIUS, _N_PADS)
+    height = radii + size * _PAD_HEIGHT_SPREAD * rng.random(_N_PADS)
+    flat = np.column_stack([distance * np.cos(angle), distance * np.sin(angle)])
     return np.column_stack([np.vstack([[0, 0], flat]), height]), radii
 
 
-def _turning(n_frames: int, interval: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw how a hand is turned in each frame, slowly this way and that; radians, (T,)."""
-    rate = 2 * wandering_values(n_frames, _TURN_CHANGES / interval, rng) - 1
-    return np.asarray(rng.uniform(0, 2 * np.pi) + np.cumsum(_TURNING * interval * rate))
+def _draw_angles(n_frames: int, interval: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw the slowly varying angle of a hand about the normal, in rad; shape (T,)."""
+    rate = 2 * smooth_random(n_frames, _TURN_PERIOD / interval, rng) - 1
+    return np.asarray(rng.uniform(0, 2 * np.pi) + np.cumsum(_MAX_TURN_RATE * interval * rate))

@@ -1,9 +1,9 @@
-"""Self-touch: a fingertip of the same skin moves over the body, and both sides feel it."""
+"""Self-touch: a fingertip with sensors strokes the body, and the sensors of both respond."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,179 +12,163 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import InputError
 from anisomap.scene import Prop
 from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.bodies.lattice import great_circles
-from anisomap.simulation.checks import check_count, check_positive
+from anisomap.simulation.bodies.lattice import fibonacci_cap, great_circles
 from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.solids import Points
 from anisomap.simulation.kinematic.paths import (
     StrokeOptions,
-    Wandering,
-    find_skin,
-    wander,
-    wandering_values,
+    StrokePath,
+    draw_strokes,
+    sample_skin,
+    smooth_random,
 )
-from anisomap.simulation.kinematic.settling import CLEAR, Cluster, settle
-from anisomap.simulation.options import REACH, parameter
+from anisomap.simulation.kinematic.settling import LIFT_HEIGHT, Cluster, settle
+from anisomap.simulation.options import REACH, count, positive
+from anisomap.simulation.result import ScenarioResult, static_props
 from anisomap.simulation.sensing import read_balls
-from anisomap.simulation.world import Progress, Run, still_life
 
-_PAD = np.radians(75)  # how far the sensors reach from the tip's pole
-_ROCKING = np.radians(50)  # how far it tips about each of two axes
-_ROCK_CHANGES = 1.0  # seconds
-_ASIDE = 2.0  # x finger radius: free room between the body and the fingertip, in the truth
+# Chosen by hand, so that all sensors of the fingertip touch the body.
+_CAP_ANGLE = np.radians(75)  # of the cap with sensors, from the pole of the fingertip
+_ROCKING = np.radians(50)  # largest rotation about each of two axes
+_ROCKING_PERIOD = 1.0  # seconds between independent rotations
+
+_CLEARANCE = 2.0  # x finger radius, between the body and the fingertip in the true positions
 
 
 @dataclass(frozen=True)
 class SelfTouchOptions(StrokeOptions):
-    """Parameters of self-touch, beside those of `StrokeOptions`.
+    """Options of self-touch, in addition to those of `StrokeOptions`.
 
     Parameters
     ----------
     finger_radius : float
-        Metres: the fingertip is a ball. 0.3: as large as a ball of `BombardmentOptions`.
+        Radius of the fingertip, a ball, in m. 0.3: that of a ball in `BombardmentOptions`.
     n_finger_sensors : int
-        16: about as dense on the tip as is usual on a robot's finger.
+        Number of sensors on the fingertip. 16: a usual density on robot fingers.
     detection_radius : float
-        Metres, of the body's sensors. 0.4: about that of bombardment, as the stimulus is alike.
+        Detection radius of the body's sensors, in m. 0.4: close to that of bombardment, which has
+        a similar stimulus.
     finger_detection_radius : float
-        Metres, of the fingertip's. 0.15: half of its radius, so that it feels with which part of
-        it it touches.
+        Detection radius of the fingertip's sensors, in m. 0.15: half of the finger radius, so that
+        readings depend on the orientation of the fingertip.
 
     Raises
     ------
     InputError
-        As `StrokeOptions`; or if there are no sensors, or the tip is too small to press that deep.
+        As `StrokeOptions`, or if there are no finger sensors, or `press_depth` is not below
+        `finger_radius`.
     """
 
-    finger_radius: float = parameter(0.3, "m", REACH)
-    n_finger_sensors: int = 16
-    detection_radius: float = parameter(0.4, "m", REACH)
-    finger_detection_radius: float = parameter(0.15, "m", REACH)
+    finger_radius: float = positive(0.3, "m", REACH)
+    n_finger_sensors: int = count(16)
+    detection_radius: float = positive(0.4, "m", REACH)
+    finger_detection_radius: float = positive(0.15, "m", REACH)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("finger_radius", "detection_radius", "finger_detection_radius"):
-            check_positive(name, getattr(self, name), "m")
-        check_count("n_finger_sensors", self.n_finger_sensors)
         if self.press_depth >= self.finger_radius:
             raise InputError(
-                f"press_depth is {self.press_depth:g} m; it must be less than the fingertip's "
-                f"radius, which is {self.finger_radius:g} m"
+                f"press_depth must be below finger_radius ({self.finger_radius:g} m), "
+                f"got {self.press_depth:g} m"
             )
 
 
 def self_touch(
-    body: Body,
-    n_frames: int,
-    options: SelfTouchOptions,
-    rng: np.random.Generator,
-    progress: Progress | None = None,
-) -> Run:
-    """Record what a body and a fingertip read while the one strokes the other.
-
-    Parameters
-    ----------
-    body : Body
-    n_frames : int
-    options : SelfTouchOptions
-    rng : numpy.random.Generator
-        Draws the way.
-    progress : callable, optional
-        Told the share done, from 0 to 1.
+    body: Body, n_frames: int, options: SelfTouchOptions, rng: np.random.Generator
+) -> ScenarioResult:
+    """Simulate a fingertip that strokes a body.
 
     Returns
     -------
-    Run
-        Of the body's sensors, then the fingertip's, ``finger0, finger1, ...``. The fingertip is
-        moved about, so that it has no one place: in the truth it stands beside the body, see
+    ScenarioResult
+        Readings of the body's sensors, then of the fingertip's, ``finger0, finger1, ...``. As the
+        fingertip moves, its true positions are by convention beside the body, see
         `with_fingertip`.
     """
-    both = with_fingertip(body, options)
-    centres, turns = touch(body, n_frames, options, rng)
-    tip = fingertip(options)
-    moved = centres + np.einsum("tij,nj->tni", turns, options.finger_radius * tip)
-    felt = read_balls(body.positions, centres, options.finger_radius, options.detection_radius)
-    away = body.distance(moved.reshape(-1, 3)).reshape(n_frames, -1)
-    feels = np.maximum(options.finger_detection_radius - away, 0).astype(np.float32)
-    if progress is not None:
-        progress(1.0)
-    still = np.broadcast_to(body.positions, (n_frames, *body.positions.shape))
-    ball = solids.ball(options.finger_radius).outline
-    return Run(
-        np.hstack([felt, feels]),
-        rate_hz=1 / options.frame_interval,
-        facts=asdict(options),
-        props=(*still_life(body), Prop("body", ball, centres, turns[:, None])),
-        sensors=np.concatenate([still, moved], axis=1),
-        body=both,
+    centres, rotations = move_fingertip(body, n_frames, options, rng)
+    tip = options.finger_radius * fingertip_directions(options)
+    moving = centres + np.einsum("tij,nj->tni", rotations, tip)
+    on_body = read_balls(body.positions, centres, options.finger_radius, options.detection_radius)
+    distance = body.distance(moving.reshape(-1, 3)).reshape(n_frames, -1)
+    on_tip = np.maximum(options.finger_detection_radius - distance, 0).astype(np.float32)
+    fixed = np.broadcast_to(body.positions, (n_frames, *body.positions.shape))
+    finger = Prop("body", solids.ball(options.finger_radius).outline, centres, rotations[:, None])
+    return ScenarioResult(
+        np.hstack([on_body, on_tip]),
+        (*static_props(body), finger),
+        sensors=np.concatenate([fixed, moving], axis=1),
+        body=with_fingertip(body, options),
     )
 
 
-def fingertip(options: SelfTouchOptions) -> Points:
-    """Give the directions from the middle of the tip to its sensors, about +z; shape (M, 3)."""
-    turns = np.arange(options.n_finger_sensors)
-    # Equal areas of the cap, as on the paper's sphere.
-    height = 1 - (1 - np.cos(_PAD)) * (turns + 0.5) / options.n_finger_sensors
-    angle = np.pi * (3 - np.sqrt(5)) * turns
-    ring = np.sqrt(1 - height**2)
-    return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
+def fingertip_directions(options: SelfTouchOptions) -> Points:
+    """Return unit vectors from the middle of the fingertip to its sensors; shape (M, 3).
+
+    The sensors lie evenly on a spherical cap around +z.
+    """
+    return fibonacci_cap(options.n_finger_sensors, np.cos(_CAP_ANGLE))
 
 
 def with_fingertip(body: Body, options: SelfTouchOptions) -> Body:
-    """Set a fingertip beside a body, and take both for one.
+    """Combine a body and a fingertip beside it into one body.
 
     Returns
     -------
     Body
-        The sensors of the body where they are, then those of the fingertip: its middle on the x
-        axis, a diameter free between it and the ball that holds the body, its tip towards +z. What
-        is between the two parts means nothing; distances along the skin are infinite there.
+        The sensors of the body, unchanged, then those of the fingertip. The fingertip is centred
+        on the x axis, one diameter away from the bounding ball of the body, with its tip towards
+        +z. Positions of the two parts relative to each other are arbitrary, and surface distances
+        between them are infinite.
     """
-    radius, tip = options.finger_radius, fingertip(options)
-    middle = np.array([body.reach + (_ASIDE + 1) * radius, 0, 0])
+    radius, directions = options.finger_radius, fingertip_directions(options)
+    middle = np.array([body.reach + (_CLEARANCE + 1) * radius, 0, 0])
     return Body(
         body.name,
-        np.vstack([body.positions, middle + radius * tip]),
-        np.vstack([body.normals, tip]),
+        np.vstack([body.positions, middle + radius * directions]),
+        np.vstack([body.normals, directions]),
         [*body.solids, solids.ball(radius, middle)],
-        names=(*body.names, *(f"finger{i}" for i in range(len(tip)))),
+        names=(*body.names, *(f"finger{i}" for i in range(len(directions)))),
         units=body.units,
         origin=body.origin,
         is_whole=body.is_whole,
-        geodesic=body.geodesic and _apart(body.geodesic, body.n_sensors, middle),
+        geodesic=body.geodesic and _separate_geodesics(body.geodesic, body.n_sensors, middle),
     )
 
 
-def touch(
+def move_fingertip(
     body: Body, n_frames: int, options: SelfTouchOptions, rng: np.random.Generator
 ) -> tuple[Points, NDArray[np.float64]]:
-    """Move a fingertip over a body: its centres (T, 1, 3), and how it is turned (T, 3, 3)."""
-    path = wander(body, skin := find_skin(body, rng), n_frames, options, rng)
+    """Move a fingertip over a body: its centres (T, 1, 3) and rotations (T, 3, 3)."""
+    skin = sample_skin(body, rng)
+    path = draw_strokes(body, skin, n_frames, options, rng)
     cluster = Cluster(np.zeros((n_frames, 1, 3)), np.array([options.finger_radius]))
     heights = settle(body, skin, path, cluster, options.press_depth * path.presses)
-    heights += path.lifts * CLEAR * max(options.detection_radius, options.finger_detection_radius)
-    return cluster.placed(path, heights), _rocked(path, options.frame_interval, rng)
+    detection_radius = max(options.detection_radius, options.finger_detection_radius)
+    heights += path.lifts * LIFT_HEIGHT * detection_radius
+    return cluster.placed(path, heights), _draw_rotations(path, options.frame_interval, rng)
 
 
-def _rocked(path: Wandering, interval: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Point the tip's +z at the skin, and rock it to and fro, so that all of it comes to touch."""
+def _draw_rotations(
+    path: StrokePath, interval: float, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Point +z of the fingertip at the skin and rock it, so that all its sensors touch."""
     n_frames = len(path.points)
-    changes = _ROCK_CHANGES / interval
-    tips = [2 * wandering_values(n_frames, changes, rng) - 1 for _ in range(2)]
-    rocks = Rotation.from_rotvec(_ROCKING * np.column_stack([*tips, np.zeros(n_frames)]))
-    facing = path.frames(np.zeros(n_frames)) * [1, -1, -1]
-    return np.asarray(facing @ rocks.as_matrix())
+    period = _ROCKING_PERIOD / interval
+    angles = [2 * smooth_random(n_frames, period, rng) - 1 for _ in range(2)]
+    rocking = Rotation.from_rotvec(_ROCKING * np.column_stack([*angles, np.zeros(n_frames)]))
+    facing = path.orientations(np.zeros(n_frames)) * [1, -1, -1]
+    return np.asarray(facing @ rocking.as_matrix())
 
 
-def _apart(
+def _separate_geodesics(
     geodesic: Callable[[Points], Points], n_body: int, middle: Points
 ) -> Callable[[Points], Points]:
-    """Measure along the body and along the fingertip, and not between them."""
+    """Combine geodesics of the body and of the fingertip; infinite between the two."""
 
-    def measured(positions: Points) -> Points:
+    def measure(positions: Points) -> Points:
         distances = np.full((len(positions), len(positions)), np.inf)
         distances[:n_body, :n_body] = geodesic(positions[:n_body])
         distances[n_body:, n_body:] = great_circles(positions[n_body:] - middle)
         return distances
 
-    return measured
+    return measure

@@ -1,1 +1,1 @@
-"""Scenarios that are simulated with MuJoCo."""
+"""Scenarios simulated with MuJoCo."""

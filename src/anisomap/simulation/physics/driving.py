@@ -1,9 +1,9 @@
-"""What makes a body roll: the parameters of a locomotion, and the driver that follows them."""
+"""Options of locomotion, and the driver that rolls the body."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -13,120 +13,114 @@ from scipy.spatial.transform import Rotation
 
 from anisomap.errors import InputError
 from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.checks import check_positive
-from anisomap.simulation.options import REACH, SPACING, parameter
+from anisomap.simulation.options import (
+    REACH,
+    SPACING,
+    ScenarioOptions,
+    positive,
+    steps_per_frame,
+)
+from anisomap.simulation.physics.elastic import geom_shape
 from anisomap.simulation.physics.terrain import Terrain
 
-_ARRIVED = 1.5  # reaches from a place that was headed for
-_PATIENCE = 10.0  # seconds
-_LONGEST_STEP = 0.006  # seconds, for a body that reaches to 1 m and gravity of 9.81 m/s2
-_STEEPEST = 0.35  # roughness over correlation length; the drive stalls on steeper ground
+_ARRIVAL_DISTANCE = 1.5  # reaches from a goal
+_GOAL_TIMEOUT = 10.0  # s
+_MAX_TIMESTEP = 0.006  # s, for a body with a reach of 1 m at a gravity of 9.81 m/s2
+_MAX_STEEPNESS = 0.35  # roughness / correlation length; on steeper ground the body stalls
+_ROUNDING = 1e-9  # relative error of scaled lengths
 
 
 @dataclass(frozen=True)
-class LocomotionOptions:
-    """Parameters of a locomotion; defaults are for the paper's sphere, see `simulation.options`.
+class LocomotionOptions(ScenarioOptions):
+    """Options of locomotion. Defaults are for the paper's sphere, see `simulation.options`.
 
     Parameters
     ----------
     half_width : float
-        Metres from the middle of the ground to each edge. 8: some turns of the body in a line.
+        Distance from the middle of the ground to each edge, in m. 8: several turns of the body.
     roughness : float
-        Root mean square of the ground's height, metres. 0.1: a tenth of the body, so that it
-        wavers and is touched at several places at once, and never stalls.
+        Root mean square height of the ground, in m. 0.1: a tenth of the body, so that it is touched
+        in several places at once and does not stall.
     correlation : float
-        Width of the bumps in metres: see
-        `anisomap.simulation.physics.terrain.bumpy_terrain`. 0.5: half the
-        body, so that one end of a cylinder can be up while the other is down.
+        Correlation length of the ground, in m, see
+        `anisomap.simulation.physics.terrain.bumpy_terrain`. 0.5: half of the body, so that the two
+        ends of a cylinder can be at different heights.
     cell : float
-        Metres between the points of the ground whose height is given. 0.2: less than half of
-        `correlation`, so that bumps are smooth, and not much less, which would only cost time.
+        Grid spacing of the ground, in m. 0.2: less than half of `correlation`, so that bumps are
+        smooth; smaller cells cost time.
     speed : float
-        Metres a second at which the drive rolls the body. 2: in 2,000 frames a sphere turns over
-        32 times.
+        Target speed, in m/s. 2: a sphere makes 32 turns in 2,000 frames.
     turning : float
-        Most radians a second at which a cylinder, which cannot simply change its direction, is
-        turned about the vertical. 0.3: slow enough not to skid.
+        Largest angular speed about the vertical of a cylinder, in rad/s. 0.3: slow enough not to
+        skid.
     gravity : float
-        Metres a second squared. 9.81 on a body of 1 m; it grows with the body, so that a small
-        one moves as a large one does.
+        In m/s2. 9.81 for a body of 1 m; it scales with the body, so that all sizes move alike.
     friction : float
-        Of body and ground, sliding. 1: rubber on a dry floor; it rolls and does not slide.
+        Coefficient of sliding friction. 1: rubber on a dry floor, so that the body rolls instead of
+        sliding.
     detection_radius : float
-        Metres. 0.44: the distance between neighbouring sensors of the sphere; it grows with that.
+        Detection radius of the sensors, in m. 0.44: the sensor spacing of the sphere, with which it
+        scales.
     frame_interval : float
-        Seconds between frames. 0.05: the body moves by a tenth of its radius.
+        Time between frames, in s. 0.05: the body moves by a tenth of its radius.
     timestep : float
-        Longest step of the physics, seconds; it is shortened until a whole number makes a frame.
-        0.005: the ground is given as springs that settle in 0.02 s.
+        Longest step of the physics, in s. It is shortened to divide a frame into equal steps.
+        0.005: a quarter of the time constant of contacts with the ground, 0.02 s.
 
     Raises
     ------
     InputError
-        If a parameter is not positive, the step is too long, the cells are too large for the
-        bumps, or the ground is too steep.
+        If an option is not positive, the step is too long, the cells are too large for the bumps,
+        or the ground is too steep.
     """
 
-    half_width: float = parameter(8.0, "m", REACH)
-    roughness: float = parameter(0.1, "m", REACH)
-    correlation: float = parameter(0.5, "m", REACH)
-    cell: float = parameter(0.2, "m", REACH)
-    speed: float = parameter(2.0, "m/s", REACH)
-    turning: float = 0.3
-    gravity: float = parameter(9.81, "m/s2", REACH)
-    friction: float = 1.0
-    detection_radius: float = parameter(0.44, "m", SPACING)
-    frame_interval: float = 0.05
-    timestep: float = 0.005
+    half_width: float = positive(8.0, "m", REACH)
+    roughness: float = positive(0.1, "m", REACH)
+    correlation: float = positive(0.5, "m", REACH)
+    cell: float = positive(0.2, "m", REACH)
+    speed: float = positive(2.0, "m/s", REACH)
+    turning: float = positive(0.3, "rad/s")
+    gravity: float = positive(9.81, "m/s2", REACH)
+    friction: float = positive(1.0)
+    detection_radius: float = positive(0.44, "m", SPACING)
+    frame_interval: float = positive(0.05, "s")
+    timestep: float = positive(0.005, "s")
 
     def __post_init__(self) -> None:
-        for name in ("half_width", "roughness", "correlation", "cell", "detection_radius"):
-            check_positive(name, getattr(self, name), "m")
-        check_positive("speed", self.speed, "m/s")
-        check_positive("turning", self.turning, "rad/s")
-        check_positive("gravity", self.gravity, "m/s2")
-        check_positive("friction", self.friction)
-        check_positive("frame_interval", self.frame_interval, "s")
-        check_positive("timestep", self.timestep, "s")
-        if self.timestep > _LONGEST_STEP:
+        super().__post_init__()
+        if self.timestep > _MAX_TIMESTEP:
             raise InputError(
-                f"timestep is {self.timestep:g} s, too long for contacts with the ground, which "
-                f"would sink in or bounce off; take at most {_LONGEST_STEP:g} s"
+                f"timestep must be at most {_MAX_TIMESTEP:g} s for stable contacts with the "
+                f"ground, got {self.timestep:g} s"
             )
-        if self.cell > self.correlation / 2 * (1 + 1e-9):
+        if self.cell > self.correlation / 2 * (1 + _ROUNDING):
             raise InputError(
-                f"cell is {self.cell:g} m, too large for bumps with a correlation length of "
-                f"{self.correlation:g} m; take at most half of that"
+                f"cell must be at most half of correlation ({self.correlation / 2:g} m), "
+                f"got {self.cell:g} m"
             )
-        if self.roughness > _STEEPEST * self.correlation * (1 + 1e-9):
+        steepest = _MAX_STEEPNESS * self.correlation
+        if self.roughness > steepest * (1 + _ROUNDING):
             raise InputError(
-                f"roughness is {self.roughness:g} m, too much for bumps with a correlation length "
-                f"of {self.correlation:g} m: the body could not climb them; take at most "
-                f"{_STEEPEST * self.correlation:g} m"
+                f"roughness must be at most {_MAX_STEEPNESS:g} x correlation ({steepest:g} m), "
+                f"got {self.roughness:g} m; the body would stall"
             )
 
     @property
-    def steps_a_frame(self) -> int:
-        """How many steps of the physics make a frame."""
-        return max(1, math.ceil(self.frame_interval / self.timestep * (1 - 1e-12)))
+    def steps_per_frame(self) -> int:
+        """Number of physics steps per frame."""
+        return steps_per_frame(self.frame_interval, self.timestep)
 
     @property
     def step(self) -> float:
-        """The step of the physics as it is taken, in seconds."""
-        return self.frame_interval / self.steps_a_frame
-
-    def scaled(self, factor: float) -> LocomotionOptions:
-        """Give the same locomotion in another unit of length, or of a body as much larger."""
-        lengths = ("half_width", "roughness", "correlation", "cell", "speed", "gravity")
-        scaled = {name: factor * getattr(self, name) for name in (*lengths, "detection_radius")}
-        return replace(self, **scaled)
+        """Effective step of the physics, in s."""
+        return self.frame_interval / self.steps_per_frame
 
 
 class Driver:
-    """Turns a body towards places chosen at random, as a motor with a set speed would.
+    """Rolls a body towards random goals at a set speed, by torques.
 
-    A sphere is rolled in any direction. A cylinder rolls to and fro across its axis, and is turned
-    slowly about the vertical while it does.
+    A sphere rolls in any direction. A cylinder rolls perpendicular to its axis, forwards or
+    backwards, and turns slowly about the vertical at the same time.
     """
 
     def __init__(
@@ -139,50 +133,51 @@ class Driver:
     ) -> None:
         self._mujoco, self._options, self._rng = mujoco, options, rng
         solid = body.solids[0]
-        self._kind, self._radius = solid.kind, solid.size[0]
-        self._model = _build(mujoco, body, terrain, options)
+        self._is_cylinder, self._radius = solid.kind == "cylinder", solid.size[0]
+        self._model = _build_model(mujoco, body, terrain, options)
         self._data = mujoco.MjData(self._model)
-        self._data.qpos[2] = _highest(terrain, body.reach) + self._radius
-        if self._kind == "cylinder":
+        self._data.qpos[2] = _height_below(terrain, body.reach) + self._radius
+        if self._is_cylinder:
             lying = Rotation.from_euler("y", 90, degrees=True)
             self._data.qpos[3:7] = lying.as_quat(scalar_first=True)
-        # A torque that closes the gap to the set speed within a few frames.
+        # The torque reaches the set speed within a few frames.
         mass, inertia = float(self._model.body_mass[1]), float(self._model.body_inertia[1].max())
         self._gain = (inertia + mass * self._radius**2) / (2 * options.frame_interval)
         mujoco.mj_forward(self._model, self._data)
-        self._room = options.half_width - 2 * _ARRIVED
-        self._set_out(rng.uniform(-self._room, self._room, size=2))
+        self._goal_limit = options.half_width - 2 * _ARRIVAL_DISTANCE
+        self._set_goal(self._draw_goal())
 
     def step(self) -> None:
-        """Push the body as a motor would, and let a step of the physics pass."""
+        """Apply the torque and advance the physics by one step."""
         data, options = self._data, self._options
-        self._waited += options.step
-        way = self._goal - data.qpos[:2]
-        if self._strays():
-            self._set_out(np.zeros(2))
-        elif np.hypot(*way) < _ARRIVED or self._missed(way) or self._waited > _PATIENCE:
-            self._set_out(self._rng.uniform(-self._room, self._room, size=2))
-        way = self._goal - data.qpos[:2]
+        self._elapsed += options.step
+        to_goal = self._goal - data.qpos[:2]
+        if self._is_leaving():
+            self._set_goal(np.zeros(2))
+        elif (
+            np.hypot(*to_goal) < _ARRIVAL_DISTANCE
+            or self._has_passed(to_goal)
+            or self._elapsed > _GOAL_TIMEOUT
+        ):
+            self._set_goal(self._draw_goal())
+        to_goal = self._goal - data.qpos[:2]
         spin = np.array(data.cvel[1, :3])
-        wanted = self._wanted_spin(way / np.hypot(*way))
-        push = self._gain * (wanted - spin)
-        if self._kind == "cylinder":
-            # The motor works along the axis, the steering about the vertical; the ground does
-            # the rest.
+        torque = self._gain * (self._target_spin(to_goal / np.hypot(*to_goal)) - spin)
+        if self._is_cylinder:
+            # Drive along the axis and steering about the vertical; the rest is up to the ground.
             axis = data.xmat[1].reshape(3, 3)[:, 2]
-            push = axis * (axis @ push) + np.array([0, 0, push[2]])
-        data.xfrc_applied[1, 3:] = push
+            torque = axis * (axis @ torque) + np.array([0, 0, torque[2]])
+        data.xfrc_applied[1, 3:] = torque
         self._mujoco.mj_step(self._model, data)
 
-    def look(self) -> tuple[Any, ...]:
-        """Tell where the body is and how it moves.
+    def measure(self) -> tuple[Any, ...]:
+        """Measure the state of the body.
 
         Returns
         -------
         tuple
-            Its centre (3,), its rotation (3, 3), how fast its surface slides over the ground as a
-            share of the set speed (NaN in the air), the speed of its centre, and how deep it is in
-            the ground.
+            Centre (3,), rotation (3, 3), slip (speed of the surface at the contact as a share of
+            the set speed; NaN without contact), speed of the centre, and depth in the ground.
         """
         data = self._data
         self._mujoco.mj_forward(self._model, data)
@@ -191,57 +186,64 @@ class Driver:
         slip = math.nan
         if data.ncon:
             arms = np.array(data.contact.pos) - centre
-            forces = -np.array(data.contact.dist)
+            depths = -np.array(data.contact.dist)
             slides = velocity + np.cross(spin, arms)
             normals = np.array(data.contact.frame)[:, :3]
             slides -= np.einsum("cd,cd->c", slides, normals)[:, None] * normals
-            # What presses most is what rolls.
-            slip = float(np.linalg.norm(slides[forces.argmax()])) / self._options.speed
+            # The deepest contact carries the load.
+            slip = float(np.linalg.norm(slides[depths.argmax()])) / self._options.speed
         overlap = max(0.0, -float(data.contact.dist.min(initial=0.0)))
-        turned = np.array(data.xmat[1]).reshape(3, 3)
-        return centre, turned, slip, float(np.linalg.norm(velocity)), overlap
+        rotation = np.array(data.xmat[1]).reshape(3, 3)
+        return centre, rotation, slip, float(np.linalg.norm(velocity)), overlap
 
-    def _missed(self, way: NDArray[np.float64]) -> bool:
-        return self._kind == "cylinder" and bool(self._forward * (self._ahead() @ way) < 0)
+    def _draw_goal(self) -> NDArray[np.float64]:
+        return self._rng.uniform(-self._goal_limit, self._goal_limit, size=2)
 
-    def _strays(self) -> bool:
-        """Tell whether a cylinder, whose turns are wide, heads for the edge of the ground."""
-        place = self._data.qpos[:2]
-        outward = self._forward * self._ahead() * np.sign(place) > 0
-        return self._kind == "cylinder" and bool((outward & (np.abs(place) > self._room)).any())
-
-    def _set_out(self, goal: NDArray[np.float64]) -> None:
+    def _set_goal(self, goal: NDArray[np.float64]) -> None:
         self._goal = goal
-        self._waited = 0.0
-        # Which way a cylinder rolls is settled until it has arrived or passed by.
-        way = self._goal - self._data.qpos[:2]
-        self._forward = 1.0 if self._ahead() @ way >= 0 else -1.0
+        self._elapsed = 0.0
+        # A cylinder keeps rolling forwards or backwards until it has reached or passed its goal.
+        to_goal = self._goal - self._data.qpos[:2]
+        self._sense = 1.0 if self._ahead() @ to_goal >= 0 else -1.0
+
+    def _has_passed(self, to_goal: NDArray[np.float64]) -> bool:
+        """Return whether a cylinder has passed its goal."""
+        return self._is_cylinder and bool(self._sense * (self._ahead() @ to_goal) < 0)
+
+    def _is_leaving(self) -> bool:
+        """Return whether a cylinder, which turns slowly, is near the edge and moving outwards."""
+        place = self._data.qpos[:2]
+        outward = self._sense * self._ahead() * np.sign(place) > 0
+        beyond = np.abs(place) > self._goal_limit
+        return self._is_cylinder and bool((outward & beyond).any())
 
     def _ahead(self) -> NDArray[np.float64]:
-        """Give the direction in which the body rolls when it spins about its own axis."""
-        # What spins about an axis a and stands on the ground rolls towards a x vertical.
+        """Return the direction in which the body rolls when it spins about its own axis."""
+        # A body with spin a on the ground rolls along the cross product of a and the vertical.
         axis = self._data.xmat[1].reshape(3, 3)[:, 2]
         return np.array([axis[1], -axis[0]]) / max(float(np.hypot(axis[0], axis[1])), 1e-9)
 
-    def _wanted_spin(self, way: NDArray[np.float64]) -> NDArray[np.float64]:
-        pace = self._options.speed / self._radius
-        if self._kind == "sphere":
-            return pace * np.array([-way[1], way[0], 0])
+    def _target_spin(self, direction: NDArray[np.float64]) -> NDArray[np.float64]:
+        rate = self._options.speed / self._radius
+        if not self._is_cylinder:
+            return rate * np.array([-direction[1], direction[0], 0])
         axis = self._data.xmat[1].reshape(3, 3)[:, 2]
-        heading = self._forward * self._ahead()
-        off = math.atan2(heading[0] * way[1] - heading[1] * way[0], heading @ way)
+        heading = self._sense * self._ahead()
+        off = math.atan2(heading[0] * direction[1] - heading[1] * direction[0], heading @ direction)
         turning = min(max(off, -self._options.turning), self._options.turning)
-        return np.asarray(self._forward * pace * axis + np.array([0, 0, turning]))
+        return np.asarray(self._sense * rate * axis + np.array([0, 0, turning]))
 
 
-def _highest(terrain: Terrain, reach: float) -> float:
-    """Give the height of the highest ground under a body in the middle, to begin above it."""
+def _height_below(terrain: Terrain, reach: float) -> float:
+    """Return the height of the highest ground below a body in the middle."""
     middle, cells = len(terrain.heights) // 2, math.ceil(reach / terrain.cell)
     below = slice(middle - cells, middle + cells + 1)
     return float(terrain.heights[below, below].max())
 
 
-def _build(mujoco: ModuleType, body: Body, terrain: Terrain, options: LocomotionOptions) -> Any:
+def _build_model(
+    mujoco: ModuleType, body: Body, terrain: Terrain, options: LocomotionOptions
+) -> Any:
     spec = mujoco.MjSpec()
     spec.option.gravity = [0, 0, -options.gravity]
     spec.option.timestep = options.step
@@ -257,17 +259,12 @@ def _build(mujoco: ModuleType, body: Body, terrain: Terrain, options: Locomotion
         size=[half, half, highest - lowest, 1.0],
         userdata=((terrain.heights - lowest) / (highest - lowest)).ravel(),
     )
-    grip = {"friction": [options.friction, 0.005, 0.0001], "condim": 3}
+    # Torsional and rolling friction are MuJoCo's defaults.
+    surface = {"friction": [options.friction, 0.005, 0.0001], "condim": 3}
     spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", pos=[0, 0, lowest], **grip
+        type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", pos=[0, 0, lowest], **surface
     )
-    thing = spec.worldbody.add_body()
-    thing.add_freejoint()
-    solid = body.solids[0]
-    thing.add_geom(
-        type=getattr(mujoco.mjtGeom, f"mjGEOM_{solid.kind.upper()}"),
-        size=[*solid.size, *[0.0] * (3 - len(solid.size))],
-        mass=1,
-        **grip,
-    )
+    rolling = spec.worldbody.add_body()
+    rolling.add_freejoint()
+    rolling.add_geom(**geom_shape(mujoco, body.solids[0]), mass=1, **surface)
     return spec.compile()

@@ -1,46 +1,52 @@
-"""Contacts that give back all the energy that they take: MuJoCo's, made into springs."""
+"""Contacts in MuJoCo that conserve energy."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-_LEMNISCATE = 2.6220575542921198  # a contact of a cubic spring lasts so many times depth / speed
-_WIDTH = 3  # x softness: a ball nine times as fast as `speed` would reach it
+from anisomap.simulation.geometry.solids import Solid
 
-_IMPEDANCE_AT_SURFACE = 0.0001  # the least that MuJoCo takes
+_LEMNISCATE = 2.6220575542921198  # duration of a contact with a cubic spring, x depth / speed
+_WIDTH = 3  # x softness: the depth of a ball nine times as fast as `speed`
+
+# Impedance rises linearly with depth. The first is the least that MuJoCo allows.
+_IMPEDANCE_AT_SURFACE = 0.0001
 _IMPEDANCE_INSIDE = 0.01
 
 
 @dataclass(frozen=True)
 class ElasticContact:
-    """A contact as a spring whose force grows with the cube of depth.
+    """A contact with the force of a cubic spring.
 
     Parameters
     ----------
     softness : float
-        Depth to which what arrives at `speed` presses in. Metres.
+        Depth of a contact at `speed`, in m.
     speed : float
-        Metres a second.
+        In m/s.
 
     Notes
     -----
-    Two things make MuJoCo's contacts gain energy, and both are answered by its impedance d (see
-    "Solver parameters" in its documentation):
+    MuJoCo's contacts can gain energy for two reasons. Both depend on the impedance d (see "Solver
+    parameters" in MuJoCo's documentation):
 
-    - With d near 1, the solver prescribes how fast each contact comes apart, whatever else its
-      balls touch, which is no sum of springs: when a ball touches two things at once, more than
-      half a ball's energy may come or go, however short the step. With d near 0, the forces of
-      contacts add up as those of springs do.
-    - A linear spring starts abruptly, and the integrator errs by where in a step it starts. With d
-      rising from almost 0 in proportion to depth x, the acceleration is
+    - With d near 1, the solver prescribes the separating velocity of each contact, independent of
+      other contacts of the same balls. When a ball touches two objects at once, it can gain or
+      lose more than half its energy, for any step size. With d near 0, the forces of contacts add
+      up like those of springs.
+    - The force of a linear spring starts abruptly, and the integrator's error depends on the phase
+      of the step. With d rising from almost 0 in proportion to depth x, the acceleration is
       ``stiffness (x / width)^2 x``, which starts smoothly.
 
-    Measured with 40 balls over 2,000 frames of 0.05 s, steps of 1 ms: the energy strays by up to
-    5 % with d near 1, by 3 % with d near 0, and by 0.02 % with d rising.
+    Measured with 40 balls over 2,000 frames of 0.05 s at steps of 1 ms, energy varies by up to 5 %
+    with d near 1, by 3 % with d near 0, and by 0.02 % with d rising.
     """
 
     softness: float
@@ -48,40 +54,87 @@ class ElasticContact:
 
     @property
     def duration(self) -> float:
-        """Seconds that what arrives at `speed` stays."""
+        """Duration of a contact at `speed`, in s."""
         return _LEMNISCATE * self.softness / self.speed
 
     @property
     def solref(self) -> list[float]:
-        """MuJoCo's -stiffness and -damping; energy of motion is all stored at `softness`."""
+        """MuJoCo's negative stiffness and damping; all energy is stored at `softness`."""
         width = _WIDTH * self.softness
         return [-2 * (self.speed * width / self.softness**2) ** 2, 0.0]
 
     @property
     def solimp(self) -> list[float]:
-        """MuJoCo's impedance: at the surface and inside, width, and a linear rise."""
+        """MuJoCo's impedance at the surface and inside, width, midpoint and power."""
         midpoint, power = 0.5, 1.0
         width = _WIDTH * self.softness
         return [_IMPEDANCE_AT_SURFACE, _IMPEDANCE_INSIDE, width, midpoint, power]
 
 
+def add_fixed_solids(
+    mujoco: ModuleType,
+    spec: Any,
+    solids: Sequence[Solid],
+    surface: Mapping[str, Any],
+    thickness: float,
+) -> None:
+    """Add solids that do not move to a model.
+
+    Parameters
+    ----------
+    mujoco : module
+    spec : mujoco.MjSpec
+    solids : sequence of Solid
+    surface : mapping
+        Contact parameters: ``condim``, ``solref``, ``solimp`` ...
+    thickness : float
+        Thickness of the triangles of a mesh, far below the depth of contacts.
+
+    Notes
+    -----
+    MuJoCo replaces a mesh geom by its convex hull. A flexible surface pinned to the world keeps
+    its triangles, whose contact forces add up.
+    """
+    for i, solid in enumerate(solids):
+        if solid.kind == "mesh":
+            flex = spec.add_flex(
+                name=f"mesh{i}", dim=2, radius=thickness, vertbody=["world"], **surface
+            )
+            flex.vert = solid.outline.vertices.ravel()
+            flex.elem = solid.outline.faces.ravel()
+            continue
+        spec.worldbody.add_geom(
+            **geom_shape(mujoco, solid),
+            pos=solid.centre,
+            quat=Rotation.from_matrix(solid.rotation).as_quat(scalar_first=True),
+            **surface,
+        )
+
+
+def geom_shape(mujoco: ModuleType, solid: Solid) -> dict[str, Any]:
+    """Return the type and size of MuJoCo's geom for a primitive solid."""
+    return {
+        "type": getattr(mujoco.mjtGeom, f"mjGEOM_{solid.kind.upper()}"),
+        "size": [*solid.size, *[0.0] * (3 - len(solid.size))],
+    }
+
+
 def total_energy(data: Any, step: float, masses: NDArray[np.float64]) -> float:
-    """Add up kinetic energy and that stored in contacts, for bodies that do not turn.
+    """Sum the kinetic energy and the energy stored in contacts of bodies that do not rotate.
 
     Parameters
     ----------
     data : mujoco.MjData
-        Just after ``mj_forward``. Every constraint is an `ElasticContact`.
+        After ``mj_forward``. All constraints must be of type `ElasticContact`.
     step : float
-        Seconds; the integrator's velocities are half a step behind its positions.
+        Step size in s. The integrator's velocities are half a step behind its positions.
     masses : ndarray of shape (nv,)
-        Of what moves along each coordinate. Kilograms.
+        Mass moved along each coordinate, in kg.
 
     Returns
     -------
     float
-        Joules. A spring whose force grows with the cube of depth stores a quarter of force times
-        depth.
+        In J. A cubic spring stores a quarter of force times depth.
     """
     velocities = data.qvel + step / 2 * data.qacc
     stored = -data.efc_force @ data.efc_pos / 4

@@ -1,4 +1,4 @@
-"""Uneven ground: heights on a grid, joined by triangles as MuJoCo joins them."""
+"""Uneven ground: a height field with MuJoCo's triangulation."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from scipy.ndimage import gaussian_filter
 from anisomap.scene import Mesh, frozen
 from anisomap.simulation.geometry.triangles import Points, TriangleSearch
 
-_WIDEST = 4.0  # correlation lengths that a bump reaches
+_TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
 
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """Ground whose height is known on a square grid, and solid below.
+    """Solid ground with heights on a square grid.
 
     Parameters
     ----------
     heights : array_like of shape (n, n)
-        Rows go along y, columns along x.
+        Rows go along y, columns along x. The middle of the grid is above the origin.
     cell : float
-        Distance between neighbouring points of the grid. Its middle is above the origin.
+        Grid spacing.
     """
 
     heights: NDArray[np.float64]
@@ -40,10 +40,10 @@ class Terrain:
 
     @cached_property
     def mesh(self) -> Mesh:
-        """Its triangles, two a cell.
+        """Triangles of the ground, two per cell.
 
-        MuJoCo parts the cell of row r and column c along the line from (r, c) to (r + 1, c + 1):
-        `mj_ray` tells so.
+        As in MuJoCo (checked by ``mj_ray``), the diagonal of the cell at row r and column c goes
+        from (r, c) to (r + 1, c + 1).
         """
         n = len(self.heights)
         across = self.cell * np.arange(n) - self.half_width
@@ -58,7 +58,7 @@ class Terrain:
         return Mesh(vertices, np.vstack(faces))
 
     def height(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Give the height of the ground at places (n, 2); beyond the edge, that of the edge."""
+        """Interpolate the height at places (n, 2); constant beyond the edges."""
         scaled = (np.asarray(places, dtype=np.float64)[:, :2] + self.half_width) / self.cell
         last = len(self.heights) - 1
         scaled = np.clip(scaled, 0, last)
@@ -70,7 +70,7 @@ class Terrain:
         return np.asarray(corner + most * (third - corner) + least * (beyond - third))
 
     def distance(self, points: ArrayLike) -> Points:
-        """Measure how far points are from the ground's surface.
+        """Compute the exact distance of points from the surface.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Terrain:
         Returns
         -------
         ndarray of shape (n,)
-            The exact distance from the nearest triangle, negative below the ground.
+            Distance from the nearest triangle, negative below the ground.
         """
         return self._search.signed_distance(np.asarray(points, dtype=np.float64))
 
@@ -90,18 +90,18 @@ class Terrain:
         Parameters
         ----------
         points : array_like of shape (n, 3)
-            Sensors.
+            Sensor positions.
         detection_radius : float
 
         Returns
         -------
         ndarray of float32, shape (n,)
-            How deep the ground reaches into each sphere of detection:
+            Penetration depth of the ground into the detection sphere,
             ``max(0, detection_radius - distance)``.
         """
         places = np.asarray(points, dtype=np.float64)
         found = np.zeros(len(places), dtype=np.float32)
-        # No ground is nearer than what a point is above its highest peak.
+        # The height above the highest peak is a lower bound of the distance.
         near = places[:, 2] - self.heights.max() < detection_radius
         found[near] = np.maximum(detection_radius - self.distance(places[near]), 0)
         return found
@@ -114,29 +114,28 @@ class Terrain:
 def bumpy_terrain(
     half_width: float, cell: float, roughness: float, correlation: float, rng: np.random.Generator
 ) -> Terrain:
-    """Make ground with smooth bumps at random.
+    """Generate ground with smooth random bumps: white noise with a Gaussian filter.
 
     Parameters
     ----------
     half_width : float
         Least distance from the middle to each edge.
     cell : float
-        Distance between neighbouring points of the grid.
+        Grid spacing.
     roughness : float
-        Root mean square of the height, whose mean is 0.
+        Root mean square height; the mean height is 0.
     correlation : float
-        Distance at which the correlation of heights has fallen to ``exp(-1/4)``: bumps are some
-        two to three times as wide.
+        Distance at which the correlation of heights is ``exp(-1/4)``. Bumps are about two to three
+        times as wide.
     rng : numpy.random.Generator
 
     Returns
     -------
     Terrain
-        White noise, smoothed by a Gaussian.
     """
     n = 2 * int(np.ceil(half_width / cell)) + 1
     noise = rng.standard_normal((n, n))
-    smooth = gaussian_filter(noise, correlation / cell, mode="reflect", truncate=_WIDEST)
+    smooth = gaussian_filter(noise, correlation / cell, mode="reflect", truncate=_TRUNCATION)
     smooth -= smooth.mean()
     spread = float(np.sqrt(np.mean(smooth**2)))
     return Terrain(roughness / spread * smooth, cell)
