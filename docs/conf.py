@@ -33,6 +33,8 @@ autodoc_typehints = "none"
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 
+default_role = "py:obj"  # names in single backticks in docstrings are links
+
 html_theme = "furo"
 html_title = "anisomap"
 html_static_path = ["_static"]
