@@ -87,7 +87,7 @@ def expected_mantel_r(agreement: float) -> float:
     ``1 - r = 0.01 + 0.2 d - 0.1 d^2 + 0.8 d^8`` with the disagreement ``d = 1 - agreement``,
     clipped at 1. The curve was fitted to simulated skins whose halves agree to 0.4 or more; the
     last term lets the confidence vanish as the halves become unrelated. For other seeds see
-    ``docs/results.md``.
+    ``docs/explanation/results.md``.
     """
     apart = min(1 - agreement, 1.0)
     error = _CONSTANT + _LINEAR * apart - _QUADRATIC * apart**2 + _COLLAPSE * apart**_COLLAPSE_POWER

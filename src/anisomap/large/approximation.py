@@ -131,8 +131,9 @@ def reconstruct_approximately(
 
     Notes
     -----
-    See `anisomap.large.landmarks` for the steps, and ``docs/large-recordings.md`` for what is
-    lost. Sensors that nothing beyond chance relates come out as separate pieces, whatever `mu` is.
+    See `anisomap.large.landmarks` for the steps, and ``docs/explanation/large-recordings.md`` for
+    the accuracy. Components without statistically significant links are mapped separately,
+    whatever `mu` is.
     """
     chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
     found = relate(chunks, like=names, missing=missing, drop=drop, options=approximate)
