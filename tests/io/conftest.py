@@ -1,4 +1,4 @@
-"""An example file of every format, written by hand where a foreign program would have made it."""
+"""An example file of every format, in the layout of the programs that write it."""
 
 import gzip
 import shutil
@@ -60,7 +60,7 @@ def _lines(row: Callable[[int, list[float]], str], end: str = "\n") -> str:
 
 
 def _foreign(path: Path) -> None:
-    """A semicolon file with decimal commas, as a German spreadsheet leaves it."""
+    """Semicolons and decimal commas, as a German spreadsheet writes them."""
     header = "time [ms];frame;" + ";".join(f"s{i}" for i in range(N_SENSORS)) + ";\r\n"
     rows = _lines(lambda i, v: f"{10 * i};{i};" + ";".join(map(str, v)) + ";", "\r\n")
     path.write_text(header + rows.replace(".", ","), encoding="utf-8-sig", newline="")
@@ -88,7 +88,7 @@ def _two_stamps(path: Path) -> None:
 
 
 def _archive(path: Path) -> None:
-    """As numpy itself writes it, not packed, so that damage gets to the arrays."""
+    """Written by numpy without compression, so that damage affects the arrays."""
     with path.open("wb") as stream:
         np.savez(
             stream,
@@ -159,7 +159,7 @@ def _mat_export(path: Path) -> None:
 
 
 def _images(path: Path) -> None:
-    """Floating-point pixels, a page a frame."""
+    """Floating-point pixels, one page per frame."""
     pillow = pytest.importorskip("PIL.Image")
     pages = [pillow.fromarray(row[None].astype(np.float32)) for row in _readings()]
     pages[0].save(path, save_all=True, append_images=pages[1:], compression=None)
@@ -218,16 +218,15 @@ def map_file(request: pytest.FixtureRequest, tmp_path: Path, sensor_map: SensorM
 
 
 def writable(sensor_map: SensorMap, path: Path) -> SensorMap:
-    """Give a map what a format asks for: a scale, and one piece."""
+    """Give a map the scale and single component that a format requires."""
     if not io.needs_scale(path):
         return sensor_map
-    pieces = np.minimum(sensor_map.component, 0)
-    return replace(sensor_map, units="m", component=pieces)
+    return replace(sensor_map, units="m", component=np.minimum(sensor_map.component, 0))
 
 
 @pytest.fixture
 def read_back(sensor_map: SensorMap, map_file: Path) -> SensorMap:
-    """What a file of a map is to be read as."""
+    """Return the map that a file is expected to contain."""
     written = writable(sensor_map, map_file)
     if map_file.suffix in (".npz", ".csv", ".tsv", ".json"):
         return written
@@ -239,7 +238,7 @@ def read_back(sensor_map: SensorMap, map_file: Path) -> SensorMap:
 
 @pytest.fixture
 def exemplified() -> dict[str, set[str]]:
-    """Names of the formats that have an example of a recording, and of a map."""
+    """Names of the formats with an example recording, and with an example map."""
     return {
         "recordings": {name for name, _ in RECORDINGS.values()},
         "maps": set(MAPS.values()),
@@ -248,7 +247,7 @@ def exemplified() -> dict[str, set[str]]:
 
 @pytest.fixture
 def put(tmp_path: Path) -> Callable[[str, str | bytes], Path]:
-    """Write a file by name, as text or bytes, and give its path."""
+    """Write text or bytes to a named file, and return its path."""
 
     def write(name: str, content: str | bytes) -> Path:
         path = tmp_path / name
@@ -260,7 +259,7 @@ def put(tmp_path: Path) -> Callable[[str, str | bytes], Path]:
 
 @pytest.fixture
 def tolerantly() -> Callable[[Callable[[Path], object], Path], object]:
-    """Call a reader so that weak evidence is no failure, and any other warning is."""
+    """Call a reader with AnisomapWarning ignored and other warnings raised."""
 
     def call(reader: Callable[[Path], object], path: Path) -> object:
         with warnings.catch_warnings():

@@ -25,7 +25,7 @@ def test_every_format_has_an_example(exemplified: dict[str, set[str]]) -> None:
     assert exemplified["maps"] == {f.name for f in io.FORMATS if f.read_map}
 
 
-def test_registry_tells_formats_apart() -> None:
+def test_names_and_suffixes_of_formats_are_unique() -> None:
     names = [form.name for form in io.FORMATS]
     suffixes = [suffix for form in io.FORMATS for suffix in form.suffixes]
     assert len(set(names)) == len(names)
@@ -42,7 +42,7 @@ def test_recordings_keep_the_contract(recording_file: Path, recording: Recording
     expected = recording.readings if precise else recording.readings.astype(np.float32)
     np.testing.assert_array_equal(found.readings, expected)
     assert len(set(found.names)) == found.n_sensors
-    assert str(recording_file.parent) not in found.source, "a file must not tell where it lay"
+    assert str(recording_file.parent) not in found.source, "the source must not contain the folder"
     if recording_file.name in TIMELESS:
         assert found.times is None
         assert found.rate_hz == TIMELESS[recording_file.name]
@@ -62,19 +62,19 @@ def test_maps_keep_the_contract(map_file: Path, read_back: SensorMap) -> None:
     assert not found.positions.flags.writeable
 
 
-def test_content_decides_whatever_the_suffix(recording_file: Path) -> None:
+def test_recordings_are_recognised_by_content(recording_file: Path) -> None:
     expected = io.read(recording_file)
     disguised = recording_file.rename(recording_file.with_name("data.bin"))
     np.testing.assert_array_equal(io.read(disguised).readings, expected.readings)
 
 
-def test_content_decides_for_maps_too(map_file: Path) -> None:
+def test_maps_are_recognised_by_content(map_file: Path) -> None:
     expected = io.read_map(map_file)
     disguised = map_file.rename(map_file.with_name("data.bin"))
     np.testing.assert_array_equal(io.read_map(disguised).positions, expected.positions)
 
 
-def test_same_thing_same_bytes(
+def test_equal_input_gives_equal_bytes(
     tmp_path: Path,
     sensor_map: SensorMap,
     recording: Recording,
@@ -101,13 +101,13 @@ def test_same_thing_same_bytes(
 
 
 @given(head=st.binary(max_size=200), name=st.sampled_from(["data.log", "x.csv", "x"]))
-def test_recognising_never_fails(head: bytes, name: str) -> None:
+def test_recognising_never_raises(head: bytes, name: str) -> None:
     for form in io.FORMATS:
         assert form.recognises(Path(name), head) in (True, False)
 
 
 @pytest.mark.parametrize("name", ["map.xyz", "map", "map.csv.gz", "data.log.bak"])
-def test_unknown_suffix_lists_the_known(tmp_path: Path, sensor_map: SensorMap, name: str) -> None:
+def test_unknown_suffixes_list_known_ones(tmp_path: Path, sensor_map: SensorMap, name: str) -> None:
     with pytest.raises(FileError, match=r"known suffixes: .*\.npz.*\.json.*\.ply.*\.csv"):
         io.write(sensor_map, tmp_path / name)
     with pytest.raises(FileError, match=r"\.npz.*\.csv"):
@@ -115,35 +115,31 @@ def test_unknown_suffix_lists_the_known(tmp_path: Path, sensor_map: SensorMap, n
     assert not list(tmp_path.iterdir())
 
 
-def test_a_recording_is_not_written_as_a_map(tmp_path: Path, recording: Recording) -> None:
+def test_recordings_are_not_written_in_map_formats(tmp_path: Path, recording: Recording) -> None:
     with pytest.raises(FileError, match=r"unknown suffix '\.json'; known suffixes: \.npz, \.csv"):
         io.write(recording, tmp_path / "skin.json")
 
 
-def test_only_maps_and_recordings_are_written(tmp_path: Path) -> None:
+def test_other_objects_are_not_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="got an object of type list"):
         io.write([1, 2], tmp_path / "x.npz")
 
 
-def test_no_half_written_file(
-    tmp_path: Path, sensor_map: SensorMap, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz"])
+def test_failed_writing_keeps_the_existing_file(
+    tmp_path: Path, sensor_map: SensorMap, suffix: str
 ) -> None:
-    target = tmp_path / "map.csv"
-    target.write_text("what was there before")
-
-    def full(*_: object) -> str:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("anisomap.io.parsing.comments.write_comments", full)
-    with pytest.raises(FileError, match="No space left"):
-        io.write(sensor_map, target)
-    assert target.read_text() == "what was there before"
+    target = tmp_path / f"map{suffix}"
+    target.write_text("existing")
+    with pytest.raises(InputError, match="not list"):
+        io.write(replace(sensor_map, provenance={"a": [1]}), target)
+    assert target.read_text() == "existing"
     assert list(tmp_path.iterdir()) == [target]
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".json", ".ply"])
 @pytest.mark.parametrize("name", ["a\0", "\ud800"])
-def test_names_that_are_no_text_are_refused(tmp_path: Path, suffix: str, name: str) -> None:
+def test_names_that_are_not_text_are_rejected(tmp_path: Path, suffix: str, name: str) -> None:
     with pytest.raises(FileError, match="not text"):
         io.write(SensorMap([[0.0, 1.0]], names=[name]), tmp_path / f"map{suffix}")
     assert not list(tmp_path.iterdir())
@@ -172,7 +168,7 @@ def test_empty_file(put, name: str) -> None:
             reader(put(name, b""))
 
 
-def test_file_that_may_not_be_read(put, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_without_read_permission(put, monkeypatch: pytest.MonkeyPatch) -> None:
     path = put("x.csv", "1,2\n")
 
     def refuse(*_: object, **__: object) -> None:
@@ -183,42 +179,42 @@ def test_file_that_may_not_be_read(put, monkeypatch: pytest.MonkeyPatch) -> None
         io.read(path)
 
 
-def test_no_ordinary_file(tmp_path: Path) -> None:
+def test_named_pipes_are_rejected(tmp_path: Path) -> None:
     if not hasattr(os, "mkfifo"):
-        pytest.skip("named pipes are a matter of POSIX")
+        pytest.skip("named pipes need POSIX")
     os.mkfifo(tmp_path / "pipe.csv")
     with pytest.raises(FileError, match="not a regular file"):
         io.read(tmp_path / "pipe.csv")
 
 
 @pytest.mark.parametrize("name", ["x.csv", "x.txt", "data.log", "x.tsv"])
-def test_binary_file_with_the_name_of_a_text(put, name: str) -> None:
+def test_binary_files_with_a_text_suffix(put, name: str) -> None:
     picture = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(range(256))
     for reader in (io.read, io.read_map):
         with pytest.raises(FileError, match=rf"{name} is binary, not text"):
             reader(put(name, picture))
 
 
-def test_binary_file_of_no_known_name_lists_the_formats(put) -> None:
+def test_unknown_binary_files_list_the_formats(put) -> None:
     with pytest.raises(FileError, match=r"unknown format.*\.npz.*YARP data\.log.*\.csv"):
         io.read(put("skin.xyz", b"\0\1\2\3"))
 
 
 @pytest.mark.parametrize("name", ["map.csv", "map.json", "map.ply", "map.npz", "map.tsv"])
-def test_a_map_is_no_recording(tmp_path: Path, sensor_map: SensorMap, name: str) -> None:
+def test_maps_are_not_read_as_recordings(tmp_path: Path, sensor_map: SensorMap, name: str) -> None:
     io.write(sensor_map, tmp_path / name)
     with pytest.raises(FileError, match=rf"{name} .*(no recording|not a recording|readings)"):
         io.read(tmp_path / name)
 
 
-def test_a_recording_without_positions_is_no_map(recording_file: Path) -> None:
+def test_recordings_without_positions_are_not_read_as_maps(recording_file: Path) -> None:
     if io.read(recording_file).positions is not None and recording_file.suffix == ".npz":
         pytest.skip("this file has positions")
     with pytest.raises(FileError, match=r"positions|columns x and y"):
         io.read_map(recording_file)
 
 
-def test_library_stays_silent(recording_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_reading_prints_nothing(recording_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
     io.read(recording_file)
     assert capfd.readouterr() == ("", "")
     assert not logging.getLogger("anisomap").handlers

@@ -1,4 +1,4 @@
-"""Files of named arrays and columns: which is the recording, and what belongs to it."""
+"""Files of named arrays and columns: HDF5, MATLAB, Parquet and Arrow."""
 
 import sys
 from pathlib import Path
@@ -33,7 +33,7 @@ def h5(tmp_path: Path):
     return make
 
 
-def test_all_that_belongs_to_a_recording_lies_beside_it(h5) -> None:
+def test_times_names_and_positions_come_from_the_same_group(h5) -> None:
     path = h5(
         left__readings=READINGS,
         left__time_ms=np.arange(300) * 20,
@@ -50,7 +50,7 @@ def test_all_that_belongs_to_a_recording_lies_beside_it(h5) -> None:
     assert found.source == "skin.h5:left/readings"
 
 
-def test_several_datasets_are_listed_and_one_is_chosen(h5) -> None:
+def test_several_datasets_are_listed_and_one_is_selected(h5) -> None:
     path = h5(left__skin=READINGS, right__skin=OTHER, note="rubbed by hand", one=np.arange(5))
     with pytest.raises(io.ChoiceError, match=r"2 possible.*left/skin.*300 x 6.*--select"):
         io.read(path)
@@ -59,7 +59,7 @@ def test_several_datasets_are_listed_and_one_is_chosen(h5) -> None:
     np.testing.assert_array_equal(io.read(path, options=select("right")).readings, OTHER)
 
 
-def test_what_is_chosen_must_be_there_and_be_a_recording(h5) -> None:
+def test_the_selection_must_match_one_recording(h5) -> None:
     path = h5(left__skin=READINGS, right__skin=OTHER, one=np.arange(5))
     np.testing.assert_array_equal(io.read(path, options=select("left/skin")).readings, READINGS)
     with pytest.raises(FileError, match=r"several datasets match 'skin'"):
@@ -70,21 +70,19 @@ def test_what_is_chosen_must_be_there_and_be_a_recording(h5) -> None:
         io.read(path, options=select("one"))
 
 
-def test_frames_of_a_grid_are_laid_out_in_a_row(h5) -> None:
+def test_further_dimensions_are_flattened(h5) -> None:
     found = io.read(h5(film=READINGS.reshape(300, 2, 3)))
     np.testing.assert_array_equal(found.readings, READINGS)
     assert found.names == ("0.0", "0.1", "0.2", "1.0", "1.1", "1.2")
 
 
-def test_names_of_variable_length_are_left_where_they_are(h5) -> None:
+def test_variable_length_names_are_not_read(h5) -> None:
     names = np.array(list("abcdef"), h5py.string_dtype())
     with pytest.warns(AnisomapWarning, match="variable-length"):
         assert io.read(h5(readings=READINGS, names=names)).names[0] == "s0"
 
 
-def test_datasets_that_unpack_to_far_more_than_they_take_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_decompression_bombs_in_hdf5(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with h5py.File(tmp_path / "bomb.h5", "w") as file:
         file.create_dataset("a", (1 << 20, 64), "f8", chunks=(1 << 12, 64))
     with pytest.raises(FileError, match="decompression bomb"):
@@ -106,7 +104,7 @@ def test_datasets_in_other_files_are_not_opened(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["f8", "f4", "u1", "i4", "?"])
-def test_kinds_of_numbers_in_matlab(tmp_path: Path, kind: str) -> None:
+def test_dtypes_in_matlab(tmp_path: Path, kind: str) -> None:
     readings = READINGS.astype(kind)
     scipy.io.savemat(tmp_path / "skin.mat", {"skin": readings, "fs": 50.0, "note": "by hand"})
     found = io.read(tmp_path / "skin.mat")
@@ -127,7 +125,7 @@ def fixed(values: np.ndarray) -> object:
     return arrow.FixedSizeListArray.from_arrays(arrow.array(values.ravel()), values.shape[1])
 
 
-def test_episodes_have_a_rate_but_no_common_time(tmp_path: Path) -> None:
+def test_episodes_give_a_rate_but_no_times(tmp_path: Path) -> None:
     columns = table(
         observation__tactile=fixed(READINGS),
         observation__state=fixed(READINGS[:, :2]),
@@ -145,7 +143,7 @@ def test_episodes_have_a_rate_but_no_common_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "feather", "arrows"])
-def test_a_column_a_sensor(tmp_path: Path, suffix: str) -> None:
+def test_one_column_per_sensor(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"skin.{suffix}"
     columns = table(
         frame=np.arange(300),
@@ -200,7 +198,7 @@ def test_parquet_bombs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("PIL.Image", "images", "film.gif"),
     ],
 )
-def test_a_missing_library_names_the_extra(
+def test_missing_libraries_name_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, extra: str, name: str
 ) -> None:
     marks = {

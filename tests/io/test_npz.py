@@ -1,4 +1,4 @@
-"""NumPy archives: what they may hold, and what is refused before it is unpacked."""
+"""NumPy archives and arrays, and their validation before decompression."""
 
 import pickle
 import zipfile
@@ -25,7 +25,7 @@ def saved(tmp_path: Path) -> Callable[..., Path]:
 
 
 class Trap:
-    """Its pickle would make a folder, were it ever loaded."""
+    """An object that creates a folder when it is unpickled."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -43,7 +43,7 @@ def error(path: Path, reader: Callable[[Path], object] = io.read) -> str:
 
 @pytest.mark.parametrize("dtype", ["f2", "f4", "f8", ">f8", "u1", "i2", "<i8", "?"])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_kinds_of_numbers(saved, dtype: str, order: str) -> None:
+def test_dtypes(saved, dtype: str, order: str) -> None:
     readings = np.array(READINGS, dtype=dtype, order=order)
     found = io.read(saved(readings=readings)).readings
     np.testing.assert_array_equal(found, readings)
@@ -52,7 +52,7 @@ def test_kinds_of_numbers(saved, dtype: str, order: str) -> None:
     )
 
 
-def test_all_that_is_known(saved) -> None:
+def test_all_optional_arrays(saved) -> None:
     found = io.read(
         saved(
             readings=READINGS,
@@ -82,7 +82,7 @@ def test_times_that_do_not_increase(saved) -> None:
     assert found.times is None
 
 
-def test_missing_readings_says_what_there_is(saved) -> None:
+def test_missing_readings_list_the_other_arrays(saved) -> None:
     message = error(saved(data=READINGS, labels=np.arange(3)))
     assert "array 'readings' is missing (arrays: data, labels)" in message
 
@@ -138,7 +138,7 @@ def test_wrong_maps(saved, arrays: dict[str, object], message: str) -> None:
     assert message in found
 
 
-def test_nothing_is_ever_unpickled(saved, tmp_path: Path) -> None:
+def test_nothing_is_unpickled(saved, tmp_path: Path) -> None:
     folder = tmp_path / "sprung"
     trap = np.array([[Trap(folder)]], dtype=object)
     assert "pickled objects" in error(saved(readings=trap))
@@ -155,7 +155,7 @@ def test_nothing_is_ever_unpickled(saved, tmp_path: Path) -> None:
 def packed(
     header: str, content: bytes, path: Path, *, compression: int = zipfile.ZIP_DEFLATED
 ) -> Path:
-    """An archive whose array says of itself what it likes."""
+    """Create an archive with an array of any header and content."""
     head = header.encode().ljust(117) + b"\n"
     array = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + content
     with zipfile.ZipFile(path, "w", compression) as archive:
@@ -166,7 +166,7 @@ def packed(
 @pytest.mark.parametrize(
     "shape", ["(1000000000, 1000000)", "(2, 2)", "(4, 1)", "(-1, 4)", "(0, 9)", "()"]
 )
-def test_header_that_does_not_match_its_content(tmp_path: Path, shape: str) -> None:
+def test_headers_that_do_not_match_the_content(tmp_path: Path, shape: str) -> None:
     header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}"
     assert "readings is damaged" in error(packed(header, bytes(24), tmp_path / "skin.npz"))
 
@@ -174,13 +174,13 @@ def test_header_that_does_not_match_its_content(tmp_path: Path, shape: str) -> N
 @pytest.mark.parametrize(
     "descr", ["'<U0'", "'|V0'", "'|O'", "'<f99'", "[('a', '<f8')]", "__import__"]
 )
-def test_headers_of_no_use(tmp_path: Path, descr: str) -> None:
+def test_invalid_headers(tmp_path: Path, descr: str) -> None:
     header = f"{{'descr': {descr}, 'fortran_order': False, 'shape': (1000000000000, 3)}}"
     error(packed(header, bytes(24), tmp_path / "skin.npz"))
 
 
 def declare(path: Path, size: int) -> Path:
-    """Have the directory of an archive say that its member unpacks to so many bytes."""
+    """Set the uncompressed size that the directory of an archive declares."""
     content = bytearray(path.read_bytes())
     at = content.index(b"PK\x01\x02") + 24
     content[at : at + 4] = size.to_bytes(4, "little")
@@ -188,14 +188,14 @@ def declare(path: Path, size: int) -> Path:
     return path
 
 
-def test_bombs_are_not_unpacked(tmp_path: Path) -> None:
+def test_bombs_are_not_decompressed(tmp_path: Path) -> None:
     n_frames = 500_000_000
     header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({n_frames}, 1)}}"
     path = declare(packed(header, bytes(1 << 20), tmp_path / "skin.npz"), 8 * n_frames + 128)
     assert "to 4000000128 bytes" in error(path)
 
 
-def test_stored_arrays_are_as_large_as_they_are(tmp_path: Path) -> None:
+def test_stored_arrays_have_no_compression_ratio(tmp_path: Path) -> None:
     header = "{'descr': '<f8', 'fortran_order': False, 'shape': (4, 1)}"
     path = packed(header, bytes(32), tmp_path / "skin.npz", compression=zipfile.ZIP_STORED)
     assert io.read(path).n_frames == 4
@@ -203,26 +203,26 @@ def test_stored_arrays_are_as_large_as_they_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_numpy_packs_in_one_way_only(tmp_path: Path, compression: int) -> None:
+def test_other_compression_methods_are_rejected(tmp_path: Path, compression: int) -> None:
     header = "{'descr': '<f8', 'fortran_order': False, 'shape': (4, 1)}"
     path = packed(header, bytes(32), tmp_path / "skin.npz", compression=compression)
     assert "NumPy never writes" in error(path)
 
 
-def test_characters_that_do_not_exist(tmp_path: Path) -> None:
+def test_invalid_characters(tmp_path: Path) -> None:
     path = tmp_path / "skin.npz"
     names = np.array(["a", "b", "c"]).view(np.uint32) + 0x110000
     np.savez(path, readings=READINGS, names=names.view("<U1"))
     assert "invalid Unicode characters" in error(path)
 
 
-def test_cut_off(saved) -> None:
+def test_truncated_archives(saved) -> None:
     path = saved(readings=READINGS)
     path.write_bytes(path.read_bytes()[:-30])
     assert "not a NumPy archive, or damaged" in error(path)
 
 
-def test_text_in_disguise(tmp_path: Path) -> None:
+def test_text_with_the_suffix_of_an_archive(tmp_path: Path) -> None:
     path = tmp_path / "skin.npz"
     path.write_text("<html>not found</html>")
     assert "not a NumPy archive" in error(path)
@@ -237,7 +237,7 @@ def test_other_archives(tmp_path: Path) -> None:
     assert "it has no array" in error(path)
 
 
-def test_reading_a_truth_leaves_the_readings_alone(tmp_path: Path) -> None:
+def test_reading_positions_skips_the_readings(tmp_path: Path) -> None:
     header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000, 3)}"
     path = packed(header, bytes(24), tmp_path / "skin.npz")
     with zipfile.ZipFile(path, "a") as archive, archive.open("positions.npy", "w") as member:

@@ -1,4 +1,4 @@
-"""Robots whose numbering is known: what is kept, and what it is called."""
+"""Sensors and names of robots with a known numbering."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from anisomap.io.recordings.presets import apply_preset
 
 
 def skin(n_boards: int = 2, *, rest: float = 0.0, source: str = "") -> Recording:
-    """Every value varies but those of triangle 3 of board 1."""
+    """Create a recording in which all values vary, except triangle 3 of board 1."""
     readings = rest + np.random.default_rng(0).integers(-9, 1, (50, 192 * n_boards))
     if n_boards > 1:
         readings[:, 192 + 36 : 192 + 48] = 255
@@ -32,12 +32,12 @@ def test_names_say_board_triangle_and_pad() -> None:
 
 
 @pytest.mark.parametrize(("rest", "state"), [(240.0, "raw"), (0.0, "compensated")])
-def test_what_rest_says(rest: float, state: str) -> None:
+def test_raw_and_compensated_skin(rest: float, state: str) -> None:
     assert apply_preset(skin(rest=rest), "icub").metadata["skin"].startswith(state)
 
 
 @pytest.mark.parametrize("source", ["left_hand", "run/right_hand_comp"])
-def test_a_hand_is_told_by_its_port(source: str) -> None:
+def test_hands_are_recognised_by_the_port(source: str) -> None:
     found = apply_preset(skin(1, source=source), "icub")
     assert found.names == apply_preset(skin(1), "icub-hand").names
     assert found.n_sensors == 60 + 44
@@ -46,7 +46,7 @@ def test_a_hand_is_told_by_its_port(source: str) -> None:
     np.testing.assert_array_equal(found.readings[:, -1], skin(1).readings[:, 143])
 
 
-def test_joined_ports_are_numbered_each_by_itself() -> None:
+def test_joined_ports_are_numbered_separately() -> None:
     arm, hand = skin(2), skin(1)
     names = [f"left_arm/s{i}" for i in range(384)] + [f"left_hand/s{i}" for i in range(192)]
     found = apply_preset(Recording(np.hstack([arm.readings, hand.readings]), names=names), "icub")

@@ -1,4 +1,4 @@
-"""Pressure mats and image stacks: frames of rows and columns, under headers of many kinds."""
+"""Pressure mats and image sequences, with various headers."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -41,7 +41,7 @@ def test_ascii_movie(put: Put) -> None:
     assert found.rate_hz == pytest.approx(100)
 
 
-def test_cells_outside_of_the_sensor_are_left_out(put: Put) -> None:
+def test_cells_outside_the_sensor_are_dropped(put: Put) -> None:
     frames = [f.astype(object) for f in FRAMES]
     for frame in frames:
         frame[0, 0] = frame[3, 2] = "B"
@@ -53,7 +53,7 @@ def test_cells_outside_of_the_sensor_are_left_out(put: Put) -> None:
 
 
 def test_quoted_csv_with_a_clock_and_decimal_commas(put: Put) -> None:
-    """As a mat's program exports it under a German or Dutch desktop."""
+    """The export of a mat program with a German or Dutch locale."""
     text = 'File:,"walk"\nSensor:,"PX100"\n'
     for i, frame in enumerate(FRAMES):
         quoted = "".join(",".join(f'"{v},5"' for v in row) + "\n" for row in frame.tolist())
@@ -73,12 +73,12 @@ def test_frames_without_any_header(put: Put, between: str) -> None:
     np.testing.assert_array_equal(found.readings, FRAMES.reshape(30, 12))
 
 
-def test_a_column_called_frame_makes_no_mat(put: Put) -> None:
+def test_a_table_with_a_column_frame_is_not_an_export(put: Put) -> None:
     found = io.read(put("x.csv", "frame,a,b\n0,1,2\n1,3,4\n"))
     assert found.names == ("a", "b")
 
 
-def test_the_last_frame_cut_off(put: Put) -> None:
+def test_a_truncated_last_frame(put: Put) -> None:
     text = movie(end="")
     with pytest.warns(AnisomapWarning, match="truncated in row 3 of 4.* 29 frames"):
         assert io.read(put("walk.asf", text[: text.rindex("\n", 0, -1) + 1])).n_frames == 29
@@ -100,8 +100,8 @@ def test_what_does_not_fit(put: Put, change: Callable[[str], str], message: str)
 
 
 @pytest.mark.parametrize("between", ["\t", ";", ","])
-def test_a_table_under_a_header_block(put: Put, between: str) -> None:
-    """Insoles: what was measured, then a table with names."""
+def test_a_table_below_metadata(put: Put, between: str) -> None:
+    """Insoles: metadata, then a table with names."""
     above = f"file name:{between}walk01\ndate/time 03.04.25 12:00\n\nsensors{between}99\n\n"
     names = between.join(["time[secs]", "left 1", "left 2", "right 1", "right 2"])
     body = "".join(
@@ -142,7 +142,7 @@ def test_images_of_16_bits_and_in_colour(tmp_path: Path, pillow) -> None:
     np.testing.assert_array_equal(io.read(tmp_path / "grey.tif").readings, FRAMES.reshape(30, 12))
 
 
-def test_images_that_make_no_recording(tmp_path: Path, pillow) -> None:
+def test_unsuitable_images(tmp_path: Path, pillow) -> None:
     one = pillow.fromarray(FRAMES[0].astype(np.uint8))
     one.save(tmp_path / "one.tif")
     with pytest.raises(FileError, match="a single image"):

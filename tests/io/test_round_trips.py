@@ -1,4 +1,4 @@
-"""What is written reads back equal, to the last bit, whatever the names and notes say."""
+"""Maps and recordings are read back bit for bit, with any names and notes."""
 
 import json
 import re
@@ -144,7 +144,7 @@ def test_recordings(folder: Path, suffix: str, recording: Recording) -> None:
 
 
 @pytest.mark.parametrize("k", [2, 3])
-def test_true_positions_stay_in_archives(tmp_path: Path, k: int) -> None:
+def test_archives_keep_true_positions(tmp_path: Path, k: int) -> None:
     positions = np.random.default_rng(k).random((4, k))
     recording = Recording(np.eye(4), positions=positions, units="mm")
     io.write(recording, tmp_path / "skin.npz")
@@ -155,7 +155,7 @@ def test_true_positions_stay_in_archives(tmp_path: Path, k: int) -> None:
     assert found.units == truth.units == "mm"
 
 
-def test_text_says_that_it_loses_the_true_positions(tmp_path: Path) -> None:
+def test_text_warns_that_it_drops_true_positions(tmp_path: Path) -> None:
     recording = Recording(np.eye(3), positions=np.eye(3))
     with pytest.warns(AnisomapWarning, match=r"cannot store positions.*\.npz"):
         io.write(recording, tmp_path / "skin.csv")
@@ -175,7 +175,7 @@ def test_json_is_strict(folder: Path, sensor_map: SensorMap) -> None:
     np.testing.assert_array_equal(unknown, np.isnan(sensor_map.positions).any(axis=1))
 
 
-def test_point_clouds_are_of_space(tmp_path: Path) -> None:
+def test_point_clouds_have_three_dimensions(tmp_path: Path) -> None:
     flat = SensorMap([[1.5, -2.5]], names=["a"])
     io.write(flat, tmp_path / "flat.ply")
     assert (tmp_path / "flat.ply").read_text().splitlines()[-1] == "1.5 -2.5 0.0 0.0 0.0 1.0 0 0"
@@ -183,7 +183,7 @@ def test_point_clouds_are_of_space(tmp_path: Path) -> None:
         io.write(SensorMap(np.eye(4)), tmp_path / "x.ply")
 
 
-def test_numpy_scalars_are_provenance_too(tmp_path: Path) -> None:
+def test_provenance_accepts_numpy_scalars(tmp_path: Path) -> None:
     provenance = {"seed": np.int64(3), "mu": np.float64(0.1), "on": np.bool_(True)}
     for suffix in (".csv", ".json", ".npz"):
         io.write(SensorMap(np.eye(2), provenance=provenance), tmp_path / f"map{suffix}")
@@ -191,21 +191,21 @@ def test_numpy_scalars_are_provenance_too(tmp_path: Path) -> None:
         assert dict(found) == {"seed": 3, "mu": 0.1, "on": True}
 
 
-def test_provenance_is_of_scalars(tmp_path: Path) -> None:
+def test_provenance_rejects_lists(tmp_path: Path) -> None:
     for suffix in (".csv", ".json", ".npz"):
         with pytest.raises(InputError, match="not list"):
             io.write(SensorMap(np.eye(2), provenance={"a": [1]}), tmp_path / f"map{suffix}")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_spreadsheet_may_pad_the_comments(tmp_path: Path, sensor_map: SensorMap) -> None:
+def test_comments_padded_by_a_spreadsheet(tmp_path: Path, sensor_map: SensorMap) -> None:
     path = tmp_path / "map.csv"
     io.write(sensor_map, path)
     path.write_text(re.sub("^(#.*)$", r"\1,,,,", path.read_text(), flags=re.MULTILINE))
     assert_same_map(io.read_map(path), sensor_map)
 
 
-def test_the_head_of_a_map_can_be_read_by_eye(tmp_path: Path, sensor_map: SensorMap) -> None:
+def test_comments_state_the_properties_of_a_map(tmp_path: Path, sensor_map: SensorMap) -> None:
     io.write(sensor_map, tmp_path / "map.csv")
     head = (tmp_path / "map.csv").read_text().split("\n")[:13]
     assert "known up to rotation, translation, scale and reflection" in head[0]
@@ -219,7 +219,7 @@ def test_the_head_of_a_map_can_be_read_by_eye(tmp_path: Path, sensor_map: Sensor
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".ply", ".pcd"])
-def test_what_coordinates_are_relative_to_is_always_written(
+def test_the_reference_frame_is_always_written(
     tmp_path: Path, sensor_map: SensorMap, suffix: str
 ) -> None:
     path = tmp_path / f"map{suffix}"

@@ -1,4 +1,4 @@
-"""Delimited text: one table in many dialects, and the place of everything that is wrong."""
+"""Delimited text: dialects, roles of columns, and the location of errors."""
 
 import gzip
 import logging
@@ -71,7 +71,7 @@ def test_trailing_delimiters(put: Put, header: str, header_tail: bool, tail: str
     np.testing.assert_array_equal(found.readings, READINGS)
 
 
-def test_comments_and_blank_lines_may_stand_anywhere(put: Put) -> None:
+def test_comments_and_blank_lines_are_skipped(put: Put) -> None:
     text = "# one\n\na,b\n# two\n1,2\n\n   \n3,4 # three\n# 5,6\n7,8"
     found = io.read(put("skin.csv", text))
     assert found.names == ("a", "b")
@@ -96,14 +96,14 @@ def test_one_sensor_and_one_frame(put: Put) -> None:
     assert io.read(put("x.txt", "5")).readings.tolist() == [[5]]
 
 
-def test_names_may_hold_anything_in_quotes(put: Put) -> None:
+def test_quoted_names(put: Put) -> None:
     found = io.read(put("x.csv", '"a, b", "say ""hi""","two\nlines",#4\n1,2,3,4\n5,6,7,8\n'))
     assert found.names == ("a, b", 'say "hi"', "two\nlines", "#4")
     found = io.read(put("x.txt", '"pad 1" "pad 2"\n1 2\n3 4\n'))
     assert found.names == ("pad 1", "pad 2")
 
 
-def test_columns_of_a_data_frame_are_a_header(put: Put) -> None:
+def test_default_labels_of_a_data_frame_are_a_header(put: Put) -> None:
     labels = "0,1,2,3\n"
     found = io.read(put("x.csv", labels + table(READINGS)))
     assert found.n_frames == len(READINGS)
@@ -138,7 +138,7 @@ def test_time_column_by_name(put: Put, name: str, per_second: float, caplog) -> 
 
 
 @pytest.mark.parametrize("name", ["t1", "s", "us", "tip", "sensor", "mst", "timer", "thumb", "ts0"])
-def test_sensors_whose_names_only_look_like_time(put: Put, name: str) -> None:
+def test_sensors_with_names_similar_to_time(put: Put, name: str) -> None:
     rising = np.column_stack([np.arange(30.0), READINGS[:, 0]])
     found = io.read(put("skin.csv", f"{name},b\n" + table(rising)))
     assert found.names == (name, "b")
@@ -146,7 +146,7 @@ def test_sensors_whose_names_only_look_like_time(put: Put, name: str) -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
-def test_unit_of_seconds_since_1970_is_told_by_size(put: Put, unit: float) -> None:
+def test_the_unit_of_seconds_since_1970_follows_from_magnitude(put: Put, unit: float) -> None:
     stamps = (1_700_000_000 + np.arange(30) * 0.25) * unit
     text = "timestamp,a\n" + "".join(f"{stamp:.3f},{i % 3}\n" for i, stamp in enumerate(stamps))
     assert io.read(put("skin.csv", text)).rate_hz == pytest.approx(4)
@@ -238,7 +238,7 @@ def test_single_cells_of_text_stay_errors(put: Put) -> None:
     assert "is not a number" in read_error(put("skin.csv", "a,b\nx,y\nz,w\n"))
 
 
-def test_a_finger_called_index_stays(put: Put) -> None:
+def test_a_finger_named_index_is_a_sensor(put: Put) -> None:
     found = io.read(put("hand.csv", "index,thumb,middle,ring\n" + table(READINGS)))
     assert found.names == ("index", "thumb", "middle", "ring")
 
@@ -262,7 +262,7 @@ def test_time_without_header(put: Put, caplog) -> None:
     assert "column 1" in caplog.text
 
 
-def test_counter_without_header_is_no_time(put: Put) -> None:
+def test_a_counter_without_header_is_not_time(put: Put) -> None:
     found = io.read(put("skin.csv", table(np.column_stack([np.arange(5, 35), READINGS]))))
     assert found.times is None
     np.testing.assert_array_equal(found.readings, READINGS)
@@ -277,13 +277,13 @@ def test_counter_without_header_is_no_time(put: Put) -> None:
         np.where(np.arange(30) == 0, np.nan, np.arange(30.0)),
     ],
 )
-def test_in_doubt_the_first_column_is_a_sensor(put: Put, first: np.ndarray) -> None:
+def test_an_unsteady_first_column_is_a_sensor(put: Put, first: np.ndarray) -> None:
     values = np.column_stack([first, READINGS])
     found = io.read(put("skin.csv", table(values)))
     np.testing.assert_array_equal(found.readings, values)
 
 
-def test_ramps_are_no_time(put: Put) -> None:
+def test_ramps_are_not_time(put: Put) -> None:
     ramps = np.arange(120.0).reshape(30, 4)
     np.testing.assert_array_equal(io.read(put("x.csv", table(ramps))).readings, ramps)
     few = np.column_stack([np.arange(5) / 10, READINGS[:5]])
@@ -291,7 +291,7 @@ def test_ramps_are_no_time(put: Put) -> None:
 
 
 @given(hnp.arrays(np.float64, (20, 3), elements=st.sampled_from([0.0, 1.0, 2.5])))
-def test_readings_that_rest_are_never_time(tmp_path_factory, values: np.ndarray) -> None:
+def test_readings_at_rest_are_not_time(tmp_path_factory, values: np.ndarray) -> None:
     path = tmp_path_factory.getbasetemp() / "resting.csv"
     path.write_text(table(values))
     found = io.read(path)
@@ -300,7 +300,7 @@ def test_readings_that_rest_are_never_time(tmp_path_factory, values: np.ndarray)
 
 
 @pytest.mark.parametrize(("bad", "line"), [("0.04", 8), ("", 8), ("0.01", 8), ("inf", 8)])
-def test_times_that_do_not_increase_are_not_kept(put: Put, bad: str, line: int) -> None:
+def test_times_that_do_not_increase_are_ignored(put: Put, bad: str, line: int) -> None:
     stamps = [f"{i / 50:g}" for i in range(30)]
     stamps[3] = bad
     rows = "".join(f"{stamp},{i % 2}\n" for i, stamp in enumerate(stamps))
@@ -319,7 +319,7 @@ def read_error(path: Path) -> str:
 
 
 @pytest.mark.parametrize("far", [2, 511, 512, 513, 1700])
-def test_where_a_line_is_ragged(put: Put, far: int) -> None:
+def test_lines_of_wrong_width_are_located(put: Put, far: int) -> None:
     lines = ["a,b,c", *["1,2,3"] * 2000]
     for wrong, count in (("1,2", 2), ("1,2,3,4", 4), ("7", 1), ("1,2,3,", 4)):
         lines[far - 1] = wrong
@@ -328,32 +328,32 @@ def test_where_a_line_is_ragged(put: Put, far: int) -> None:
         assert "the header names 3" in message
 
 
-def test_where_a_line_is_ragged_without_header(put: Put) -> None:
+def test_lines_of_wrong_width_are_located_without_header(put: Put) -> None:
     message = read_error(put("skin.csv", "# comment\n\n1 2 3\n4 5 6\n7 8\n"))
     assert "line 5 has 2 fields, but line 3 has 3" in message
 
 
-def test_a_file_that_changes_its_width_for_good(put: Put) -> None:
+def test_a_permanent_change_of_width_is_located(put: Put) -> None:
     message = read_error(put("skin.csv", "1,2,3\n" * 600 + "1,2\n" * 600))
     assert "line 601 has 2 fields, but line 1 has 3" in message
 
 
 @pytest.mark.parametrize("far", [2, 512, 513, 1700])
 @pytest.mark.parametrize("word", ["abc", "1.2.3", "0x1F", "1_000", "12:30", "--", "\u0661", "1 2"])
-def test_where_text_stands_for_a_number(put: Put, far: int, word: str) -> None:
+def test_text_instead_of_a_number_is_located(put: Put, far: int, word: str) -> None:
     lines = ["a,b,c", *["1,2,3"] * 2000]
     lines[far - 1] = f"1,{word},3"
     message = read_error(put("skin.csv", "\r\n".join(lines)))
     assert f"skin.csv, line {far}, column 2 (b): '{word}' is not a number" in message
 
 
-def test_where_text_stands_in_other_dialects(put: Put) -> None:
+def test_text_is_located_in_other_dialects(put: Put) -> None:
     assert "line 2, column 1: 'x,5' is not" in read_error(put("x.csv", "1,5;2,5\nx,5;3\n"))
     assert "line 3, column 2: 'four' is not" in read_error(put("x.txt", "1 2\n\n3 four\n5 6\n"))
     assert "line 2, column 2: 'x' is not" in read_error(put("x.csv", '"1","2"\n"3","x"\n'))
 
 
-def test_long_text_is_quoted_in_short(put: Put) -> None:
+def test_long_text_is_shortened_in_messages(put: Put) -> None:
     message = read_error(put("x.csv", "a,b\n1," + "x" * 10_000 + "\n"))
     assert "xxx..." in message
     assert len(message) < 400
@@ -386,12 +386,12 @@ def test_other_encodings(put: Put) -> None:
     assert "is UTF-16 text" in read_error(put("x.csv", "a,b\n1,2\n".encode("utf-16")))
 
 
-def test_zeros_in_the_middle(put: Put) -> None:
+def test_null_bytes_are_located(put: Put) -> None:
     far = b"1,2\n" * 20_000 + b"3,\0\0\n"
     assert "line 20001, column 2: '\\x00\\x00' is not a number" in read_error(put("x.csv", far))
 
 
-def test_of_a_gzip_that_ends_early_all_that_is_whole_is_read(put: Put) -> None:
+def test_truncated_gzip_files(put: Put) -> None:
     values = np.random.default_rng(0).integers(0, 256, (9000, 5))
     packed = gzip.compress(table(values).encode())
     for end in (len(packed) - 9, len(packed) // 2, 4000):
@@ -402,7 +402,7 @@ def test_of_a_gzip_that_ends_early_all_that_is_whole_is_read(put: Put) -> None:
     assert "damaged or cut short" in read_error(put("x.csv", packed[:20]))
 
 
-def test_a_last_line_that_was_cut_off(put: Put) -> None:
+def test_a_truncated_last_line(put: Put) -> None:
     with pytest.warns(AnisomapWarning, match=r"last line \(4\) is truncated in field 2 of 3"):
         found = io.read(put("x.csv", "a,b,c\n1,2,3\n4,5,6\n7,8"))
     assert found.readings.tolist() == [[1, 2, 3], [4, 5, 6]]
@@ -413,18 +413,18 @@ def test_a_last_line_that_was_cut_off(put: Put) -> None:
     assert "line 2 has 2 fields" in read_error(put("x.csv", "a,b,c\n1,2"))
 
 
-def test_quotation_marks_that_never_end(put: Put) -> None:
+def test_unbalanced_quotation_marks(put: Put) -> None:
     assert "unbalanced quotation marks" in read_error(put("x.csv", 'a,"b\n' + "1,2\n" * 10))
 
 
 @given(st.floats(allow_nan=False) | st.integers(-(10**6), 10**6))
-def test_numbers_are_those_of_python(value: float) -> None:
+def test_numbers_are_parsed_as_by_python(value: float) -> None:
     assert parse_number(f" {value!r} ") == value
 
 
 @given(st.text(max_size=6))
-def test_fast_and_careful_reading_agree(text: str) -> None:
-    """What numpy refuses is looked at again, so neither may take what the other would not."""
+def test_parsing_agrees_with_numpy(text: str) -> None:
+    """Lines that numpy rejects are parsed again, so both parsers must agree."""
     try:
         by_numpy = np.loadtxt([text], np.float64, comments=None, delimiter=",", ndmin=2)
     except (ValueError, UserWarning):
@@ -439,7 +439,7 @@ def test_wide_and_long_files(put: Put) -> None:
     np.testing.assert_array_equal(io.read(put("long.csv", table(long))).readings, long)
 
 
-def test_small_numbers_are_stored_small(put: Put) -> None:
+def test_exact_float32_readings_are_stored_as_float32(put: Put) -> None:
     assert io.read(put("x.csv", "0,0.5\n1,0\n")).readings.dtype == np.float32
     assert io.read(put("x.csv", "0,0.1\n1,0\n")).readings.dtype == np.float64
     assert io.read(put("x.csv", "0,1e300\n1,0\n")).readings.dtype == np.float64

@@ -1,4 +1,4 @@
-"""Positions that others wrote: tables with names and without, JSON, point clouds."""
+"""Positions written by other programs: tables, JSON and point clouds."""
 
 import json
 from collections.abc import Callable
@@ -114,7 +114,7 @@ def sensor(**changes: object) -> dict[str, object]:
     return {"name": "a", "position": [1.0, 2.0], **changes}
 
 
-def test_json_needs_no_more_than_positions(put: Put) -> None:
+def test_json_needs_only_positions(put: Put) -> None:
     found = io.read_map(put("map.json", json.dumps({"sensors": [{"position": [1, None]}]})))
     assert found.names == ("s0",)
     np.testing.assert_array_equal(found.positions, [[1, np.nan]])
@@ -153,7 +153,7 @@ def test_bad_json(put: Put, document: dict[str, object], message: str) -> None:
     assert message in str(caught.value)
 
 
-def test_where_json_is_broken(put: Put) -> None:
+def test_invalid_json_is_located(put: Put) -> None:
     with pytest.raises(FileError, match=r"map\.json, line 3, column 3: not valid JSON"):
         io.read_map(put("map.json", '{\n "sensors": [\n  }\n'))
 
@@ -176,7 +176,7 @@ end_header
 """
 
 
-def test_point_clouds_of_others(put: Put) -> None:
+def test_point_clouds_of_other_programs(put: Put) -> None:
     found = io.read_map(put("scan.ply", CLOUD))
     np.testing.assert_array_equal(found.positions, [[0, 0, 0], [1.5, 0, 0], [0, 2.5, 1e-3]])
     assert found.names == ("s0", "s1", "s2")

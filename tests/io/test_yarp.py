@@ -1,4 +1,4 @@
-"""What yarpdatadumper leaves: one stamp or two, brackets or none, and lines cut off."""
+"""Logs of yarpdatadumper: stamps, brackets, truncated lines and sessions."""
 
 import gzip
 from collections.abc import Callable
@@ -61,7 +61,7 @@ def test_gzipped(put: Put) -> None:
     np.testing.assert_array_equal(found.readings, READINGS)
 
 
-def test_the_receiver_steps_in_where_the_sender_has_no_clock(put: Put) -> None:
+def test_receiver_stamps_replace_constant_sender_stamps(put: Put) -> None:
     found = io.read(put("data.log", log(np.full(40, SENT[0]), SENT)))
     np.testing.assert_array_equal(found.times, np.arange(40) / 64)
 
@@ -75,18 +75,18 @@ def test_stamps_that_do_not_increase(put: Put) -> None:
     np.testing.assert_array_equal(found.readings, READINGS)
 
 
-def test_values_as_large_as_they_get_are_no_stamps(put: Put) -> None:
+def test_large_values_are_not_stamps(put: Put) -> None:
     text = "".join(f"{i} {stamp:.6f} {1e6 + i} {i}\n" for i, stamp in enumerate(SENT))
     assert io.read(put("data.log", text)).n_sensors == 2
 
 
-def test_a_table_called_data_log(put: Put) -> None:
+def test_a_table_named_data_log(put: Put) -> None:
     found = io.read(put("data.log", "time,a,b\n0.1,1,2\n0.2,3,4\n"))
     assert found.names == ("a", "b")
     assert "format" not in found.metadata
 
 
-def test_last_line_cut_off(put: Put) -> None:
+def test_truncated_last_line(put: Put) -> None:
     whole = log(SENT)
     cut = whole[: whole.rindex(" ") - 3]
     with pytest.warns(AnisomapWarning, match=r"line \(40\) is truncated in field 7.*39 frames"):
@@ -96,13 +96,13 @@ def test_last_line_cut_off(put: Put) -> None:
     assert len(found.times) == 39
 
 
-def test_last_line_cut_inside_brackets(put: Put) -> None:
+def test_last_line_truncated_inside_brackets(put: Put) -> None:
     with pytest.warns(AnisomapWarning, match=r"line \(40\) is truncated"):
         found = io.read(put("data.log", log(SENT, brackets=True).rstrip("\n)")))
     np.testing.assert_array_equal(found.readings, READINGS[:-1])
 
 
-def test_a_missing_newline_is_no_damage(put: Put) -> None:
+def test_a_missing_newline_is_not_damage(put: Put) -> None:
     assert io.read(put("data.log", log(SENT).rstrip("\n"))).n_frames == 40
 
 
@@ -122,9 +122,9 @@ def test_damage_elsewhere_is_an_error(put: Put, damage, message: str) -> None:
         io.read(put("data.log", "\n".join(lines)))
 
 
-def test_stamps_and_nothing_else(put: Put) -> None:
+def test_stamps_without_values(put: Put) -> None:
     text = "".join(f"{i} {stamp:.6f} {stamp:.6f}\n" for i, stamp in enumerate(SENT))
-    assert io.read(put("data.log", text)).n_sensors == 1, "one value as large as a stamp"
+    assert io.read(put("data.log", text)).n_sensors == 1, "a single value that resembles a stamp"
     with pytest.raises(FileError, match="stamps, but no values"):
         io.read(put("data.log", "".join(f"{i} {s:.6f} ()\n" for i, s in enumerate(SENT))))
 
@@ -137,7 +137,7 @@ def session(put: Put, tmp_path: Path, **ports: str) -> Path:
     return tmp_path / "run"
 
 
-def test_a_session_with_one_port_is_that_port(put: Put, tmp_path: Path) -> None:
+def test_a_session_with_one_port(put: Put, tmp_path: Path) -> None:
     found = io.read(session(put, tmp_path, left_hand=log(SENT)))
     np.testing.assert_array_equal(found.readings, READINGS)
     assert found.metadata["port"] == "/icub/skin/left_hand"
@@ -158,7 +158,7 @@ def test_a_session_with_several_ports(put: Put, tmp_path: Path, select: str) -> 
 
 
 @pytest.mark.parametrize("late", [-0.5, -0.004, 0.0, 0.004, 0.31])
-def test_ports_are_joined_by_what_was_read_last(put: Put, tmp_path: Path, late: float) -> None:
+def test_ports_are_joined_by_latest_readings(put: Put, tmp_path: Path, late: float) -> None:
     folder = session(put, tmp_path, torso=log(SENT), arm=log(SENT + late))
     options = io.ReadOptions(select="torso, arm")
     found = io.read(folder, options=options)
@@ -175,14 +175,14 @@ def test_ports_are_joined_by_what_was_read_last(put: Put, tmp_path: Path, late: 
     np.testing.assert_array_equal(in_blocks, expected)
 
 
-def test_ports_that_never_ran_together(put: Put, tmp_path: Path) -> None:
+def test_ports_that_do_not_overlap(put: Put, tmp_path: Path) -> None:
     folder = session(put, tmp_path, torso=log(SENT), arm=log(SENT + 100))
     with pytest.raises(FileError, match="the recordings torso, arm do not overlap in time"):
         io.read(folder, options=io.ReadOptions(select="torso,arm"))
 
 
-def test_the_receiver_steps_in_where_the_sender_falls_back_late(put: Put) -> None:
-    """The stamps are all right in all that is looked at before reading."""
+def test_receiver_stamps_replace_sender_stamps_that_step_back(put: Put) -> None:
+    """The sender's stamps are valid in the rows inspected before reading."""
     lines = [
         f"{i} {1.3e9 + t - (i == 1500):.2f} {1.3e9 + t + 0.01:.2f} {i % 9} 2\n"
         for i, t in enumerate(np.arange(2000) / 50)
