@@ -39,7 +39,9 @@ def rolling():
     return rolled(1)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
+)
 def test_a_rolling_cylinder_keeps_its_length(seed, rolling):
     recording = rolling if seed == 1 else rolled(seed)
     plain = mapped(recording)

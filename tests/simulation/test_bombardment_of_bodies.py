@@ -18,6 +18,7 @@ def mean_lag_correlation(readings: np.ndarray) -> float:
     return float(np.nanmean(products / np.maximum(centred.var(axis=0), 1e-12)))
 
 
+@pytest.mark.slow
 def test_energy_and_rhythm_last_for_20_000_frames() -> None:
     recording = simulate(n_frames=20_000, seed=11)
     assert float(recording.metadata["energy_drift"]) < 0.02

@@ -74,6 +74,7 @@ def test_it_lies_on_the_ground_and_not_in_it(journey: Any) -> None:
         assert -0.03 < lowest < 0.1  # it may be in the air for a moment
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("make", [sphere, cylinder])
 def test_all_of_it_touches_the_ground_over_a_run(make: Any, seed: int) -> None:
