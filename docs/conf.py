@@ -22,7 +22,7 @@ author = "The anisomap developers"
 copyright = "2026, the anisomap developers"
 release = __version__
 
-extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc"]
+extensions = ["cyclopts.sphinx_ext", "myst_parser", "numpydoc", "sphinx.ext.autodoc"]
 source_suffix = {".md": "markdown", ".ipynb": "markdown"}
 exclude_patterns = ["_build", "*-table.md"]  # tables are included by other pages
 myst_enable_extensions = ["deflist", "dollarmath", "amsmath", "colon_fence"]
