@@ -108,7 +108,7 @@ def test_gradients_by_contacts_equal_finite_differences(dimensions):
         lambda p: evaluate(contacts, places, p.reshape(shape), PROFILE).scores.sum(),
         1e-6,
     )
-    np.testing.assert_allclose(found.pulls.ravel(), expected, atol=1e-4)
+    np.testing.assert_allclose(found.gradients.ravel(), expected, atol=1e-4)
     assert (np.linalg.eigvalsh(found.precisions) > 0).all()
 
 
@@ -116,7 +116,7 @@ def test_gradients_by_contacts_equal_finite_differences(dimensions):
 def test_the_reduced_gradient_equals_finite_differences(dimensions):
     places, contacts, states = some_contacts(dimensions)
     located = locate(contacts, places, states, PROFILE, steps=500)
-    assert np.abs(located.pulls).max() < 0.05
+    assert np.abs(located.gradients).max() < 0.05
     kept = np.array([True, True, False, True, True])
     gradient = ReducedSystem(contacts, located, kept, len(places)).gradient
     expected = approx_fprime(
@@ -138,7 +138,7 @@ def test_the_reduced_curvature_is_the_schur_complement_and_steps_solve_it(dimens
     reduced = ReducedSystem(contacts, fitted, np.ones(5, dtype=bool), 12)
     size, width = places.size, dimensions + 1
     whole = np.zeros((size + states.size,) * 2)
-    pulls = np.zeros(len(whole))
+    gradients = np.zeros(len(whole))
     for m, (sensor, contact) in enumerate(
         zip(contacts.sensors, contacts.contact_index, strict=True)
     ):
@@ -147,16 +147,18 @@ def test_the_reduced_curvature_is_the_schur_complement_and_steps_solve_it(dimens
         at = size + contact * width
         row[at : at + width] = fitted.directions[m]
         whole += fitted.curvatures[m] * np.outer(row, row)
-        pulls += fitted.slopes[m] * row
+        gradients += fitted.slopes[m] * row
     for contact in range(5):
         at = slice(size + contact * width, size + (contact + 1) * width)
         whole[at, at] = fitted.precisions[contact]  # with what is known of reaches
-        pulls[at] = fitted.pulls[contact]
+        gradients[at] = fitted.gradients[contact]
     back = np.linalg.solve(whole[size:, size:], whole[size:, :size])
     expected = whole[:size, :size] - whole[:size, size:] @ back
     dense = np.column_stack([reduced.curvature(column) for column in np.eye(size)])
     np.testing.assert_allclose(dense, expected, atol=1e-9)
-    np.testing.assert_allclose(reduced.gradient, pulls[:size] - back.T @ pulls[size:], atol=1e-9)
+    np.testing.assert_allclose(
+        reduced.gradient, gradients[:size] - back.T @ gradients[size:], atol=1e-9
+    )
     strays = np.random.default_rng(0).normal(size=places.shape)
     step = reduced.step(strays, contact_weight=0.3, prior_sd=0.5)
     damped = 0.3 * dense + 4 * np.eye(size)

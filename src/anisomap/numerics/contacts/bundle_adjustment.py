@@ -33,7 +33,7 @@ class ReducedSystem:
     Notes
     -----
     Let row m of P hold the gradient of u_m by all positions and row m of Q that by all contacts,
-    h the curvatures, g the slopes, C the contacts' precisions and c their pulls. Second
+    h the curvatures, g the slopes, C the contacts' precisions and c their gradients. Second
     derivatives of u are neglected (Gauss-Newton). Eliminating the contacts leaves the Schur
     complement (Triggs et al. 2000, Bundle Adjustment - A Modern Synthesis, section 6.1) ::
 
@@ -56,23 +56,23 @@ class ReducedSystem:
     def _inverse(self) -> Matrix:
         return np.asarray(np.linalg.inv(self._located.precisions))
 
-    def _contact_response(self, contact_pulls: Matrix) -> Matrix:
+    def _contact_response(self, contact_gradients: Matrix) -> Matrix:
         """``h Q C^-1 c`` for any c of shape (E, k + 1)."""
-        steps = np.einsum("eij,ej->ei", self._inverse, contact_pulls)
+        steps = np.einsum("eij,ej->ei", self._inverse, contact_gradients)
         return np.asarray(self._h * (self._by_contact @ steps.ravel()))
 
     @property
     def gradient(self) -> Matrix:
         """Gradient of the score by the positions, shape (N k,)."""
         return np.asarray(
-            self._by_position.T @ (self._g - self._contact_response(self._located.pulls))
+            self._by_position.T @ (self._g - self._contact_response(self._located.gradients))
         )
 
     def curvature(self, steps: Matrix) -> Matrix:
         """Multiply the curvature by displacements of all sensors, shape (N k,)."""
         along = self._h * (self._by_position @ steps.ravel())
-        pulls = (self._by_contact.T @ along).reshape(self._located.pulls.shape)
-        return np.asarray(self._by_position.T @ (along - self._contact_response(pulls)))
+        gradients = (self._by_contact.T @ along).reshape(self._located.gradients.shape)
+        return np.asarray(self._by_position.T @ (along - self._contact_response(gradients)))
 
     def step(self, deviations: Matrix, *, contact_weight: float, prior_sd: float) -> Matrix:
         """Return the damped Gauss-Newton step of the score plus the prior around the start.

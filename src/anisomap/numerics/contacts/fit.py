@@ -314,7 +314,7 @@ def _relocated(contacts: Contacts, state: _State) -> _State:
     states[:, -1] -= shift
     reaches = states[kept, -1]
     reach = float(reaches.mean())
-    certain = np.linalg.inv(located.precisions[kept])[:, -1, -1] / state.profile.spread**2
+    certain = np.linalg.inv(located.precisions[kept])[:, -1, -1] / state.profile.reach_sd**2
     determined = max(float((1 - np.minimum(certain, 1)).sum()), 1e-3 * len(reaches))
     reach_sd = float(np.sqrt(((reaches - reach) ** 2).sum() / determined))
     profile = Profile(

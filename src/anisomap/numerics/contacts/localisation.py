@@ -32,7 +32,7 @@ class LocatedContacts:
         Centre y and reach R of each contact.
     scores : ndarray of shape (E,)
         Log-likelihood of each contact's readings and reach.
-    pulls : ndarray of shape (E, k + 1)
+    gradients : ndarray of shape (E, k + 1)
         Gradient of the scores by the states, nearly 0 after `locate`.
     precisions : ndarray of shape (E, k + 1, k + 1)
         Negative Hessian of the scores (Gauss-Newton), positive definite.
@@ -47,7 +47,7 @@ class LocatedContacts:
 
     states: Matrix
     scores: Matrix
-    pulls: Matrix
+    gradients: Matrix
     precisions: Matrix
     inside: Matrix
     directions: Matrix
@@ -65,17 +65,17 @@ def evaluate(
     directions = np.column_stack([offsets / distances[:, None], np.ones(len(offsets))])
     inside = states[contacts.contact_index, k] - distances
     score, slopes, curvatures = level_log_likelihood(contacts.levels, inside, profile)
-    deviations = (states[:, k] - profile.reach) / profile.spread
-    pulls = contacts.total(slopes[:, None] * directions)
-    pulls[:, k] -= deviations / profile.spread
+    deviations = (states[:, k] - profile.reach) / profile.reach_sd
+    gradients = contacts.total(slopes[:, None] * directions)
+    gradients[:, k] -= deviations / profile.reach_sd
     precisions = contacts.total(
         curvatures[:, None, None] * directions[:, :, None] * directions[:, None, :]
     )
-    prior = np.append(np.full(k, _PRIOR_PRECISION / profile.softness**2), profile.spread**-2)
+    prior = np.append(np.full(k, _PRIOR_PRECISION / profile.softness**2), profile.reach_sd**-2)
     precisions += np.diag(prior)
     scores = contacts.total(score) - deviations**2 / 2
     return LocatedContacts(
-        states, scores, pulls, precisions, inside, directions, slopes, curvatures
+        states, scores, gradients, precisions, inside, directions, slopes, curvatures
     )
 
 
@@ -104,7 +104,7 @@ def locate(
     for _ in range(steps):
         damped = best.precisions.copy()
         damped[:, diagonal, diagonal] *= 1 + damping[:, None]
-        shifts = np.linalg.solve(damped, best.pulls[:, :, None])[:, :, 0]
+        shifts = np.linalg.solve(damped, best.gradients[:, :, None])[:, :, 0]
         candidate = evaluate(contacts, positions, best.states + shifts, profile)
         gain = candidate.scores - best.scores
         best = select(contacts, gain > 0, candidate, best)
@@ -126,7 +126,7 @@ def select(
     return LocatedContacts(
         merged(first, one.states, other.states),
         merged(first, one.scores, other.scores),
-        merged(first, one.pulls, other.pulls),
+        merged(first, one.gradients, other.gradients),
         merged(first, one.precisions, other.precisions),
         merged(by_reading, one.inside, other.inside),
         merged(by_reading, one.directions, other.directions),

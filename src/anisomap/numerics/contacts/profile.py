@@ -32,14 +32,14 @@ class Profile:
     thresholds : ndarray of shape (L,)
         Increasing; the first is 0.
     softness : float
-    reach, spread : float
+    reach, reach_sd : float
         Mean and standard deviation of R over contacts.
     """
 
     thresholds: Matrix
     softness: float
     reach: float
-    spread: float
+    reach_sd: float
 
     def scaled(self, factor: float) -> Profile:
         """Return the profile with all lengths multiplied by a factor."""
@@ -47,7 +47,7 @@ class Profile:
             self.thresholds * factor,
             self.softness * factor,
             self.reach * factor,
-            self.spread * factor,
+            self.reach_sd * factor,
         )
 
 
@@ -116,7 +116,7 @@ def fit_profile(
         options={"maxiter": _MAX_ITERATIONS},
     )
     thresholds, softness = _unpack(found.x)
-    return Profile(thresholds, softness, profile.reach, profile.spread)
+    return Profile(thresholds, softness, profile.reach, profile.reach_sd)
 
 
 def negative_log_likelihood(
@@ -130,8 +130,8 @@ def negative_log_likelihood(
     n_levels = len(thresholds)
     at_least, above, lower, upper = _probabilities(levels, inside, thresholds, softness)
     _, total = _with_outliers(at_least, above, n_levels)
-    pull = weights * (1 - OUTLIER_SHARE) / total
-    falls, rises = pull * at_least * (1 - at_least), pull * above * (1 - above)
+    slope = weights * (1 - OUTLIER_SHARE) / total
+    falls, rises = slope * at_least * (1 - at_least), slope * above * (1 - above)
     by_threshold = (
         np.bincount(levels + 1, rises, n_levels + 2) - np.bincount(levels, falls, n_levels + 2)
     )[1:-1] / softness
