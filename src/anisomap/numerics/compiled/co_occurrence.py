@@ -19,7 +19,7 @@ Counts = NDArray[np.uint32]
 WORDS = 256
 """Words of a series counted at a time: a panel of 96 series then fits into a second-level cache."""
 
-# Constants of the population count of 64 bits (Warren 2012, Hacker's Delight, figure 5-2), which
+# Constants of the population count of 64 bits (Warren 2012, Hacker's Delight, section 5-1), which
 # LLVM recognises and vectorises.
 _ONES, _TWOS = np.uint64(1), np.uint64(2)
 _FOURS, _TOP = np.uint64(4), np.uint64(56)

@@ -7,26 +7,26 @@ from numpy.typing import NDArray
 
 from anisomap.numerics.compiled.jit import loop
 
-Ints = NDArray[np.int64]
-
 
 @loop()
-def count_shared(offsets: Ints, ends: Ints, shared: Ints) -> None:
-    """Count, for each edge of a graph, the common neighbours of its ends.
+def count_shared(
+    offsets: NDArray[np.int64], ends: NDArray[np.uint32], shared: NDArray[np.int64]
+) -> None:
+    """Count, for each edge of a graph, the common neighbours of its two ends.
 
-    The edges of node u lead to ``ends[offsets[u]:offsets[u + 1]]``, in increasing order. Counts
-    are added to `shared`, shaped like `ends`.
+    The edges of node u lead to ``ends[offsets[u]:offsets[u + 1]]``; `shared` has the shape of
+    `ends`. Unsigned numbers of nodes save the check for negative indices.
     """
+    is_neighbour = np.zeros(len(offsets) - 1, np.uint8)
     for i in range(len(offsets) - 1):
         for edge in range(offsets[i], offsets[i + 1]):
+            is_neighbour[ends[edge]] = 1
+        for edge in range(offsets[i], offsets[i + 1]):
             j = ends[edge]
-            a, b = offsets[i], offsets[j]
-            while a < offsets[i + 1] and b < offsets[j + 1]:
-                if ends[a] == ends[b]:
-                    shared[edge] += 1
-                    a += 1
-                    b += 1
-                elif ends[a] < ends[b]:
-                    a += 1
-                else:
-                    b += 1
+            others = ends[offsets[j] : offsets[j + 1]]
+            total = np.uint32(0)
+            for k in range(others.size):
+                total += is_neighbour[others[k]]
+            shared[edge] = total
+        for edge in range(offsets[i], offsets[i + 1]):
+            is_neighbour[ends[edge]] = 0

@@ -17,7 +17,7 @@ WIDTH = 512  # columns at a time, which fit into the first-level cache
 
 
 @loop()
-def shorten(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Range) -> None:
+def min_plus(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Range) -> None:
     """Lower ``paths[i, j]`` to the least ``left[i, k] + right[k, j]``, a (min, +) product.
 
     Only the given `rows` and `columns` of `paths` are used.
@@ -45,7 +45,7 @@ def shorten(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Range
 
 
 @loop()
-def close(paths: Reals) -> None:
+def floyd_warshall(paths: Reals) -> None:
     """Replace lengths by those of shortest paths, by the Floyd-Warshall algorithm."""
     for k in range(len(paths)):
         for i in range(len(paths)):
@@ -54,7 +54,7 @@ def close(paths: Reals) -> None:
 
 
 @loop()
-def nearest(lengths: Reals, count: int) -> Ints:
+def nearest_edges(lengths: Reals, count: int) -> Ints:
     """Return the ends of the `count` shortest edges of each node; the node itself if fewer."""
     n_nodes = len(lengths)
     ends = np.empty((n_nodes, count), np.int64)

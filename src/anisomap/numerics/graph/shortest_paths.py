@@ -117,7 +117,7 @@ def are_shortest(paths: Reals, lengths: Reals) -> bool:
     sources = np.unique(np.linspace(0, len(paths) - 1, N_CHECKED).astype(int))
     chosen = paths[sources]
     shorter = chosen.copy()
-    load_loops("paths").shorten(shorter, chosen, lengths, (0, len(chosen)), (0, len(paths)))
+    load_loops("paths").min_plus(shorter, chosen, lengths, (0, len(chosen)), (0, len(paths)))
     return bool((shorter >= chosen * (1 - ROUNDING[paths.dtype.type])).all())
 
 
@@ -142,17 +142,17 @@ def through_all_nodes(lengths: Reals, *, tile: int = TILE) -> Reals:
     with parallel_map(n_nodes) as map_threads:
         for nodes in _blocks(n_nodes, tile):
             within = paths[nodes, nodes].copy()
-            loops.close(within)
+            loops.floyd_warshall(within)
             direct = np.hstack([paths[: nodes.start, nodes].T, within, paths[nodes, nodes.stop :]])
             from_tile = direct.copy()
-            loops.shorten(from_tile, within, direct, (0, len(within)), (0, n_nodes))
+            loops.min_plus(from_tile, within, direct, (0, len(within)), (0, n_nodes))
             to_tile = np.ascontiguousarray(from_tile.T)
 
             def shorten(
                 rows: slice, to_tile: Reals = to_tile, from_tile: Reals = from_tile
             ) -> None:
                 upper = (rows.start, n_nodes)
-                loops.shorten(paths, to_tile, from_tile, (rows.start, rows.stop), upper)
+                loops.min_plus(paths, to_tile, from_tile, (rows.start, rows.stop), upper)
 
             map_threads(shorten, _blocks(n_nodes, 2 * tile))
     for rows in _blocks(n_nodes, 2 * tile):
@@ -162,7 +162,7 @@ def through_all_nodes(lengths: Reals, *, tile: int = TILE) -> Reals:
 
 def nearest_edges(lengths: Reals, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the start and end nodes of the shortest edges of each node."""
-    ends = np.asarray(load_loops("paths").nearest(lengths, count))
+    ends = np.asarray(load_loops("paths").nearest_edges(lengths, count))
     return np.repeat(np.arange(len(lengths)), count), ends.ravel()
 
 

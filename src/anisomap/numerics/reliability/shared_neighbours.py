@@ -13,7 +13,8 @@ from anisomap.numerics.compiled.parallel import load_loops
 MIN_SHARED = 0.3
 """Minimum share of the neighbours that adjacent sensors have in common.
 
-On a line adjacent sensors share half of their neighbours, in a plane a third or more.
+On a line adjacent sensors share half of their neighbours, in a plane a third or more: the limit
+is just below.
 """
 
 
@@ -28,10 +29,9 @@ def count_shared_neighbours(graph: csr_array[Any, tuple[int, int]]) -> NDArray[n
     Returns
     -------
     ndarray of int64, shape (n_edges,)
-        In the order of ``graph.indices``, which is sorted in place.
+        In the order of ``graph.indices``.
     """
-    graph.sort_indices()
     shared = np.zeros(graph.nnz, dtype=np.int64)
-    offsets, ends = graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
+    offsets, ends = graph.indptr.astype(np.int64), graph.indices.astype(np.uint32)
     load_loops("neighbours").count_shared(offsets, ends, shared)
     return shared

@@ -164,7 +164,7 @@ def joint_logarithms(
         sum_logarithms(panel, tallies, start, stop, joint)
 
     _for_each_panel(codes, layout, counting, add)
-    np.fill_diagonal(joint, own_logarithms(marginals, layout.first, n_frames))
+    np.fill_diagonal(joint, _marginal_logarithms(marginals, layout.first, n_frames))
     mirror(joint, upper=True)
     return joint
 
@@ -189,7 +189,7 @@ def joint_logarithms_of_counts(
         See `joint_logarithms`.
     """
     marginals = np.diag(counts).astype(np.int64)
-    own = own_logarithms(marginals, first, n_frames)
+    own = _marginal_logarithms(marginals, first, n_frames)
     joint: NDArray[np.float64] = np.add.outer(own, own) - float(xlogy(n_frames, n_frames))
     varying = np.flatnonzero(np.diff(first))
     begins = first[varying]
@@ -207,7 +207,7 @@ def joint_logarithms_of_counts(
     return joint
 
 
-def own_logarithms(
+def _marginal_logarithms(
     marginals: NDArray[np.int64], first: NDArray[np.int64], n_frames: int
 ) -> NDArray[np.float64]:
     """Sum n log n over the counts of all codes of each sensor, the reference included, (N,)."""
