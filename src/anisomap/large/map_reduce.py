@@ -29,13 +29,13 @@ class WorkerPool:
     Parameters
     ----------
     n_workers : int
-        Number of threads of this process; 1 for none besides the calling one.
+        Number of threads of this process, as `n_jobs` of joblib; 1 to use the calling one alone.
     scheduler : str
         Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers are used instead.
 
     Notes
     -----
-    With `n_workers` above 1, a joblib backend chosen around the call is used, for example
+    With another `n_workers` than 1, a joblib backend chosen around the call is used, for example
     ``joblib.parallel_config("loky")`` for processes. Threads are the default: the costly operations
     release the interpreter's lock, and no data are copied.
 
@@ -119,7 +119,7 @@ def _results(chunks: Iterable[NDArray[Any]], mapper: Mapper, pool: WorkerPool) -
     """Yield what `mapper` makes of each chunk, in their order."""
     if pool.scheduler:
         return _on_dask(chunks, mapper, pool.scheduler)
-    if pool.n_workers > 1:
+    if pool.n_workers != 1:
         return _on_joblib(chunks, mapper, pool.n_workers)
     return map(mapper, chunks)
 

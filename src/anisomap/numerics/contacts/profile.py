@@ -130,8 +130,8 @@ def negative_log_likelihood(
     n_levels = len(thresholds)
     at_least, above, lower, upper = _probabilities(levels, inside, thresholds, softness)
     _, total = _with_outliers(at_least, above, n_levels)
-    slope = weights * (1 - OUTLIER_SHARE) / total
-    falls, rises = slope * at_least * (1 - at_least), slope * above * (1 - above)
+    scale = weights * (1 - OUTLIER_SHARE) / total
+    falls, rises = scale * at_least * (1 - at_least), scale * above * (1 - above)
     by_threshold = (
         np.bincount(levels + 1, rises, n_levels + 2) - np.bincount(levels, falls, n_levels + 2)
     )[1:-1] / softness
