@@ -1,11 +1,12 @@
-"""One bombardment, flown once and looked at by many tests."""
+"""Bodies and a bombardment that many tests share."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from anisomap.simulation.bodies import Body
+from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bodies.lattice import sphere
 from anisomap.simulation.physics.bombardment import BombardmentOptions, Flight, simulate_flight
 
@@ -23,3 +24,9 @@ def bombarded() -> Bombarded:
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     body, options = sphere(), BombardmentOptions()
     return Bombarded(body, options, simulate_flight(body, 2000, options, np.random.default_rng(1)))
+
+
+@pytest.fixture(scope="session")
+def bodies() -> Mapping[str, Body]:
+    """All bodies by name, made once."""
+    return {name: make() for name, make in BODIES.items()}

@@ -119,6 +119,7 @@ def test_normals_are_used_unless_they_contradict_the_positions() -> None:
     assert (np.einsum("nd,nd->n", body.normals, ball.normals) > 0.9).all()
 
 
+@pytest.mark.slow
 def test_the_leg_of_a_robot_is_simulated_from_its_positions(recordings_folder: Path) -> None:
     path = recordings_folder.parent / "geometry" / "icub_left_leg_upper.npz"
     if not path.exists():

@@ -121,7 +121,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(
 
 
 @pytest.mark.parametrize("scenario", OF_TOUCH)
-@pytest.mark.parametrize("body", ["cylinder", "y-shape"])
+@pytest.mark.parametrize("body", ["cylinder", pytest.param("y-shape", marks=pytest.mark.slow)])
 def test_a_default_run_touches_every_sensor_and_leaves_most_of_them_alone(
     body: str, scenario: str
 ) -> None:
@@ -133,7 +133,6 @@ def test_a_default_run_touches_every_sensor_and_leaves_most_of_them_alone(
     assert 0.2 < 1 - touched.mean() < 0.98
     assert 0 < (~touched.any(axis=1)).mean() < 0.5  # now and then, nothing is in range
     assert len(run.readings) == 2000
-    assert run.readings.shape[1] == run.sensors.shape[1]
 
 
 @pytest.mark.parametrize("scenario", KINEMATIC)
@@ -170,7 +169,7 @@ def test_pressing_deeper_never_lowers_a_reading(
 def test_rubbing_the_hexagon_gives_a_map_as_good_as_the_papers_hardware() -> None:
     recording = simulate("hexagon", "rubbing", n_frames=1054, seed=1)
     assert recording.positions is not None
-    assert score(reconstruct(recording, dimensions=2), recording.positions).mantel.r > 0.9
+    assert score(reconstruct(recording, "r-anisomap", 2), recording.positions).mantel.r > 0.9
 
 
 def test_the_palm_is_rigid_irregular_and_another_one_with_another_seed() -> None:

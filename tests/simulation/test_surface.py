@@ -1,5 +1,6 @@
 """Sensors spread over surfaces, and distances along them."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
-from anisomap.simulation.bodies import BODIES
+from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bodies.geodesics import surface_distances
 from anisomap.simulation.bodies.lattice import cylinder, great_circles, plane, sphere
 from anisomap.simulation.bodies.poisson_disc import MAX_DENSITY, covered, uneven_sphere
@@ -58,8 +59,10 @@ def test_where_the_density_is_zero_there_is_no_sensor() -> None:
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_the_way_along_the_surface_is_no_shorter_than_the_straight_line(name: str) -> None:
-    body = BODIES[name]()
+def test_the_way_along_the_surface_is_no_shorter_than_the_straight_line(
+    name: str, bodies: Mapping[str, Body]
+) -> None:
+    body = bodies[name]
     found = surface_distances(body)
     assert found is not None
     straight = squareform(pdist(body.positions))
@@ -93,8 +96,8 @@ def test_shortest_paths_agree_with_closed_forms() -> None:
     np.testing.assert_allclose(found, squareform(pdist(flat.positions)), rtol=0.04, atol=1e-12)
 
 
-def test_a_hole_is_walked_around() -> None:
-    body = BODIES["holed-plate"]()
+def test_a_hole_is_walked_around(bodies: Mapping[str, Body]) -> None:
+    body = bodies["holed-plate"]
     found = surface_distances(body)
     assert found is not None
     ratio = found / np.maximum(squareform(pdist(body.positions)), 1e-9)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
@@ -12,20 +14,22 @@ from anisomap.simulation.bodies.body import Body, nearest_neighbours
 from anisomap.simulation.geometry.solids import Points
 from anisomap.simulation.geometry.spreading import sample_surface
 
+_SEED = 0
 _N_SAMPLES = 6000
 _N_NEIGHBOURS = 100  # with fewer, zigzag paths are longer by some per cent
 _MAX_SAG = 0.15  # x chord: largest distance of the middle of an edge from the surface
 _MIN_FACING = -0.5  # cosine between the normals at the ends of an edge
 
+# Simulating one body with many seeds needs its distances each time.
+_computed: WeakKeyDictionary[Body, NDArray[np.float64]] = WeakKeyDictionary()
 
-def surface_distances(body: Body, rng: np.random.Generator | int = 0) -> NDArray[np.float64] | None:
+
+def surface_distances(body: Body) -> NDArray[np.float64] | None:
     """Compute geodesic distances between the sensors of a body.
 
     Parameters
     ----------
     body : Body
-    rng : numpy.random.Generator or int
-        Draws sample points of the surface.
 
     Returns
     -------
@@ -34,13 +38,21 @@ def surface_distances(body: Body, rng: np.random.Generator | int = 0) -> NDArray
         between disconnected parts. Exact where the body has a closed form. Otherwise, lengths of
         shortest paths on a graph of surface points, joined to their neighbours unless the straight
         line leaves the surface; within 4 % of the truth on spheres, cylinders and plates, and
-        mostly within 1 %.
+        mostly within 1 %. Reproducible.
     """
     if not body.is_whole:
         return None
     if body.geodesic is not None:
         return body.geodesic(body.positions)
-    drawn, drawn_normals = sample_surface(body.solids, _N_SAMPLES, np.random.default_rng(rng))
+    if body not in _computed:
+        _computed[body] = _shortest_paths(body)
+        _computed[body].setflags(write=False)
+    return _computed[body]
+
+
+def _shortest_paths(body: Body) -> NDArray[np.float64]:
+    """Compute shortest paths over points of the surface, shape (N, N)."""
+    drawn, drawn_normals = sample_surface(body.solids, _N_SAMPLES, np.random.default_rng(_SEED))
     points, normals = np.vstack([body.positions, drawn]), np.vstack([body.normals, drawn_normals])
     lengths, neighbours = nearest_neighbours(points, _N_NEIGHBOURS)
     edges = np.column_stack([np.repeat(np.arange(len(points)), _N_NEIGHBOURS), neighbours.ravel()])
