@@ -2,7 +2,7 @@
 
 `registry` lists every format and dispatches `read`, `read_map`, `open_stream` and `write` to it;
 `format` describes a format, and `stream` the blocks in which recordings are read. `recordings`,
-`maps` and `ros` hold one module per format, and `parsing` what they fraction. A new format is one
+`maps` and `ros` hold one module per format, and `parsing` the code they share. A new format is one
 module with its readers and writers, and one line in `registry.FORMATS`.
 """
 

@@ -22,7 +22,7 @@ import numpy as np
 from anisomap.errors import FileError
 from anisomap.io.parsing import comments, delimited
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
-from anisomap.io.parsing.source import open_text, quoted
+from anisomap.io.parsing.source import open_text, quote
 from anisomap.io.parsing.table import LineError, is_number, parse_number
 from anisomap.io.recordings.text import MAP_TITLE
 from anisomap.recording import Scalar
@@ -151,7 +151,7 @@ def _columns(path: Path, first: delimited.Record) -> _Columns:
     raise LineError(
         path,
         line,
-        f" ({quoted(', '.join(fields))}) gives no columns x and y; the table needs a header with "
+        f" ({quote(', '.join(fields))}) gives no columns x and y; the table needs a header with "
         "x, y (and z), or two or three columns of numbers after an optional column of names",
     )
 
@@ -175,7 +175,7 @@ def _column(
         try:
             values.append(parse(fields[column]))
         except ValueError:
-            problem = f", column {column + 1}: {quoted(fields[column])} is not {expected}"
+            problem = f", column {column + 1}: {quote(fields[column])} is not {expected}"
             raise LineError(path, line, problem) from None
     return tuple(values)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError
-from anisomap.io.parsing.source import open_text, quoted
+from anisomap.io.parsing.source import open_text, quote
 from anisomap.io.parsing.table import LineError, parse_number
 from anisomap.placement import to_taxels
 from anisomap.sensor_map import SensorMap
@@ -89,9 +89,9 @@ def _row(path: Path, number: int, line: str) -> list[float]:
     try:
         row = [parse_number(field) for field in fields[:6]]
     except ValueError:
-        raise LineError(path, number, f": {quoted(line)} must hold numbers") from None
+        raise LineError(path, number, f": {quote(line)} must hold numbers") from None
     if not np.isfinite(row).all():
-        raise LineError(path, number, f": {quoted(line)} must hold finite numbers")
+        raise LineError(path, number, f": {quote(line)} must hold finite numbers")
     return row
 
 

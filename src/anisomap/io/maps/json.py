@@ -12,7 +12,7 @@ import numpy as np
 from anisomap.errors import FileError
 from anisomap.io.parsing.comments import to_python_scalar
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
-from anisomap.io.parsing.source import open_text, quoted
+from anisomap.io.parsing.source import open_text, quote
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
 
@@ -102,7 +102,7 @@ class _Sensor:
         value = self.content.get(key, default)
         if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
             expected = " or ".join(kind.__name__ for kind in kinds)
-            raise FileError(f"{self.where}: {key} is {quoted(str(value))}; it must be {expected}")
+            raise FileError(f"{self.where}: {key} is {quote(str(value))}; it must be {expected}")
         return value
 
     def position(self, dimensions: int) -> list[float]:
@@ -115,7 +115,7 @@ class _Sensor:
         try:
             return [_from_json(value) for value in values]
         except ValueError:
-            problem = f"position must hold numbers or null, got {quoted(str(values))}"
+            problem = f"position must hold numbers or null, got {quote(str(values))}"
             raise FileError(f"{self.where}: {problem}") from None
 
 

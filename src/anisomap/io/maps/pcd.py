@@ -8,7 +8,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing import comments
-from anisomap.io.parsing.source import open_text, quoted
+from anisomap.io.parsing.source import open_text, quote
 from anisomap.io.parsing.table import LineError, parse_number
 from anisomap.placement import pad_to_3d, surface_normals
 from anisomap.recording import Scalar
@@ -74,7 +74,7 @@ def read_map(path: Path) -> SensorMap:
             case ["DATA", "ascii"]:
                 break
             case ["DATA", kind]:
-                raise LineError(path, number, f": PCD data must be ascii, got {quoted(kind)}")
+                raise LineError(path, number, f": PCD data must be ascii, got {quote(kind)}")
             case _:
                 pass
     else:
@@ -105,6 +105,6 @@ def _position(path: Path, fields: list[str], number: int, line: str) -> list[flo
         try:
             position.append(parse_number(words[column]))
         except ValueError:
-            problem = f", column {column + 1} ({axis}): {quoted(words[column])} is not a number"
+            problem = f", column {column + 1} ({axis}): {quote(words[column])} is not a number"
             raise LineError(path, number, problem) from None
     return position

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.parsing import comments
-from anisomap.io.parsing.source import open_binary, quoted
+from anisomap.io.parsing.source import open_binary, quote
 from anisomap.io.parsing.table import LineError, parse_number
 from anisomap.placement import pad_to_3d, surface_normals
 from anisomap.recording import Scalar
@@ -114,7 +114,7 @@ def _read_header(path: Path, lines: Iterator[Line]) -> _Header:
             case ["ply"] | ["format", *_] | ["obj_info", *_] | []:
                 pass
             case _:
-                raise LineError(path, number, f": {quoted(line)} is not valid in a PLY header")
+                raise LineError(path, number, f": {quote(line)} is not valid in a PLY header")
     else:
         raise FileError(f"{path} ends within its PLY header")
     if not counts.get("vertex") or not set(_AXES) <= set(columns["vertex"]):
@@ -144,7 +144,7 @@ def _row(path: Path, columns: Sequence[str], number: int, line: str) -> list[flo
         try:
             values.append(parse_number(field))
         except ValueError:
-            problem = f", column {column + 1} ({columns[column]}): {quoted(field)} is not a number"
+            problem = f", column {column + 1} ({columns[column]}): {quote(field)} is not a number"
             raise LineError(path, number, problem) from None
     return values
 

@@ -70,7 +70,7 @@ def file_errors(path: Path) -> Iterator[None]:
 
 
 def check_expansion(
-    path: Path, what: str, packed: int, unpacked: int, *, largest_ratio: float = np.inf
+    path: Path, what: str, n_compressed: int, n_decompressed: int, *, largest_ratio: float = np.inf
 ) -> None:
     """Reject data that expand far more than any recording (decompression bombs).
 
@@ -80,7 +80,7 @@ def check_expansion(
         The file, for messages.
     what : str
         The compressed part of the file, for messages.
-    packed, unpacked : int
+    n_compressed, n_decompressed : int
         Bytes before and after decompression.
     largest_ratio : float
         Maximum ratio of the compression method.
@@ -88,18 +88,18 @@ def check_expansion(
     Raises
     ------
     FileError
-        If `unpacked` exceeds `largest_ratio` or `max_expansion`.
+        If `n_decompressed` exceeds `largest_ratio` or `max_expansion`.
     """
-    if unpacked > max_expansion(packed) or unpacked > largest_ratio * packed:
+    if n_decompressed > min(max_expansion(n_compressed), largest_ratio * n_compressed):
         raise FileError(
-            f"{path}: {what} expands from {packed} to {unpacked} bytes, more than any recording; "
-            "the file is damaged or a decompression bomb"
+            f"{path}: {what} expands from {n_compressed} to {n_decompressed} bytes, more than any "
+            "recording; the file is damaged or a decompression bomb"
         )
 
 
-def max_expansion(packed: int) -> int:
-    """Return the largest accepted size in bytes of `packed` compressed bytes."""
-    return max(MIN_CHECKED_BYTES, MAX_RATIO * packed)
+def max_expansion(n_compressed: int) -> int:
+    """Return the largest accepted size in bytes of `n_compressed` compressed bytes."""
+    return max(MIN_CHECKED_BYTES, MAX_RATIO * n_compressed)
 
 
 class _Gunzipped(gzip.GzipFile):
@@ -114,8 +114,8 @@ class _Gunzipped(gzip.GzipFile):
             return b"".join(iter(lambda: self.read(HEAD_BYTES), b""))
         content = super().read1(size)  # `read` discards the data before the damage
         if self.tell() > MIN_CHECKED_BYTES:
-            packed = self._path.stat().st_size
-            check_expansion(self._path, "its content", packed, self.tell())
+            n_compressed = self._path.stat().st_size
+            check_expansion(self._path, "its content", n_compressed, self.tell())
         return content
 
 
@@ -133,8 +133,8 @@ def _open(path: Path) -> Iterator[tuple[io.BufferedReader, io.BufferedReader]]:
         if raw.peek(len(_GZIP))[: len(_GZIP)] != _GZIP:
             yield raw, raw
             return
-        with _Gunzipped(path, raw) as unpacked:
-            yield io.BufferedReader(unpacked), raw
+        with _Gunzipped(path, raw) as decompressed:
+            yield io.BufferedReader(decompressed), raw
 
 
 @dataclass(frozen=True)
@@ -201,15 +201,15 @@ def _read_start(stream: io.BufferedReader) -> bytes:
     return start
 
 
-def quoted(text: str) -> str:
+def quote(text: str) -> str:
     """Quote text from a file for a message, shortened and on one line."""
     return repr(text if len(text) <= _MAX_QUOTED else text[:_MAX_QUOTED] + "...")
 
 
-def quoted_if_needed(name: str) -> str:
+def quote_if_needed(name: str) -> str:
     """Return a short printable name verbatim, and quote others."""
     short = len(name) <= _MAX_QUOTED and name.isprintable()
-    return name if short else quoted(name)
+    return name if short else quote(name)
 
 
 def _undecodable(path: Path) -> str:

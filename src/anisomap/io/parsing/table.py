@@ -19,8 +19,8 @@ from anisomap.io.parsing.source import (
     GZIP_ERRORS,
     open_text,
     open_text_with_progress,
-    quoted,
-    quoted_if_needed,
+    quote,
+    quote_if_needed,
 )
 
 _BLOCK_LINES, _BLOCK_CHARACTERS = 512, 1 << 22
@@ -281,11 +281,11 @@ def _row(line: str, table: Table, number: int) -> list[float]:
         try:
             values.append(_text_to_nan(field) if is_text else parse_number(field))
         except ValueError:
-            name = f" ({quoted_if_needed(table.names[column])})" if table.names else ""
+            name = f" ({quote_if_needed(table.names[column])})" if table.names else ""
             original = _fields(line, table.delimiter)[column].strip()
             problem = "is a number in a column of text" if is_text else "is not a number"
             raise LineError(
-                table.path, number, f", column {column + 1}{name}: {quoted(original)} {problem}"
+                table.path, number, f", column {column + 1}{name}: {quote(original)} {problem}"
             ) from None
     return values
 

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.io.parsing.frames import to_float32_if_exact
 from anisomap.io.parsing.grids import UNITS, grid_names, grid_positions
-from anisomap.io.parsing.source import GZIP_ERRORS, Text, open_text_with_progress, quoted
+from anisomap.io.parsing.source import GZIP_ERRORS, Text, open_text_with_progress, quote
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 
 _FRAME = re.compile(r'^\s*"?frame"?[\s:,;#]*"?\d+"?[\s,;]*(of\s+\d+)?[\s,;]*$', re.IGNORECASE)
@@ -251,7 +251,7 @@ def _parsed(
     except ValueError as error:
         where = f" of lines {first_line} to {first_line + len(lines) - 1}" if first_line else ""
         raise FileError(
-            f"{path}: the frame{where} is not a table of numbers: {quoted(lines[0].strip())} ..."
+            f"{path}: the frame{where} is not a table of numbers: {quote(lines[0].strip())} ..."
         ) from error
 
 

@@ -28,7 +28,7 @@ from anisomap.io.parsing.columns import (
     warn_of_guesses,
 )
 from anisomap.io.parsing.frames import to_float32_if_exact
-from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quoted_if_needed
+from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote_if_needed
 from anisomap.io.parsing.table import Table, first_rows, line_of, read_blocks
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Recording, Scalar
@@ -189,7 +189,7 @@ def _warn_of_text(table: Table) -> None:
 
 
 def _column_label(table: Table, column: int) -> str:
-    name = quoted_if_needed(table.names[column].strip()) if table.names else "no header"
+    name = quote_if_needed(table.names[column].strip()) if table.names else "no header"
     return f"column {column + 1} ({name})"
 
 

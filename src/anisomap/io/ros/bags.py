@@ -23,8 +23,8 @@ from anisomap.io.ros.files import (
     MAGICS,
     as_rosbags_path,
     check_chunks,
+    register_definitions,
     warn_of_missing_end,
-    with_definitions,
 )
 from anisomap.io.ros.messages import Kind, kind_of
 from anisomap.io.ros.repair import EXTRA
@@ -75,13 +75,14 @@ def _open(path: Path, options: ReadOptions) -> Iterator[_Bag]:
     highlevel = import_extra("rosbags.highlevel", "reading bags", EXTRA)
     typesys = import_extra("rosbags.typesys", "reading bags", EXTRA)
     with library_errors(path):
-        store = with_definitions(typesys.get_typestore(typesys.Stores.LATEST), options.definitions)
+        store = typesys.get_typestore(typesys.Stores.LATEST)
+        register_definitions(store, options.definitions)
         reader = highlevel.AnyReader([as_rosbags_path(path)], default_typestore=store)
         reader.open()
     try:
         with library_errors(path):
             check_chunks(path, reader)
-            with_definitions(reader.typestore, options.definitions)
+            register_definitions(reader.typestore, options.definitions)
         yield _Bag(path, reader)
     finally:
         with library_errors(path):
@@ -223,7 +224,7 @@ class _Rows:
 
     def _frames(self, first: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int, int]]:
         """Yield readings with the stamps of sender and receiver in nanoseconds."""
-        convert = partial(messages.unwrapped, first=first) if self.kind.wraps else np.asarray
+        convert = partial(messages.unwrap_counters, first=first) if self.kind.wraps else np.asarray
         for number, (message, received) in enumerate(self.bag.messages(self.topic)):
             values = self._values(message)
             if not values.size:

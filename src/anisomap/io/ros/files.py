@@ -11,7 +11,7 @@ from typing import Any
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.io.parsing.libraries import import_extra
 from anisomap.io.parsing.source import check_expansion
-from anisomap.io.ros.repair import EXTRA, BagFile, find_repair, unpacked
+from anisomap.io.ros.repair import EXTRA, BagFile, decompress, find_repair
 
 MAGICS = {b"#ROSBAG V2.0\n": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
 """Magic numbers, and the suffixes that rosbags expects."""
@@ -53,7 +53,7 @@ def warn_of_missing_end(path: Path) -> None:
     )
 
 
-def with_definitions(store: Any, files: Iterable[Path]) -> Any:
+def register_definitions(store: Any, files: Iterable[Path]) -> None:
     """Register message definitions from files in a type store.
 
     Parameters
@@ -62,8 +62,6 @@ def with_definitions(store: Any, files: Iterable[Path]) -> Any:
     files : iterable of pathlib.Path
         Each a ``.msg`` file in a folder ``package/msg``, or named ``package.Name.msg``.
     """
-    if not files:
-        return store
     typesys = import_extra("rosbags.typesys", "reading bags", EXTRA)
     for file in files:
         try:
@@ -71,7 +69,6 @@ def with_definitions(store: Any, files: Iterable[Path]) -> Any:
         except OSError as error:
             raise FileError(f"cannot read {file}: {error.strerror or error}") from error
         store.register(typesys.get_types_from_msg(text, _type_name(file)))
-    return store
 
 
 def check_chunks(path: Path, reader: Any) -> None:
@@ -87,7 +84,7 @@ def check_chunks(path: Path, reader: Any) -> None:
         if storage is None:
             for at, chunk in each.chunks.items():
                 how = chunk.decompressor.__module__.partition(".")[0].removeprefix("_")
-                bounded = partial(unpacked, path, compression=how)
+                bounded = partial(decompress, path, compression=how)
                 each.chunks[at] = chunk._replace(decompressor=bounded)
 
 

@@ -69,7 +69,7 @@ def names_at(message: Any, path: str) -> tuple[str, ...]:
     return tuple(names) if labelled and len(set(names)) == len(names) else ()
 
 
-def unwrapped(values: NDArray[Any], first: NDArray[Any]) -> NDArray[np.float64]:
+def unwrap_counters(values: NDArray[Any], first: NDArray[Any]) -> NDArray[np.float64]:
     """Return 16-bit counters, signed or not, as differences from the first, without overflow."""
     steps = values.astype(np.int64) - first.astype(np.int64)
     return np.asarray((steps + _WRAP // 2) % _WRAP - _WRAP // 2, dtype=np.float64)

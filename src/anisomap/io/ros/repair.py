@@ -52,14 +52,14 @@ def find_repair(path: Path, suffix: str) -> Repair | None:
         return _repair_mcap(file) if suffix == ".mcap" else _repair_ros1(path, file)
 
 
-def unpacked(path: Path, packed: bytes, compression: str) -> bytes:
+def decompress(path: Path, compressed: bytes, compression: str) -> bytes:
     """Decompress a chunk of a ROS 1 bag.
 
     Parameters
     ----------
     path : pathlib.Path
         The file, for messages.
-    packed : bytes
+    compressed : bytes
     compression : {"none", "bz2", "lz4"}
 
     Raises
@@ -67,15 +67,15 @@ def unpacked(path: Path, packed: bytes, compression: str) -> bytes:
     FileError
         If the chunk is a decompression bomb.
     """
-    most = max_expansion(len(packed))
+    most = max_expansion(len(compressed))
     if compression == "bz2":
-        content = bz2.BZ2Decompressor().decompress(packed, max_length=most + 1)
+        content = bz2.BZ2Decompressor().decompress(compressed, max_length=most + 1)
     elif compression == "lz4":
         lz4 = import_extra("lz4.frame", "reading bags", EXTRA)
-        content = lz4.LZ4FrameDecompressor().decompress(packed, max_length=most + 1)
+        content = lz4.LZ4FrameDecompressor().decompress(compressed, max_length=most + 1)
     else:
-        content = packed
-    check_expansion(path, "a chunk", len(packed), len(content))
+        content = compressed
+    check_expansion(path, "a chunk", len(compressed), len(content))
     return content
 
 
@@ -231,15 +231,16 @@ def _take_index(file: BinaryIO, record: _Record, chunk: _Chunk) -> None:
     file.seek(record.data + 4)
     entries = file.read(min(12 * count, record.end - record.data - 4))
     chunk.counts[record.number(b"conn")] = count
-    # A stamp is a pair of seconds and nanoseconds, packed into one integer for comparison.
+    # A stamp is a pair of seconds and nanoseconds, compressed into one integer for comparison.
     stamps = [struct.unpack_from("<II", entries, at) for at in range(0, len(entries) - 7, 12)]
     chunk.times += [seconds << 32 | nanoseconds for seconds, nanoseconds in stamps]
 
 
 def _connections(path: Path, file: BinaryIO, chunk: _Record) -> dict[int, bytes]:
     file.seek(chunk.data + 4)
-    packed = file.read(chunk.end - chunk.data - 4)
-    content = unpacked(path, packed, chunk.fields.get(b"compression", b"none").decode("latin-1"))
+    compressed = file.read(chunk.end - chunk.data - 4)
+    compression = chunk.fields.get(b"compression", b"none").decode("latin-1")
+    content = decompress(path, compressed, compression)
     inner = io.BytesIO(content)
     return {
         record.number(b"conn"): content[record.start : record.end]
