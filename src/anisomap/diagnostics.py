@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.confidence import (
     DOUBTFUL,
     MIN_SENSORS,
+    N_HALVES,
     agreement_of_halves,
     expected_mantel_r,
 )
@@ -39,6 +40,7 @@ def diagnose(
     drop: Iterable[str | int] = (),
     health: Sequence[SensorHealth] | None = None,
     with_confidence: bool = True,
+    progress: Callable[[float], None] | None = None,
 ) -> SensorMap:
     """Add sensor health, a confidence and the notes that follow from them to a map.
 
@@ -56,6 +58,8 @@ def diagnose(
         From `anisomap.assess`, if computed already.
     with_confidence : bool
         Whether to compute `confidence`, which takes two to four times as long as the map.
+    progress : callable, optional
+        Called with the share done, from 0 to 1.
 
     Returns
     -------
@@ -83,7 +87,9 @@ def diagnose(
     dropped = set(skin.indices(drop).tolist())
     kept = [sensor for i, sensor in enumerate(assessed) if i not in dropped]
     notes = list(weaknesses(skin, kept))
-    expected = confidence(sensor_map, runs, options=options) if with_confidence else math.nan
+    expected = math.nan
+    if with_confidence:
+        expected = confidence(sensor_map, runs, options=options, progress=progress)
     notes += _insufficient(expected)
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
@@ -100,12 +106,13 @@ def confidence(
     recording: Recording | ArrayLike | Sequence[Recording],
     *,
     options: MethodOptions | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> float:
     """Estimate the Mantel r of a map with the truth from maps of halves of the recording.
 
     Parameters
     ----------
-    sensor_map, recording, options
+    sensor_map, recording, options, progress
         See `diagnose`.
 
     Returns
@@ -131,10 +138,16 @@ def confidence(
         or np.count_nonzero(largest) < MIN_SENSORS
     ):
         return math.nan
+    tell = progress or (lambda _share: None)
+    n_done = 0
     whole = replace(options or MethodOptions(), split_unrelated=False)
 
     def place(half: NDArray[np.floating]) -> NDArray[np.float64]:
-        return reconstruct(half, DEFAULT_METHOD, sensor_map.dimensions, options=whole).positions
+        nonlocal n_done
+        made = reconstruct(half, DEFAULT_METHOD, sensor_map.dimensions, options=whole)
+        n_done += 1
+        tell(n_done / N_HALVES)
+        return made.positions
 
     logger.info("mapping halves of the recording to estimate the confidence")
     with warnings.catch_warnings():

@@ -146,7 +146,7 @@ def _neighbour_edges(pairs: PairStatistics, options: MethodOptions) -> Reals:
     ranked = np.where(pairs.known, similarity, -np.inf)
     if options.n_neighbours is None:
         joined, n_neighbours = smallest_connected_neighbour_graph(ranked)
-        logger.info("%d neighbours connect all sensors", n_neighbours)
+        logger.debug("%d neighbours connect all sensors", n_neighbours)
     else:
         joined = neighbour_graph(ranked, options.n_neighbours)
     edges = np.where(joined, information_distance(similarity), np.inf)

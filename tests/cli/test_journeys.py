@@ -30,9 +30,9 @@ def test_from_a_recording_to_a_scored_map(run, skin_csv, truth_csv, tmp_path):
         assert expected in scored.out
 
     figures = json.loads(run("score", "map.csv", truth_csv, "--json", "--permutations", 99).out)
-    assert figures["mantel_r"] > 0.95
-    assert figures["p_value"] == pytest.approx(0.01)
-    assert figures["sensors_compared"] == 42
+    assert figures["score"]["mantel_r"] > 0.95
+    assert figures["score"]["p_value"] == pytest.approx(0.01)
+    assert figures["score"]["sensors_compared"] == 42
     expected = anisomap.reconstruct(anisomap.read(skin_csv), dimensions=2)
     np.testing.assert_array_equal(anisomap.read_map("map.csv").positions, expected.positions)
 
@@ -84,9 +84,9 @@ def test_missing_readings_are_refused_until_a_way_is_chosen(run, run_map, skin_c
     skin_csv.write_text("\n".join(lines))
     refused = run_map(skin_csv, "-o", "m.csv")
     assert refused.code == 2
-    assert "--nan" in refused.err
+    assert "missing" in refused.err
     for policy in ("drop-frames", "interpolate"):
-        assert run_map(skin_csv, "-o", "m.csv", "--nan", policy).code == 0
+        assert run_map(skin_csv, "-o", "m.csv", "--missing", policy).code == 0
     assert "1 missing" in run("info", skin_csv).out
 
 
@@ -100,8 +100,17 @@ def test_separate_pieces_are_warned_of(run_map, tmp_path):
     made = run_map("pieces.npz", "-m", "r-anisomap", "--mu", 0, "-o", "m.csv", "--picture",
                "m.png", "--report", "m.html")  # fmt: skip
     assert made.code == 0
-    assert "2 separate pieces" in made.err
-    assert anisomap.read_map("m.csv").n_components == 2
+    assert "2 separate components" in made.err
+    assert anisomap.read_map("m.csv").component_sizes == (7, 5)
+    refused = run_map(
+        "pieces.npz", "-m", "r-anisomap", "--mu", 0, "--spacing", "5mm", "-o", "m.urdf"
+    )
+    assert refused.code == 2
+    made = run_map("pieces.npz", "-m", "r-anisomap", "--mu", 0, "--spacing", "5mm", "-o", "m.urdf",
+               "--split-components")  # fmt: skip
+    assert made.code == 0
+    assert (tmp_path / "m-1.urdf").exists()
+    assert (tmp_path / "m-2.urdf").exists()
 
 
 @pytest.mark.parametrize("method", METHODS)

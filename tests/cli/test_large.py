@@ -93,7 +93,16 @@ def robots(tmp_path):
 @pytest.mark.parametrize("case", [(1, "icub"), (2, "icub"), (2, "")])
 def test_gaps_and_robots_are_treated_as_in_whole_recordings(run, robots, nan, case, request):
     n_files, preset = case
-    arguments = [*robots[:n_files], "-d", 2, "-m", "i-anisomap", "--nan", nan, "--no-confidence"]
+    arguments = [
+        *robots[:n_files],
+        "-d",
+        2,
+        "-m",
+        "i-anisomap",
+        "--missing",
+        nan,
+        "--no-confidence",
+    ]
     arguments += ["--preset", preset] if preset else []
     whole = run("map", *arguments, "-o", "whole.json")
     request.getfixturevalue("all_is_large")

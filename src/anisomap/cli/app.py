@@ -1,4 +1,4 @@
-"""The application: its commands, and what becomes of errors."""
+"""The application: its commands, and how errors become messages and exit codes."""
 
 from __future__ import annotations
 
@@ -19,46 +19,50 @@ INTERRUPTED = 130
 
 app = App(
     name="anisomap",
-    help="Find out where the sensors of a skin are, from nothing but what they read.",
+    help="Reconstruct the positions of the sensors of a robot skin from their readings.",
     version=__version__,
-    help_epilogue="A map is known up to rotation, translation, scale and mirror image.",
+    help_epilogue="Maps are known up to rotation, translation, scale and reflection.",
     console=console,
     help_format="plaintext",
 )
 
-# Commands are named, not imported: only the one that runs costs its imports.
+# Commands are imported when they run, so that --help stays fast.
 for name, target, summary in (
     ("map", "map:map_recording", "Make a map from a recording."),
-    ("info", "info:info", "Say what is in a recording, before anyone spends time on it."),
-    ("score", "score:score_map", "Compare a map with the true positions of its sensors."),
+    ("info", "info:info", "Summarise a recording and flag faulty sensors."),
+    ("score", "score:score_map", "Score a map against reference positions."),
     ("convert", "convert:convert", "Write a map in another format, or in metres."),
     ("compare", "compare:compare", "Score several methods on recordings with known positions."),
     ("methods", "listing:methods", "List the methods and the similarities."),
     ("formats", "listing:formats", "List the file formats."),
     ("demo", "demo:demo", "Simulate a skin, map it, and score the map."),
-    ("simulate", "simulate:simulate_body", "Make a recording whose truth is known."),
-    ("paper", "paper:paper", "Make every figure and table of the paper again."),
-    ("coverage", "coverage:coverage", "Tell how long a skin must be stimulated."),
-    ("spoil", "spoil:spoil", "Break sensors of a recording, on the record."),
+    ("simulate", "simulate:simulate_body", "Simulate a recording with known sensor positions."),
+    ("paper", "paper:paper", "Reproduce every figure and table of the paper."),
+    ("coverage", "coverage:coverage", "Estimate how long a skin must be stimulated."),
+    ("spoil", "spoil:spoil", "Inject documented faults into a recording."),
     ("bodies", "listing:bodies", "List the bodies that can be simulated."),
-    ("scenarios", "listing:scenarios", "List what can happen to a body, and its parameters."),
-    ("faults", "listing:faults", "List what can go wrong with a recording."),
+    ("scenarios", "listing:scenarios", "List the scenarios of simulation and their parameters."),
+    ("faults", "listing:faults", "List the faults that can be injected."),
 ):
     app.command(f"anisomap.cli.commands.{target}", name=name, help=summary)
 
+app.register_install_completion_command(
+    help="Install completion for the current shell (bash, zsh or fish)."
+)
+
 
 def main(arguments: Iterable[str] | None = None) -> None:
-    """Run a command, and turn whatever goes wrong into one sentence and an exit code.
+    """Run a command; report any error as one sentence and an exit code.
 
     Parameters
     ----------
     arguments : iterable of str, optional
-        Those of the process unless given.
+        Command line; by default that of the process.
 
     Raises
     ------
     SystemExit
-        Always: 0 if all went well, 2 for bad input, 70 for a defect of ours, 130 if interrupted.
+        Always: 0 on success, 2 for bad input, 70 for a defect in anisomap, 130 if interrupted.
     """
     sys.exit(_exit_code(None if arguments is None else list(arguments)))
 
@@ -71,20 +75,20 @@ def _exit_code(arguments: list[str] | None) -> int:
     except AnisomapError as error:
         return _failed(str(error), BAD_INPUT)
     except MemoryError:
-        return _failed("there is not enough memory; map fewer sensors or frames", BAD_INPUT)
+        return _failed("not enough memory; map fewer sensors or frames", BAD_INPUT)
     except KeyboardInterrupt:
-        return _failed("interrupted; nothing was half-written", INTERRUPTED)
+        return _failed("interrupted; no file was left half-written", INTERRUPTED)
     except BrokenPipeError:
-        # Whoever read our output has gone (`anisomap info x | head`), which is no error; without
-        # this, flushing stdout at exit would complain once more.
+        # The reader of our output has closed the pipe (`anisomap info x | head`), which is no
+        # error; without this, flushing stdout at exit would raise again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
         if os.environ.get("ANISOMAP_DEBUG"):
             raise
         what = f"{type(error).__name__}: {error}"
         return _failed(
-            f"a defect in anisomap ({what}); please report it, with what it says when "
-            "ANISOMAP_DEBUG=1 is in the environment",
+            f"a defect in anisomap ({what}); please report it with the traceback that "
+            "ANISOMAP_DEBUG=1 in the environment prints",
             INTERNAL_ERROR,
         )
     return 0
@@ -92,7 +96,7 @@ def _exit_code(arguments: list[str] | None) -> int:
 
 def _run(arguments: list[str] | None) -> None:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # those of other packages are not the user's to mend
+        warnings.simplefilter("ignore")  # users cannot act on warnings of other packages
         warnings.simplefilter("always", AnisomapWarning)
         warnings.showwarning = lambda message, *_, **__: warn(str(message))
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")

@@ -1,88 +1,156 @@
-"""What the commands show: messages, tables, progress. Results to stdout, the rest to stderr."""
+"""Terminal output: tables and facts on stdout; messages and progress on stderr."""
 
 from __future__ import annotations
 
+import json
 import logging
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from math import isnan
+from dataclasses import dataclass, field
+from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
-_UNBROKEN = 12  # characters that a narrow terminal leaves together
+_MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
 console = Console(highlight=False, soft_wrap=False)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def complain(message: str) -> None:
-    """Say what is wrong, in red, on stderr."""
+    """Print an error on stderr."""
     errors.print(f"[bold red]error:[/] {escape(message)}")
 
 
 def warn(message: str) -> None:
-    """Say what is doubtful, in yellow, on stderr."""
+    """Print a warning on stderr."""
     errors.print(f"[bold yellow]warning:[/] {escape(message)}")
 
 
-def show_facts(title: str, facts: dict[str, str]) -> None:
-    """Print names and values, a line each."""
-    table = Table(
-        title=title, title_justify="left", title_style="bold", box=None, show_header=False
-    )
-    table.add_column(style="dim")
-    table.add_column(overflow="fold")
-    for name, value in facts.items():
-        table.add_row(escape(name), escape(value))
-    console.print(table)
+@dataclass
+class Printer:
+    """Prints the results of a command: as text, as one JSON object, or not at all.
 
+    Parameters
+    ----------
+    quiet : bool
+        Print nothing. Warnings and errors still appear on stderr.
+    as_json : bool
+        Print the recorded values as one JSON object at the end, and no text.
+    """
 
-def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print rows; a column is set right if all it holds looks like numbers."""
-    table = Table(
-        title=title, title_justify="left", title_style="bold", box=None, header_style="dim"
-    )
-    for i, column in enumerate(columns):
-        numeric = all(_is_number(row[i]) for row in rows)
-        table.add_column(
-            escape(column),
-            justify="right" if numeric else "left",
-            overflow="fold",
-            min_width=min(_UNBROKEN, max(len(text) for text in (column, *(r[i] for r in rows)))),
+    quiet: bool = False
+    as_json: bool = False
+    values: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def _prints_text(self) -> bool:
+        return not (self.quiet or self.as_json)
+
+    def record(self, **values: object) -> None:
+        """Record values for the JSON object."""
+        self.values.update(values)
+
+    def facts(self, title: str, facts: Mapping[str, str]) -> None:
+        """Print names and values, one per line."""
+        if not self._prints_text:
+            return
+        table = Table(
+            title=title, title_justify="left", title_style="bold", box=None, show_header=False
         )
-    for row in rows:
-        table.add_row(*map(escape, row))
-    console.print(table)
+        table.add_column(style="dim")
+        table.add_column(overflow="fold")
+        for name, value in facts.items():
+            table.add_row(escape(name), escape(value))
+        console.print(table)
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Print rows; columns of numbers are aligned to the right."""
+        if not self._prints_text:
+            return
+        table = Table(
+            title=title, title_justify="left", title_style="bold", box=None, header_style="dim"
+        )
+        for i, column in enumerate(columns):
+            numeric = all(_is_number(row[i]) for row in rows)
+            widest = max(len(text) for text in (column, *(r[i] for r in rows)))
+            table.add_column(
+                escape(column),
+                justify="right" if numeric else "left",
+                overflow="fold",
+                min_width=min(_MIN_WIDTH, widest),
+            )
+        for row in rows:
+            table.add_row(*map(escape, row))
+        console.print(table)
+
+    def line(self, text: str) -> None:
+        """Print a line of plain text."""
+        if self._prints_text:
+            console.print(text, markup=False, soft_wrap=True)
+
+    def finish(self) -> None:
+        """Print the JSON object, if it was asked for."""
+        if self.as_json and not self.quiet:
+            console.out(json.dumps(plain(self.values), indent=2, ensure_ascii=False))
+
+
+def plain(value: Any) -> Any:
+    """Convert a value to what JSON can hold; NaN and infinities become None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)
 
 
 @contextmanager
 def progress(task: str) -> Iterator[Callable[[float], None]]:
-    """Show that something goes on, and how far it is; gone from the screen once it is done.
+    """Show progress and the remaining time on stderr, if it is a terminal.
 
     Parameters
     ----------
     task : str
-        What goes on. The library's own log messages replace it as they come.
+        Description. Log messages of the library at level INFO replace it.
 
     Yields
     ------
     callable
-        Takes the share done, from 0 to 1; until it is called, only time passes.
+        Takes the share done, from 0 to 1. Until it is called, only elapsed time is shown.
     """
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),
         BarColumn(pulse_style="dim"),
         TimeElapsedColumn(),
+        TextColumn("elapsed,"),
+        TimeRemainingColumn(elapsed_when_finished=False),
+        TextColumn("left"),
     )
     library = logging.getLogger("anisomap")
-    silent = not errors.is_terminal  # a bar in a log file is noise
-    with Progress(*columns, console=errors, transient=True, disable=silent) as display:
+    with Progress(
+        *columns, console=errors, transient=True, disable=not errors.is_terminal
+    ) as display:
         shown = display.add_task(escape(task), total=None)
-        handler = _Describing(lambda text: display.update(shown, description=escape(text)))
+        handler = _Description(lambda text: display.update(shown, description=escape(text)))
         level = library.level
         library.addHandler(handler)
         library.setLevel(logging.INFO)
@@ -93,8 +161,8 @@ def progress(task: str) -> Iterator[Callable[[float], None]]:
             library.setLevel(level)
 
 
-class _Describing(logging.Handler):
-    """Hands every message to a function."""
+class _Description(logging.Handler):
+    """Passes log messages to a function."""
 
     def __init__(self, describe: Callable[[str], None]) -> None:
         super().__init__(logging.INFO)
@@ -105,12 +173,12 @@ class _Describing(logging.Handler):
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Write a number with some significant digits; a dash if there is none."""
-    return "-" if value is None or isnan(value) else f"{value:.{digits}g}"
+    """Format a number with some significant digits; a dash if it is unknown."""
+    return "-" if value is None or math.isnan(value) else f"{value:.{digits}g}"
 
 
 def percent(share: float) -> str:
-    """Write a share as per cent."""
+    """Format a share as a percentage."""
     return f"{share:.1%}"
 
 

@@ -1,8 +1,9 @@
-"""Options that several commands share, each documented once."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
@@ -11,6 +12,7 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
 from anisomap import io
+from anisomap.cli.console import Printer
 from anisomap.errors import InputError
 from anisomap.io import ReadOptions
 from anisomap.placement import METRES, mirrored, parse_length, scaled_to_spacing
@@ -20,24 +22,26 @@ reading_group = Group("Reading", sort_key=0)
 outputs_group = Group("Output", sort_key=1)
 method_group = Group("Method", sort_key=2)
 score_group = Group("Score", sort_key=3)
+reporting_group = Group("Reporting", sort_key=5)
 
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """What a reader cannot find out by itself.
+    """Options of readers.
 
     Parameters
     ----------
     select
-        Which of several recordings in a file: a topic (with its field: /skin:data), a dataset, a
-        column, a port; see what there is with anisomap info. Topics and ports may be several,
-        between commas.
+        Recording to read from a file that holds several: a topic (optionally with its field, as
+        in /skin:data), a dataset, a column or a port; anisomap info lists them. Several topics
+        or ports are separated by commas.
     grid
-        Rows and columns of a rectangular array, as in 32x64, row after row: gives true positions.
+        Rows and columns of a rectangular array in row-major order, as in 32x64; gives the true
+        positions.
     msg
-        Message definition (.msg) of a bag that holds none; may be repeated.
+        Message definition (.msg) for a bag without definitions; may be repeated.
     preset
-        Robot whose numbering of sensors is known: icub, icub-hand.
+        Robot with a known numbering of sensors: icub, icub-hand.
     """
 
     select: Annotated[str, Parameter(name=("--select", "--topic", "--dataset", "--field"))] = ""
@@ -46,7 +50,7 @@ class ReadingOptions:
     preset: str = ""
 
     def checked(self) -> ReadOptions:
-        """Give them in the words of the library."""
+        """Convert to the options of the library."""
         grid = _rows_and_columns(self.grid) if self.grid else None
         return ReadOptions(self.select, grid, tuple(self.msg), self.preset)
 
@@ -55,31 +59,60 @@ AS_IT_COMES = ReadingOptions()
 
 
 @dataclass(frozen=True)
+class ReportingOptions:
+    """How results are printed.
+
+    Parameters
+    ----------
+    quiet
+        Print no results; warnings and errors remain.
+    json
+        Print the results as one JSON object, for scripts.
+    """
+
+    quiet: Annotated[bool, Parameter(name=("--quiet", "-q"), negative=())] = False
+    json: Annotated[bool, Parameter(negative=())] = False
+
+    @contextmanager
+    def printer(self) -> Iterator[Printer]:
+        """Give a printer, and print the JSON object once the command has succeeded."""
+        printer = Printer(self.quiet, self.json)
+        yield printer
+        printer.finish()
+
+
+AS_TEXT = ReportingOptions()
+
+
+@dataclass(frozen=True)
 class PlacingOptions:
-    """What is known of a map beyond its readings.
+    """Scale, handedness and frame of a map.
 
     Parameters
     ----------
     spacing
-        Give the map a scale: how far apart neighbouring sensors are (median), such as 6.5mm. What
-        robots' software reads is in metres, and needs it.
+        Median distance between neighbouring sensors, such as 6.5mm: scales the map. Formats of
+        robot software are in metres and require it.
     mirror
-        Write the mirror image: a map does not know left from right.
+        Reflect the map: readings do not determine its handedness.
     frame
-        Name of the frame that the sensors are in.
+        Name of the coordinate frame.
+    split_components
+        Write each connected component of the map to a file of its own: map-1.csv, map-2.csv ...
     """
 
     spacing: str = ""
     mirror: Annotated[bool, Parameter(negative=())] = False
     frame: str = ""
+    split_components: Annotated[bool, Parameter(negative=())] = False
 
     def check(self, outputs: Iterable[Path], units: str = "") -> None:
-        """Find out before the work what could not be written.
+        """Check before the work that the outputs can be written.
 
         Raises
         ------
         InputError
-            If the spacing is no length, or a file needs a scale and there is none.
+            If the spacing is not a length, or a format requires a scale and there is none.
         """
         if self.spacing:
             parse_length(self.spacing)
@@ -87,12 +120,12 @@ class PlacingOptions:
         for path in outputs:
             if io.needs_scale(path) and units not in METRES:
                 raise InputError(
-                    f"{path} is in metres, but the map will have no scale; say how far apart "
-                    "neighbouring sensors are, such as --spacing 6.5mm"
+                    f"{path} is in metres, but the map has no scale; give the distance between "
+                    "neighbouring sensors, such as --spacing 6.5mm"
                 )
 
     def applied(self, sensor_map: SensorMap) -> SensorMap:
-        """Place a map as was asked for."""
+        """Apply the options to a map."""
         if self.mirror:
             sensor_map = mirrored(sensor_map)
         if self.spacing:
@@ -101,6 +134,13 @@ class PlacingOptions:
             sensor_map = replace(sensor_map, frame=self.frame)
         return sensor_map
 
+    def write(self, sensor_map: SensorMap, path: Path) -> tuple[Path, ...]:
+        """Write a map, or each of its connected components; return the files."""
+        if self.split_components:
+            return io.write_components(sensor_map, path)
+        io.write(sensor_map, path)
+        return (path,)
+
 
 AS_IT_IS = PlacingOptions()
 
@@ -108,9 +148,7 @@ AS_IT_IS = PlacingOptions()
 def _rows_and_columns(text: str) -> tuple[int, int]:
     sizes = [int(size) for size in text.lower().split("x") if size.strip().isdecimal()]
     if len(sizes) != 2 or not all(sizes):
-        raise InputError(
-            f"--grid {text} is no size of an array; give rows and columns, as in 32x64"
-        )
+        raise InputError(f"--grid must give rows and columns, as in 32x64, got {text}")
     return sizes[0], sizes[1]
 
 
@@ -118,14 +156,16 @@ RecordingFile: TypeAlias = Annotated[Path, Parameter(help="File of a recording."
 
 Seed: TypeAlias = Annotated[
     int,
-    Parameter(group=score_group, validator=Number(gte=0), help="Seed of everything random."),
+    Parameter(
+        group=score_group, validator=Number(gte=0), help="Seed of the random number generator."
+    ),
 ]
 Permutations: TypeAlias = Annotated[
     int,
     Parameter(
         group=score_group,
         validator=Number(gte=0),
-        help="Random labellings that make up the null of Mantel r; 0 leaves it out.",
+        help="Size of the null distribution of Mantel r; 0 skips it.",
     ),
 ]
 Exclude: TypeAlias = Annotated[
@@ -133,8 +173,8 @@ Exclude: TypeAlias = Annotated[
     Parameter(
         group=score_group,
         negative=(),
-        help="Sensor to leave out of the score, but not of the map: name or index; may be "
-        "repeated, or hold several between commas.",
+        help="Sensors to leave out of the score, but not of the map: names or indices, separated "
+        "by commas; may be repeated.",
     ),
 ]
 Drop: TypeAlias = Annotated[
@@ -142,8 +182,8 @@ Drop: TypeAlias = Annotated[
     Parameter(
         group=method_group,
         negative=(),
-        help="Sensor to leave out altogether: name or index; may be repeated, or hold several "
-        "between commas.",
+        help="Sensors to leave out of the map: names or indices, separated by commas; may be "
+        "repeated.",
     ),
 ]
 Missing: TypeAlias = Annotated[
@@ -156,11 +196,12 @@ Missing: TypeAlias = Annotated[
 
 
 Placing: TypeAlias = Annotated[PlacingOptions, Parameter(name="*", group=outputs_group)]
+Reporting: TypeAlias = Annotated[ReportingOptions, Parameter(name="*", group=reporting_group)]
 Reading: TypeAlias = Annotated[ReadingOptions, Parameter(name="*", group=reading_group)]
 
 
 def sensors(chosen: list[str] | None, names: tuple[str, ...]) -> list[str]:
-    """Split what was given for a list of sensors at its commas, unless a name holds the comma."""
+    """Split a list of sensors at commas, unless a sensor name contains the comma."""
     found = []
     for text in chosen or []:
         found += [text] if text in names else [part.strip() for part in text.split(",")]

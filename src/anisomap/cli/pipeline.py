@@ -1,16 +1,17 @@
-"""What `map` and `demo` have in common: make a map, score it, show it, write it."""
+"""Steps that several commands share: read, examine, map, score, print and write."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from anisomap import io
-from anisomap.cli.console import console, number, percent, progress, show_facts, show_table
+from anisomap.cli.console import Printer, number, percent, progress
+from anisomap.cli.parameters import AS_IT_IS, PlacingOptions
 from anisomap.diagnostics import diagnose
 from anisomap.drawing import figures, report
 from anisomap.evaluation import Score, confidence_in_words, score
@@ -24,7 +25,8 @@ from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import join_runs
 from anisomap.sensor_map import SensorMap
 
-_MOST_SHOWN = 100  # sensors with a fault
+_MAX_SHOWN = 100  # faulty sensors
+_SHARE_OF_MAP = 0.3  # of the time of a map with confidence; typical, for the progress display
 
 
 @dataclass(frozen=True)
@@ -34,15 +36,16 @@ class Outputs:
     maps: tuple[Path, ...] = ()
     picture: Path | None = None
     report: Path | None = None
+    placing: PlacingOptions = AS_IT_IS
 
     def check(self, *inputs: Path) -> None:
-        """Find out before the work, not after it, what could not be written.
+        """Check before the work that all files can be written.
 
         Raises
         ------
         FileError
-            If a folder is missing, a suffix is of no format that can be written, or a file would
-            overwrite an input or another output.
+            If a folder is missing, no format matches a suffix, or a file would overwrite an input
+            or another output.
         MissingExtraError
             If a picture or report needs a library that is not installed.
         """
@@ -57,7 +60,7 @@ class Outputs:
 
 @dataclass(frozen=True)
 class Examined:
-    """A recording, and the runs it was joined from, with what was found out before any map."""
+    """A recording, its sensor health and summary, and the runs that it was joined from."""
 
     recording: Recording
     health: Sequence[SensorHealth]
@@ -66,7 +69,7 @@ class Examined:
 
 
 def read(path: Path, how: io.ReadOptions | None = None) -> Recording:
-    """Read a recording, with progress; one that does not say where it came from is of its file."""
+    """Read a recording, with progress. Its source is the file name unless the file tells it."""
     with progress(f"reading {path.name}") as tell:
         recording = io.read(path, options=how, progress=tell)
         return replace(recording, source=recording.source or path.name)
@@ -77,7 +80,7 @@ def read_runs(
 ) -> list[Recording]:
     """Read one recording, or several of one skin.
 
-    What a preset calls absent must be silent in all of them, so it is applied to all as one.
+    A preset leaves out channels that are silent in all runs, so it is applied to the joined runs.
     """
     if len(paths) == 1 or not how.preset:
         return [read(path, how).complete(missing) for path in paths]
@@ -85,28 +88,21 @@ def read_runs(
     return [io.apply_preset(join_runs(runs), how.preset)]
 
 
-def show_contents(path: Path, how: io.ReadOptions) -> None:
-    """Print what a file holds, if it is of a kind that can hold several recordings."""
+def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
+    """Print the contents of a file that can hold several recordings."""
     held = io.contents(path, options=how)
     if held:
         rows = [(c.name, c.summary, "yes" if c.usable else "no") for c in held]
-        show_table(f"In {path.name}", ("name", "what it is", "a recording"), rows)
+        printer.table(f"Contents of {path.name}", ("name", "content", "a recording"), rows)
+        printer.record(contents=[asdict(content) for content in held])
 
 
-def examine(recording: Recording) -> Examined:
-    """Assess a recording, with progress."""
-    with progress("looking at every sensor"):
-        health = assess(recording)
-        return Examined(recording, health, summarise(recording, health))
-
-
-def examine_runs(runs: Sequence[Recording]) -> Examined:
+def examine(runs: Recording | Sequence[Recording]) -> Examined:
     """Assess one recording, or several as one, with progress."""
-    if len(runs) == 1:
-        return examine(runs[0])
-    with progress("looking at every sensor"):
-        joined, health = join_runs(runs), assess(runs)
-        return Examined(joined, health, summarise(joined, health), tuple(runs))
+    several = [runs] if isinstance(runs, Recording) else list(runs)
+    with progress("assessing sensors"):
+        joined, health = join_runs(several), assess(several)
+        return Examined(joined, health, summarise(joined, health), tuple(several))
 
 
 def make_map(
@@ -120,92 +116,108 @@ def make_map(
     gathered: Gathered | Related | None = None,
 ) -> SensorMap:
     """Reconstruct and diagnose, with progress; notes appear as warnings."""
-    with progress("making the map"):
+    with progress("making the map") as tell:
         if isinstance(gathered, Related):
             return approximate_map_of(gathered, dimensions, options=options)
         if gathered is not None:
             return map_of(gathered, method, dimensions, options=options, drop=drop)
-        runs = examined.runs or [examined.recording]
-        made = reconstruct(runs, method, dimensions, options=options, drop=drop)
+        made = reconstruct(examined.runs, method, dimensions, options=options, drop=drop)
+        if with_confidence:
+            tell(_SHARE_OF_MAP)
         return diagnose(
             made,
-            runs,
+            examined.runs,
             options=options,
             drop=drop,
             health=examined.health,
             with_confidence=with_confidence,
+            progress=lambda share: tell(_SHARE_OF_MAP + (1 - _SHARE_OF_MAP) * share),
         )
 
 
 def finish(
+    printer: Printer,
     outputs: Outputs,
     sensor_map: SensorMap,
     examined: Examined,
+    *,
+    permutations: int,
+    seed: int,
+    exclude: Sequence[str] = (),
+) -> None:
+    """Score a map if the truth is known, write all files, and print the results."""
+    result = None
+    if examined.recording.positions is not None:
+        result = score_with_progress(
+            sensor_map, examined.recording, permutations, seed, exclude=exclude
+        )
+    files = _write(outputs, sensor_map, examined, result)
+    print_health(printer, examined.health)
+    _print_map(printer, sensor_map)
+    if result is not None:
+        print_score(printer, result, "Score against the true positions")
+    print_files(printer, files)
+
+
+def score_with_progress(
+    sensor_map: SensorMap,
+    truth: Recording | SensorMap,
     permutations: int,
     seed: int,
     *,
     exclude: Sequence[str] = (),
-) -> None:
-    """Show a map with all that is known of it, and write the files asked for."""
-    result = _score_if_known(sensor_map, examined.recording, permutations, seed, exclude)
-    show_health(examined.health)
-    _show_map(sensor_map)
-    if result is not None:
-        show_score(result)
-    _write(outputs, sensor_map, examined, result)
-
-
-def _score_if_known(
-    sensor_map: SensorMap,
-    recording: Recording,
-    permutations: int,
-    seed: int,
-    exclude: Sequence[str],
-) -> Score | None:
-    if recording.positions is None:
-        return None
-    with progress(f"relabelling the sensors {permutations} times") as tell:
+) -> Score:
+    """Score a map against the positions of a recording or of another map, with progress."""
+    with progress(f"computing {permutations} permutations") as tell:
         return score(
             sensor_map,
-            recording.positions,
+            truth if isinstance(truth, SensorMap) else np.asarray(truth.positions),
             exclude=exclude,
-            units=recording.units,
+            units=truth.units,
             permutations=permutations,
             rng=np.random.default_rng(seed),
             progress=tell,
         )
 
 
-def show_recording(examined: Examined) -> None:
-    """Print what is in a recording."""
-    summary = examined.summary
+def print_files(printer: Printer, files: Sequence[tuple[str, Path]]) -> None:
+    """Print the files that were written."""
+    printer.table("Files", ("content", "path"), [(kind, str(path)) for kind, path in files])
+    printer.record(files=[{"content": kind, "path": str(path)} for kind, path in files])
+
+
+def print_recording(printer: Printer, examined: Examined) -> None:
+    """Print a summary of a recording."""
+    summary, recording = examined.summary, examined.recording
     rate = "unknown" if summary.rate_hz is None else f"{number(summary.rate_hz)} Hz"
     duration = "" if summary.duration is None else f", {number(summary.duration)} s"
-    show_facts(
+    constant = f"{summary.n_constant} constant" if summary.n_constant else "all active"
+    printer.facts(
         "Recording",
         {
-            "source": examined.recording.source or "unknown",
+            "source": recording.source or "unknown",
             "frames": f"{summary.n_frames}{duration}",
             "rate": rate,
-            "sensors": f"{summary.n_sensors}, of which {summary.n_constant} never vary",
+            "sensors": f"{summary.n_sensors}, {constant}",
             "readings": f"{number(summary.minimum)} to {number(summary.maximum)}, "
             f"{percent(summary.share_of_zeros)} zeros, {summary.missing} missing",
-            "distinct values": f"{summary.distinct_values} a sensor (median)",
-            "true positions": "known" if examined.recording.positions is not None else "not known",
+            "distinct values": f"{summary.distinct_values} per sensor (median)",
+            "true positions": "unknown" if recording.positions is None else "known",
         },
     )
+    printer.record(recording={"source": recording.source, **asdict(summary)})
 
 
-def show_health(health: Sequence[SensorHealth], *, everyone: bool = False) -> None:
-    """Print sensor health: those with a fault, or everyone, and how many are well.
-
-    Of very many with a fault, the first are shown.
-    """
-    every = [sensor for sensor in health if sensor.status != "ok"]
-    ill = every if everyone else every[:_MOST_SHOWN]
-    well = [sensor for sensor in health if sensor.status == "ok"]
+def print_health(
+    printer: Printer, health: Sequence[SensorHealth], *, everyone: bool = False
+) -> None:
+    """Print the health of faulty sensors, or of all, and the number of sensors of each status."""
+    faulty = [sensor for sensor in health if sensor.status != "ok"]
+    shown = faulty if everyone else faulty[:_MAX_SHOWN]
+    healthy = [sensor for sensor in health if sensor.status == "ok"]
     counts = Counter(sensor.status for sensor in health)
     title = "Sensor health: " + ", ".join(f"{n} {status}" for status, n in counts.most_common())
+    printer.record(sensors=[asdict(sensor) for sensor in (health if everyone else faulty)])
     rows = [
         (
             sensor.name,
@@ -216,69 +228,107 @@ def show_health(health: Sequence[SensorHealth], *, everyone: bool = False) -> No
             str(sensor.contacts),
             number(sensor.best_match, 2),
         )
-        for sensor in (ill + well if everyone else ill)
+        for sensor in (shown + healthy if everyone else shown)
     ]
     if not rows:
-        show_facts(title, {})
+        printer.facts(title, {})
         return
     columns = ("sensor", "status", "range", "values", "active", "contacts", "best r")
-    show_table(title, columns, rows)
-    for sensor in ill:
-        console.print(f"  {sensor.name}: {sensor.reason}", markup=False, soft_wrap=True)
-    if len(every) > len(ill):
-        console.print(f"  ... and {len(every) - len(ill)} more that are not ok")
+    printer.table(title, columns, rows)
+    for sensor in shown:
+        printer.line(f"  {sensor.name}: {sensor.reason}")
+    if len(faulty) > len(shown):
+        printer.line(f"  ... and {len(faulty) - len(shown)} more faulty sensors")
 
 
-def _show_map(sensor_map: SensorMap) -> None:
-    """Print what a map is, and how far it is known."""
-    how = ", approximate" if sensor_map.approximate else ""
-    show_facts(
-        f"Map by {sensor_map.method}{how}",
+def _print_map(printer: Printer, sensor_map: SensorMap) -> None:
+    n_placed = int(np.count_nonzero(sensor_map.placed))
+    approximate = ", approximate" if sensor_map.approximate else ""
+    printer.facts(
+        f"Map by {sensor_map.method}{approximate}",
         {
-            "sensors placed": f"{np.count_nonzero(sensor_map.placed)} of {sensor_map.n_sensors}, "
+            "sensors placed": f"{n_placed} of {sensor_map.n_sensors}, "
             f"in {sensor_map.dimensions} dimensions",
+            "components": ", ".join(map(str, sensor_map.component_sizes)) + " sensors",
             "Stress-1": f"{number(sensor_map.stress)} (0 is a perfect fit of the metric)",
             "confidence": confidence_in_words(sensor_map.confidence),
             "known up to": sensor_map.known_up_to,
         },
     )
+    printer.record(
+        map={
+            "method": sensor_map.method,
+            "dimensions": sensor_map.dimensions,
+            "sensors": sensor_map.n_sensors,
+            "placed": n_placed,
+            "component_sizes": sensor_map.component_sizes,
+            "approximate": sensor_map.approximate,
+            "stress": sensor_map.stress,
+            "confidence": sensor_map.confidence,
+            "units": sensor_map.units,
+            "notes": sensor_map.notes,
+            "provenance": dict(sensor_map.provenance),
+        }
+    )
 
 
-def show_score(result: Score) -> None:
-    """Print how a map compares with the truth."""
-    units = result.units or "units of the truth"
+def print_score(printer: Printer, result: Score, title: str) -> None:
+    """Print the comparison of a map with reference positions."""
+    units = result.units or "units of the reference"
     null = result.mantel.quantiles()
     facts = {"Mantel r": number(result.mantel.r)}
     if null:
         facts |= {
-            "its null": ", ".join(
+            "null distribution": ", ".join(
                 f"{_quantile_name(level)} {value:.3f}" for level, value in null.items()
             ),
-            "p": f"{number(result.mantel.p_value, 3)} ({result.mantel.null.size} labellings)",
+            "p": f"{number(result.mantel.p_value, 3)} ({result.mantel.null.size} permutations)",
         }
     facts |= {
-        "RMS error": f"{number(result.rms)} {units}, or {number(result.rms_in_spacings)} of the "
+        "RMS error": f"{number(result.rms)} {units}, or {number(result.rms_in_spacings)} times the "
         f"median sensor spacing ({number(result.spacing)} {units})",
         "mirrored": "yes" if result.alignment.reflected else "no",
         "neighbours kept": percent(result.neighbours_kept),
         "sensors compared": str(result.mantel.n_sensors),
     }
-    show_facts("Score against the true positions", facts)
+    printer.facts(title, facts)
     for note in result.notes:
-        console.print(f"  note: {note}", markup=False)
+        printer.line(f"  note: {note}")
+    printer.record(score=_score_values(result))
+
+
+def _score_values(result: Score) -> dict[str, object]:
+    has_null = bool(result.mantel.null.size)
+    return {
+        "mantel_r": result.mantel.r,
+        "null_quantiles": {str(level): r for level, r in result.mantel.quantiles().items()},
+        "p_value": result.mantel.p_value if has_null else None,
+        "permutations": result.mantel.null.size,
+        "rms": result.rms,
+        "units": result.units,
+        "rms_in_spacings": result.rms_in_spacings,
+        "median_spacing": result.spacing,
+        "reflected": result.alignment.reflected,
+        "neighbours_kept": result.neighbours_kept,
+        "sensors_compared": result.mantel.n_sensors,
+        "notes": list(result.notes),
+    }
 
 
 def _write(
     outputs: Outputs, sensor_map: SensorMap, examined: Examined, result: Score | None
-) -> None:
+) -> list[tuple[str, Path]]:
+    """Write all files; return them, each with its kind."""
+    written: list[tuple[str, Path]] = []
     with progress("writing"):
         for path in outputs.maps:
-            io.write(sensor_map, path)
+            written += [("map", file) for file in outputs.placing.write(sensor_map, path)]
         figure = (
             figures.map_figure(sensor_map, result) if outputs.picture or outputs.report else None
         )
         if outputs.picture and figure is not None:
             figures.save_figure(figure, outputs.picture)
+            written.append(("picture", outputs.picture))
         if outputs.report and figure is not None:
             report.write_report(
                 outputs.report,
@@ -288,11 +338,10 @@ def _write(
                 summary=examined.summary,
                 figure_png=figures.figure_bytes(figure),
             )
-    named: list[tuple[str, Path | None]] = [("map", path) for path in outputs.maps]
-    named += [("picture", outputs.picture), ("report", outputs.report)]
-    show_table("Files", ("what", "where"), [(what, str(p)) for what, p in named if p is not None])
+            written.append(("report", outputs.report))
+    return written
 
 
 def _quantile_name(level: float) -> str:
-    names = {0.0: "least", 0.5: "median", 1.0: "greatest"}
+    names = {0.0: "min", 0.5: "median", 1.0: "max"}
     return names.get(level, f"{level:.0%}")

@@ -1,4 +1,4 @@
-"""Recordings that are too large to be read as a whole: gone through in blocks."""
+"""Recordings that are too large for memory: read in blocks."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_even_spacing
 from anisomap.recording import MissingPolicy, Recording, default_names
 
 LARGE_BYTES = 1 << 29
-"""Readings, as float32, that are not read as a whole any more."""
+"""Size of the readings, as float32, above which a recording is read in blocks: 512 MiB."""
 
 PROBED_BYTES = 1 << 24
-"""Files smaller than this are not even looked into: they unpack to no large recording."""
+"""Size of files below which the size of the recording is not estimated."""
 
 large_group = Group("Large recordings", sort_key=4)
 
 
 @dataclass(frozen=True)
 class LargeOptions:
-    """What to do with much.
+    """Options for large recordings.
 
     Parameters
     ----------
     workers
-        Threads that go through the recording side by side; more than cores gain nothing.
+        Number of parallel threads; more than the number of cores gain nothing.
     dask
-        Let the workers of a Dask cluster do it: address of its scheduler, as in tcp://host:8786.
+        Address of a Dask scheduler whose workers do the work, as in tcp://host:8786.
     checkpoint
-        File to note down what was counted so far, and to go on from if it is there.
+        File for intermediate results, to resume from if it exists.
     approximate
-        Make an approximate map by r-anisomap, for more sensors than all pairs can be compared of.
+        Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
     """
 
     workers: Annotated[int, Parameter(validator=Number(gte=1))] = 1
@@ -62,7 +62,7 @@ class LargeOptions:
 
     @property
     def asked_for(self) -> bool:
-        """Whether any of them was given."""
+        """Whether any of the options was given."""
         return self.approximate or self._shared
 
     @property
@@ -70,24 +70,23 @@ class LargeOptions:
         return self.workers > 1 or bool(self.dask) or self.checkpoint is not None
 
     def method(self, asked: str | None) -> str:
-        """Tell by which method a map is made, given the one that was asked for, if any was.
+        """Choose the method, given the one that the user asked for, if any.
 
         Raises
         ------
         InputError
-            If an approximate map is asked for by a method, or in a way, that there is none of.
+            If an approximate map does not support the method or another option.
         """
         if not self.approximate:
             return asked or DEFAULT_METHOD
         if asked not in (None, APPROXIMATED):
             raise InputError(
-                f"--approximate is of {APPROXIMATED}, not of {asked}; leave out --method, or "
+                f"--approximate supports {APPROXIMATED} only, got {asked}; leave out --method or "
                 "--approximate"
             )
         if self._shared:
             raise InputError(
-                "an approximate map is made by this process alone, from the start; leave out "
-                "--workers, --dask and --checkpoint"
+                "--approximate does not support --workers, --dask and --checkpoint; leave them out"
             )
         return APPROXIMATED
 
@@ -96,12 +95,12 @@ AS_EVER = LargeOptions()
 
 
 def too_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
-    """Tell from their first blocks whether recordings are too large to be read as a whole."""
+    """Estimate from their first blocks whether recordings are too large for memory."""
     if sum(map(_on_disk, paths)) < PROBED_BYTES:
         return False
     total = 0.0
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # whatever there is to say will be said in reading
+        warnings.simplefilter("ignore")  # the same warnings follow when the file is read
         for path in paths:
             with io.open_stream(path, options=how) as stream:
                 for block in stream.blocks:
@@ -121,18 +120,18 @@ def examine(
     drop: list[str] | None = None,
     seed: int = 0,
 ) -> tuple[Examined, Gathered | Related]:
-    """Go through recordings of the same sensors as one, with progress, for a method's map.
+    """Read recordings of the same sensors in blocks, with progress, for a map.
 
-    Sensors to drop, and the seed, matter to an approximate map only.
+    Dropped sensors and the seed affect approximate maps only.
 
     Raises
     ------
     InputError
         If sensors are missing in some, or the preset does not fit.
     """
-    with progress("looking into the files"):
+    with progress("inspecting the files"):
         like = _like(paths, how)
-    with progress("going through all frames") as tell:
+    with progress("reading all frames") as tell:
         files = _Files(tuple(paths), how, like.names, missing, tell)
         if how.preset:
             like, kept = _named(files, like, how.preset)
@@ -166,14 +165,14 @@ def examine(
 
 
 def _like(paths: Sequence[Path], how: io.ReadOptions) -> Recording:
-    """Give a frame of the recordings, with all that is known of their sensors."""
+    """Return the first frame of the recordings, with their metadata."""
     known = [_first_frame(path, how) for path in paths]
     first = known[0]
     for path, other in zip(paths, known, strict=True):
         if set(other.names) != set(first.names):
             raise InputError(
-                f"{path} is not of the same sensors as {paths[0]}; recordings as large as these "
-                "can only be joined if all have all sensors"
+                f"{path} and {paths[0]} have different sensors; recordings of this size can be "
+                "joined only if all have the same sensors"
             )
     return replace(first, source=" + ".join(recording.source for recording in known))
 
@@ -184,7 +183,7 @@ def _first_frame(path: Path, how: io.ReadOptions) -> Recording:
         with io.open_stream(path, frames=1, options=how) as stream:
             readings = next((block.readings for block in stream.blocks), None)
             if readings is None:
-                raise InputError(f"{path} holds no frame")
+                raise InputError(f"{path} holds no frames")
             frame = Recording(
                 readings,
                 names=stream.names or default_names(stream.n_sensors),
@@ -201,10 +200,10 @@ def _first_frame(path: Path, how: io.ReadOptions) -> Recording:
 
 @dataclass(frozen=True, eq=False)
 class _Files:
-    """Recordings of the same sensors as one; called, it opens their readings without gaps.
+    """Recordings of the same sensors as one; a call opens their readings without gaps.
 
-    What a preset leaves out is left out as where recordings are read as a whole: of one at once,
-    of several only once gaps are settled in each.
+    Sensors that a preset leaves out are removed as in recordings that fit in memory: before gaps
+    are filled for one recording, after it for several.
     """
 
     paths: tuple[Path, ...]
@@ -224,7 +223,7 @@ class _Files:
         return chunks if self.kept is None else (chunk[:, self.kept] for chunk in chunks)
 
     def raw(self, number: int, kept: NDArray[np.intp] | None = None) -> Iterator[NDArray[Any]]:
-        """Give the readings of a file, sensors in the order of `names`."""
+        """Yield the readings of a file, sensors in the order of `names`."""
         path, n_frames = self.paths[number], chunk_frames(len(self.names))
         with io.open_stream(path, frames=n_frames, options=self.how) as stream:
             own = {name: i for i, name in enumerate(stream.names or self.names)}
@@ -237,7 +236,7 @@ class _Files:
 
 
 def _named(files: _Files, like: Recording, preset: str) -> tuple[Recording, NDArray[np.intp]]:
-    """Name the sensors of a known robot, once it is known which of its values ever vary."""
+    """Apply a preset, after a pass that finds the channels that vary."""
     frames: list[NDArray[Any]] = []
     for chunk in files.raw(0) if len(files.paths) == 1 else files():
         known = np.isfinite(chunk)
@@ -251,7 +250,7 @@ def _named(files: _Files, like: Recording, preset: str) -> tuple[Recording, NDAr
 
 
 def _described(paths: Sequence[Path], how: io.ReadOptions, missing: MissingPolicy) -> str:
-    """Say what is counted, so that nobody goes on with what was counted of something else."""
+    """Describe files and options, so that checkpoints of others are refused."""
     of = " + ".join(f"{path.name} ({_on_disk(path)} bytes)" for path in paths)
     told = {
         "select": how.select,

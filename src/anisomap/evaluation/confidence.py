@@ -24,6 +24,9 @@ DOUBTFUL = 0.9
 MIN_SENSORS = 12
 """Maps of fewer sensors agree too often by chance."""
 
+N_HALVES = 4
+"""Number of halves that are mapped: two splits of the recording."""
+
 _MIN_FRAMES = 4 * N_BLOCKS
 # Coefficients of the curve in `expected_mantel_r`, fitted to simulated skins, seeds 101 to 105.
 _CONSTANT, _LINEAR, _QUADRATIC, _COLLAPSE, _COLLAPSE_POWER = 0.01, 0.2, 0.1, 0.8, 8.0

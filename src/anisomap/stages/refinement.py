@@ -131,7 +131,7 @@ def refine_by_covariogram(
         known=pairs.known,
         options=options,
     )
-    logger.info(
+    logger.debug(
         "covariogram %.2f exp(-d^%.2f) %+.2f after %d steps",
         fit.amplitude,
         fit.exponent,
@@ -143,7 +143,7 @@ def refine_by_covariogram(
         return replace(unused, positions=fit.positions)
     correct = refine_by_even_spacing if evenly_spaced else refine_by_contact_peaks
     found = correct(readings, fit.positions, similarity=pairs.similarity)
-    logger.info("unevenness %.2f; geodesic lengths used: %s", found.unevenness, found.applied)
+    logger.debug("unevenness %.2f; geodesic lengths used: %s", found.unevenness, found.applied)
     if evenly_spaced:
         facts = RefinementFacts(even_spacing=found.applied)
         return Refined(found.positions, facts, (_EVEN if found.applied else _NOT_EVEN,))
@@ -203,7 +203,7 @@ def refine_by_contacts(
     if mapped.facts.elongated:
         return _rejected(mapped, "the contacts are elongated, and the fit assumes compact ones")
     fit = fit_contacts(pairs.readings, mapped.positions, options)
-    logger.info("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
+    logger.debug("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
     if not fit.used:
         return _rejected(mapped, fit.reason)
     return replace(

@@ -1,4 +1,4 @@
-"""``anisomap compare``: several methods on recordings whose positions are known."""
+"""``anisomap compare``: several methods on recordings with known positions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline
-from anisomap.cli.console import console, progress, show_table
+from anisomap.cli.console import progress
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import score
 from anisomap.files import atomic_write, check_distinct, check_target
@@ -36,6 +36,7 @@ def compare(
     missing: options.Missing = "error",
     reading: options.Reading = options.AS_IT_COMES,
     output: Annotated[Path | None, Parameter(alias="-o", group=options.outputs_group)] = None,
+    reporting: options.Reporting = options.AS_TEXT,
 ) -> None:
     """Score several methods on recordings with known positions: a table of Mantel r.
 
@@ -44,9 +45,9 @@ def compare(
     method
         Method to compare; may be repeated. Default: the default method and the paper's four.
     dimensions
-        Dimensions to map into, may be repeated; 2 and 3 unless given.
+        Number of coordinates; may be repeated. Default: 2 and 3.
     output
-        Write the table as Markdown, too.
+        File for the table in Markdown.
     """
     methods = tuple(method or (DEFAULT_METHOD, *PAPER_METHODS))
     for name in methods:
@@ -54,30 +55,32 @@ def compare(
     if output:
         check_target(output)
         check_distinct([output], recordings)
-    rows = []
+    rows, values = [], []
     for path in recordings:
         recording = pipeline.read(path, reading.checked()).complete(missing)
         truth = recording.positions
         if truth is None:
-            raise InputError(f"{path} holds no true positions, so no map of it can be scored")
+            raise InputError(f"{path} holds no true positions to score maps against")
         for k in dimensions or (2, 3):
             with progress(f"{path.name} in {k} dimensions"):
-                scores = [f"{_mantel_r(recording, truth, name, k):.3f}" for name in methods]
-            size = f"{recording.n_sensors} x {recording.n_frames}"
-            rows.append((path.name.split(".")[0], size, f"{k}D", *scores))
+                scores = {name: _mantel_r(recording, truth, name, k) for name in methods}
+            name, size = path.name.split(".")[0], f"{recording.n_sensors} x {recording.n_frames}"
+            rows.append((name, size, f"{k}D", *(f"{r:.3f}" for r in scores.values())))
+            values.append({"recording": name, "dimensions": k, "mantel_r": scores})
     columns = ("recording", "sensors x frames", "map", *methods)
-    show_table("Mantel r", columns, rows)
+    with reporting.printer() as printer:
+        printer.table("Mantel r", columns, rows)
+        printer.record(scores=values)
     if output:
         with atomic_write(output) as aside:
             aside.write_text(_markdown(columns, rows), encoding="utf-8")
-        console.print(f"written to {output}", markup=False)
 
 
 def _mantel_r(
     recording: Recording, truth: NDArray[np.float64], method: str, dimensions: int
 ) -> float:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)  # one doubt would be told many times
+        warnings.simplefilter("ignore", AnisomapWarning)  # the notes would repeat for every method
         sensor_map = reconstruct(recording, method, dimensions)
     return score(sensor_map, truth, permutations=0).mantel.r
 

@@ -9,7 +9,6 @@ from cyclopts import Parameter
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli.console import show_facts
 from anisomap.files import check_distinct
 from anisomap.placement import METRES, median_spacing
 
@@ -20,19 +19,31 @@ def convert(
     /,
     *,
     placing: options.Placing = options.AS_IT_IS,
+    reporting: options.Reporting = options.AS_TEXT,
 ) -> None:
-    """Write a map in another format: for a robot's software, a viewer, a spreadsheet.
+    """Write a map in another format: for robot software, a viewer or a spreadsheet.
 
-    `anisomap formats` lists what can be written.
+    `anisomap formats` lists the formats.
     """
     check_distinct([output], [map_file])
     io.check_writable(output)
     sensor_map = io.read_map(map_file)
     placing.check([output], sensor_map.units)
     placed = placing.applied(sensor_map)
-    io.write(placed, output)
-    facts = {"sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}"}
-    if placed.units in METRES:
-        facts["neighbours"] = f"{median_spacing(placed):.4g} {placed.units} apart (median)"
-    facts["known up to"] = placed.known_up_to
-    show_facts(f"Written to {output}", facts)
+    with reporting.printer() as printer:
+        written = placing.write(placed, output)
+        n_placed = int(placed.placed.sum())
+        facts = {"sensors placed": f"{n_placed} of {placed.n_sensors}"}
+        spacing = median_spacing(placed) if placed.units in METRES else None
+        if spacing is not None:
+            facts["median spacing"] = f"{spacing:.4g} {placed.units}"
+        facts["known up to"] = placed.known_up_to
+        printer.facts(f"Written to {', '.join(map(str, written))}", facts)
+        printer.record(
+            files=written,
+            sensors=placed.n_sensors,
+            placed=n_placed,
+            median_spacing=spacing,
+            units=placed.units,
+            known_up_to=placed.known_up_to,
+        )

@@ -1,4 +1,4 @@
-"""``anisomap coverage``: how long a skin must be stimulated, and how densely."""
+"""``anisomap coverage``: the required length and density of a stimulation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from anisomap.cli import bodies
-from anisomap.cli.console import number, percent, progress, show_table
+from anisomap.cli import parameters as options
+from anisomap.cli.console import number, percent, progress
 from anisomap.drawing import figures
 from anisomap.drawing.figures import curves
 from anisomap.files import atomic_write, check_distinct, check_target
@@ -35,34 +36,35 @@ def coverage(
     dimensions: Annotated[int, Parameter(alias="-d", validator=Number(gte=1))] = 3,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     picture: Path | None = None,
+    reporting: options.Reporting = options.AS_TEXT,
 ) -> None:
-    """Tell how long a skin must be stimulated: what recordings cover as they grow.
+    """Estimate how long a skin must be stimulated: coverage as a function of recording length.
 
     Parameters
     ----------
     body
-        As for `anisomap simulate`: a name, a mesh, a model, or positions of sensors like yours.
+        Name, mesh, model or positions, as for `anisomap simulate`.
     scenario
-        What happens to it: see `anisomap scenarios`.
+        Scenario: see `anisomap scenarios`.
     frames
-        Length to look at, may be repeated.
+        Recording length; may be repeated.
     runs
-        Seeds to average over.
+        Number of seeds to average over.
     seed
-        The first of them.
+        First seed.
     sensors
-        How many sensors, or a file with their positions.
+        Number of sensors, or a file with their positions.
     parameter
-        NAME=VALUE, a parameter of the scenario, such as how dense the stimulation is; may be
+        NAME=VALUE, a parameter of the scenario, such as the density of the stimulation; may be
         repeated.
     method
-        How maps are made: see `anisomap methods`.
+        Reconstruction method: see `anisomap methods`.
     dimensions
-        Of the space to map into.
+        Number of coordinates.
     output
         CSV file for the table.
     picture
-        Draw the curves: .png, .svg or .pdf.
+        File for a figure of the curves: .png, .svg or .pdf.
     """
     check_distinct([path for path in (output, picture) if path], [])
     if output:
@@ -81,7 +83,9 @@ def coverage(
             **bodies.parse_parameters(parameter or []),
         )
     rows = _rows(curve)
-    show_table(f"Coverage of {skin.name} by {scenario}, mean of {runs} runs", _COLUMNS, rows)
+    with reporting.printer() as printer:
+        printer.table(f"Coverage of {skin.name} by {scenario}, mean of {runs} runs", _COLUMNS, rows)
+        printer.record(body=skin.name, scenario=scenario, runs=runs, coverage=_values(curve))
     if output:
         with atomic_write(output) as aside:
             lines = [",".join(cells) for cells in (_COLUMNS, *rows)]
@@ -111,3 +115,16 @@ def _rows(curve: CoverageCurve) -> list[tuple[str, ...]]:
             )
         )
     return rows
+
+
+def _values(curve: CoverageCurve) -> list[dict[str, object]]:
+    return [
+        {
+            "frames": int(n_frames),
+            "seconds": float(curve.seconds[i]),
+            "sensors_touched": float(curve.touched[i].mean()),
+            "neighbours_touched_together": float(curve.pairs[i].mean()) / max(curve.n_pairs, 1),
+            "mantel_r": curve.mantel_r[i],
+        }
+        for i, n_frames in enumerate(curve.n_frames)
+    ]

@@ -1,4 +1,4 @@
-"""``anisomap demo``: the main job on a simulated skin whose truth is known."""
+"""``anisomap demo``: simulate, map and score a skin."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cyclopts.validators import Number
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline
-from anisomap.cli.console import console, progress
+from anisomap.cli.console import progress
 from anisomap.errors import FileError
 from anisomap.evaluation import PERMUTATIONS
 from anisomap.methods import DEFAULT_METHOD
@@ -25,6 +25,7 @@ def demo(
     method: Annotated[str, Parameter(alias="-m")] = DEFAULT_METHOD,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 1,
+    reporting: options.Reporting = options.AS_TEXT,
 ) -> None:
     """Simulate a skin, map it, and score the map.
 
@@ -33,16 +34,16 @@ def demo(
     Parameters
     ----------
     output_dir
-        Folder for the recording, the map, the picture and the report; made if it is not there.
+        Folder for the recording, the map, the figure and the report; created if necessary.
     frames
-        Frames to simulate, at 20 a second.
+        Number of frames to simulate, at 20 Hz.
     method
-        How to make the map: see `anisomap methods`.
+        Reconstruction method: see `anisomap methods`.
     """
     try:
         output_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(f"cannot make the folder {output_dir}: {error.strerror}") from error
+        raise FileError(f"cannot create the folder {output_dir}: {error.strerror}") from error
     outputs = pipeline.Outputs(
         maps=(output_dir / "map.csv",),
         picture=output_dir / "map.png",
@@ -53,11 +54,11 @@ def demo(
         recording = simulate("sphere", "bombardment", n_frames=frames, seed=seed, progress=tell)
         io.write(recording, output_dir / "recording.npz")
     examined = pipeline.examine(recording)
-    pipeline.show_recording(examined)
-    sensor_map = pipeline.make_map(examined, method, dimensions=3)
-    pipeline.finish(outputs, sensor_map, examined, permutations, seed)
-    console.print(
-        f"\nTry the same from the file:\n  anisomap map {output_dir / 'recording.npz'} -o map.csv",
-        markup=False,
-        soft_wrap=True,
-    )
+    with reporting.printer() as printer:
+        pipeline.print_recording(printer, examined)
+        sensor_map = pipeline.make_map(examined, method, dimensions=3)
+        pipeline.finish(
+            printer, outputs, sensor_map, examined, permutations=permutations, seed=seed
+        )
+        printer.line("\nMap the recording from its file:")
+        printer.line(f"  anisomap map {output_dir / 'recording.npz'} -o map.csv")

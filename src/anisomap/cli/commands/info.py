@@ -1,4 +1,4 @@
-"""``anisomap info``: what is in a recording."""
+"""``anisomap info``: a summary of a recording."""
 
 from __future__ import annotations
 
@@ -18,28 +18,30 @@ def info(
     *,
     sensors: Annotated[bool, Parameter(negative=())] = False,
     reading: options.Reading = options.AS_IT_COMES,
+    reporting: options.Reporting = options.AS_TEXT,
 ) -> None:
-    """Say what is in a recording, before anyone spends time on it.
+    """Summarise a recording and flag faulty sensors.
 
     Parameters
     ----------
     sensors
-        List every sensor, not only those that look faulty.
+        List all sensors, not only faulty ones.
     """
     how = reading.checked()
-    pipeline.show_contents(recording, how)
-    try:
-        found = pipeline.read(recording, how)
-    except ChoiceError as error:
-        warn(str(error))  # to list what there is to choose from was all that could be asked for
-        return
-    examined = pipeline.examine(found)
-    pipeline.show_recording(examined)
-    pipeline.show_health(examined.health, everyone=sensors)
-    for weakness in examined.summary.warnings:
-        warn(weakness)
-    if examined.summary.missing:
-        warn(
-            f"{examined.summary.missing} readings are NaN or infinite: "
-            "map them with --missing drop-frames or --missing interpolate"
-        )
+    with reporting.printer() as printer:
+        pipeline.print_contents(printer, recording, how)
+        try:
+            found = pipeline.read(recording, how)
+        except ChoiceError as error:
+            warn(str(error))  # listing the choices was all that could be done
+            return
+        examined = pipeline.examine(found)
+        pipeline.print_recording(printer, examined)
+        pipeline.print_health(printer, examined.health, everyone=sensors)
+        for weakness in examined.summary.warnings:
+            warn(weakness)
+        if examined.summary.missing:
+            warn(
+                f"{examined.summary.missing} readings are NaN or infinite: "
+                "map them with --missing drop-frames or --missing interpolate"
+            )

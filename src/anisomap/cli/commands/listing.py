@@ -1,96 +1,99 @@
-"""``anisomap methods``, ``formats``, ``bodies``, ``scenarios``, ``faults``: what there is."""
+"""``anisomap methods``, ``formats``, ``bodies``, ``scenarios`` and ``faults``: lists."""
 
 from __future__ import annotations
 
 import inspect
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from docstring_parser import parse as parse_docstring
-from rich.markup import escape
-from rich.padding import Padding
 
-from anisomap.cli.console import console, number, show_table
+from anisomap.cli import parameters as options
+from anisomap.cli.console import Printer, number
 from anisomap.io import FORMATS
 from anisomap.methods import METHODS, PAPER_METHODS
 from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS, find_scenario
 from anisomap.stages.pairs import SIMILARITIES
 
 
-def methods() -> None:
+def methods(*, reporting: options.Reporting = options.AS_TEXT) -> None:
     """List the methods and the similarities."""
-    show_table(
-        "Methods",
-        ("name", "what it does", "from"),
-        [
-            (name, method.summary, "the paper" if name in PAPER_METHODS else "anisomap")
-            for name, method in METHODS.items()
-        ],
-    )
-    show_table(
-        "Similarities",
-        ("name", "what it is"),
-        [(name, similarity.summary) for name, similarity in SIMILARITIES.items()],
-    )
+    with reporting.printer() as printer:
+        _print_rows(
+            printer,
+            "Methods",
+            ("name", "summary", "source"),
+            [
+                (name, method.summary, "the paper" if name in PAPER_METHODS else "anisomap")
+                for name, method in METHODS.items()
+            ],
+        )
+        _print_rows(
+            printer,
+            "Similarities",
+            ("name", "summary"),
+            [(name, similarity.summary) for name, similarity in SIMILARITIES.items()],
+        )
 
 
-def formats() -> None:
-    """List the file formats, what can be read from and written to each, and what that needs."""
-    show_table(
-        "Formats",
-        ("name", "suffixes", "reads", "writes", "extra", "what it is"),
-        [
-            (
-                form.name,
-                " ".join(form.suffixes),
-                _which(recording=form.open_recording, map=form.read_map),
-                _which(recording=form.write_recording, map=form.write_map),
-                form.extra or "-",
-                form.summary,
-            )
-            for form in FORMATS
-        ],
-    )
+def formats(*, reporting: options.Reporting = options.AS_TEXT) -> None:
+    """List the file formats, what each can read and write, and the extra that it needs."""
+    rows = [
+        (
+            form.name,
+            " ".join(form.suffixes),
+            _abilities(recording=form.open_recording, map=form.read_map),
+            _abilities(recording=form.write_recording, map=form.write_map),
+            form.extra or "-",
+            form.summary,
+        )
+        for form in FORMATS
+    ]
+    with reporting.printer() as printer:
+        columns = ("name", "suffixes", "reads", "writes", "extra", "summary")
+        _print_rows(printer, "Formats", columns, rows)
 
 
-def bodies() -> None:
+def bodies(*, reporting: options.Reporting = options.AS_TEXT) -> None:
     """List the bodies that can be simulated."""
     rows = []
     for name, make in BODIES.items():
         body = make()
         size = (f"{number(length, 3)} {body.units}" for length in (body.reach, body.spacing))
         rows.append((name, str(body.n_sensors), *size, _first_line(make).removeprefix("Make ")))
-    show_table("Bodies", ("name", "sensors", "reach", "spacing", "what it is"), rows)
-    console.print(
-        "A closed mesh, a MuJoCo model or a file of positions is a body, too:\n"
-        "  anisomap simulate part.stl --sensors 200",
-        soft_wrap=True,
-    )
+    with reporting.printer() as printer:
+        columns = ("name", "sensors", "reach", "spacing", "summary")
+        _print_rows(printer, "Bodies", columns, rows)
+        printer.line("A closed mesh, a MuJoCo model or a file of positions works, too:")
+        printer.line("  anisomap simulate part.stl --sensors 200")
 
 
-def scenarios(scenario: str | None = None, /) -> None:
-    """List what can happen to a body; of one scenario, every parameter.
+def scenarios(
+    scenario: str | None = None, /, *, reporting: options.Reporting = options.AS_TEXT
+) -> None:
+    """List the scenarios, or the parameters of one scenario.
 
     Parameters
     ----------
     scenario
-        Whose parameters to tell, with their defaults for the paper's sphere.
+        Scenario whose parameters to list, with their defaults for the paper's sphere.
     """
-    if scenario is None:
-        rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
-        show_table("Scenarios", ("name", "what happens"), rows)
-        return
-    options = find_scenario(scenario).options
-    defaults = options()
-    # Options may inherit parameters, which are documented where they come from.
-    for kind in reversed(options.__mro__):
-        for entry in parse_docstring(inspect.cleandoc(kind.__doc__ or "")).params:
-            if hasattr(defaults, entry.arg_name):
-                console.print(f"[bold]{entry.arg_name}[/] = {getattr(defaults, entry.arg_name)}")
-                text = " ".join((entry.description or "").split())
-                console.print(Padding(escape(text), (0, 0, 0, 2)))
+    with reporting.printer() as printer:
+        if scenario is None:
+            rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
+            _print_rows(printer, "Scenarios", ("name", "summary"), rows)
+            return
+        parameters = list(_parameters(scenario))
+        printer.record(scenario=scenario, parameters=[asdict(one) for one in parameters])
+        for one in parameters:
+            printer.line(f"{one.name} = {one.default}")
+            printer.line(textwrap.indent(textwrap.fill(one.summary, 96), "  "))
 
 
-def faults() -> None:
-    """List what can go wrong with a recording, for `anisomap spoil`."""
+def faults(*, reporting: options.Reporting = options.AS_TEXT) -> None:
+    """List the faults that `anisomap spoil` can inject."""
     rows = []
     for name, function in {**FAULTS, **FRAME_FAULTS}.items():
         parameters = inspect.signature(function).parameters.values()
@@ -99,14 +102,40 @@ def faults() -> None:
             for one in parameters
             if one.kind is one.KEYWORD_ONLY and one.name not in ("rng", "source")
         )
-        befalls = "sensors" if name in FAULTS else "all sensors"
-        rows.append((name, befalls, taken or "-", _first_line(function)))
-    show_table("Faults", ("name", "of", "parameters", "what it does"), rows)
+        affects = "sensors" if name in FAULTS else "all sensors"
+        rows.append((name, affects, taken or "-", _first_line(function)))
+    with reporting.printer() as printer:
+        _print_rows(printer, "Faults", ("name", "affects", "parameters", "summary"), rows)
+
+
+@dataclass(frozen=True)
+class _ScenarioParameter:
+    name: str
+    default: Any
+    summary: str
+
+
+def _parameters(scenario: str) -> Iterator[_ScenarioParameter]:
+    """Yield the parameters of a scenario, inherited ones included, from their docstrings."""
+    options_class = find_scenario(scenario).options
+    defaults = options_class()
+    for kind in reversed(options_class.__mro__):
+        for entry in parse_docstring(inspect.cleandoc(kind.__doc__ or "")).params:
+            if hasattr(defaults, entry.arg_name):
+                summary = " ".join((entry.description or "").split())
+                yield _ScenarioParameter(entry.arg_name, getattr(defaults, entry.arg_name), summary)
+
+
+def _print_rows(
+    printer: Printer, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
+    printer.table(title, columns, rows)
+    printer.record(**{title.lower(): [dict(zip(columns, row, strict=True)) for row in rows]})
 
 
 def _first_line(thing: object) -> str:
     return (inspect.getdoc(thing) or "").splitlines()[0].removesuffix(".")
 
 
-def _which(**abilities: object) -> str:
+def _abilities(**abilities: object) -> str:
     return ", ".join(f"{what}s" for what, ability in abilities.items() if ability) or "-"

@@ -1,4 +1,4 @@
-"""``anisomap map``: from a recording to a map."""
+"""``anisomap map``: a map from a recording."""
 
 from __future__ import annotations
 
@@ -17,9 +17,7 @@ from anisomap.numerics.similarity.binning import DEFAULT_BINS
 
 
 def map_recording(
-    recordings: Annotated[
-        list[Path], Parameter(help="File of a recording, or several of the same skin.")
-    ],
+    recordings: Annotated[list[Path], Parameter(help="Recording files of one skin.")],
     /,
     *,
     output: Annotated[
@@ -50,47 +48,51 @@ def map_recording(
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
+    reporting: options.Reporting = options.AS_TEXT,
     large: Annotated[
         streams.LargeOptions, Parameter(name="*", group=streams.large_group)
     ] = streams.AS_EVER,
 ) -> None:
-    """Make a map from a recording, or one from several of the same skin.
+    """Make a map from one or several recordings of a skin.
 
-    Sensors of several recordings are matched by name; some may be missing in some. Recordings too
-    large for memory are gone through in blocks: then all must have all sensors.
+    Sensors of several recordings are matched by name; recordings may lack some sensors. Recordings
+    above 512 MiB are read in blocks, and must then all have the same sensors; the map notes how it
+    differs.
 
     Parameters
     ----------
     output
-        File to write the map to; its suffix chooses the format, and the option may be repeated.
-        Without it, the map is written beside where you are, as NAME.map.csv.
+        File for the map; its suffix chooses the format. May be repeated. Default: NAME.map.csv in
+        the current folder.
     picture
-        Draw the map: .png, .svg or .pdf.
+        File for a figure: .png, .svg or .pdf.
     report
-        Write all there is to know as one HTML file that works offline.
+        File for a report: one HTML file that works offline.
     method
-        How to make the map: see `anisomap methods`.
+        Reconstruction method: see `anisomap methods`.
     dimensions
-        Of the space to map into: 2 for flat skins, 3 for bodies.
+        Number of coordinates: 2 for flat skins, 3 for bodies.
     mu
-        Regularisation of ANISOMAP's reciprocal; 0 leaves unrelated pieces of skin apart.
+        Regularisation of ANISOMAP's reciprocal; with 0, unrelated components stay separate.
     bins
-        Bins a sensor for entropies.
+        Bins per sensor for entropies.
     n_neighbours
-        Neighbours per sensor in ISOMAP's graph; as few as connect everything unless given.
+        Neighbours per sensor in ISOMAP's graph. Default: the smallest number that connects all.
     even_spacing
-        Declare that neighbouring sensors are evenly spaced; the map will say so.
+        Declare that neighbouring sensors are evenly spaced; the map notes it.
     tolerance
-        Stop scaling when an iteration lowers the stress by a smaller share.
+        Stop scaling when an iteration lowers the stress by less than this share.
     max_iterations
-        Stop scaling after so many iterations.
+        Maximum number of iterations of the scaling.
     confidence
-        Judge the map by maps of halves of the recording, which takes longer.
+        Estimate a confidence from maps of halves of the recording, which takes two to four times
+        as long as the map.
     """
     outputs = pipeline.Outputs(
         maps=tuple(output or [Path(f"{recordings[0].name.split('.')[0]}.map.csv")]),
         picture=picture,
         report=report,
+        placing=placing,
     )
     outputs.check(*recordings)
     placing.check(outputs.maps)
@@ -116,18 +118,27 @@ def map_recording(
             seed=seed,
         )
     else:
-        examined = pipeline.examine_runs(pipeline.read_runs(recordings, how, missing))
+        examined = pipeline.examine(pipeline.read_runs(recordings, how, missing))
     names = examined.recording.names
-    pipeline.show_recording(examined)
-    sensor_map = pipeline.make_map(
-        examined,
-        by,
-        dimensions,
-        options=chosen,
-        drop=options.sensors(drop, names),
-        with_confidence=confidence,
-        gathered=found,
-    )
-    sensor_map = placing.applied(sensor_map)
     left_out = options.sensors(exclude, names)
-    pipeline.finish(outputs, sensor_map, examined, permutations, seed, exclude=left_out)
+    examined.recording.indices(left_out)  # unknown names are reported before the work
+    with reporting.printer() as printer:
+        pipeline.print_recording(printer, examined)
+        sensor_map = pipeline.make_map(
+            examined,
+            by,
+            dimensions,
+            options=chosen,
+            drop=options.sensors(drop, names),
+            with_confidence=confidence,
+            gathered=found,
+        )
+        pipeline.finish(
+            printer,
+            outputs,
+            placing.applied(sensor_map),
+            examined,
+            permutations=permutations,
+            seed=seed,
+            exclude=left_out,
+        )

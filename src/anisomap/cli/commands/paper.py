@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from anisomap.cli.console import console, errors, progress, show_table
+from anisomap.cli import parameters as options
+from anisomap.cli.console import errors, progress
 from anisomap.paper import Done, Settings, reproduce
 from anisomap.paper.runner import PAGE
 
@@ -23,6 +25,7 @@ def paper(
     workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
     recordings: Path | None = None,
     only: Annotated[list[str] | None, Parameter(negative=())] = None,
+    reporting: options.Reporting = options.AS_TEXT,
 ) -> None:
     """Make every figure and table of the paper again, and a page that walks through them.
 
@@ -52,9 +55,11 @@ def paper(
                 errors.print(f"{done.name}: {done.seconds:.1f} s", markup=False)
 
         found = reproduce(output_dir, settings, only=only or (), workers=workers, tell=tell)
-    show_table(
-        "Experiments",
-        ("name", "seconds", "what became of it"),
-        [(done.name, f"{done.seconds:.1f}", done.how) for done in found],
-    )
-    console.print(f"\nOpen {output_dir / PAGE}", markup=False, soft_wrap=True)
+    with reporting.printer() as printer:
+        printer.table(
+            "Experiments",
+            ("name", "seconds", "result"),
+            [(done.name, f"{done.seconds:.1f}", done.how) for done in found],
+        )
+        printer.record(experiments=[asdict(done) for done in found], page=output_dir / PAGE)
+        printer.line(f"\nOpen {output_dir / PAGE}")

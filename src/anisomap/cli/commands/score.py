@@ -1,28 +1,26 @@
-"""``anisomap score``: a map against the truth."""
+"""``anisomap score``: a map against reference positions."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from cyclopts import Parameter
 
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline
-from anisomap.cli.console import console, progress
-from anisomap.evaluation import PERMUTATIONS, score
+from anisomap.evaluation import PERMUTATIONS
 
 
 def score_map(
     map_file: Annotated[Path, Parameter(help="File of a map.")],
-    truth_file: Annotated[
+    reference_file: Annotated[
         Path,
         Parameter(
-            help="File of true positions: x, y[, z] and names, or a map or recording with them."
+            help="File of reference positions: true positions (x, y[, z] and names), a recording "
+            "with positions, or another map."
         ),
     ],
     /,
@@ -31,46 +29,24 @@ def score_map(
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
-    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    reporting: options.Reporting = options.AS_TEXT,
 ) -> None:
-    """Compare a map with the true positions of its sensors.
+    """Score a map against reference positions of its sensors.
 
-    Sensors are matched by name; if no name is shared, by order.
+    Sensors are matched by name, or by order if no name is shared.
 
     Parameters
     ----------
     units
-        Unit of the true positions, where the file does not say.
-    as_json
-        Print the figures as JSON, for a script.
+        Unit of the reference positions, if the file does not tell it.
     """
-    sensor_map, truth = io.read_map(map_file), io.read_map(truth_file)
+    sensor_map, reference = io.read_map(map_file), io.read_map(reference_file)
     if units is None:
-        units = "" if truth.units == "arbitrary" else truth.units
-    with progress(f"relabelling the sensors {permutations} times") as tell:
-        result = score(
-            sensor_map,
-            replace(truth, units=units),
-            exclude=options.sensors(exclude, sensor_map.names),
-            permutations=permutations,
-            rng=np.random.default_rng(seed),
-            progress=tell,
+        units = "" if reference.units == "arbitrary" else reference.units
+    left_out = options.sensors(exclude, sensor_map.names)
+    with reporting.printer() as printer:
+        result = pipeline.score_with_progress(
+            sensor_map, replace(reference, units=units), permutations, seed, exclude=left_out
         )
-    if not as_json:
-        pipeline.show_score(result)
-        return
-    figures = {
-        "mantel_r": result.mantel.r,
-        "null_quantiles": {str(level): r for level, r in result.mantel.quantiles().items()},
-        "p_value": result.mantel.p_value if permutations else None,
-        "permutations": permutations,
-        "rms": result.rms,
-        "units": result.units,
-        "rms_in_spacings": result.rms_in_spacings,
-        "median_spacing": result.spacing,
-        "reflected": result.alignment.reflected,
-        "neighbours_kept": result.neighbours_kept,
-        "sensors_compared": result.mantel.n_sensors,
-        "notes": list(result.notes),
-    }
-    console.out(json.dumps(figures, indent=2))
+        kind = f"the map {reference_file.name}" if reference.method else reference_file.name
+        pipeline.print_score(printer, result, f"Score of {map_file.name} against {kind}")

@@ -1,4 +1,4 @@
-"""``anisomap simulate``: a recording of a simulated skin, with its truth."""
+"""``anisomap simulate``: a recording of a simulated skin with known positions."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
 from anisomap import io
-from anisomap.cli import bodies
-from anisomap.cli.console import console, number, percent, progress, show_facts, show_table, warn
+from anisomap.cli import bodies, pipeline
+from anisomap.cli import parameters as options
+from anisomap.cli.console import Printer, number, percent, progress, warn
 from anisomap.drawing import figures
 from anisomap.drawing.figures import stage
 from anisomap.errors import InputError
@@ -18,7 +19,7 @@ from anisomap.files import check_distinct
 from anisomap.scene import Scene
 from anisomap.simulation import Body, Simulation, mujoco_viewer, run_simulation, simulate_runs
 
-_looks = Group("Looks", sort_key=1)
+_looks = Group("Pictures", sort_key=1)
 
 
 def simulate_body(
@@ -36,38 +37,39 @@ def simulate_body(
     video: Annotated[Path | None, Parameter(group=_looks)] = None,
     renderer: Annotated[Literal["drawing", "mujoco"], Parameter(group=_looks)] = "drawing",
     view: Annotated[bool, Parameter(group=_looks, negative=())] = False,
+    reporting: options.Reporting = options.AS_TEXT,
 ) -> None:
-    """Make a recording whose truth is known.
+    """Simulate a recording with known sensor positions.
 
     Parameters
     ----------
     body
-        A name that `anisomap bodies` lists, or a file: a closed mesh, a MuJoCo model (MJCF), or
-        positions of sensors.
+        Name from `anisomap bodies`, or a file: a closed mesh, a MuJoCo model (MJCF), or positions
+        of sensors.
     scenario
-        What happens to it: see `anisomap scenarios`.
+        Scenario: see `anisomap scenarios`.
     output
-        NPZ file to write; BODY-SCENARIO.npz unless given. With several runs, the seed is added to
+        NPZ file to write. Default: BODY-SCENARIO.npz. With several runs, the seed is appended to
         its name.
     seed
-        Same seed, same recording.
+        The same seed gives the same recording.
     frames
-        Frames to record.
+        Number of frames to record.
     sensors
-        How many sensors, or a file with their positions, in the frame and unit of the body.
+        Number of sensors, or a file with their positions in the frame and unit of the body.
     parameter
         NAME=VALUE, a parameter of the scenario; may be repeated. `anisomap scenarios SCENARIO`
-        tells them all.
+        lists them.
     runs
-        Make so many recordings, of this seed and those that follow, in parallel over the cores.
+        Number of recordings, with consecutive seeds, simulated in parallel.
     picture
-        Draw the body, its sensors, what touches them and what they read: .png, .svg or .pdf.
+        File for a figure of body, sensors, contacts and readings: .png, .svg or .pdf.
     video
-        Draw the first ten seconds of frames as an animation: .gif, or .mp4 if there is ffmpeg.
+        File for an animation of the first ten seconds: .gif, or .mp4 if ffmpeg is installed.
     renderer
-        Who makes picture and video: a drawing with axes, or MuJoCo, which needs EGL.
+        Renderer of figure and animation: a drawing with axes, or MuJoCo, which needs EGL.
     view
-        Watch the run in MuJoCo's window.
+        Show the run in MuJoCo's viewer.
     """
     skin = bodies.find(body, sensors)
     target = output or Path(f"{skin.name}-{scenario}.npz")
@@ -75,17 +77,19 @@ def simulate_body(
     settings = {"n_frames": frames, **bodies.parse_parameters(parameter or [])}
     if runs > 1:
         if picture or video or view:
-            raise InputError("a picture, video or view is of one run: leave --runs out")
-        _simulate_many(skin, scenario, range(seed, seed + runs), target, settings)
+            raise InputError("--picture, --video and --view show one run: leave out --runs")
+        files = _simulate_many(skin, scenario, range(seed, seed + runs), target, settings)
+        with reporting.printer() as printer:
+            pipeline.print_files(printer, files)
         return
     with progress(f"simulating {frames} frames of {scenario} of {skin.name}") as tell:
         simulation = run_simulation(skin, scenario, seed=seed, progress=tell, **settings)
         io.write(simulation.recording, target)
-    _tell(simulation, skin)
-    files = [("recording", target)]
-    files += _show(simulation.scene, picture, video, renderer)
-    show_table("Files", ("what", "where"), [(what, str(path)) for what, path in files])
-    console.print(f"\nMap it:\n  anisomap map {target} -o map.csv", markup=False, soft_wrap=True)
+    files = [("recording", target), *_show(simulation.scene, picture, video, renderer)]
+    with reporting.printer() as printer:
+        _print(printer, simulation, skin)
+        pipeline.print_files(printer, files)
+        printer.line(f"\nMap it:\n  anisomap map {target} -o map.csv")
     if view:
         _view(simulation.scene)
 
@@ -94,7 +98,7 @@ def _check_outputs(target: Path, picture: Path | None, video: Path | None, body:
     check_distinct([path for path in (target, picture, video) if path], [Path(body)])
     io.check_writable(target)
     if target.suffix.lower() != ".npz":
-        raise InputError(f"a recording is written as NPZ, so {target} must end in .npz")
+        raise InputError(f"recordings are written as NPZ: {target} must end in .npz")
     if picture:
         figures.check_writable(picture)
     if video:
@@ -103,35 +107,44 @@ def _check_outputs(target: Path, picture: Path | None, video: Path | None, body:
 
 def _simulate_many(
     skin: Body, scenario: str, seeds: range, target: Path, settings: dict[str, Any]
-) -> None:
+) -> list[tuple[str, Path]]:
     with progress(f"simulating {len(seeds)} runs"):
         runs = simulate_runs(skin, scenario, seeds, **settings)
         rows = []
         for seed, recording in zip(seeds, runs, strict=True):
             path = target.with_stem(f"{target.stem}-{seed}")
             io.write(recording, path)
-            rows.append((f"recording, seed {seed}", str(path)))
-    show_table("Files", ("what", "where"), rows)
+            rows.append((f"recording, seed {seed}", path))
+    return rows
 
 
-def _tell(simulation: Simulation, skin: Body) -> None:
+def _print(printer: Printer, simulation: Simulation, skin: Body) -> None:
     recording = simulation.recording
     readings = recording.readings
     facts = {
-        "body": f"{skin.name}, {skin.n_sensors} sensors, of which neighbours are "
-        f"{number(skin.spacing, 3)}{skin.units and ' ' + skin.units} apart",
+        "body": f"{skin.name}, {skin.n_sensors} sensors, median spacing "
+        f"{number(skin.spacing, 3)}{skin.units and ' ' + skin.units}",
         "frames": f"{recording.n_frames} at {number(recording.rate_hz)} Hz",
         "readings": f"up to {number(float(readings.max()))}, {percent((readings == 0).mean())} "
         "zeros",
         "never touched": f"{int((~recording.varying()).sum())} sensors",
     }
-    told = {"body", "scenario", "anisomap", "mujoco"}
+    shown = {"body", "scenario", "anisomap", "mujoco"}
     facts |= {
         name.replace("_", " "): number(value) if isinstance(value, float) else str(value)
         for name, value in recording.metadata.items()
-        if name not in told
+        if name not in shown
     }
-    show_facts(recording.source, facts)
+    printer.facts(recording.source, facts)
+    printer.record(
+        body=skin.name,
+        sensors=skin.n_sensors,
+        spacing=skin.spacing,
+        frames=recording.n_frames,
+        rate_hz=recording.rate_hz,
+        never_touched=int((~recording.varying()).sum()),
+        metadata=dict(recording.metadata),
+    )
 
 
 def _show(
@@ -151,13 +164,13 @@ def _show(
 
 
 def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
-    """Let MuJoCo make the pictures, if it can."""
+    """Render with MuJoCo; return False if there is no display."""
     frames = range(min(stage.LONGEST_ANIMATION, scene.n_frames)) if video else range(0)
     try:
         with progress("rendering the scene"):
             images = mujoco_viewer.render(scene, [stage.busiest_frame(scene), *frames])
     except mujoco_viewer.NoScreenError as error:
-        warn(f"{error}; drawn instead")
+        warn(f"{error}; using the drawing instead")
         return False
     if picture:
         stage.save_pixels(picture, images[:1])
@@ -170,4 +183,4 @@ def _view(scene: Scene) -> None:
     try:
         mujoco_viewer.show(scene)
     except mujoco_viewer.NoScreenError as error:
-        warn(f"{error}; --picture and --video need none")
+        warn(f"{error}; --picture and --video work without one")

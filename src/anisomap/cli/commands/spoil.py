@@ -1,4 +1,4 @@
-"""``anisomap spoil``: break sensors of a recording, on the record."""
+"""``anisomap spoil``: inject documented faults into a recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from cyclopts.validators import Number
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline
-from anisomap.cli.console import show_table
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
 from anisomap.simulation import inject, injected_faults, parse_fault
@@ -27,27 +26,27 @@ def spoil(
     fault: Annotated[list[str], Parameter(alias="-f", negative=())],
     output: Annotated[Path, Parameter(alias="-o")],
     seed: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
+    reporting: options.Reporting = options.AS_TEXT,
 ) -> None:
-    """Break sensors of a recording, and write down which.
+    """Inject documented faults into a recording.
 
-    The NPZ names every sensor and frame that was touched, so that whatever looks for faults can be
-    scored.
+    The NPZ lists every affected sensor and frame, so that fault detectors can be scored.
 
     Parameters
     ----------
     fault
-        KIND:SENSORS,NAME=VALUE, such as dead:s3,s7 or saturating:10%,level=1 or dropped-frames;
-        may be repeated, and is done in that order. `anisomap faults` lists them.
+        KIND:SENSORS,NAME=VALUE, such as dead:s3,s7 or saturating:10%,level=1 or dropped-frames.
+        May be repeated; faults are applied in order. `anisomap faults` lists them.
     output
         NPZ file to write.
     seed
-        Same seed, same faults.
+        The same seed gives the same faults.
     """
     requests = [parse_fault(text) for text in fault]
     check_distinct([output], [recording])
     io.check_writable(output)
     if output.suffix.lower() != ".npz":
-        raise InputError(f"a recording is written as NPZ, so {output} must end in .npz")
+        raise InputError(f"recordings are written as NPZ: {output} must end in .npz")
     spoilt = inject(pipeline.read(recording), requests, seed)
     io.write(spoilt, output)
     sensors: defaultdict[str, list[str]] = defaultdict(list)
@@ -55,9 +54,16 @@ def spoil(
     for done in injected_faults(spoilt):
         sensors[done.kind].append({ALL_SENSORS: "all", "": "-"}.get(done.sensor, done.sensor))
         frames[done.kind] += sum(stop - start for start, stop in done.spans)
-    show_table(
-        "Faults on the record",
-        ("fault", "sensors", "readings or frames"),
-        [(kind, join_items(names), str(frames[kind])) for kind, names in sensors.items()],
-    )
-    show_table("Files", ("what", "where"), [("recording", str(output))])
+    with reporting.printer() as printer:
+        printer.table(
+            "Injected faults",
+            ("fault", "sensors", "readings or frames"),
+            [(kind, join_items(names), str(frames[kind])) for kind, names in sensors.items()],
+        )
+        printer.record(
+            faults=[
+                {"fault": kind, "sensors": names, "readings_or_frames": frames[kind]}
+                for kind, names in sensors.items()
+            ]
+        )
+        pipeline.print_files(printer, [("recording", output)])

@@ -1,0 +1,78 @@
+"""--quiet and --json: every command that reports has them, and they mean the same."""
+
+import json
+
+import pytest
+
+import anisomap
+from skins import flat_skin
+
+COMMANDS = {
+    "info": ["info", "skin.npz"],
+    "map": ["map", "skin.npz", "-d", 2, "-o", "m.csv", "--no-confidence", "--permutations", 9],
+    "score": ["score", "made.csv", "skin.npz", "--permutations", 9],
+    "convert": ["convert", "made.csv", "made.json"],
+    "compare": ["compare", "skin.npz", "-m", "r-anisomap", "-d", 2],
+    "methods": ["methods"],
+    "formats": ["formats"],
+    "bodies": ["bodies"],
+    "scenarios": ["scenarios"],
+    "parameters": ["scenarios", "bombardment"],
+    "faults": ["faults"],
+    "spoil": ["spoil", "skin.npz", "-f", "dead:s3", "-o", "bad.npz"],
+    "simulate": ["simulate", "plane", "-s", "rubbing", "--frames", 40, "-o", "sim.npz"],
+    "coverage": ["coverage", "plane", "--frames", 100, "--runs", 1, "-m", "r-anisomap", "-d", 2],
+}
+EXPECTED = {
+    "info": "recording",
+    "map": "map",
+    "score": "score",
+    "convert": "files",
+    "compare": "scores",
+    "methods": "similarities",
+    "parameters": "parameters",
+    "spoil": "faults",
+    "simulate": "files",
+}
+
+
+@pytest.fixture
+def _files(tmp_path):
+    anisomap.write(flat_skin(n_frames=600), tmp_path / "skin.npz")
+    made = anisomap.SensorMap(flat_skin().positions, units="mm")
+    anisomap.write(made, tmp_path / "made.csv")
+
+
+def _run(run, name, option):
+    if name in ("bodies", "simulate", "coverage"):
+        pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    return run(*COMMANDS[name], option)
+
+
+@pytest.mark.usefixtures("_files")
+@pytest.mark.parametrize("name", COMMANDS)
+def test_json_is_one_object_with_the_results(run, name):
+    found = _run(run, name, "--json")
+    assert found.code == 0
+    values = json.loads(found.out)
+    assert EXPECTED.get(name, name) in values
+    assert "NaN" not in found.out
+
+
+@pytest.mark.usefixtures("_files")
+@pytest.mark.parametrize("name", COMMANDS)
+def test_quiet_prints_no_results(run, name):
+    found = _run(run, name, "--quiet")
+    assert found.code == 0
+    assert found.out == ""
+
+
+@pytest.mark.usefixtures("_files")
+def test_warnings_and_errors_remain_when_quiet(run, tmp_path):
+    readings = flat_skin().readings.copy()
+    readings[:, 3] = 0
+    anisomap.write(anisomap.Recording(readings), tmp_path / "dead.npz")
+    found = run("info", "dead.npz", "--quiet")
+    assert "never vary" in found.err
+    refused = run("info", "nothing.npz", "--quiet")
+    assert (refused.code, refused.err.startswith("error: ")) == (2, True)
