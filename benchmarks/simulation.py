@@ -1,4 +1,4 @@
-"""How fast scenarios are simulated, on one core."""
+"""Speed of the scenarios on one core."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from anisomap.simulation import BODIES, SCENARIOS, find_body, simulate
 
 
 def main(n_frames: int = 2000) -> None:
-    """Print frames a second for each scenario, of its easiest body and of its hardest."""
-    print("| scenario | body | sensors | frames a second |")
+    """Print frames per second of each scenario, for its simplest and its most complex body."""
+    print("| scenario | body | sensors | frames per second |")
     print("|---|---|---|---|")
-    made = [find_body(name) for name in BODIES]
+    bodies = [find_body(name) for name in BODIES]
     for name, scenario in SCENARIOS.items():
-        suited = [body for body in made if scenario.accepts(body)]
-        hardest = max(suited, key=lambda body: (len(body.solids), body.solids[0].kind != "sphere"))
-        for body in (suited[0], hardest):
+        accepted = [body for body in bodies if scenario.accepts(body)]
+        most_complex = max(
+            accepted, key=lambda body: (len(body.solids), body.solids[0].kind != "sphere")
+        )
+        for body in (accepted[0], most_complex):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", AnisomapWarning)
                 simulate(body, name, n_frames=2)

@@ -44,7 +44,7 @@ _MM = 1e-3
 
 
 def hexagon(n_sensors: int = 60) -> Body:
-    """Make the paper's hexagonal patch of six triangles with ten sensors each.
+    """Make a hexagonal patch of six triangles with ten sensors each, as in the paper.
 
     Parameters
     ----------

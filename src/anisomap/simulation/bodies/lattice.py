@@ -87,7 +87,7 @@ def cylinder(n_sensors: int = 60) -> Body:
 
 
 def y_shape(n_sensors: int = 105) -> Body:
-    """Make three round arms joined at equal angles, with rings of sensors around each.
+    """Make a Y-shape of three round arms with rings of sensors around each.
 
     Parameters
     ----------

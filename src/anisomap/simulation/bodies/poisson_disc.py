@@ -37,7 +37,7 @@ _FACE_MARGIN = 1e-9  # to tell points on a face from those beside it
 
 
 def torus(n_sensors: int = 120) -> Body:
-    """Make a torus, whose surface no plane map can represent."""
+    """Make a torus with evenly spread sensors."""
     angle = 2 * np.pi * np.arange(_MESH_AROUND // 2) / (_MESH_AROUND // 2)
     profile = np.column_stack(
         [TORUS_RADIUS + TORUS_TUBE * np.cos(angle), TORUS_TUBE * np.sin(angle)]
@@ -46,12 +46,12 @@ def torus(n_sensors: int = 120) -> Body:
 
 
 def cube(n_sensors: int = 120) -> Body:
-    """Make a cube, whose right-angled edges few contacts cross."""
+    """Make a cube with evenly spread sensors on all faces."""
     return covered("cube", [solids.box(3 * (CUBE_EDGE / 2,))], n_sensors)
 
 
 def hemisphere(n_sensors: int = 80) -> Body:
-    """Make half a ball with sensors on its dome and none on its flat side."""
+    """Make a hemisphere with sensors on its dome and none on its flat side."""
     angle = np.linspace(0, np.pi / 2, _MESH_AROUND // 4 + 1)
     dome = SPHERE_RADIUS * np.column_stack([np.cos(angle), np.sin(angle)])
     dome[-1, 0] = 0
@@ -62,7 +62,7 @@ def hemisphere(n_sensors: int = 80) -> Body:
 
 
 def hand(n_sensors: int = 160) -> Body:
-    """Make a palm with four fingers and a thumb, covered on all sides.
+    """Make a hand with a palm, four fingers and a thumb, covered on all sides.
 
     Fingers are closer to one another in space than along the skin.
     """
@@ -98,7 +98,7 @@ def holed_plate(n_sensors: int = 120) -> Body:
 
 
 def uneven_sphere(n_sensors: int = 100) -> Body:
-    """Make a sphere with a density of sensors that rises from one pole to the other.
+    """Make a sphere with sensors that are denser towards one pole.
 
     The density rises linearly along the axis, by a factor of `MAX_DENSITY`.
     """

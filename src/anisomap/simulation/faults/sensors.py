@@ -167,7 +167,7 @@ def stuck(
 def drifting(
     recording: Recording, sensors: Sensors, *, rng: Randomness = 0, level: float = 0.3
 ) -> Recording:
-    """Add a slow random walk to the baseline of sensors, as temperature does to capacitance.
+    """Add a random walk to the baseline of sensors, like temperature drift.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def drifting(
 def gain_spread(
     recording: Recording, sensors: Sensors, *, rng: Randomness = 0, factor: float = 5.0
 ) -> Recording:
-    """Multiply the readings of sensors, including rest, by random gains.
+    """Multiply the readings of sensors by random gains.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def gain_spread(
 def hysteresis(
     recording: Recording, sensors: Sensors, *, rng: Randomness = 0, recovery: float = 20.0
 ) -> Recording:
-    """Delay the return of sensors to rest, as foam and silicone do.
+    """Delay the return of sensors to rest, like foam and silicone.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def hysteresis(
 def quantised(
     recording: Recording, sensors: Sensors, *, rng: Randomness = 0, levels: int = 16
 ) -> Recording:
-    """Round the readings of sensors to few levels, as a low-resolution converter does.
+    """Round the readings of sensors to few levels, like a low-resolution converter.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ def nan_bursts(
     mean_gap: float = 200.0,
     mean_span: float = 5.0,
 ) -> Recording:
-    """Replace readings by NaN intermittently, as a loose connector does.
+    """Replace readings by NaN intermittently, like a loose connector.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _MAX_JITTER = 0.45
 
 
 def dropped_frames(recording: Recording, *, rng: Randomness = 0, share: float = 0.05) -> Recording:
-    """Remove random frames, as an overloaded logger does.
+    """Remove random frames, like an overloaded logger.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def dropped_frames(recording: Recording, *, rng: Randomness = 0, share: float = 
 
 
 def repeated_frames(recording: Recording, *, rng: Randomness = 0, share: float = 0.05) -> Recording:
-    """Replace random frames by the previous frame, as a slow driver does.
+    """Replace random frames by the previous frame, like a slow driver.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ def crosstalk(
 
 
 def swapped(recording: Recording, sensors: Sensors, *, rng: Randomness = 0) -> Recording:
-    """Exchange the readings of two groups of sensors, as two swapped connectors do.
+    """Exchange the readings of two groups of sensors, like swapped connectors.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def swapped(recording: Recording, sensors: Sensors, *, rng: Randomness = 0) -> R
 
 
 def mirrored(recording: Recording, sensors: Sensors, *, rng: Randomness = 0) -> Recording:
-    """Reverse the order of the readings of a group of sensors, as a rotated module does.
+    """Reverse the order of the readings of a group of sensors, like a rotated module.
 
     Parameters
     ----------
