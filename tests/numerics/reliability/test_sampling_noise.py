@@ -1,0 +1,50 @@
+"""Sampling variance of correlations of autocorrelated series."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap.errors import InputError
+from anisomap.numerics.reliability.sampling_noise import sampling_variance, typical_variance
+from anisomap.numerics.similarity.correlation import pearson
+
+
+def autoregressive(n_frames: int, n_sensors: int, memory: float, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal((n_frames, n_sensors))
+    for t in range(1, n_frames):
+        noise[t] += memory * noise[t - 1]
+    return noise
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
+def test_the_variance_is_that_of_correlations_of_unrelated_series(memory):
+    n_frames = 3000
+    found = [autoregressive(n_frames, 40, memory, seed) for seed in range(3)]
+    observed = np.mean([pearson(x)[np.triu_indices(40, 1)].var() for x in found])
+    estimated = np.mean([typical_variance(sampling_variance(x)) for x in found])
+    assert estimated == pytest.approx(observed, rel=0.2)
+    # Closed form for two autoregressive series of memory a: (1 + a^2) / (1 - a^2) / T.
+    assert estimated == pytest.approx((1 + memory**2) / (1 - memory**2) / n_frames, rel=0.2)
+
+
+def test_the_variance_does_not_depend_on_the_frame_rate():
+    x = autoregressive(2000, 12, 0.8, 0)
+    slow, fast = (typical_variance(sampling_variance(y)) for y in (x, np.repeat(x, 4, axis=0)))
+    assert fast == pytest.approx(slow, rel=0.1)
+
+
+@given(st.integers(0, 99))
+def test_the_variance_is_symmetric_and_at_least_that_of_independent_frames(seed):
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((60, 5)) * rng.integers(0, 2, 5)
+    found = sampling_variance(x)
+    np.testing.assert_allclose(found, found.T)
+    assert (found >= 1 / 60 - 1e-15).all()
+    np.testing.assert_allclose(sampling_variance(7 - 3 * x), found, rtol=1e-6)
+
+
+def test_one_frame_is_rejected():
+    with pytest.raises(InputError, match="at least 2 frames"):
+        sampling_variance(np.ones((1, 4)))

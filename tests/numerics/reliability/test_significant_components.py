@@ -1,0 +1,30 @@
+"""Components connected by significant links."""
+
+import numpy as np
+
+from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.sampling_noise import sampling_variance
+from anisomap.numerics.reliability.significance import significant_components
+from skins import flat_skin
+
+
+def test_skins_touched_independently_are_separate_components():
+    parted = []
+    for seed in range(8):
+        first, second = (flat_skin(seed=s).readings for s in (seed, seed + 10))
+        both = np.hstack([first, second[:, :25]])
+        order = np.random.default_rng(seed).permutation(both.shape[1])
+        alone, together, shuffled = (
+            significant_components(blended_correlation(readings), sampling_variance(readings))
+            for readings in (first, both, both[:, order])
+        )
+        assert not alone.any()
+        np.testing.assert_array_equal(shuffled, together[order])
+        parted.append(np.array_equal(together, np.repeat([0, 1], [42, 25])))
+    assert np.mean(parted) > 0.5
+
+
+def test_noise_has_no_large_components():
+    noise = np.random.default_rng(1).standard_normal((2000, 40))
+    found = significant_components(blended_correlation(noise), sampling_variance(noise))
+    assert np.bincount(found).max() <= 6

@@ -1,0 +1,34 @@
+"""Split-half reliability of correlations."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap.errors import InputError
+from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.split_half import split_blocks, split_half_reliability
+from skins import flat_skin
+
+
+@given(st.integers(2, 500))
+def test_the_halves_partition_the_frames(n_frames):
+    even, odd = split_blocks(n_frames)
+    np.testing.assert_array_equal(np.sort(np.concatenate([even, odd])), np.arange(n_frames))
+    assert abs(len(even) - len(odd)) <= max(1, n_frames // 20 + 1)
+
+
+def test_short_recordings_have_no_reliability():
+    readings = flat_skin(n_frames=300).readings
+    assert split_half_reliability(readings[:3]) == 0
+    assert split_half_reliability(readings[:, :2]) == 0
+    assert blended_correlation(readings[:1]).shape == (42, 42)
+    with pytest.raises(InputError, match="split-half needs at least 2 frames"):
+        split_blocks(1)
+
+
+def test_a_long_recording_is_reliable_and_noise_is_not():
+    noise = np.random.default_rng(0).standard_normal((2000, 30))
+    assert abs(split_half_reliability(noise)) < 0.2
+    assert split_half_reliability(flat_skin().readings) > 0.9
+    assert split_half_reliability(np.tile([[0.0], [1.0]], (50, 4))) == 0
