@@ -25,7 +25,7 @@ def test_a_coverage_curve_is_told_written_and_drawn(run, tmp_path):
         (["sphere", "-s", "rain"], "there is no scenario 'rain'"),
         (["sphere", "--frames", "0"], "frames"),
         (["sphere", "-m", "magic"], "there is no method 'magic'"),
-        (["sphere", "--picture", "curve.bmp"], "is no name for a picture"),
+        (["sphere", "--picture", "curve.bmp"], "must end in .png, .svg or .pdf"),
         (["sphere", "-p", "pace=1"], "has no parameter 'pace'"),
     ],
 )

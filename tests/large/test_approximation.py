@@ -169,30 +169,3 @@ def test_of_very_many_sensors_mantel_r_is_of_a_sample(found, monkeypatch):
     assert sample.rms == everyone.rms
     assert any("90 of the 240 sensors" in note for note in sample.notes)
     assert anisomap.score(found, PLACES, permutations=0).mantel.r == sample.mantel.r
-
-
-def test_pictures_of_very_many_sensors_have_no_lines(found, monkeypatch):
-    pytest.importorskip("matplotlib")
-    monkeypatch.setattr("anisomap.drawing.view.MOST_JOINED", 100)
-    monkeypatch.setattr("anisomap.drawing.figures._layout.MOST_JOINED", 100)
-    monkeypatch.setattr("anisomap.drawing.figures._panels._FAR_TOO_MANY", 100)
-    figure = anisomap.drawing.figures.map_figure(found)
-    texts = " ".join(text.get_text() for text in figure.texts)
-    assert "Lines join" not in texts
-    assert "approximate" in texts
-    (axes,) = figure.axes
-    assert not any(len(line.get_xdata()) for line in axes.lines)
-    assert all(dots.get_rasterized() for dots in axes.collections)
-
-
-def test_reports_of_very_many_sensors_leave_some_out(found, monkeypatch):
-    pytest.importorskip("plotly")
-    monkeypatch.setattr("anisomap.drawing.report._scene._MOST_DOTS", 100)
-    monkeypatch.setattr("anisomap.drawing.report._words._MOST_ROWS", 50)
-    score = anisomap.score(found, PLACES, permutations=0)
-    page = anisomap.drawing.report.render_report(found, score=score)
-    assert "240 sensors, of which the view shows 100" in page
-    assert "The first 50 are listed, 190 are left out" in page
-    assert page.count("<tr") < 120
-    assert "This map is approximate" in page
-    assert "approximate_n_landmarks" in page

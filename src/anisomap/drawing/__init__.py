@@ -1,1 +1,1 @@
-"""Figures and reports of maps, recordings and scenes."""
+"""Figures and reports of maps, recordings and simulated scenes."""

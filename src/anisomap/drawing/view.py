@@ -1,4 +1,4 @@
-"""What the picture and the report draw alike: colour by place, neighbours, a side to look from."""
+"""Layout that figures and reports share: components, colours, neighbours and views."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from anisomap.evaluation import Score
 from anisomap.sensor_map import SensorMap
 
 View: TypeAlias = tuple[float, float]
-"""Elevation and azimuth of the eye above the x-y plane, in degrees."""
+"""Direction of view: elevation above the x-y plane and azimuth, in degrees."""
 
 VIEWS: tuple[View, ...] = ((18.0, -60.0), (18.0, 30.0), (65.0, -90.0))
-"""Sides to look from: the usual one, one to its right, and from above with x to the right."""
+"""Available views: the default, one from its right, and one from above with x to the right."""
 
-MOST_JOINED = 10_000
-"""Of so many sensors, lines between neighbours would be one grey mass."""
+MAX_JOINED = 10_000
+"""Above this number of sensors, neighbours are not joined: the lines would form a grey area."""
 
-_USUAL_VIEW_BONUS = 1.25
-_CANDIDATES = 8
-_LONGEST = 2.5
-_FLATTEST = 0.4
+_DEFAULT_VIEW_BONUS = 1.25  # factor by which another view must show more than the default
+_N_NEIGHBOURS = 8
+_MAX_LENGTH = 2.5  # of a line, in distances to the nearest sensor
+_MIN_SPREAD = 0.4  # of the longest axis: shorter axes use part of their range of colours
+_PLANAR = 1e-6  # largest height of a planar configuration, in units of its width
 _GREY = 0.72
 # Ottosson (2020), "A perceptual color space for image processing": OKLab to linear sRGB.
 _LAB_TO_CONES = np.array(
@@ -45,25 +46,26 @@ _CONES_TO_RGB = np.array(
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
-    """A piece of a map as it is drawn: in the plane or in space, on the truth where one is known.
+class Component:
+    """A connected component of a map, prepared for drawing in 2D or 3D.
 
     Attributes
     ----------
     number : int
-        Which piece, from 1; the largest comes first.
+        Number of the component, from 1 for the largest.
     sensors : ndarray of int, shape (n,)
-        Which sensors of the map it holds; those that were compared with the truth come first.
+        Indices of its sensors in the map; those that were compared with the truth come first.
     points : ndarray of shape (n, k)
-        Where they are, k = 2 or 3: laid onto the truth, or else centred, in a frame of their own.
+        Positions, k = 2 or 3: aligned with the truth if it is known, else centred.
     truth : ndarray of shape (m, k)
-        True places of the first m sensors; empty if none is known.
+        True positions of the first m sensors; empty if the truth is unknown.
     colours : ndarray of shape (n, 3)
-        sRGB in [0, 1], by true place if known, else by place; grey for sensors not compared.
+        sRGB in [0, 1] by true position if known, else by position; grey for sensors that were not
+        compared.
     pairs : ndarray of int, shape (E, 2)
-        Neighbours, by true place if known, else by place; none of more than 10,000 sensors.
+        Neighbours by true position if known, else by position; empty above `MAX_JOINED` sensors.
     view : tuple of float
-        A good side to look from: elevation and azimuth in degrees.
+        Elevation and azimuth in degrees.
     units : str
         Unit of `points` and `truth`.
     """
@@ -78,43 +80,48 @@ class Body:
     units: str
 
     @property
+    def dimensions(self) -> int:
+        """Number of coordinates drawn, 2 or 3."""
+        return int(self.points.shape[1])
+
+    @property
     def compared(self) -> NDArray[np.bool_]:
-        """Which sensors have a true place, shape (n,); all count as such if none is known."""
+        """Mask of the sensors that were compared, shape (n,); all true without a truth."""
         known = len(self.truth) or len(self.points)
         return np.arange(len(self.points)) < known
 
 
-def bodies(sensor_map: SensorMap, score: Score | None = None) -> list[Body]:
-    """Lay out the pieces of a map for drawing.
+def drawn_components(sensor_map: SensorMap, score: Score | None = None) -> list[Component]:
+    """Prepare the connected components of a map for drawing.
 
     Parameters
     ----------
     sensor_map : SensorMap
-        The map. Of more than three dimensions the first three are kept, one gets a second.
+        Of more than three dimensions, the first three are kept; a second is added to one.
     score : Score, optional
-        The comparison of this map with the truth; it holds for the largest piece.
+        Score of this map; it applies to the largest component.
 
     Returns
     -------
-    list of Body
-        The largest first. A piece of one sensor has no shape and is left out.
+    list of Component
+        The largest first. Components of a single sensor are omitted, unless it is the scored one.
     """
     found = []
     for label in range(len(sensor_map.component_sizes)):
         sensors = np.flatnonzero(sensor_map.component == label)
         if label == 0 and score is not None:
-            found.append(_on_the_truth(sensor_map, sensors, score))
+            found.append(_aligned(sensor_map, sensors, score))
         elif len(sensors) > 1:
-            found.append(_by_itself(sensor_map, sensors, label + 1))
+            found.append(_centred(sensor_map, sensors, label + 1))
     return found
 
 
 def place_colours(points: ArrayLike, view: View = VIEWS[0]) -> NDArray[np.float64]:
-    """Give every sensor a colour that says where it is.
+    """Encode positions as colours.
 
-    Seen from `view`, up is light and right is yellow (left is blue): the two contrasts that every
-    common kind of colour blindness leaves. The third axis, red near and green far, only adds to
-    what depth already shows. In the plane, where there is no depth, it repeats up and down.
+    Seen from `view`, up is light, right is yellow and left is blue: these two contrasts survive
+    every common colour vision deficiency. The third axis, from red (near) to green (far), is
+    redundant with depth. In 2D it repeats the vertical axis.
 
     Parameters
     ----------
@@ -134,7 +141,7 @@ def place_colours(points: ArrayLike, view: View = VIEWS[0]) -> NDArray[np.float6
         nearer = -up
     else:
         right, up, nearer = _spread(points @ view_axes(view).T).T
-    # As far apart as they can be without leaving what screens show: clipping makes colours alike.
+    # The largest contrasts in OKLab that stay within sRGB: clipping would merge colours.
     lab = np.column_stack([0.58 + 0.20 * up, 0.10 * nearer, 0.11 * right])
     linear = np.clip((lab @ _LAB_TO_CONES.T) ** 3 @ _CONES_TO_RGB.T, 0, 1)
     curved = 1.055 * linear ** (1 / 2.4) - 0.055
@@ -142,12 +149,12 @@ def place_colours(points: ArrayLike, view: View = VIEWS[0]) -> NDArray[np.float6
 
 
 def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
-    """Tell which sensors lie side by side.
+    """Find neighbouring sensors.
 
-    Two sensors are neighbours if the ball between them holds no third (Gabriel & Sokal 1969,
-    Systematic Zoology 18: 259-278), each is among the 8 nearest of the other or the other way
-    round, and they are not much farther apart than either is from its nearest one. That leaves no
-    diagonals in a square lattice, all six sides in a triangular one, and no bridges across gaps.
+    Two sensors are neighbours if the ball whose diameter joins them contains no third sensor
+    (Gabriel & Sokal 1969, Systematic Zoology 18: 259-278), one is among the 8 nearest of the
+    other, and their distance is at most 2.5 times that of either to its nearest sensor. This gives
+    no diagonals in a square lattice, all six sides in a triangular one, and no lines across gaps.
 
     Parameters
     ----------
@@ -160,12 +167,12 @@ def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
         Pairs i < j in ascending order.
     """
     points = np.asarray(points, dtype=np.float64)
-    count = min(_CANDIDATES + 1, len(points))
+    count = min(_N_NEIGHBOURS + 1, len(points))
     if count < 2:
         return np.empty((0, 2), dtype=np.intp)
     tree = KDTree(points)
     distances, found = map(np.asarray, tree.query(points, k=count))
-    reach = _LONGEST * distances[:, 1]
+    reach = _MAX_LENGTH * distances[:, 1]
     pairs = np.column_stack([np.repeat(np.arange(len(points)), count), found.ravel()])
     pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
     first, second = points[pairs[:, 0]], points[pairs[:, 1]]
@@ -178,25 +185,25 @@ def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
 
 
 def best_view(*configurations: NDArray[np.float64]) -> View:
-    """Choose the side from which bodies in space cover most of their pictures.
+    """Choose the view that shows the largest projected area of 3D configurations.
 
     Parameters
     ----------
     *configurations : ndarray of shape (n, 3)
-        Finite positions. None of them should be seen edge-on.
+        Finite positions; none of them should be seen edge-on.
 
     Returns
     -------
     tuple of float
-        One of `VIEWS`: the first, unless another shows distinctly more.
+        One of `VIEWS`: the first, unless another shows clearly more.
     """
     areas = [_area(view, configurations) for view in VIEWS]
-    areas[0] *= _USUAL_VIEW_BONUS
+    areas[0] *= _DEFAULT_VIEW_BONUS
     return VIEWS[int(np.argmax(areas))]
 
 
 def box_around(*configurations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give limits, shape (k, 2), that hold all configurations; thin boxes are thickened."""
+    """Return limits, shape (k, 2), that contain all configurations; thin boxes are thickened."""
     points = np.vstack(configurations)
     lowest, highest = points.min(axis=0), points.max(axis=0)
     half = (highest - lowest) / 2
@@ -206,7 +213,7 @@ def box_around(*configurations: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def view_axes(view: View) -> NDArray[np.float64]:
-    """Give the unit vectors of a view: to the right, up, and towards the eye, shape (3, 3)."""
+    """Return the unit vectors to the right, up, and towards the viewer, shape (3, 3)."""
     elevation, azimuth = np.radians(view)
     right = [-np.sin(azimuth), np.cos(azimuth), 0.0]
     towards = [
@@ -221,38 +228,58 @@ def axis_title(axis: str, units: str) -> str:
     """Name an axis with its unit: ``x (mm)``."""
     if not units:
         return f"{axis} (unit unknown)"
-    return f"{axis} ({'arbitrary units' if units == 'arbitrary' else shown(units, 24)})"
+    return f"{axis} ({'arbitrary units' if units == 'arbitrary' else printable(units, 24)})"
 
 
-def warn_of_pieces(sensor_map: SensorMap) -> list[str]:
-    """Say that separate pieces share no frame, if the map has some and does not say so itself."""
+def layout_notes(sensor_map: SensorMap, score: Score | None = None) -> list[str]:
+    """Explain properties of a drawing that could mislead.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+    score : Score, optional
+
+    Returns
+    -------
+    list of str
+        Notes on separate components, unless the map has such a note itself, and on a map of fewer
+        dimensions than the truth.
+    """
+    notes = []
     count = len(sensor_map.component_sizes)
-    if count < 2 or any("component" in note for note in sensor_map.notes):
-        return []
-    return [
-        f"the map has {count} separate components that share no frame of reference: their "
-        "positions relative to one another are unknown"
-    ]
+    if count > 1 and not any("component" in note for note in sensor_map.notes):
+        notes.append(
+            f"the map has {count} separate components that share no frame of reference: their "
+            "positions relative to one another are unknown"
+        )
+    if score is not None and _true_dimensions(score) > sensor_map.dimensions:
+        notes.append(
+            f"the map has fewer dimensions than the truth ({sensor_map.dimensions} and 3): it lies "
+            "in the plane or line that fits the true positions best"
+        )
+    return notes
 
 
-def shown(text: str, longest: int | None = None) -> str:
-    """Make any text fit to be shown: printable, on one line, and no longer than asked."""
+def printable(text: str, max_length: int | None = None) -> str:
+    """Replace characters that cannot be printed on one line, and shorten long texts."""
     clean = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
-    if longest is None or len(clean) <= longest:
+    if max_length is None or len(clean) <= max_length:
         return clean
-    return clean[: longest - 1] + "\N{HORIZONTAL ELLIPSIS}"
+    return clean[: max_length - 1] + "\N{HORIZONTAL ELLIPSIS}"
 
 
-def _on_the_truth(sensor_map: SensorMap, sensors: NDArray[np.intp], score: Score) -> Body:
+def _aligned(sensor_map: SensorMap, sensors: NDArray[np.intp], score: Score) -> Component:
     sensors = np.concatenate([score.sensors, np.setdiff1d(sensors, score.sensors)])
     alignment = score.alignment
-    places = _with_axes(sensor_map.positions[sensors], len(alignment.translation))
-    points = alignment.scale * places @ alignment.rotation.T + alignment.translation
+    positions = _with_axes(sensor_map.positions[sensors], len(alignment.translation))
+    points = alignment.scale * positions @ alignment.rotation.T + alignment.translation
     dimensions = min(max(points.shape[1], 2), 3)
+    if max(_true_dimensions(score), sensor_map.dimensions) < 3:
+        dimensions = 2
     points, truth = _with_axes(points, dimensions), _with_axes(score.truth, dimensions)
     view = best_view(truth, points) if dimensions == 3 else VIEWS[0]
     grey = np.full((len(sensors) - len(truth), 3), _GREY)
-    return Body(
+    return Component(
         number=1,
         sensors=sensors,
         points=points,
@@ -264,10 +291,10 @@ def _on_the_truth(sensor_map: SensorMap, sensors: NDArray[np.intp], score: Score
     )
 
 
-def _by_itself(sensor_map: SensorMap, sensors: NDArray[np.intp], number: int) -> Body:
+def _centred(sensor_map: SensorMap, sensors: NDArray[np.intp], number: int) -> Component:
     points = sensor_map.positions[sensors]
     points = _with_axes(points - points.mean(axis=0), min(max(points.shape[1], 2), 3))
-    return Body(
+    return Component(
         number=number,
         sensors=sensors,
         points=points,
@@ -279,26 +306,33 @@ def _by_itself(sensor_map: SensorMap, sensors: NDArray[np.intp], number: int) ->
     )
 
 
+def _true_dimensions(score: Score) -> int:
+    """Count the coordinates of the truth, except a z coordinate that is constant."""
+    spans = np.ptp(score.truth, axis=0)
+    planar = len(spans) == 3 and spans[2] <= _PLANAR * spans.max()
+    return 2 if planar else len(spans)
+
+
 def _joined(points: NDArray[np.float64]) -> NDArray[np.intp]:
-    return neighbour_pairs(points if len(points) <= MOST_JOINED else points[:0])
+    return neighbour_pairs(points if len(points) <= MAX_JOINED else points[:0])
 
 
 def _with_axes(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
-    """Bring points to so many coordinates: zeros are added, or the last left out."""
+    """Append zeros or drop the last coordinates, to a given number of coordinates."""
     missing = max(0, dimensions - points.shape[1])
     return np.asarray(np.pad(points, ((0, 0), (0, missing)))[:, :dimensions])
 
 
 def _area(view: View, configurations: Sequence[NDArray[np.float64]]) -> float:
-    """Area that an ellipse of each body's proportions covers, multiplied up."""
+    """Product over configurations of the area of the ellipse that approximates the projection."""
     flat = [(points - points.mean(axis=0)) @ view_axes(view)[:2].T for points in configurations]
     return float(np.prod([np.linalg.svd(seen, compute_uv=False) for seen in flat]))
 
 
 def _spread(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Stretch each axis over [-1, 1], thin ones less, so that noise is not made a colour."""
+    """Scale each axis to [-1, 1], short axes to less, so that noise does not become a colour."""
     lowest, highest = points.min(axis=0), points.max(axis=0)
     half = (highest - lowest) / 2
-    half = np.maximum(half, _FLATTEST * half.max())
+    half = np.maximum(half, _MIN_SPREAD * half.max())
     middle = (lowest + highest) / 2
     return np.asarray((points - middle) / np.where(half > 0, half, 1))

@@ -165,7 +165,7 @@ def _show(
 
 def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
     """Render with MuJoCo; return False if there is no display."""
-    frames = range(min(stage.LONGEST_ANIMATION, scene.n_frames)) if video else range(0)
+    frames = range(min(stage.MAX_ANIMATION_FRAMES, scene.n_frames)) if video else range(0)
     try:
         with progress("rendering the scene"):
             images = mujoco_viewer.render(scene, [stage.busiest_frame(scene), *frames])

@@ -1,11 +1,9 @@
-"""Charts that compare methods: scores with their nulls, and curves over a parameter.
-
-A method has one colour and one marker wherever it is drawn.
-"""
+"""Charts that compare methods: scores with their nulls, and curves over a parameter."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -13,43 +11,58 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.drawing.figures import load_drawing
+from anisomap.drawing.figures.backend import (
+    FAINT,
+    INK,
+    MARKERS,
+    PALETTE,
+    Axes,
+    drawing_style,
+    load,
+    new_figure,
+    panel_axes,
+    set_title,
+    write_title,
+)
 from anisomap.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_WIDTH, _HEAD = 12.0, 0.75  # inches
+_GAP = 1.0  # between groups, in widths of a method
+_SPREAD = 0.22  # of the scores of a method, in its width
+
 
 @dataclass(frozen=True)
 class MethodLook:
-    """How a method is drawn and called in pictures."""
+    """Label, colour and marker of a method in every chart."""
 
     label: str
     colour: str
     marker: str
 
 
-# Okabe & Ito's colours, which differ for every kind of colour vision; and markers, for none.
 METHOD_LOOKS: Mapping[str, MethodLook] = MappingProxyType(
     {
-        "r-anisomap": MethodLook("r-ANISOMAP", "#0072b2", "o"),
-        "i-anisomap": MethodLook("I-ANISOMAP", "#e69f00", "s"),
-        "information-distance": MethodLook("information distance", "#009e73", "^"),
-        "isomap": MethodLook("ISOMAP", "#cc79a7", "D"),
+        "r-anisomap": MethodLook("r-ANISOMAP", PALETTE[0], MARKERS[0]),
+        "i-anisomap": MethodLook("I-ANISOMAP", PALETTE[1], MARKERS[1]),
+        "information-distance": MethodLook("information distance", PALETTE[2], MARKERS[2]),
+        "isomap": MethodLook("ISOMAP", PALETTE[3], MARKERS[3]),
     }
 )
 
 
 @dataclass(frozen=True)
 class NullBox:
-    """A null distribution as a box plot shows it.
+    """Box plot of a null distribution.
 
     Parameters
     ----------
     whisker_low, quartile_1, median, quartile_3, whisker_high : float
-        Whiskers reach to the furthest values within 1.5 times the distance between the quartiles.
+        The whiskers reach to the most extreme values within 1.5 interquartile ranges.
     outliers : tuple of float
-        Values to draw beyond the whiskers.
+        Values drawn beyond the whiskers.
     """
 
     whisker_low: float
@@ -68,9 +81,9 @@ class ScoreGroup:
     ----------
     label : str
     scores : mapping of str to sequence of float
-        By method, one value a run.
+        One value per run, by method.
     nulls : mapping of str to NullBox
-        By method.
+        Null distributions, by method.
     """
 
     label: str
@@ -86,10 +99,11 @@ class CurvePanel:
     ----------
     title : str
     x : ndarray of shape (L,)
+        Values of the parameter.
     curves : mapping of str to ndarray of shape (L, S)
-        By method, one value a run; NaN where there is none.
+        One value per run, by method; NaN where there is none.
     default : float, optional
-        The value of the parameter that is used elsewhere.
+        Default value of the parameter, drawn as a line.
     """
 
     title: str
@@ -99,13 +113,13 @@ class CurvePanel:
 
 
 def scores_figure(title: str, rows: Sequence[Sequence[ScoreGroup]]) -> Figure:
-    """Draw scores as dots with their mean, above box plots of their nulls.
+    """Draw scores as dots with their mean, and box plots of their nulls.
 
     Parameters
     ----------
     title : str
     rows : sequence of sequence of ScoreGroup
-        Groups side by side, row by row.
+        Groups of each row of the figure.
 
     Returns
     -------
@@ -114,14 +128,18 @@ def scores_figure(title: str, rows: Sequence[Sequence[ScoreGroup]]) -> Figure:
     Raises
     ------
     InputError
-        If there is nothing to draw.
+        If there are no scores.
     MissingExtraError
         If matplotlib is not installed.
     """
     if not any(rows):
         raise InputError("there are no scores to draw")
-    figure: Figure = load_drawing("_charts").scores_figure(title, rows)
-    return figure
+    with drawing_style():
+        figure = _figure_with_head(_WIDTH, 0.9 + 3.6 * len(rows))
+        for i, groups in enumerate(rows):
+            plot_scores(groups, ax=figure.add_subplot(len(rows), 1, i + 1))
+        _write_head(figure, title, _methods(group.scores for groups in rows for group in groups))
+        return figure
 
 
 def curves_figure(
@@ -133,7 +151,7 @@ def curves_figure(
     logarithmic: bool = False,
     columns: int = 3,
 ) -> Figure:
-    """Draw how scores change with a parameter: means over the runs, and every run.
+    """Draw scores over a parameter: every run, and the mean over the runs.
 
     Parameters
     ----------
@@ -141,9 +159,9 @@ def curves_figure(
     panels : sequence of CurvePanel
     x_label, y_label : str
     logarithmic : bool
-        Whether equal ratios of the parameter are equally far apart.
+        Whether the axis of the parameter is logarithmic.
     columns : int
-        Panels a row.
+        Number of panels in a row.
 
     Returns
     -------
@@ -152,18 +170,171 @@ def curves_figure(
     Raises
     ------
     InputError
-        If there is nothing to draw.
+        If there are no curves.
     MissingExtraError
         If matplotlib is not installed.
     """
     if not panels:
         raise InputError("there are no curves to draw")
-    figure: Figure = load_drawing("_charts").curves_figure(
-        title,
-        panels,
-        x_label=x_label,
-        y_label=y_label,
-        logarithmic=logarithmic,
-        columns=columns,
+    columns = min(columns, len(panels))
+    rows = -(-len(panels) // columns)
+    with drawing_style():
+        figure = _figure_with_head(max(4.2 * columns, 8.5), 0.9 + 3.0 * rows)
+        first: Axes = None
+        for i, panel in enumerate(panels):
+            axes = figure.add_subplot(rows, columns, i + 1, sharey=first)
+            first = first or axes
+            plot_curves(panel, logarithmic=logarithmic, ax=axes)
+            axes.set_xlabel(x_label)
+            if i % columns == 0:
+                axes.set_ylabel(y_label)
+        _write_head(figure, title, _methods(panel.curves for panel in panels))
+        return figure
+
+
+def plot_scores(groups: Sequence[ScoreGroup], *, ax: Axes | None = None) -> Axes:
+    """Plot one row of `scores_figure`.
+
+    Parameters
+    ----------
+    groups : sequence of ScoreGroup
+    ax : matplotlib Axes, optional
+        Axes to draw into. A new figure is created by default.
+
+    Returns
+    -------
+    matplotlib Axes
+        `ax`, or the new axes; their figure is ``axes.figure``.
+    """
+    axes = panel_axes(ax)
+    start, middles = 0.0, []
+    for group in groups:
+        for i, (method, scores) in enumerate(group.scores.items()):
+            look, x = METHOD_LOOKS[method], start + i
+            if method in group.nulls:
+                _draw_null(axes, x, group.nulls[method], look)
+            shift = np.linspace(-_SPREAD, _SPREAD, len(scores)) if len(scores) > 1 else [0.0]
+            axes.plot(
+                x + np.asarray(shift), scores, look.marker, color=look.colour, markersize=5,
+                alpha=0.75, markeredgewidth=0,
+            )  # fmt: skip
+            if len(scores) > 1:
+                axes.plot([x - 0.36, x + 0.36], [np.mean(scores)] * 2, color=INK, linewidth=1.2)
+        middles.append(start + (len(group.scores) - 1) / 2)
+        start += len(group.scores) + _GAP
+    axes.set_xticks(middles, [group.label for group in groups], fontsize=9.5, color=INK)
+    axes.tick_params(axis="x", length=0)
+    axes.set(xlim=(-0.9, start - _GAP - 0.1), ylim=(-0.24, 1.04), ylabel="Mantel r")
+    axes.grid(axis="y")
+    axes.set_axisbelow(True)
+    axes.axhline(0, color=FAINT, linewidth=0.8)
+    return axes
+
+
+def plot_curves(panel: CurvePanel, *, logarithmic: bool = False, ax: Axes | None = None) -> Axes:
+    """Plot one panel of `curves_figure`, without labels of the axes.
+
+    Parameters
+    ----------
+    panel : CurvePanel
+    logarithmic : bool
+        Whether the axis of the parameter is logarithmic.
+    ax : matplotlib Axes, optional
+        Axes to draw into. A new figure is created by default.
+
+    Returns
+    -------
+    matplotlib Axes
+        `ax`, or the new axes; their figure is ``axes.figure``.
+    """
+    axes = panel_axes(ax)
+    if panel.default is not None and panel.x.min() <= panel.default <= panel.x.max():
+        axes.axvline(panel.default, color=FAINT, linewidth=0.9, linestyle=":")
+    for method, values in panel.curves.items():
+        look = METHOD_LOOKS[method]
+        plot_runs(axes, panel.x, values, colour=look.colour, marker=look.marker)
+    if logarithmic:
+        axes.set_xscale("log")
+    axes.set_xticks(panel.x, [f"{value:g}" for value in panel.x])
+    axes.minorticks_off()
+    set_title(axes, panel.title)
+    axes.grid()
+    axes.set_axisbelow(True)
+    return axes
+
+
+def plot_runs(
+    axes: Axes,
+    x: NDArray[np.float64] | NDArray[np.intp],
+    values: NDArray[np.float64],
+    *,
+    colour: str,
+    marker: str,
+    label: str = "",
+) -> None:
+    """Plot every run as a dot and their mean as a curve.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    x : ndarray of shape (L,)
+    values : ndarray of shape (L, S)
+        Values of S runs; NaN where there is none.
+    colour, marker, label : str
+        Of the curve.
+    """
+    axes.plot(x, values, ".", color=colour, alpha=0.35, markersize=4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # all runs may be NaN
+        mean = np.nanmean(values, axis=1)
+    axes.plot(x, mean, color=colour, marker=marker, markersize=4.5, label=label or None)
+
+
+def _draw_null(axes: Axes, x: float, box: NullBox, look: MethodLook) -> None:
+    line = {"color": look.colour, "linewidth": 1.0}
+    axes.bxp(
+        [
+            {
+                "med": box.median,
+                "q1": box.quartile_1,
+                "q3": box.quartile_3,
+                "whislo": box.whisker_low,
+                "whishi": box.whisker_high,
+                "fliers": list(box.outliers),
+            }
+        ],
+        positions=[x],
+        widths=0.55,
+        boxprops=line,
+        whiskerprops=line,
+        capprops=line,
+        medianprops={"color": INK, "linewidth": 1.0},
+        flierprops={"marker": "+", "markeredgecolor": look.colour, "markersize": 4},
+        manage_ticks=False,
     )
+
+
+def _figure_with_head(width: float, height: float) -> Figure:
+    figure = new_figure(width, height)
+    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - _HEAD / height))
     return figure
+
+
+def _methods(mappings: Iterable[Iterable[str]]) -> list[str]:
+    used = {method for mapping in mappings for method in mapping}
+    return [method for method in METHOD_LOOKS if method in used]
+
+
+def _write_head(figure: Figure, title: str, methods: Sequence[str]) -> None:
+    write_title(figure, title, x=0.15, y=0.1)
+    line = load("matplotlib.lines").Line2D
+    looks = [METHOD_LOOKS[method] for method in methods]
+    handles = [
+        line([], [], ls="none", marker=look.marker, color=look.colour, label=look.label)
+        for look in looks
+    ]
+    figure.legend(
+        handles=handles, loc="upper left",
+        bbox_to_anchor=(0.005, 1 - 0.38 / figure.get_figheight()),
+        ncols=len(handles), frameon=False, fontsize=9.5,
+    )  # fmt: skip

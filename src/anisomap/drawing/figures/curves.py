@@ -1,4 +1,4 @@
-"""Pictures of what grows with the length of a recording."""
+"""Figure of the coverage of a skin over the length of a recording."""
 
 from __future__ import annotations
 
@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.drawing.figures import load_drawing
+from anisomap.drawing.figures.backend import (
+    MARKERS,
+    PALETTE,
+    Axes,
+    drawing_style,
+    new_figure,
+    panel_axes,
+    write_title,
+)
+from anisomap.drawing.figures.charts import plot_runs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,7 +28,7 @@ def coverage_figure(
     rate_hz: float,
     shares: dict[str, NDArray[np.float64]],
 ) -> Figure:
-    """Draw shares against the length of a recording: their means, and each seed.
+    """Draw shares over the length of a recording: every seed, and the mean over seeds.
 
     Parameters
     ----------
@@ -27,9 +36,9 @@ def coverage_figure(
     n_frames : ndarray of int, shape (L,)
         Lengths.
     rate_hz : float
-        Frames a second.
+        Frames per second.
     shares : dict of str to ndarray of shape (L, S)
-        What each curve is called, and its values from 0 to 1 for S seeds; NaN where there is none.
+        Values from 0 to 1 for S seeds, by label; NaN where there is none.
 
     Returns
     -------
@@ -41,5 +50,44 @@ def coverage_figure(
     MissingExtraError
         If matplotlib is not installed.
     """
-    figure: Figure = load_drawing("_curves").coverage_figure(title, n_frames, rate_hz, shares)
-    return figure
+    with drawing_style():
+        figure = new_figure(7.2, 4.6)
+        figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.91))
+        plot_coverage(n_frames, rate_hz, shares, ax=figure.add_subplot())
+        write_title(figure, title)
+        return figure
+
+
+def plot_coverage(
+    n_frames: NDArray[np.intp],
+    rate_hz: float,
+    shares: dict[str, NDArray[np.float64]],
+    *,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot the panel of `coverage_figure`.
+
+    Parameters
+    ----------
+    n_frames, rate_hz, shares
+        As for `coverage_figure`.
+    ax : matplotlib Axes, optional
+        Axes to draw into. A new figure is created by default.
+
+    Returns
+    -------
+    matplotlib Axes
+        `ax`, or the new axes; their figure is ``axes.figure``.
+    """
+    axes = panel_axes(ax)
+    for (name, values), colour, marker in zip(shares.items(), PALETTE, MARKERS, strict=False):
+        plot_runs(axes, n_frames, values, colour=colour, marker=marker, label=name)
+    axes.set_xscale("log")
+    axes.set_xticks(n_frames, [f"{n}\n{n / rate_hz:.3g} s" for n in n_frames])
+    axes.minorticks_off()
+    axes.set_ylim(-0.03, 1.03)
+    axes.grid()
+    axes.set_xlabel("length of the recording (frames, seconds)")
+    axes.set_ylabel("share; Mantel r")
+    axes.legend(loc="lower right", frameon=False)
+    return axes

@@ -1,38 +1,60 @@
-"""Pictures and animations of simulated scenes: the paper's Figures 5 and 6, for any body."""
+"""Figures and animations of simulated scenes, as in Figures 5 and 6 of the paper."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.drawing.figures import load_drawing
+from anisomap.drawing.figures.backend import (
+    FAINT,
+    INK,
+    Axes,
+    add_axes,
+    drawing_style,
+    load,
+    new_figure,
+    panel_axes,
+    set_title,
+    write_title,
+)
 from anisomap.errors import FileError, InputError
 from anisomap.files import atomic_write, check_target
-from anisomap.scene import Scene
+from anisomap.scene import Mesh, Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ANIMATIONS = ("gif", "mp4")
-"""What an animation can be saved as; MP4 needs the program ffmpeg."""
+"""File formats of animations; MP4 needs the program ffmpeg."""
 
-LONGEST_ANIMATION = 150
-"""Frames drawn unless asked for more: ten seconds."""
+MAX_ANIMATION_FRAMES = 150
+"""Default number of frames of an animation: ten seconds."""
+
+_FACES = {"ground": "#b7c7a8", "body": "#c9ced4", "stimulus": "#e69f00"}
+_ALPHA = {"ground": 0.9, "body": 0.5, "stimulus": 0.35}
+_READINGS = "viridis"
+_LIGHT = np.array([0.3, -0.5, 0.81])  # direction of the light
+_DARKEST = 0.55
+_SHARP = 0.9  # cosine of the largest angle between two faces whose edge is not drawn
+_GROUND_EXTENT = 1.8  # of the ground drawn, in extents of everything else
+_SHORT = 0.6  # of the longest axis; shorter ones have fewer ticks
+_FRAMES_PER_SECOND = 15
 
 
 def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
-    """Draw a scene: the body with its sensors, what touches them, and all readings.
+    """Draw a frame of a scene, its readings on the body, and the readings over the run.
 
     Parameters
     ----------
     scene : Scene
     frame : int, optional
-        Which frame; that in which most sensors read something unless given.
+        Index of the frame. Default: the frame with the most active sensors.
 
     Returns
     -------
@@ -48,10 +70,26 @@ def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
     """
     if frame is None:
         frame = busiest_frame(scene)
-    if not 0 <= frame < scene.n_frames:
-        raise InputError(f"there is no frame {frame}; the scene has {scene.n_frames}, from 0")
-    figure: Figure = load_drawing("_stage").scene_figure(scene, frame)
-    return figure
+    _check_frame(scene, frame)
+    with drawing_style():
+        figure = new_figure(15.0, 5.6)
+        cells = figure.add_gridspec(
+            1,
+            3,
+            width_ratios=(1.15, 1.15, 1),
+            left=0.01,
+            right=0.94,
+            bottom=0.11,
+            top=0.84,
+            wspace=0.3,
+        )
+        write_title(figure, scene.title)
+        axes = plot_scene(scene, frame, ax=add_axes(figure, 3, cells[0]))
+        set_title(axes, f"Frame {frame} of {scene.n_frames}, {scene.times[frame]:.2f} s")
+        axes = plot_scene(_body_of(scene), frame, ax=add_axes(figure, 3, cells[1]))
+        set_title(axes, "Body and readings in this frame")
+        _draw_readings(figure.add_subplot(cells[2]), scene, frame)
+        return figure
 
 
 def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) -> Figure:
@@ -61,9 +99,9 @@ def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) ->
     ----------
     title : str
     scenes : sequence of Scene
-        Of each the first frame; what touches the body is left out.
+        The first frame of each is drawn, without stimuli.
     labels : sequence of str
-        One a scene.
+        One per scene.
 
     Returns
     -------
@@ -72,18 +110,102 @@ def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) ->
     Raises
     ------
     InputError
-        If there is not one label a scene.
+        If there is not one label per scene.
     MissingExtraError
         If matplotlib is not installed.
     """
     if not scenes or len(scenes) != len(labels):
-        raise InputError(f"{len(labels)} labels for {len(scenes)} scenes; give one a scene")
-    figure: Figure = load_drawing("_stage").bodies_figure(title, scenes, labels)
-    return figure
+        raise InputError(
+            f"one label per scene is needed, got {len(labels)} labels for {len(scenes)} scenes"
+        )
+    with drawing_style():
+        figure = new_figure(4.0 * len(scenes), 4.6)
+        write_title(figure, title)
+        figure.subplots_adjust(left=0.01, right=0.94, bottom=0.08, top=0.86, wspace=0.16)
+        for i, (scene, label) in enumerate(zip(scenes, labels, strict=True)):
+            touched = replace(_body_of(scene), readings=np.ones_like(scene.readings))
+            axes = plot_scene(touched, 0, ax=add_axes(figure, 3, 1, len(scenes), i + 1))
+            set_title(axes, label)
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_locator(load("matplotlib.ticker").MaxNLocator(2))
+        return figure
+
+
+def plot_scene(scene: Scene, frame: int, *, ax: Axes | None = None) -> Axes:
+    """Plot a frame of a scene in one panel; sensors are coloured by their readings.
+
+    Parameters
+    ----------
+    scene : Scene
+    frame : int
+        Index of the frame.
+    ax : matplotlib Axes, optional
+        Axes to draw into, with ``projection="3d"``. A new figure is created by default.
+
+    Returns
+    -------
+    matplotlib Axes
+        `ax`, or the new axes; their figure is ``axes.figure``.
+
+    Raises
+    ------
+    InputError
+        If there is no such frame, or `ax` are not 3D.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    _check_frame(scene, frame)
+    axes = panel_axes(ax, 3)
+    axes.computed_zorder = False
+    visible = np.vstack(
+        [
+            vertices
+            for prop in scene.props
+            if prop.role != "ground"
+            for vertices in prop.surfaces(frame)
+        ]
+    )
+    lowest, highest = visible.min(axis=0), visible.max(axis=0)
+    for prop in scene.props:
+        for vertices in prop.surfaces(frame) if prop.role == "room" else ():
+            axes.add_collection3d(_sharp_edges(prop.mesh, vertices))
+    for role in _FACES:
+        triangles = [
+            vertices[prop.mesh.faces]
+            for prop in scene.props
+            if prop.role == role
+            for vertices in prop.surfaces(frame)
+        ]
+        if triangles:
+            near = _within(np.vstack(triangles), lowest, highest)
+            axes.add_collection3d(_surface(near, role), autolim=False)
+    axes.scatter(
+        *scene.sensors[frame % len(scene.sensors)].T,
+        c=scene.readings[frame],
+        cmap=_READINGS,
+        norm=_norm(scene),
+        s=26,
+        edgecolors=INK,
+        linewidths=0.4,
+        depthshade=False,
+        zorder=10,
+    )
+    axes.set(
+        xlim=(lowest[0], highest[0]), ylim=(lowest[1], highest[1]), zlim=(lowest[2], highest[2])
+    )
+    axes.set_box_aspect(np.maximum(highest - lowest, 1e-12), zoom=0.98)
+    locator = load("matplotlib.ticker").MaxNLocator
+    for name, share in zip("xyz", (highest - lowest) / (highest - lowest).max(), strict=True):
+        axis = getattr(axes, f"{name}axis")
+        getattr(axes, f"set_{name}label")(name + _in_units(scene))
+        axis.set_pane_color((1.0, 1.0, 1.0))
+        axis.set_major_locator(locator(4 if share > _SHORT else 2))
+    axes.grid(visible=False)
+    return axes
 
 
 def busiest_frame(scene: Scene) -> int:
-    """Find the frame in which most sensors read something."""
+    """Return the frame with the most active sensors."""
     return int(np.argmax((scene.readings > 0).sum(axis=1)))
 
 
@@ -91,32 +213,46 @@ def save_animation(
     scene: Scene,
     path: str | os.PathLike[str],
     *,
-    n_frames: int = LONGEST_ANIMATION,
+    n_frames: int = MAX_ANIMATION_FRAMES,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Save the beginning of a scene as a moving picture.
+    """Save the first frames of a scene as an animation.
 
     Parameters
     ----------
     scene : Scene
     path : path-like
-        A name that ends in .gif, or in .mp4 where ffmpeg is installed.
+        File name ending in .gif, or in .mp4 if ffmpeg is installed.
     n_frames : int
-        How many frames to draw, from the first, at 15 a second.
+        Number of frames, shown at 15 per second.
     progress : callable, optional
-        Told the share done, from 0 to 1.
+        Called with the share done, from 0 to 1.
 
     Raises
     ------
     FileError
-        If the name ends otherwise, ffmpeg is wanted and not there, or the file cannot be written.
+        If the suffix is unknown, ffmpeg is missing, or the file cannot be written.
     MissingExtraError
         If matplotlib is not installed.
     """
     check_animation(path)
-    frames = np.arange(min(max(n_frames, 1), scene.n_frames))
-    with atomic_write(path) as aside:
-        load_drawing("_stage").animate(scene, aside, frames, progress or (lambda _: None))
+    animation = load("matplotlib.animation")
+    count = min(max(n_frames, 1), scene.n_frames)
+    with atomic_write(path) as temporary, drawing_style():
+        figure = new_figure(7.2, 6.2, dpi=72)
+
+        def draw(frame: int) -> None:
+            figure.clear()
+            write_title(figure, scene.title)
+            axes = plot_scene(scene, frame, ax=add_axes(figure, 3, 111))
+            set_title(axes, f"{scene.times[frame]:.2f} s")
+            if progress is not None:
+                progress((frame + 1) / count)
+
+        kind = animation.PillowWriter if temporary.suffix == ".gif" else animation.FFMpegWriter
+        animation.FuncAnimation(
+            figure, draw, frames=count, init_func=lambda: None, blit=False
+        ).save(os.fspath(temporary), writer=kind(fps=_FRAMES_PER_SECOND), dpi=72)
 
 
 def save_pixels(path: str | os.PathLike[str], images: Sequence[NDArray[np.uint8]]) -> None:
@@ -130,19 +266,27 @@ def save_pixels(path: str | os.PathLike[str], images: Sequence[NDArray[np.uint8]
     Raises
     ------
     FileError
-        If the name ends otherwise, or the file cannot be written.
+        If the suffix does not fit, or the file cannot be written.
     MissingExtraError
         If Pillow, which comes with matplotlib, is not installed.
     """
     kind = "png" if len(images) == 1 else "gif"
     if Path(path).suffix.lower() != f".{kind}":
-        raise FileError(f"{path} cannot hold what was rendered; end it with .{kind}")
-    with atomic_write(path) as aside:
-        load_drawing("_stage").write_pixels(aside, images)
+        raise FileError(f"cannot save rendered images as {path}; the name must end in .{kind}")
+    image = load("PIL.Image")
+    first, *others = (image.fromarray(pixels) for pixels in images)
+    animated = {
+        "save_all": True,
+        "append_images": others,
+        "loop": 0,
+        "duration": 1000 // _FRAMES_PER_SECOND,
+    }
+    with atomic_write(path) as temporary:
+        first.save(temporary, **(animated if others else {}))
 
 
 def check_animation(path: str | os.PathLike[str]) -> None:
-    """Find out before the work whether an animation could be saved to a file.
+    """Check, before a long computation, that an animation can be saved to a file.
 
     Raises
     ------
@@ -153,8 +297,82 @@ def check_animation(path: str | os.PathLike[str]) -> None:
     """
     kind = Path(check_target(path)).suffix.lower().removeprefix(".")
     if kind not in ANIMATIONS:
-        raise FileError(f"{path} is no name for an animation; end it with .gif or .mp4")
-    if kind == "mp4" and not load_drawing("_stage").can_write_mp4():
+        raise FileError(f"cannot save an animation as {path}; the name must end in .gif or .mp4")
+    if kind == "mp4" and not load("matplotlib.animation").FFMpegWriter.isAvailable():
         raise FileError(
-            f"{path} needs the program ffmpeg, which is not installed; .gif needs nothing"
+            f"{path} needs the program ffmpeg, which is not installed; .gif does not need it"
         )
+
+
+def _check_frame(scene: Scene, frame: int) -> None:
+    if not 0 <= frame < scene.n_frames:
+        raise InputError(f"frame must be from 0 to {scene.n_frames - 1}, got {frame}")
+
+
+def _body_of(scene: Scene) -> Scene:
+    """Remove everything but the body."""
+    return replace(scene, props=tuple(prop for prop in scene.props if prop.role == "body"))
+
+
+def _norm(scene: Scene) -> Any:
+    highest = float(np.nanmax(scene.readings, initial=0)) or 1.0
+    return load("matplotlib.colors").Normalize(0, highest)
+
+
+def _draw_readings(axes: Axes, scene: Scene, frame: int) -> None:
+    raster = axes.imshow(
+        scene.readings.T,
+        aspect="auto",
+        cmap=_READINGS,
+        norm=_norm(scene),
+        interpolation="nearest",
+        extent=(0, max(float(scene.times[-1]), 1e-9), scene.readings.shape[1] - 0.5, -0.5),
+    )
+    axes.axvline(scene.times[frame], color="#d55e00", linewidth=1)
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("sensor")
+    set_title(axes, "Readings of all sensors over the run")
+    axes.figure.colorbar(raster, ax=axes, label="reading" + _in_units(scene), fraction=0.05)
+
+
+def _within(
+    triangles: NDArray[np.float64], lowest: NDArray[np.float64], highest: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Remove the triangles far from a box: most of a wide ground."""
+    middle, half = (lowest + highest)[:2] / 2, (highest - lowest)[:2].max() / 2
+    distances = np.abs(triangles[:, :, :2] - middle).max(axis=(1, 2))
+    return np.asarray(triangles[distances <= _GROUND_EXTENT * half])
+
+
+def _surface(triangles: NDArray[np.float64], role: str) -> Any:
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    light = (1 + normals @ _LIGHT) / 2
+    face = np.array(load("matplotlib.colors").to_rgb(_FACES[role]))
+    colours = np.empty((len(triangles), 4))
+    colours[:, :3] = face * (_DARKEST + (1 - _DARKEST) * light[:, None])
+    colours[:, 3] = _ALPHA[role]
+    layer = list(_FACES).index(role) + 2
+    return load("mpl_toolkits.mplot3d.art3d").Poly3DCollection(
+        triangles, facecolors=colours, edgecolors="none", zorder=layer
+    )
+
+
+def _sharp_edges(mesh: Mesh, vertices: NDArray[np.float64]) -> Any:
+    """Return the edges where faces meet at an angle, which are all that is drawn of a room."""
+    faces = vertices[mesh.faces]
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    face_of = np.repeat(np.arange(len(faces)), 3)
+    order = np.lexsort(sides.T)
+    sides, face_of = sides[order], face_of[order]
+    pairs = np.flatnonzero((sides[1:] == sides[:-1]).all(axis=1))
+    sharp = np.einsum("ed,ed->e", normals[face_of[pairs]], normals[face_of[pairs + 1]]) < _SHARP
+    return load("mpl_toolkits.mplot3d.art3d").Line3DCollection(
+        vertices[sides[pairs[sharp]]], colors=FAINT, linewidths=0.8, zorder=2
+    )
+
+
+def _in_units(scene: Scene) -> str:
+    return f" ({scene.units})" if scene.units else ""

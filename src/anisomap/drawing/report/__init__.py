@@ -1,31 +1,33 @@
-"""Reports on maps: one HTML file each, with everything in it, that works without a network."""
+"""Reports of maps: single HTML files that need no network."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from importlib import import_module
-from types import ModuleType
 
-from anisomap.drawing.report._scene import scene, status_colours
-from anisomap.drawing.report._words import (
+from anisomap.drawing.report import page
+from anisomap.drawing.report.interactive import interactive_views, status_colours
+from anisomap.drawing.report.text import (
     alternative_text,
-    cautions,
-    contents,
+    caveats,
     facts,
-    find_statuses,
     provenance,
+    recording_facts,
+    sensor_statuses,
     sensor_table,
     verdict,
 )
-from anisomap.drawing.view import bodies, shown
-from anisomap.errors import MissingExtraError
+from anisomap.drawing.view import drawn_components, printable
+from anisomap.errors import FileError
 from anisomap.evaluation import Score
 from anisomap.files import atomic_write, check_target
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.sensor_map import SensorMap
 
 TITLE = "Map of a skin"
+
+SUFFIXES = (".html", ".htm")
+"""Suffixes of report files."""
 
 
 def write_report(
@@ -38,23 +40,25 @@ def write_report(
     figure_png: bytes | None = None,
     title: str = TITLE,
 ) -> None:
-    """Write a report that opens in any browser, with an interactive view of the map.
+    """Write a report with an interactive view of the map, for any browser.
 
     Parameters
     ----------
     path : path-like
-        The HTML file. It is replaced only once the new one is whole.
+        File name ending in .html or .htm. An existing file is replaced only when the new one is
+        complete.
     sensor_map, score, health, summary, figure_png, title
         See `render_report`.
 
     Raises
     ------
     FileError
-        If the file cannot be written.
+        If the suffix is wrong or the file cannot be written.
     MissingExtraError
         If jinja2 or plotly is not installed.
     """
-    page = render_report(
+    check_writable(path)
+    text = render_report(
         sensor_map,
         score=score,
         health=health,
@@ -62,9 +66,9 @@ def write_report(
         figure_png=figure_png,
         title=title,
     )
-    with atomic_write(path) as aside:
-        # A name read from a damaged file may hold half a character, which no encoding takes.
-        aside.write_bytes(page.encode("utf-8", errors="replace"))
+    with atomic_write(path) as temporary:
+        # A name read from a damaged file may contain a lone surrogate, which UTF-8 cannot encode.
+        temporary.write_bytes(text.encode("utf-8", errors="replace"))
 
 
 def render_report(
@@ -76,58 +80,55 @@ def render_report(
     figure_png: bytes | None = None,
     title: str = TITLE,
 ) -> str:
-    """Make the text of a report.
+    """Return a report as text; the same input gives the same text.
 
-    The same input gives the same text. Names and notes are shown as they are, whatever they hold:
-    none is taken for markup, the page runs no script but its own, and it fetches nothing.
+    Names and notes are escaped. The page runs no scripts but its own and sends no requests.
 
     Parameters
     ----------
     sensor_map : SensorMap
         The map.
     score : Score, optional
-        The comparison of this very map with the truth, if that is known.
+        Score of this map against the truth.
     health : sequence of SensorHealth
-        What each sensor did; the words of the map stand in where there is none.
+        Health of the sensors; by default the statuses of the map are listed.
     summary : RecordingSummary, optional
-        What the recording held.
+        Summary of the recording.
     figure_png : bytes, optional
-        A picture of the map as PNG, for print and for browsers that show no 3D view.
+        Picture of the map as PNG, for printing and for browsers without 3D graphics.
     title : str
         Headline.
 
     Returns
     -------
     str
-        An HTML document; about 5 MB, for it carries the library that draws the view.
+        An HTML document of about 5 MB, most of which is the library of the interactive view.
 
     Raises
     ------
     MissingExtraError
         If jinja2 or plotly is not installed.
     """
-    page = _load_page()
-    drawn = bodies(sensor_map, score)
-    statuses = find_statuses(sensor_map, health)
-    document: str = page.render(
-        title=shown(title),
+    drawn = drawn_components(sensor_map, score)
+    statuses = sensor_statuses(sensor_map, health)
+    return page.render(
+        title=printable(title),
         verdict=verdict(sensor_map, score),
         facts=facts(sensor_map, score),
-        cautions=cautions(sensor_map, score, summary),
-        scene=scene(sensor_map, drawn, score, statuses),
+        caveats=caveats(sensor_map, score, summary),
+        scene=interactive_views(sensor_map, drawn, score, statuses),
         statuses=status_colours(statuses),
         figure_png=figure_png,
         alt=alternative_text(sensor_map, score),
         compared=score is not None,
         table=sensor_table(sensor_map, score, health),
-        contents=contents(summary),
+        recording=recording_facts(summary),
         provenance=provenance(sensor_map, score),
     )
-    return document
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Find out before the work whether a report could be written to a file.
+    """Check, before a long computation, that a report can be written to a file.
 
     Parameters
     ----------
@@ -137,17 +138,10 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     Raises
     ------
     FileError
-        If `path` is a folder, or lies in none.
+        If the suffix is not .html or .htm, or the folder does not exist.
     MissingExtraError
         If jinja2 or plotly is not installed.
     """
-    check_target(path)
-    _load_page()
-
-
-def _load_page() -> ModuleType:
-    """Import what needs the extra only when a report is made."""
-    try:
-        return import_module("anisomap.drawing.report._page")
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("a report", "report") from error
+    if check_target(path).suffix.lower() not in SUFFIXES:
+        raise FileError(f"cannot write a report to {path}; the name must end in .html or .htm")
+    page.load_libraries()

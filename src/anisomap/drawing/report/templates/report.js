@@ -34,7 +34,7 @@
 (function interactiveView() {
   const source = document.getElementById("scene");
   if (!source) return;
-  const pieces = JSON.parse(source.textContent);
+  const components = JSON.parse(source.textContent);
   const view = document.getElementById("view");
   const controls = document.getElementById("controls");
 
@@ -48,33 +48,33 @@
     return Boolean(canvas.getContext("webgl2") || canvas.getContext("webgl"));
   }
 
-  function traces(piece, wanted) {
-    const map = { ...piece.traces.map };
-    map.marker = { ...map.marker, ...piece.colours[wanted.colour] };
-    if (wanted.names) Object.assign(map, { mode: "markers+text", text: piece.names });
+  function traces(component, wanted) {
+    const map = { ...component.traces.map };
+    map.marker = { ...map.marker, ...component.colours[wanted.colour] };
+    if (wanted.names) Object.assign(map, { mode: "markers+text", text: component.names });
     const drawn = [];
-    if (wanted.neighbours) drawn.push(piece.traces.neighbours);
-    if (wanted.truth && wanted.neighbours) drawn.push(piece.traces["true-neighbours"]);
-    if (wanted.errors) drawn.push(piece.traces.errors);
-    if (wanted.truth) drawn.push(piece.traces.truth);
-    return [...drawn, map, piece.traces.ailing].filter(Boolean);
+    if (wanted.neighbours) drawn.push(component.traces.neighbours);
+    if (wanted.truth && wanted.neighbours) drawn.push(component.traces["true-neighbours"]);
+    if (wanted.errors) drawn.push(component.traces.errors);
+    if (wanted.truth) drawn.push(component.traces.truth);
+    return [...drawn, map, component.traces.faulty].filter(Boolean);
   }
 
   function draw() {
     const form = controls.elements;
     const on = (name) => Boolean(form[name] && form[name].checked);
-    const piece = pieces[Number(form.piece.value)];
-    for (const name of ["truth", "errors"]) if (form[name]) form[name].disabled = !piece.traces[name];
-    const colour = form.colour.value in piece.colours ? form.colour.value : "place";
+    const component = components[Number(form.component.value)];
+    for (const name of ["truth", "errors"]) if (form[name]) form[name].disabled = !component.traces[name];
+    const colour = form.colour.value in component.colours ? form.colour.value : "place";
     const wanted = { colour, neighbours: on("neighbours"), names: on("names"), truth: on("truth"), errors: on("errors") };
     document.getElementById("legend-place").hidden = colour !== "place";
     document.getElementById("legend-health").hidden = colour !== "health";
-    // plotly offers to upload charts to its makers unless it is told not to.
+    // Disable the upload of charts that plotly offers by default.
     const config = { responsive: true, displaylogo: false, scrollZoom: true, showSendToCloud: false, plotlyServerURL: "" };
-    return Plotly.react(view, traces(piece, wanted), piece.layout, config);
+    return Plotly.react(view, traces(component, wanted), component.layout, config);
   }
 
-  if (pieces.some((piece) => piece.layout.scene) && !hasWebGL()) {
+  if (components.some((component) => component.layout.scene) && !hasWebGL()) {
     giveUp();
     return;
   }

@@ -1,0 +1,144 @@
+"""Access to matplotlib, and the style that all figures share.
+
+matplotlib is optional and slow to import. Functions that draw import it with `load`; no module of
+this package imports it at its top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from anisomap.drawing import extras
+from anisomap.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Axes: TypeAlias = Any
+"""A matplotlib Axes. Typed as Any, because matplotlib's 3D axes have no type annotations."""
+
+INK = "#22262b"
+FAINT = "#6a737d"
+GRID = "#d5d9dd"
+
+PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")
+"""Colours that remain distinct with every common colour vision deficiency (Okabe & Ito 2008)."""
+
+MARKERS = ("o", "s", "^", "D")
+"""Markers that go with `PALETTE`, for printing in black and white."""
+
+_STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "text.color": INK,
+    "axes.edgecolor": "#c9cdd2",
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "svg.hashsalt": "anisomap",
+    "savefig.dpi": 150,
+    "figure.dpi": 150,
+}
+
+
+def load(module: str) -> Any:
+    """Import a module of matplotlib or of a library that comes with it.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    return extras.load(module, "a picture")
+
+
+@contextmanager
+def drawing_style() -> Iterator[None]:
+    """Apply the style of this package, whatever the user's matplotlibrc contains."""
+    with load("matplotlib.style").context(["default", _STYLE]):
+        yield
+
+
+def new_figure(width: float, height: float, **settings: Any) -> Figure:
+    """Create an empty figure that is not bound to a window; sizes in inches."""
+    figure: Figure = load("matplotlib.figure").Figure(
+        figsize=(width, height), facecolor="white", **settings
+    )
+    return figure
+
+
+def add_axes(figure: Figure, dimensions: int, *position: Any) -> Axes:
+    """Add 2D or 3D axes to a figure; `position` as for ``Figure.add_subplot``."""
+    return figure.add_subplot(*position, projection="3d" if dimensions == 3 else None)
+
+
+def panel_axes(ax: Axes | None, dimensions: int = 2) -> Axes:
+    """Return the axes to draw a panel into.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes or None
+        Given by the user; None creates a figure with one panel.
+    dimensions : {2, 3}
+        Coordinates of the data.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    InputError
+        If `ax` has another number of dimensions.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    if ax is None:
+        with drawing_style():
+            return add_axes(new_figure(6.0, 5.4, layout="constrained"), dimensions)
+    if (ax.name == "3d") != (dimensions == 3):
+        wanted = "3D axes (projection='3d')" if dimensions == 3 else "2D axes"
+        raise InputError(f"the data need {wanted}, got axes with projection {ax.name!r}")
+    return ax
+
+
+def set_title(axes: Axes, title: str) -> None:
+    """Set the title of a panel; names in it are never read as mathematics."""
+    axes.set_title(title, fontsize=10, color=INK, parse_math=False)
+
+
+def write_title(figure: Figure, title: str, *, x: float = 0.2, y: float = 0.12) -> None:
+    """Write the title of a figure, `x` and `y` inches from its upper left corner."""
+    width, height = figure.get_size_inches()
+    figure.text(
+        x / width,
+        1 - y / height,
+        title,
+        va="top",
+        fontsize=14,
+        fontweight="bold",
+        color=INK,
+        parse_math=False,
+    )
+
+
+def write_notes(figure: Figure, lines: list[str], *, x: float = 0.2, y: float = 0.1) -> None:
+    """Write lines at the foot of a figure, `x` and `y` inches from its lower left corner."""
+    width, height = figure.get_size_inches()
+    figure.text(
+        x / width,
+        y / height,
+        "\n".join(lines),
+        va="bottom",
+        fontsize=8.5,
+        color=FAINT,
+        linespacing=1.35,
+        parse_math=False,
+    )

@@ -1,0 +1,342 @@
+"""Sentences, facts and tables of a report, without markup."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from anisomap.drawing.view import MAX_JOINED, layout_notes, printable
+from anisomap.evaluation import Score, confidence_in_words
+from anisomap.health import RecordingSummary, SensorHealth
+from anisomap.methods import METHODS
+from anisomap.sensor_map import SensorMap
+from anisomap.wording import join_items
+
+UNKNOWN = "\N{EN DASH}"
+
+MAX_ROWS = 2000
+"""Largest number of sensors in the table; browsers lay out longer tables slowly."""
+
+# Smallest Mantel r for each description, chosen by hand.
+_AGREEMENT = ((0.98, "very closely"), (0.9, "closely"), (0.6, "roughly"), (-1.0, "only weakly"))
+
+_COARSE = 1.0  # RMS error in sensor spacings from which neighbours may be exchanged
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A value with its name and an explanation."""
+
+    name: str
+    value: str
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A table cell: its text, and the key by which it is sorted (None is last)."""
+
+    text: str
+    key: str | float | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """A sensor in the table."""
+
+    name: str
+    status: str
+    reason: str
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class SensorTable:
+    """Table of the sensors: those with problems first, otherwise in the order of the map.
+
+    Attributes
+    ----------
+    columns : tuple of Fact
+        Titles and explanations of the cells, which follow name and status and precede the reason.
+    rows : tuple of Row
+        One per sensor, at most `MAX_ROWS`.
+    counts : str
+        Number of sensors with each status.
+    n_sensors : int
+        Number of sensors of the map.
+    """
+
+    columns: tuple[Fact, ...]
+    rows: tuple[Row, ...]
+    counts: str
+    n_sensors: int
+
+    @property
+    def n_problems(self) -> int:
+        """Number of listed sensors whose status is not ok."""
+        return sum(row.status != "ok" for row in self.rows)
+
+
+_MEASURED = (
+    Fact("Min", "", "smallest reading"),
+    Fact("Max", "", "largest reading"),
+    Fact("Values", "", "number of distinct readings"),
+    Fact("Active", "", "share of frames in which the reading is not at rest"),
+    Fact("Contacts", "", "number of separate contacts"),
+    Fact("Lag-1 r", "", "autocorrelation at a lag of one frame; near 0 for noise"),
+    Fact("Best match", "", "highest Pearson r with another sensor"),
+)
+
+
+def number(value: float | None, digits: int = 3, unit: str = "") -> str:
+    """Format a number with some significant digits; a dash replaces an unknown number."""
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    rounded = float(f"{value:.{digits}g}")
+    if 1000 <= abs(rounded) < 1e7:  # "g" would write an exponent
+        decimals = max(0, digits - len(str(int(abs(rounded)))))
+        text = f"{rounded:.{decimals}f}"
+    else:
+        text = f"{rounded:.{digits}g}"
+    return f"{text} {unit}".strip()
+
+
+def verdict(sensor_map: SensorMap, score: Score | None) -> list[str]:
+    """Summarise the quality of the map; the first sentences are the headline."""
+    sentences = _unscored(sensor_map) if score is None else _scored(sensor_map, score)
+    if sensor_map.approximate:
+        sentences.append("This map is approximate: only some pairs of sensors were compared.")
+    return sentences
+
+
+def _unscored(sensor_map: SensorMap) -> list[str]:
+    placed = int(sensor_map.placed.sum())
+    quality = (
+        "The confidence is unknown."
+        if math.isnan(sensor_map.confidence)
+        else f"Confidence {confidence_in_words(sensor_map.confidence)}."
+    )
+    return [
+        f"{placed} of {sensor_map.n_sensors} sensors have a position. {quality}",
+        f"The map is known up to {sensor_map.known_up_to}.",
+    ]
+
+
+def _scored(sensor_map: SensorMap, score: Score) -> list[str]:
+    r, n_permutations = score.mantel.r, len(score.mantel.null)
+    null = score.mantel.quantiles().get(0.95)
+    if null is not None and r <= null:
+        headline = (
+            f"The map does not agree with the truth better than random permutations: "
+            f"Mantel r {r:.3f}, null 95 % quantile {null:.3f}."
+        )
+    else:
+        how = next(word for least, word in _AGREEMENT if r >= least)
+        headline = f"Distances on the map agree {how} with the true ones: Mantel r {r:.3f}."
+    if score.rms_in_spacings > _COARSE:
+        headline += " Neighbourhoods are unreliable."
+    sentences = [headline]
+    if null is not None and r > null:
+        sentences.append(
+            f"For comparison: 95 % of {n_permutations} random permutations of the sensors have a "
+            f"Mantel r below {null:.3f}."
+        )
+    reflection = "with" if score.alignment.reflected else "without"
+    return [
+        *sentences,
+        f"The RMS error of the positions is {number(score.rms, unit=score.units)}, or "
+        f"{number(score.rms_in_spacings, 2)} times the median distance between neighbours.",
+        f"The map is known up to {sensor_map.known_up_to}. These were fitted to the truth; the "
+        f"best fit is {reflection} reflection.",
+    ]
+
+
+def facts(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
+    """List the figures of merit."""
+    placed = int(sensor_map.placed.sum())
+    found = []
+    if score is not None:
+        null = score.mantel.quantiles()
+        found += [
+            Fact(
+                "Mantel r",
+                f"{score.mantel.r:.3f}",
+                "correlation of the distances on the map with the true distances; at most 1",
+            ),
+            Fact("Null, 95 %", f"{null[0.95]:.3f}" if null else UNKNOWN, _null_range(score)),
+            Fact(
+                "RMS error",
+                number(score.rms, unit=score.units),
+                "after the best rotation, translation, scale and reflection",
+            ),
+            Fact(
+                "RMS error, spacings",
+                number(score.rms_in_spacings, 2),
+                f"in units of the median sensor spacing, {number(score.spacing, unit=score.units)}",
+            ),
+            Fact(
+                "Neighbours kept",
+                f"{score.neighbours_kept:.0%}",
+                "share of the true nearest neighbours that are also nearest on the map",
+            ),
+        ]
+    found += [
+        Fact(
+            "Confidence",
+            number(sensor_map.confidence, 2),
+            "expected Mantel r, from maps of halves of the recording; does not include systematic "
+            "distortion",
+        ),
+        Fact("Placed", f"{placed} of {sensor_map.n_sensors}", "sensors with a position on the map"),
+        Fact(
+            "Stress-1",
+            number(sensor_map.stress),
+            "misfit between the distances on the map and the metric; 0 is a perfect fit",
+        ),
+    ]
+    return found
+
+
+def _null_range(score: Score) -> str:
+    null = score.mantel.quantiles()
+    if not null:
+        return "not computed"
+    return (
+        f"Mantel r of random permutations: min {null[0.0]:.3f}, median {null[0.5]:.3f}, "
+        f"max {null[1.0]:.3f}; p = {number(score.mantel.p_value, 2)}"
+    )
+
+
+def alternative_text(sensor_map: SensorMap, score: Score | None) -> str:
+    """Describe the picture for readers who cannot see it."""
+    placed = int(sensor_map.placed.sum())
+    if score is None:
+        lines = ", neighbours joined by lines" if placed <= MAX_JOINED else ""
+        return f"The map of {placed} sensors{lines}."
+    lines = ", true neighbours joined by lines in both" if placed <= MAX_JOINED else ""
+    return (
+        f"Left: the true positions of {len(score.sensors)} sensors. Middle: the map aligned with "
+        f"them{lines}. Right: distances on the map against true distances, Mantel r "
+        f"{score.mantel.r:.3f}."
+    )
+
+
+def caveats(
+    sensor_map: SensorMap, score: Score | None, summary: RecordingSummary | None
+) -> list[str]:
+    """List the caveats of map, score and recording, without repetition."""
+    notes = [*sensor_map.notes, *layout_notes(sensor_map, score)]
+    unplaced = [printable(sensor_map.names[i]) for i in np.flatnonzero(~sensor_map.placed)]
+    if unplaced and score is None:
+        notes.append(f"sensors without a position: {join_items(unplaced, 12)}")
+    if score is not None:
+        notes += score.notes
+        if score.rms_in_spacings > _COARSE:
+            notes.append(
+                f"the RMS error is {number(score.rms_in_spacings, 2)} sensor spacings: the map "
+                "shows the overall shape, but not which sensors are neighbours"
+            )
+    notes += summary.warnings if summary is not None else ()
+    return list(dict.fromkeys(printable(note[:1].upper() + note[1:]) for note in notes))
+
+
+def sensor_statuses(sensor_map: SensorMap, health: Sequence[SensorHealth]) -> tuple[str, ...]:
+    """Return the status of every sensor, from `health` or else from the map."""
+    assessed = {sensor.name: sensor.status for sensor in health}
+    own = zip(sensor_map.names, sensor_map.health, strict=True)
+    return tuple(printable(assessed.get(name, status)) for name, status in own)
+
+
+def sensor_table(
+    sensor_map: SensorMap, score: Score | None, health: Sequence[SensorHealth]
+) -> SensorTable:
+    """Tabulate the sensors, those with problems first."""
+    assessed = {sensor.name: sensor for sensor in health}
+    statuses = sensor_statuses(sensor_map, health)
+    errors = {} if score is None else dict(zip(score.sensors, score.alignment.errors, strict=True))
+    columns = []
+    if len(sensor_map.component_sizes) > 1 or not sensor_map.placed.all():
+        columns.append(Fact("Component", "", "connected component of the map; 1 is the largest"))
+    if score is not None:
+        unit = f" ({score.units})" if score.units else ""
+        columns.append(Fact(f"Error{unit}", "", "distance from the true position"))
+    columns += _MEASURED if health else ()
+    rows = []
+    problems_first = sorted(range(len(statuses)), key=lambda i: statuses[i] == "ok")
+    for i in problems_first[:MAX_ROWS]:
+        name = sensor_map.names[i]
+        cells = []
+        if columns and columns[0].name == "Component":
+            component = int(sensor_map.component[i]) + 1
+            cells.append(Cell(str(component), component) if component else Cell("not placed"))
+        if score is not None:
+            cells.append(_numeric(errors.get(i)))
+        sensor = assessed.get(name)
+        if health:
+            cells += _measurements(sensor)
+        reason = "" if sensor is None else printable(sensor.reason)
+        rows.append(Row(printable(name), statuses[i], reason, tuple(cells)))
+    counts = ", ".join(f"{statuses.count(status)} {status}" for status in sorted(set(statuses)))
+    return SensorTable(tuple(columns), tuple(rows), counts, len(statuses))
+
+
+def recording_facts(summary: RecordingSummary | None) -> list[Fact]:
+    """Summarise the recording; empty if no summary is given."""
+    if summary is None:
+        return []
+    rate = number(summary.rate_hz, 4, "Hz") if summary.rate_hz else "unknown"
+    duration = number(summary.duration, 4, "s") if summary.duration is not None else "unknown"
+    return [
+        Fact("Frames", str(summary.n_frames)),
+        Fact(
+            "Sensors",
+            str(summary.n_sensors),
+            f"{summary.n_constant} constant" if summary.n_constant else "all active",
+        ),
+        Fact("Rate", rate),
+        Fact("Duration", duration),
+        Fact("Readings", f"{number(summary.minimum, 4)} to {number(summary.maximum, 4)}"),
+        Fact("Zeros", f"{summary.share_of_zeros:.1%}", "share of all readings"),
+        Fact("Distinct values", str(summary.distinct_values), "median over sensors"),
+        Fact("Missing", str(summary.missing), "readings that are NaN or infinite"),
+    ]
+
+
+def provenance(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
+    """List the information needed to reproduce the map."""
+    method = sensor_map.method or "not recorded"
+    summary = METHODS[method].summary if method in METHODS else ""
+    found = [
+        Fact("method", printable(method), summary),
+        Fact("dimensions", str(sensor_map.dimensions)),
+        Fact("units of the map", printable(sensor_map.units)),
+    ]
+    if score is not None:
+        found.append(Fact("permutations of the null", str(len(score.mantel.null))))
+    return found + [
+        Fact(printable(name), printable(str(value)))
+        for name, value in sensor_map.provenance.items()
+    ]
+
+
+def _measurements(sensor: SensorHealth | None) -> list[Cell]:
+    if sensor is None:
+        return [Cell(UNKNOWN)] * len(_MEASURED)
+    return [
+        _numeric(sensor.minimum),
+        _numeric(sensor.maximum),
+        Cell(str(sensor.distinct), sensor.distinct),
+        Cell(f"{sensor.active:.1%}" if math.isfinite(sensor.active) else UNKNOWN, sensor.active),
+        Cell(str(sensor.contacts), sensor.contacts),
+        _numeric(sensor.lag_correlation, 2),
+        _numeric(sensor.best_match, 2),
+    ]
+
+
+def _numeric(value: float | None, digits: int = 3) -> Cell:
+    if value is None or not math.isfinite(value):
+        return Cell(UNKNOWN)
+    return Cell(number(value, digits), float(value))
