@@ -39,7 +39,7 @@ def slowly():
         time.sleep(0.02)
         yield part
 
-map_reduce(slowly, Moments.of, checkpoint=Checkpoint(folder / "counts.npz", "moments", 0))
+map_reduce(slowly, Moments.of, checkpoint=Checkpoint(folder / "counts.npz", "moments"))
 """
 
 

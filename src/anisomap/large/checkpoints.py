@@ -19,8 +19,11 @@ from anisomap.numerics.similarity.value_counts import ValueCounts
 
 Accumulator: TypeAlias = Moments | CoOccurrences | StoredCodes | ValueCounts
 
-WRITE_INTERVAL = 60.0
-"""Seconds between writes: a killed run loses that much work, or one chunk if it takes longer."""
+WRITE_SHARE = 0.1
+"""Greatest share of the running time that is spent on writing.
+
+A killed run loses one chunk, or the work of ten times the duration of a write if that is longer.
+"""
 
 _KINDS = {kind.__name__: kind for kind in (Moments, CoOccurrences, StoredCodes, ValueCounts)}
 
@@ -70,8 +73,6 @@ class Checkpoint:
         The file, an NPZ archive. It is replaced atomically.
     subject : str
         Description of the computation and its input; a checkpoint with another one is refused.
-    interval : float
-        Seconds between two writes while a stage proceeds.
 
     Raises
     ------
@@ -79,10 +80,10 @@ class Checkpoint:
         If the file exists but is damaged or has another subject, or cannot be written.
     """
 
-    def __init__(self, path: Path, subject: str, interval: float = WRITE_INTERVAL) -> None:
-        self._path, self._subject, self._interval = check_target(path), subject, interval
+    def __init__(self, path: Path, subject: str) -> None:
+        self._path, self._subject = check_target(path), subject
         self._stages: dict[str, _Stage] = self._read() if path.exists() else {}
-        self._written = time.monotonic()
+        self._next_write = time.monotonic()
 
     def progress(self, stage: str) -> tuple[int, Accumulator | None]:
         """Return the number of chunks that a stage has processed, and its accumulator."""
@@ -100,13 +101,14 @@ class Checkpoint:
             raise self._of_something_else("other readings")
 
     def update(self, stage: str, n_chunks: int, digest: str, total: Accumulator) -> None:
-        """Set the progress of a stage; write the file if the interval has passed."""
+        """Set the progress of a stage; write the file within `WRITE_SHARE`."""
         self._stages[stage] = _Stage(n_chunks, digest, total)
-        if time.monotonic() - self._written >= self._interval:
+        if time.monotonic() >= self._next_write:
             self.write()
 
     def write(self) -> None:
         """Write the progress of all stages."""
+        started = time.monotonic()
         arrays: dict[str, Any] = {"subject": np.array(self._subject)}
         for name, stage in self._stages.items():
             arrays[f"{name}/chunks"] = np.array(stage.n_chunks)
@@ -116,7 +118,8 @@ class Checkpoint:
         arrays["checksum"] = np.array(_checksum(arrays))
         with atomic_write(self._path) as temporary, temporary.open("wb") as stream:
             np.savez(stream, allow_pickle=False, **arrays)
-        self._written = time.monotonic()
+        ended = time.monotonic()
+        self._next_write = ended + (ended - started) / WRITE_SHARE
 
     def _read(self) -> dict[str, _Stage]:
         try:
