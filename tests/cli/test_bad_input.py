@@ -92,10 +92,10 @@ def test_bad_positions(run, tmp_path, name, content):
     ("options", "message"),
     [
         (["-o", "map.doc"], ".csv"),
-        (["-o", "nowhere/map.csv"], "no folder"),
+        (["-o", "nowhere/map.csv"], "folder nowhere does not exist"),
         (["-o", "."], "folder"),
         (["--picture", "map.bmp"], ".png"),
-        (["--report", "nowhere/r.html"], "no folder"),
+        (["--report", "nowhere/r.html"], "folder nowhere does not exist"),
         (["-m", "pca"], "r-anisomap"),
         (["-d", "0"], "-d"),
         (["-d", "two"], "-d"),
@@ -154,7 +154,7 @@ def test_nothing_is_written_over_what_is_read_or_written(run, skin_csv, options)
     before = skin_csv.read_bytes()
     found = run("map", skin_csv, *options)
     assert found.code == 2
-    assert "another file" in found.err or "two results" in found.err
+    assert "another file" in found.err or "two outputs" in found.err
     assert skin_csv.read_bytes() == before
     assert run("compare", skin_csv, "-o", "skin.csv").code == 2
     assert skin_csv.read_bytes() == before
