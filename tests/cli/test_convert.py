@@ -16,7 +16,7 @@ def map_csv(run, skin_npz, tmp_path):
 def test_a_map_becomes_a_robots_in_metres(run, map_csv, tmp_path):
     outcome = run("convert", map_csv, "skin.urdf", "--spacing", "6.5mm", "--frame", "l_forearm")
     assert outcome.code == 0, outcome.err
-    assert "6.5 mm apart" in outcome.out
+    assert "6.5 mm" in outcome.out
     assert 'name="l_forearm"' in (tmp_path / "skin.urdf").read_text()
     found = anisomap.read_map(tmp_path / "skin.urdf")
     assert median_spacing(found) == pytest.approx(0.0065)
@@ -39,7 +39,7 @@ def test_a_map_is_made_in_millimetres_and_mirrored_at_once(run, skin_npz, tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["skin.urdf"], "skin.urdf is in metres, but the map will have no scale"),
+        (["skin.urdf"], "skin.urdf is in metres, but the map has no scale"),
         (["skin.urdf", "--spacing", "6.5"], "'6.5' is not a length"),
         (["skin.xyz"], "unknown suffix '.xyz'"),
         (["map.csv"], "write the result to another file"),
