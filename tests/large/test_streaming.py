@@ -249,6 +249,7 @@ def test_health_is_judged_from_an_excerpt_of_bounded_size(monkeypatch):
     assert found.health[7] != "dead"
 
 
+@pytest.mark.filterwarnings("ignore:the recording was read in blocks")
 def test_a_squeezed_map_of_chunks_says_so():
     doubled = np.hstack([READINGS, READINGS + np.arange(42, dtype=np.uint8) % 2])
     with pytest.warns(AnisomapWarning, match="peak heights of contacts.* were not examined"):
