@@ -11,7 +11,7 @@ from anisomap.simulation.geometry import solids
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_a_body_has_its_sensors_on_its_surface_and_their_normals_point_out_of_it(name: str) -> None:
+def test_sensors_are_on_the_surface_and_normals_point_outwards(name: str) -> None:
     body = BODIES[name]()
     assert body.name == name
     np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-9)
@@ -45,7 +45,7 @@ def test_sensors_are_spread_evenly_over_the_sphere(n_sensors: int) -> None:
     np.testing.assert_allclose(spread, np.eye(3) / 3, atol=0.05)
 
 
-def test_each_sensor_stands_for_the_same_area() -> None:
+def test_each_sensor_represents_the_same_area() -> None:
     points = np.random.default_rng(0).standard_normal((200_000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     body = sphere()
@@ -54,12 +54,12 @@ def test_each_sensor_stands_for_the_same_area() -> None:
 
 
 @pytest.mark.parametrize("n_sensors", [0, -3, 2.5, True])
-def test_a_body_takes_a_positive_whole_number_of_sensors(n_sensors: int) -> None:
+def test_the_number_of_sensors_must_be_a_positive_integer(n_sensors: int) -> None:
     with pytest.raises(InputError, match="n_sensors"):
         sphere(n_sensors)
 
 
-def test_sensors_off_the_surface_are_refused_by_number_and_distance() -> None:
+def test_a_sensor_off_the_surface_raises_an_error_with_its_name_and_distance() -> None:
     positions = np.array([[1.0, 0, 0], [0, 1.25, 0]])
     with pytest.raises(InputError, match=r"sensor s1 is 0\.25 m off"):
         Body(
@@ -70,7 +70,7 @@ def test_sensors_off_the_surface_are_refused_by_number_and_distance() -> None:
         )
 
 
-def test_a_body_cannot_be_changed() -> None:
+def test_a_body_is_immutable() -> None:
     body = sphere()
     with pytest.raises(ValueError, match="read-only"):
         body.positions[0] = 0

@@ -1,4 +1,4 @@
-"""The laws of physics, of mechanics and of gases, that a bombardment must obey."""
+"""Bombardment of the sphere: conservation laws and kinetic theory of gases."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ STEP = 0.001
 
 
 def every_step(n_balls: int, seed: int, n_steps: int, **parameters: Any) -> Flight:
-    """Record each step of the physics, so that nothing happens unseen between frames."""
+    """Record every step of the physics."""
     options = BombardmentOptions(n_balls=n_balls, timestep=STEP, frame_interval=STEP, **parameters)
     assert options.steps_per_frame == 1
     return simulate_flight(sphere(), n_steps, options, np.random.default_rng(seed))
@@ -47,7 +47,7 @@ def lag_correlation(readings: NDArray[np.float32]) -> float:
     return float(np.mean([np.corrcoef(now, next_) for now, next_ in pairs], axis=0)[0, 1])
 
 
-def test_energy_is_kept(bombarded: Any) -> None:
+def test_energy_is_conserved(bombarded: Any) -> None:
     flight = bombarded.flight
     start = bombarded.options.n_balls * bombarded.options.speed**2 / 2
     assert flight.energies[0] == pytest.approx(start, rel=1e-12)
@@ -61,7 +61,7 @@ def test_energy_is_kept(bombarded: Any) -> None:
     assert flight.energy_drift < 0.02 / np.sqrt(10)
 
 
-def test_energy_is_kept_where_balls_touch_several_things_at_once() -> None:
+def test_energy_is_conserved_when_balls_touch_several_objects_at_once() -> None:
     options = BombardmentOptions(n_balls=60, box_half_width=2.0)
     flight = simulate_flight(sphere(), 500, options, np.random.default_rng(4))
     crowded = (ball_gaps(flight.centres, options) < 0).sum(axis=1) > 1
@@ -78,7 +78,7 @@ def test_nothing_overlaps_at_the_start(bombarded: Any) -> None:
 
 
 @pytest.mark.parametrize("seed", [2, 3])
-def test_no_ball_is_ever_outside_the_box_or_inside_the_body_or_another(seed: int) -> None:
+def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other(seed: int) -> None:
     n_balls = 40
     flight = every_step(n_balls, seed, 4000)
     options = BombardmentOptions(n_balls=n_balls)
@@ -92,7 +92,7 @@ def test_no_ball_is_ever_outside_the_box_or_inside_the_body_or_another(seed: int
     assert flight.overlaps.max() > options.softness / 2
 
 
-def test_overlaps_are_those_of_the_positions(bombarded: Any) -> None:
+def test_overlaps_agree_with_positions(bombarded: Any) -> None:
     centres, options = bombarded.flight.centres, bombarded.options
     least = [
         gaps(centres, options).reshape(len(centres), -1).min(axis=1)
@@ -119,7 +119,7 @@ def test_momentum_changes_only_at_the_walls_and_the_body() -> None:
     assert change[~alone].max() > 1
 
 
-def test_a_ball_that_meets_a_wall_goes_back_as_it_came_and_presses_in_as_deep_as_promised() -> None:
+def test_a_contact_with_a_wall_is_elastic_and_has_the_expected_depth_and_duration() -> None:
     options = BombardmentOptions(n_balls=1)
     bounces = 0
     for seed in range(8):
@@ -147,8 +147,8 @@ def test_a_ball_that_meets_a_wall_goes_back_as_it_came_and_presses_in_as_deep_as
     assert bounces > 10
 
 
-def test_balls_are_where_a_gas_in_equilibrium_is(bombarded: Any) -> None:
-    """Each sensor has as many balls in its range as evenly filled space would give it."""
+def test_the_density_of_balls_is_uniform(bombarded: Any) -> None:
+    """The mean number of balls in range of a sensor agrees with a uniform density."""
     options, centres = bombarded.options, bombarded.flight.centres
     sensing, excluded = options.detection_radius + options.ball_radius, 1 + options.ball_radius
     free = (2 * (options.box_half_width - options.ball_radius)) ** 3 - 4 / 3 * np.pi * excluded**3
@@ -172,7 +172,7 @@ def test_balls_are_where_a_gas_in_equilibrium_is(bombarded: Any) -> None:
     assert in_range.mean() == pytest.approx(expected, rel=0.25)
 
 
-def test_velocities_are_maxwells_and_alike_in_all_directions() -> None:
+def test_velocities_follow_the_maxwell_distribution() -> None:
     flight = every_step(40, 7, 12_000)
     velocities = np.diff(flight.centres, axis=0)[::100].reshape(-1, 3) / STEP
     mean_square = np.mean(velocities**2, axis=0)
@@ -182,7 +182,7 @@ def test_velocities_are_maxwells_and_alike_in_all_directions() -> None:
     assert kurtosis == pytest.approx(3, rel=0.2)
 
 
-def test_no_side_of_the_sphere_is_favoured(bombarded: Any) -> None:
+def test_readings_on_the_sphere_are_isotropic(bombarded: Any) -> None:
     body, options = bombarded.body, bombarded.options
     readings = read_balls(
         body.positions, bombarded.flight.centres, options.ball_radius, options.detection_radius
@@ -194,7 +194,7 @@ def test_no_side_of_the_sphere_is_favoured(bombarded: Any) -> None:
     np.testing.assert_allclose(quadrupole, np.eye(3) / 3, atol=0.06)
 
 
-def test_readings_late_in_a_run_are_like_those_early_in_it(bombarded: Any) -> None:
+def test_readings_are_stationary(bombarded: Any) -> None:
     options = bombarded.options
     readings = read_balls(
         bombarded.body.positions,
@@ -209,7 +209,7 @@ def test_readings_late_in_a_run_are_like_those_early_in_it(bombarded: Any) -> No
     assert (late == 0).mean() == pytest.approx((early == 0).mean(), abs=0.04)
 
 
-def test_how_often_frames_are_taken_does_not_change_what_happens() -> None:
+def test_the_frame_interval_does_not_change_the_physics() -> None:
     seldom = BombardmentOptions(timestep=STEP, frame_interval=0.1)
     often = BombardmentOptions(timestep=STEP, frame_interval=0.02)
     a = simulate_flight(sphere(), 6, seldom, np.random.default_rng(1)).centres
@@ -226,7 +226,7 @@ def test_a_longer_run_begins_with_the_shorter_one(bombarded: Any) -> None:
     ("frame_interval", "timestep", "steps"),
     [(0.05, 0.001, 50), (0.05, 0.0015, 34), (0.3, 0.1 / 80, 240), (0.0004, 0.001, 1)],
 )
-def test_a_whole_number_of_steps_no_longer_than_asked_for_makes_a_frame(
+def test_frames_are_divided_into_equal_steps_no_longer_than_the_timestep(
     frame_interval: float, timestep: float, steps: int
 ) -> None:
     options = BombardmentOptions(frame_interval=frame_interval, timestep=timestep)
@@ -237,7 +237,9 @@ def test_a_whole_number_of_steps_no_longer_than_asked_for_makes_a_frame(
 
 @pytest.mark.parametrize("speed", [0.1, 3.0, 100.0])
 @pytest.mark.parametrize("softness", [0.002, 0.02, 0.07])
-def test_the_default_step_suits_every_speed_and_softness(speed: float, softness: float) -> None:
+def test_the_default_step_is_valid_for_all_speeds_and_softnesses(
+    speed: float, softness: float
+) -> None:
     options = BombardmentOptions(speed=speed, softness=softness, frame_interval=1.0)
     BombardmentOptions(speed=speed, softness=softness, timestep=options.step)
     assert options.step > options.contact.duration / 20
@@ -261,7 +263,7 @@ def test_the_default_step_suits_every_speed_and_softness(speed: float, softness:
         ({"timestep": 0.001, "speed": 30.0}, r"timestep must be at most 0\.000175 s"),
     ],
 )
-def test_nonsense_is_refused_with_what_would_be_right(parameters: Any, message: str) -> None:
+def test_invalid_options_raise_an_error_with_the_valid_range(parameters: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         BombardmentOptions(**parameters)
 
@@ -278,7 +280,7 @@ def test_the_longest_step_that_an_error_names_is_accepted() -> None:
         ({"n_balls": 5000}, r"only \d+ of 5000 balls .* use fewer or smaller balls"),
     ],
 )
-def test_balls_that_have_no_room_are_refused(parameters: Any, message: str) -> None:
+def test_balls_that_do_not_fit_raise_an_error(parameters: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         simulate_flight(sphere(), 1, BombardmentOptions(**parameters), np.random.default_rng(0))
 
@@ -301,7 +303,7 @@ class DampedOptions(BombardmentOptions):
         return DampedContact(self.softness, self.speed)
 
 
-def test_a_run_that_lost_its_energy_is_returned_with_a_warning() -> None:
+def test_a_change_of_energy_gives_a_warning() -> None:
     with pytest.warns(AnisomapWarning, match=r"energy of the balls changed by \d+"):
         run = bombardment(sphere(), 200, DampedOptions(), np.random.default_rng(0))
     assert run.facts["energy_drift"] > 0.02

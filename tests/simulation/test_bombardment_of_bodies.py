@@ -1,4 +1,4 @@
-"""The laws that a bombardment obeys, whatever the body and however long the run."""
+"""Bombardment of all bodies, over long runs, and with balls of several sizes."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def mean_lag_correlation(readings: np.ndarray) -> float:
 
 
 @pytest.mark.slow
-def test_energy_and_rhythm_last_for_20_000_frames() -> None:
+def test_energy_and_autocorrelation_are_stationary_over_20_000_frames() -> None:
     recording = simulate(n_frames=20_000, seed=11)
     assert float(recording.metadata["energy_drift"]) < 0.02
     early, late = (np.asarray(part) for part in np.array_split(recording.readings, 2))
@@ -31,7 +31,7 @@ def test_energy_and_rhythm_last_for_20_000_frames() -> None:
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_balls_bounce_off_every_body_and_keep_their_energy(name: str) -> None:
+def test_contacts_with_every_body_conserve_energy(name: str) -> None:
     body = BODIES[name]()
     unit = body.scaled(1 / body.reach)
     options = options_for(BombardmentOptions, unit)
@@ -45,7 +45,7 @@ def test_balls_bounce_off_every_body_and_keep_their_energy(name: str) -> None:
     assert (flight.overlaps > 0).any()
 
 
-def test_balls_of_mixed_sizes_share_their_energy_equally() -> None:
+def test_energy_is_equipartitioned_among_balls_of_different_sizes() -> None:
     body = BODIES["sphere"]()
     options = BombardmentOptions(size_ratio=3.0, n_balls=30)
     assert options.radii.max() / options.radii.min() == pytest.approx(3)
@@ -62,7 +62,7 @@ def test_balls_of_mixed_sizes_share_their_energy_equally() -> None:
         assert away.min() > 1 + radius - 6 * options.softness
 
 
-def test_a_small_body_is_bombarded_as_a_large_one_is() -> None:
+def test_bombardment_scales_with_the_body() -> None:
     large = BODIES["sphere"]()
     small = large.scaled(0.01)
     one, other = (simulate(body, n_frames=60, seed=4) for body in (large, small))
@@ -79,6 +79,6 @@ def test_a_small_body_is_bombarded_as_a_large_one_is() -> None:
         ({"timestep": 0.01}, "energy would not be conserved"),
     ],
 )
-def test_nonsense_is_refused(parameters: dict[str, float], message: str) -> None:
+def test_invalid_arguments_raise_an_error(parameters: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
         simulate(n_frames=2, **parameters)

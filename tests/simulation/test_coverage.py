@@ -14,7 +14,7 @@ def curve() -> CoverageCurve:
     )
 
 
-def test_more_frames_never_cover_less(curve: CoverageCurve) -> None:
+def test_coverage_increases_with_length(curve: CoverageCurve) -> None:
     assert curve.n_frames.tolist() == [40, 250, 1000]
     np.testing.assert_allclose(curve.seconds, [2, 12.5, 50])
     assert curve.touched.shape == curve.pairs.shape == curve.mantel_r.shape == (3, 2)
@@ -33,7 +33,7 @@ def test_maps_of_long_recordings_are_good(curve: CoverageCurve) -> None:
     assert (curve.mantel_r[-1] > curve.mantel_r[1]).all()
 
 
-def test_a_curve_counts_what_one_can_count_by_hand(curve: CoverageCurve) -> None:
+def test_coverage_agrees_with_direct_counts(curve: CoverageCurve) -> None:
     recording = simulate("sphere", "rubbing", n_frames=1000, seed=2)
     assert recording.positions is not None
     on = recording.readings[:250] > 0
@@ -45,7 +45,7 @@ def test_a_curve_counts_what_one_can_count_by_hand(curve: CoverageCurve) -> None
     assert curve.pairs[1, 1] == sum((on[:, i] & on[:, j]).any() for i, j in pairs)
 
 
-def test_neighbours_on_a_square_lattice_are_the_eight_around() -> None:
+def test_inner_sensors_of_a_square_lattice_have_eight_neighbours() -> None:
     x, y = np.meshgrid(np.arange(4.0), np.arange(5.0))
     positions = np.column_stack([x.ravel(), y.ravel()])
     pairs = neighbouring_pairs(Recording(np.zeros((2, 20)), positions=positions))
@@ -60,7 +60,7 @@ def test_neighbours_on_a_square_lattice_are_the_eight_around() -> None:
         neighbouring_pairs(Recording(np.zeros((2, 20))))
 
 
-def test_a_denser_stimulation_covers_more_and_without_a_method_there_are_no_maps() -> None:
+def test_more_hands_cover_more_and_no_method_gives_no_maps() -> None:
     sparse, dense = (
         coverage_curve("sphere", "rubbing", (100,), (3, 4), method=None, n_hands=n) for n in (1, 4)
     )
@@ -68,7 +68,7 @@ def test_a_denser_stimulation_covers_more_and_without_a_method_there_are_no_maps
     assert np.isnan(dense.mantel_r).all()
 
 
-def test_where_nothing_was_touched_there_is_no_map() -> None:
+def test_without_contacts_mantel_r_is_nan() -> None:
     curve = coverage_curve("sphere", "pressing", (1,), (1,))
     assert curve.touched.tolist() == [[0.0]]
     assert np.isnan(curve.mantel_r).all()
@@ -83,7 +83,7 @@ def test_where_nothing_was_touched_there_is_no_map() -> None:
         ((5,), (1,), "magic", "magic"),
     ],
 )
-def test_nonsense_is_refused(
+def test_invalid_arguments_raise_an_error(
     lengths: tuple[int, ...], seeds: tuple[int, ...], method: str, message: str
 ) -> None:
     with pytest.raises(InputError, match=message):

@@ -35,8 +35,8 @@ from anisomap.simulation.faults.wiring import crosstalk, duplicated, mirrored, s
 seeds = st.integers(0, 2**32 - 1)
 
 
-def touched_now_and_then(seed: int, n_frames: int = 400, n_sensors: int = 6) -> Recording:
-    """Sensors at rest three frames of four."""
+def random_touches(seed: int, n_frames: int = 400, n_sensors: int = 6) -> Recording:
+    """Recording with each sensor at rest in three of four frames."""
     rng = np.random.default_rng(seed)
     depth = rng.exponential(size=(n_frames, n_sensors))
     readings = np.where(rng.random((n_frames, n_sensors)) < 0.25, depth, 0).astype(np.float32)
@@ -46,9 +46,9 @@ def touched_now_and_then(seed: int, n_frames: int = 400, n_sensors: int = 6) -> 
 
 @pytest.mark.parametrize("kind", FAULTS)
 @given(seed=seeds, chosen=st.sets(st.integers(0, 5), max_size=5))
-def test_a_fault_touches_exactly_what_it_says(kind: str, seed: int, chosen: set[int]) -> None:
+def test_a_fault_changes_only_logged_readings(kind: str, seed: int, chosen: set[int]) -> None:
     sensors = sorted(chosen)[: len(chosen) // 2 * 2] if kind == "swapped" else sorted(chosen)
-    whole = touched_now_and_then(seed)
+    whole = random_touches(seed)
     before = whole.readings.copy()
     spoilt = FAULTS[kind](whole, sensors, rng=seed)
     mask = fault_mask(spoilt)
@@ -71,11 +71,9 @@ def test_a_fault_touches_exactly_what_it_says(kind: str, seed: int, chosen: set[
 
 @pytest.mark.parametrize("kind", FRAME_FAULTS)
 @given(seed=seeds, share=st.floats(0.01, 0.9))
-def test_a_fault_of_frames_leaves_right_what_it_does_not_name(
-    kind: str, seed: int, share: float
-) -> None:
+def test_a_frame_fault_changes_only_logged_frames(kind: str, seed: int, share: float) -> None:
     strength = {"level" if kind == "clock-jitter" else "share": share}
-    whole = touched_now_and_then(seed, n_frames=80)
+    whole = random_touches(seed, n_frames=80)
     times = np.arange(80) / 20 + np.linspace(0, 0.01, 80)
     whole = replace(whole, times=times)
     spoilt = FRAME_FAULTS[kind](whole, rng=seed, **strength)
@@ -102,8 +100,8 @@ def test_a_fault_of_frames_leaves_right_what_it_does_not_name(
 
 
 @given(seed=seeds, share=st.floats(0.05, 0.8))
-def test_spans_stay_true_when_frames_are_lost_afterwards(seed: int, share: float) -> None:
-    whole = replace(touched_now_and_then(seed), times=np.arange(400) / 20)
+def test_dropping_frames_renumbers_earlier_spans(seed: int, share: float) -> None:
+    whole = replace(random_touches(seed), times=np.arange(400) / 20)
     broken = saturating(nan_bursts(whole, ["s1"], rng=seed, mean_gap=30), ["s2"], rng=seed)
     shorter = dropped_frames(broken, rng=seed, share=share)
     assert shorter.times is not None
@@ -112,8 +110,8 @@ def test_spans_stay_true_when_frames_are_lost_afterwards(seed: int, share: float
 
 
 @given(seed=seeds, kinds=st.lists(st.sampled_from(sorted(FAULTS)), min_size=2, max_size=5))
-def test_composed_faults_leave_right_what_none_of_them_names(seed: int, kinds: list[str]) -> None:
-    whole = touched_now_and_then(seed)
+def test_several_faults_change_only_logged_readings(seed: int, kinds: list[str]) -> None:
+    whole = random_touches(seed)
     spoilt, rng = whole, np.random.default_rng(seed)
     for kind in kinds:
         sensors = rng.choice(6, size=2, replace=False)
@@ -133,7 +131,7 @@ def test_composed_faults_leave_right_what_none_of_them_names(seed: int, kinds: l
     ],
     ids=["one frame", "nothing", "missing", "0/1"],
 )
-def test_no_recording_is_too_strange_to_be_spoilt(kind: str, readings: Any) -> None:
+def test_faults_apply_to_degenerate_recordings(kind: str, readings: Any) -> None:
     recording = Recording(readings, positions=np.eye(4)[:, :3])
     parameters = {"n_neighbours": 2} if kind == "crosstalk" else {}
     spoilt = FAULTS[kind](recording, [0, 2], rng=1, **parameters)
@@ -144,7 +142,7 @@ def test_no_recording_is_too_strange_to_be_spoilt(kind: str, readings: Any) -> N
 
 @pytest.mark.parametrize("kind", FAULTS)
 def test_the_same_seed_gives_the_same_fault(kind: str) -> None:
-    whole = touched_now_and_then(0, n_frames=2000)
+    whole = random_touches(0, n_frames=2000)
     first, again, other = (FAULTS[kind](whole, ["s1", "s4"], rng=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.readings, again.readings)
     assert dict(first.metadata) == dict(again.metadata)
@@ -154,23 +152,23 @@ def test_the_same_seed_gives_the_same_fault(kind: str) -> None:
 
 
 @given(seeds)
-def test_dead_sensors_rest_always(seed: int) -> None:
-    spoilt = dead(touched_now_and_then(seed), ["s2"])
+def test_dead_sensors_read_their_rest_value(seed: int) -> None:
+    spoilt = dead(random_touches(seed), ["s2"])
     assert (spoilt.readings[:, 2] == 0).all()
-    raised = touched_now_and_then(seed)
+    raised = random_touches(seed)
     raised = Recording(7 - 2 * raised.readings)
     assert (dead(raised, [0]).readings[:, 0] == 7).all()
 
 
-def test_a_dead_sensor_may_have_missed_readings() -> None:
-    readings = touched_now_and_then(1).readings.copy()
+def test_a_dead_sensor_with_missing_readings_reads_its_rest_value() -> None:
+    readings = random_touches(1).readings.copy()
     readings[3:9, 2] = np.nan
     assert (dead(Recording(readings), [2]).readings[:, 2] == 0).all()
 
 
 @given(seeds)
 def test_saturating_sensors_read_full_scale_in_their_spans(seed: int) -> None:
-    whole = touched_now_and_then(seed)
+    whole = random_touches(seed)
     spoilt = saturating(whole, [0, 5], rng=seed)
     assert (spoilt.readings[fault_mask(spoilt)] == whole.readings.max()).all()
     for fault in injected_faults(spoilt):
@@ -179,7 +177,7 @@ def test_saturating_sensors_read_full_scale_in_their_spans(seed: int) -> None:
         assert ((edges >= 0) & (edges <= whole.n_frames)).all()
 
 
-def test_saturation_comes_and_goes_at_random_as_often_and_as_long_as_asked_for() -> None:
+def test_saturated_spans_have_geometric_lengths_with_the_given_means() -> None:
     whole = Recording(np.zeros((200_000, 1)))
     spoilt = saturating(whole, [0], rng=1, level=5.0, mean_gap=60, mean_span=15)
     (fault,) = injected_faults(spoilt)
@@ -192,16 +190,16 @@ def test_saturation_comes_and_goes_at_random_as_often_and_as_long_as_asked_for()
     assert spoilt.readings.mean() == pytest.approx(5 * 15 / 75, rel=0.06)
 
 
-def test_saturation_has_nothing_to_do_with_touch() -> None:
-    whole = touched_now_and_then(2, n_frames=50_000)
+def test_saturation_is_independent_of_touch() -> None:
+    whole = random_touches(2, n_frames=50_000)
     mask = fault_mask(saturating(whole, [0], rng=2))[:, 0]
     active = whole.readings[:, 0] > 0
     assert active[mask].mean() == pytest.approx(active[~mask].mean(), abs=0.02)
 
 
 @pytest.mark.parametrize("level", [0.05, 0.5])
-def test_noise_is_white_normal_and_as_strong_as_asked_for(level: float) -> None:
-    whole = touched_now_and_then(3, n_frames=20_000)
+def test_noise_is_white_and_normal_with_the_given_level(level: float) -> None:
+    whole = random_touches(3, n_frames=20_000)
     spoilt = noisy(whole, ["s0", "s3"], rng=1, level=level)
     noise = (spoilt.readings - whole.readings)[:, [0, 3]] / np.ptp(whole.readings)
     assert noise.std() == pytest.approx(level, rel=0.03)
@@ -211,8 +209,8 @@ def test_noise_is_white_normal_and_as_strong_as_asked_for(level: float) -> None:
     assert abs(np.corrcoef(noise.T)[0, 1]) < 0.03
 
 
-def test_faults_compose_and_stay_on_the_record() -> None:
-    whole = touched_now_and_then(4, n_frames=3000)
+def test_several_faults_are_logged_in_order() -> None:
+    whole = random_touches(4, n_frames=3000)
     spoilt = noisy(saturating(dead(whole, [1]), [2, 3], rng=1), [3], rng=1)
     assert [(fault.kind, fault.sensor) for fault in injected_faults(spoilt)] == [
         ("dead", "s1"),
@@ -229,7 +227,7 @@ def test_faults_compose_and_stay_on_the_record() -> None:
     np.testing.assert_array_equal(fault_mask(some), fault_mask(spoilt)[:, [3, 0]])
 
 
-def test_names_that_would_upset_a_record_do_not() -> None:
+def test_names_with_special_characters_are_logged() -> None:
     names = ('a "quoted" one', "commas, ; and\nbreaks", "Ω")
     spoilt = dead(Recording(np.eye(3), names=names), names)
     assert injected_faults(spoilt) == tuple(
@@ -240,21 +238,21 @@ def test_names_that_would_upset_a_record_do_not() -> None:
 
 
 @pytest.mark.parametrize("record", ["nonsense", '{"kind": 1}', "[1]", '[{"kind": "dead"}]', "3"])
-def test_a_damaged_record_is_refused(record: str) -> None:
+def test_a_damaged_log_raises_an_error(record: str) -> None:
     recording = Recording(np.eye(3), metadata={"faults": record})
     with pytest.raises(InputError, match="is not a valid log of faults"):
         injected_faults(recording)
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_a_sensor_that_is_not_there_is_refused(kind: str) -> None:
+def test_an_unknown_sensor_raises_an_error(kind: str) -> None:
     with pytest.raises(InputError, match="there is no sensor 's99'"):
-        FAULTS[kind](touched_now_and_then(0), ["s99", "s1"])
+        FAULTS[kind](random_touches(0), ["s99", "s1"])
 
 
 @given(seeds)
-def test_each_fault_does_what_its_name_says(seed: int) -> None:
-    whole = touched_now_and_then(seed)
+def test_faults_have_the_documented_effect(seed: int) -> None:
+    whole = random_touches(seed)
     before, top = whole.readings, float(whole.readings.max())
     held = stuck(whole, [1], rng=seed).readings[:, 1]
     assert len(set(held.tolist())) == 1
@@ -274,8 +272,8 @@ def test_each_fault_does_what_its_name_says(seed: int) -> None:
     assert set(np.unique(thresholded(whole, [1]).readings[:, 1])) <= {0, 1}
 
 
-def test_wiring_faults_move_readings_and_leave_names_where_they_are() -> None:
-    whole = touched_now_and_then(1)
+def test_wiring_faults_move_readings_and_keep_names() -> None:
+    whole = random_touches(1)
     before = whole.readings
     traded = swapped(whole, ["s4", "s1", "s0", "s5"]).readings
     np.testing.assert_array_equal(traded[:, [4, 1, 0, 5]], before[:, [0, 5, 4, 1]])
@@ -289,8 +287,8 @@ def test_wiring_faults_move_readings_and_leave_names_where_they_are() -> None:
     )
 
 
-def test_faults_are_read_from_a_line_of_text() -> None:
-    whole = touched_now_and_then(2)
+def test_faults_are_parsed_from_text() -> None:
+    whole = random_touches(2)
     requests = [
         parse_fault(text)
         for text in ("dead:s0", "stuck: 1 , level=7", "noisy:50%,level=0.3", "dropped-frames")
@@ -320,12 +318,12 @@ def test_faults_are_read_from_a_line_of_text() -> None:
         ("dead:s77", "there is no sensor 's77'"),
     ],
 )
-def test_what_cannot_be_understood_is_refused(text: str, message: str) -> None:
+def test_an_invalid_request_raises_an_error(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        parse_fault(text).inject(touched_now_and_then(0), 0)
+        parse_fault(text).inject(random_touches(0), 0)
 
 
-def test_faults_say_what_they_miss() -> None:
+def test_inapplicable_faults_raise_an_error() -> None:
     bare = Recording(np.eye(4))
     with pytest.raises(InputError, match="crosstalk needs a recording with true positions"):
         crosstalk(bare, [0])
@@ -356,8 +354,6 @@ def test_faults_say_what_they_miss() -> None:
         (crosstalk, {"n_neighbours": 6}, r"below the number of sensors \(6\), got 6"),
     ],
 )
-def test_parameters_that_make_no_sense_are_refused(
-    fault: Any, parameters: Any, message: str
-) -> None:
+def test_invalid_parameters_raise_an_error(fault: Any, parameters: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        fault(touched_now_and_then(0), [0], **parameters)
+        fault(random_touches(0), [0], **parameters)

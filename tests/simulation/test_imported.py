@@ -1,4 +1,4 @@
-"""Bodies that users bring: meshes, MuJoCo models, positions; and what cannot be one."""
+"""Bodies from meshes, MuJoCo models and positions."""
 
 from pathlib import Path
 
@@ -45,7 +45,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "glb"])
-def test_sensors_are_spread_over_a_mesh_of_any_kind(folder: Path, suffix: str) -> None:
+def test_sensors_are_spread_over_a_mesh_of_any_format(folder: Path, suffix: str) -> None:
     body = load_body(folder / f"part.{suffix}", 40)
     assert (body.name, body.n_sensors) == ("part", 40)
     np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-6)
@@ -55,7 +55,7 @@ def test_sensors_are_spread_over_a_mesh_of_any_kind(folder: Path, suffix: str) -
     assert np.abs(recording.positions - [10, 20, 30]).max() <= 1.0 + 1e-6
 
 
-def test_a_body_that_is_not_convex_is_touched_in_its_hole(folder: Path) -> None:
+def test_contacts_reach_into_the_hole_of_a_mesh(folder: Path) -> None:
     # MuJoCo takes a mesh for its convex hull: then nothing could come into the hole.
     body = load_body(folder / "part.stl", 150)
     recording = simulate(body, n_frames=1500, seed=3, ball_radius=0.2)
@@ -65,7 +65,7 @@ def test_a_body_that_is_not_convex_is_touched_in_its_hole(folder: Path) -> None:
     assert float(recording.metadata["energy_drift"]) < 0.02
 
 
-def test_a_model_brings_its_sites_as_sensors(folder: Path) -> None:
+def test_sites_of_a_model_become_sensors(folder: Path) -> None:
     body = load_body(folder / "robot.xml")
     assert body.names == ("a", "site1", "c")
     places = body.positions + body.origin
@@ -77,7 +77,7 @@ def test_a_model_brings_its_sites_as_sensors(folder: Path) -> None:
     assert spread_out.n_sensors == 30
 
 
-def test_given_sensors_are_put_onto_the_surface_if_they_are_near_it() -> None:
+def test_given_sensors_near_the_surface_are_projected_onto_it() -> None:
     outline = solids.ball(1.0).outline
     exact = sphere(40).positions
     body = body_from_mesh(
@@ -99,7 +99,7 @@ def pebbled(positions: NDArray[np.float64], normals: NDArray[np.float64] | None 
     np.testing.assert_allclose(body.positions + body.origin, positions, atol=1e-12)
 
 
-def test_positions_alone_make_a_body_on_which_every_sensor_lies_bare() -> None:
+def test_a_body_from_points_leaves_all_sensors_exposed() -> None:
     for body in (sphere(), hand()):
         pebbled(body.positions + np.array([3, 2, 1]))
     ball = sphere(200)
@@ -120,7 +120,7 @@ def test_normals_are_used_unless_they_contradict_the_positions() -> None:
 
 
 @pytest.mark.slow
-def test_the_leg_of_a_robot_is_simulated_from_its_positions(recordings_folder: Path) -> None:
+def test_a_robot_leg_is_simulated_from_positions(recordings_folder: Path) -> None:
     path = recordings_folder.parent / "geometry" / "icub_left_leg_upper.npz"
     if not path.exists():
         pytest.skip("the robot's geometry is not here")
@@ -149,7 +149,7 @@ def test_the_leg_of_a_robot_is_simulated_from_its_positions(recordings_folder: P
         ("broken.xml", 10, FileError, "MuJoCo cannot read"),
     ],
 )
-def test_what_is_no_body_is_refused(
+def test_an_invalid_file_raises_an_error(
     folder: Path, name: str, sensors: int | None, error: type[Exception], message: str
 ) -> None:
     with pytest.raises((error, InputError), match=message):
@@ -164,8 +164,6 @@ def test_what_is_no_body_is_refused(
         (np.vstack([np.eye(3), [[1, 0, 0]]]), "sensors 0 and 3 coincide"),
     ],
 )
-def test_positions_that_make_no_body_are_refused(
-    positions: NDArray[np.float64], message: str
-) -> None:
+def test_invalid_positions_raise_an_error(positions: NDArray[np.float64], message: str) -> None:
     with pytest.raises(InputError, match=message):
         body_from_points(positions)

@@ -1,4 +1,4 @@
-"""What rolls must roll: forward, without sliding, on the ground and with all of itself."""
+"""Locomotion: motion on the ground without sliding, and its readings."""
 
 from dataclasses import replace
 from typing import Any
@@ -27,7 +27,7 @@ def journey(request: pytest.FixtureRequest) -> tuple[Any, LocomotionOptions, Jou
     return body, options, simulate_journey(body, FRAMES, options, np.random.default_rng(7))
 
 
-def test_it_keeps_moving_and_stays_on_the_ground(journey: Any) -> None:
+def test_the_body_keeps_moving_and_stays_within_the_ground(journey: Any) -> None:
     _, options, travelled = journey
     assert np.mean(travelled.speeds > 0.1 * options.speed) > 0.9
     assert np.abs(travelled.centres[:, :2]).max() < options.half_width
@@ -38,7 +38,7 @@ def test_it_keeps_moving_and_stays_on_the_ground(journey: Any) -> None:
 @pytest.mark.parametrize(
     "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))]
 )
-def test_no_cylinder_strays_or_stands_up(seed: int) -> None:
+def test_cylinders_stay_within_the_ground_and_lie_flat(seed: int) -> None:
     # Its turns are wider than the ground; and one that begins inside a bump is thrown up.
     body = BODIES["cylinder"]()
     body = body.scaled(1 / body.reach)
@@ -52,7 +52,7 @@ def test_no_cylinder_strays_or_stands_up(seed: int) -> None:
     assert np.mean(travelled.speeds > 0.1 * options.speed) > 0.9
 
 
-def test_it_rolls_and_does_not_slide(journey: Any) -> None:
+def test_the_body_rolls_without_sliding(journey: Any) -> None:
     body, options, travelled = journey
     slips = travelled.slips[np.isfinite(travelled.slips)]
     assert len(slips) > 0.5 * FRAMES
@@ -66,7 +66,7 @@ def test_it_rolls_and_does_not_slide(journey: Any) -> None:
     assert options.speed > 0
 
 
-def test_it_lies_on_the_ground_and_not_in_it(journey: Any) -> None:
+def test_the_body_does_not_sink_into_the_ground(journey: Any) -> None:
     body, _, travelled = journey
     assert travelled.overlaps.max() < 0.03
     outline = body.solids[0].outline.vertices
@@ -79,7 +79,7 @@ def test_it_lies_on_the_ground_and_not_in_it(journey: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("make", [sphere, cylinder])
-def test_all_of_it_touches_the_ground_over_a_run(make: Any, seed: int) -> None:
+def test_all_sensors_touch_the_ground_over_a_run(make: Any, seed: int) -> None:
     body = make()
     run = locomotion(body, 2000, options_for(LocomotionOptions, body), np.random.default_rng(seed))
     assert run.facts["share_touched"] == 1
@@ -88,7 +88,7 @@ def test_all_of_it_touches_the_ground_over_a_run(make: Any, seed: int) -> None:
 
 
 @short_runs
-def test_readings_are_those_of_the_ground_in_each_sensors_range(journey: Any) -> None:
+def test_readings_agree_with_the_distance_from_the_ground(journey: Any) -> None:
     body, options, travelled = journey
     run = locomotion(body, 30, options, np.random.default_rng(7))
     sensors = travelled.sensors(body.positions)[:30]
@@ -108,7 +108,7 @@ def test_the_sphere_rolls_about_every_axis() -> None:
 
 
 @short_runs
-def test_the_same_seed_gives_the_same_journey_and_another_seed_another() -> None:
+def test_journeys_are_reproducible_by_seed() -> None:
     body = sphere()
     one, same, other = (
         locomotion(body, 40, LocomotionOptions(half_width=5.0), np.random.default_rng(seed))
@@ -119,7 +119,7 @@ def test_the_same_seed_gives_the_same_journey_and_another_seed_another() -> None
 
 
 @short_runs
-def test_a_body_of_another_size_rolls_alike() -> None:
+def test_locomotion_scales_with_the_body() -> None:
     large = sphere()
     small = large.scaled(0.05)
     runs = [
@@ -129,12 +129,12 @@ def test_a_body_of_another_size_rolls_alike() -> None:
     np.testing.assert_allclose(runs[1].readings, 0.05 * runs[0].readings, atol=1e-6)
 
 
-def test_what_slides_is_told_of() -> None:
+def test_sliding_gives_a_warning() -> None:
     with pytest.warns(AnisomapWarning, match="increase friction"):
         locomotion(sphere(), 200, LocomotionOptions(friction=0.01), np.random.default_rng(0))
 
 
-def test_too_short_a_run_is_told_of() -> None:
+def test_untouched_sensors_give_a_warning() -> None:
     with pytest.warns(AnisomapWarning, match="of the sensors touched the ground"):
         locomotion(sphere(), 5, LocomotionOptions(), np.random.default_rng(0))
 
@@ -150,6 +150,6 @@ def test_too_short_a_run_is_told_of() -> None:
         ({"roughness": 0.3}, r"at most 0.35 x correlation \(0.175 m\)"),
     ],
 )
-def test_nonsense_is_refused(change: dict[str, float], message: str) -> None:
+def test_invalid_arguments_raise_an_error(change: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
         replace(LocomotionOptions(), **change)

@@ -1,4 +1,4 @@
-"""Strokes stay on the skin and come everywhere; what follows them settles on the body."""
+"""Stroke paths over the skin, and placement of a stimulus in contact."""
 
 from dataclasses import replace
 from functools import cache
@@ -35,7 +35,7 @@ def path_on(name: str, n_frames: int = 2000, seed: int = 1, **given: float) -> S
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_a_path_keeps_to_the_skin_and_comes_to_every_sensor(name: str) -> None:
+def test_a_path_stays_on_the_skin_and_reaches_all_sensors(name: str) -> None:
     body = BODIES[name]()
     path = path_on(name)
     assert len(path.points) == 2000
@@ -51,7 +51,7 @@ def test_a_path_keeps_to_the_skin_and_comes_to_every_sensor(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["sphere", "plane", "hand"])
-def test_on_the_skin_a_path_goes_on_smoothly_and_only_in_the_air_it_jumps(name: str) -> None:
+def test_a_path_is_continuous_except_while_lifted(name: str) -> None:
     body = BODIES[name]()
     path = path_on(name)
     stride = 2.0 * 0.05 * body.reach
@@ -64,7 +64,7 @@ def test_on_the_skin_a_path_goes_on_smoothly_and_only_in_the_air_it_jumps(name: 
     assert np.abs(np.diff(path.presses)).max() < 0.2
 
 
-def test_lines_are_straight_circles_are_round_and_directions_change() -> None:
+def test_strokes_are_lines_or_circles_in_all_directions() -> None:
     lines = path_on("plane", circle_share=0.0, lift_share=0.0)
     circles = path_on("plane", circle_share=1.0, lift_share=0.0)
     turns = []
@@ -79,19 +79,19 @@ def test_lines_are_straight_circles_are_round_and_directions_change() -> None:
     assert lines.n_strokes > 50
 
 
-def test_all_places_of_a_sphere_are_alike() -> None:
+def test_a_path_covers_the_sphere_uniformly() -> None:
     path = path_on("sphere", n_frames=4000)
     assert np.linalg.norm(path.points.mean(axis=0)) < 0.1
     assert np.abs(np.cov(path.points.T) - np.eye(3) / 3).max() < 0.1
 
 
-def test_one_sensor_has_a_skin_too() -> None:
+def test_a_path_over_one_sensor_is_finite() -> None:
     body, rng = sphere(1), np.random.default_rng(1)
     path = draw_strokes(body, sample_skin(body, rng), 50, StrokeOptions(), rng)
     assert np.isfinite(path.points).all()
 
 
-def test_a_stroke_without_end_ends_with_the_recording() -> None:
+def test_a_stroke_is_truncated_at_the_last_frame() -> None:
     path = path_on("sphere", n_frames=50, stroke_length=1e9, circle_share=0.0, lift_share=0.0)
     # A great circle: three points of it and the middle are in one plane.
     assert abs(np.linalg.det(path.points[[0, 10, 20]])) < 0.02
@@ -99,7 +99,9 @@ def test_a_stroke_without_end_ends_with_the_recording() -> None:
 
 
 @given(st.integers(1, 300), st.floats(0.5, 50), seeds)
-def test_wandering_values_stay_in_range_and_glide(n_frames: int, change: float, seed: int) -> None:
+def test_smooth_random_values_are_bounded_and_smooth(
+    n_frames: int, change: float, seed: int
+) -> None:
     values = smooth_random(n_frames, change, np.random.default_rng(seed))
     assert values.shape == (n_frames,)
     assert values.min() >= 0
@@ -109,7 +111,7 @@ def test_wandering_values_stay_in_range_and_glide(n_frames: int, change: float, 
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_a_ball_that_settles_reaches_as_deep_into_the_body_as_it_is_pressed(name: str) -> None:
+def test_a_settled_ball_has_the_given_depth(name: str) -> None:
     body = BODIES[name]()
     rng = np.random.default_rng(4)
     skin = sample_skin(body, rng)
@@ -124,7 +126,7 @@ def test_a_ball_that_settles_reaches_as_deep_into_the_body_as_it_is_pressed(name
     assert np.median(np.abs(error)) < 1e-6
 
 
-def test_a_capsule_that_settles_on_a_sphere_touches_it_with_its_middle() -> None:
+def test_a_settled_capsule_touches_a_sphere_with_its_middle() -> None:
     rng = np.random.default_rng(5)
     body = sphere()
     skin = sample_skin(body, rng)
@@ -190,6 +192,6 @@ def test_support_of_a_capsule_and_a_box_in_closed_form() -> None:
         ({"speed": 100.0}, r"speed must be at most .* \(24 m/s\), got 100 m/s"),
     ],
 )
-def test_nonsense_is_refused(given: dict[str, float], message: str) -> None:
+def test_invalid_arguments_raise_an_error(given: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
         StrokeOptions(**given)

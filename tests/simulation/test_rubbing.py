@@ -1,4 +1,4 @@
-"""What sensors make of a hand that rubs, a roller, a flat surface, a fingertip, point sources."""
+"""Kinematic scenarios: rubbing, roller, pressing, self-touch and pulses."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -59,7 +59,7 @@ def on_ball(shape: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @settings(max_examples=15, deadline=None)
 @given(seeds)
-def test_readings_equal_brute_force_over_the_surface_of_what_touches(seed: int) -> None:
+def test_readings_agree_with_brute_force_over_the_stimulus(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sensor, radius, detection = rng.uniform(-0.5, 0.5, 3), 0.3, 0.9
     start, end = rng.uniform(0.8, 1.2, 3), rng.uniform([-1.2, 0.8, 0.8], [-0.8, 1.2, 1.2])
@@ -111,9 +111,7 @@ def test_pulses_add_up_and_halve_at_the_half_distance(seed: int) -> None:
 
 @pytest.mark.parametrize("scenario", KINEMATIC)
 @pytest.mark.parametrize("body", ["sphere", "hexagon"])
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(
-    body: str, scenario: str
-) -> None:
+def test_recordings_are_reproducible_by_seed(body: str, scenario: str) -> None:
     first, again, other = (simulate(body, scenario, n_frames=60, seed=s) for s in (5, 5, 6))
     assert first.readings.tobytes() == again.readings.tobytes()
     assert dict(first.metadata) == dict(again.metadata)
@@ -122,9 +120,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(
 
 @pytest.mark.parametrize("scenario", OF_TOUCH)
 @pytest.mark.parametrize("body", ["cylinder", pytest.param("y-shape", marks=pytest.mark.slow)])
-def test_a_default_run_touches_every_sensor_and_leaves_most_of_them_alone(
-    body: str, scenario: str
-) -> None:
+def test_a_default_run_touches_all_sensors_with_sparse_readings(body: str, scenario: str) -> None:
     options = options_for(SCENARIOS[scenario].options, BODIES[body]())
     made = BODIES[body]()
     run = SCENARIOS[scenario].run(made, 2000, options, np.random.default_rng(2))
@@ -136,7 +132,7 @@ def test_a_default_run_touches_every_sensor_and_leaves_most_of_them_alone(
 
 
 @pytest.mark.parametrize("scenario", KINEMATIC)
-def test_a_body_twice_as_large_is_touched_alike(scenario: str) -> None:
+def test_scenarios_scale_with_the_body(scenario: str) -> None:
     chosen = SCENARIOS[scenario]
     runs = [
         chosen.run(body, 50, options_for(chosen.options, body), np.random.default_rng(3))
@@ -166,13 +162,13 @@ def test_pressing_deeper_never_lowers_a_reading(
         assert harder.sum() > lighter.sum()
 
 
-def test_rubbing_the_hexagon_gives_a_map_as_good_as_the_papers_hardware() -> None:
+def test_a_map_of_the_rubbed_hexagon_is_accurate() -> None:
     recording = simulate("hexagon", "rubbing", n_frames=1054, seed=1)
     assert recording.positions is not None
     assert score(reconstruct(recording, "r-anisomap", 2), recording.positions).mantel.r > 0.9
 
 
-def test_the_palm_is_rigid_irregular_and_another_one_with_another_seed() -> None:
+def test_palms_are_rigid_irregular_and_random() -> None:
     rng = np.random.default_rng(5)
     body = sphere()
     hand, other = (
@@ -187,7 +183,7 @@ def test_the_palm_is_rigid_irregular_and_another_one_with_another_seed() -> None
     assert (hand.radii + 1 - np.linalg.norm(hand.centres, axis=2)).max() < 0.1 + 1e-9
 
 
-def test_two_hands_touch_at_once_and_each_reading_is_the_deeper_of_the_two() -> None:
+def test_readings_of_two_hands_are_the_maximum_of_both() -> None:
     body = sphere()
     one, two = (
         rubbing(body, 300, RubbingOptions(n_hands=n), np.random.default_rng(6)) for n in (1, 2)
@@ -214,7 +210,7 @@ def test_a_roller_touches_whole_lines_of_sensors() -> None:
     assert np.median(elongated) > 2
 
 
-def test_a_flat_surface_meets_the_body_as_deep_as_it_is_pressed_and_comes_from_all_sides() -> None:
+def test_presses_have_the_given_depth_and_uniform_directions() -> None:
     body, options = sphere(), PressingOptions()
     directions, depths = draw_presses(body, 4000, options, np.random.default_rng(8))
     offsets = support(body.solids, directions) - depths
@@ -225,7 +221,7 @@ def test_a_flat_surface_meets_the_body_as_deep_as_it_is_pressed_and_comes_from_a
     assert np.abs(np.cov(directions.T) - np.eye(3) / 3).max() < 0.05
 
 
-def test_pulses_come_from_all_sides_alike_and_never_from_within() -> None:
+def test_sources_are_uniform_outside_the_body() -> None:
     body, options = sphere(), PulsesOptions()
     places, strengths = draw_pulses(body, 8000, options, np.random.default_rng(9))
     away = np.linalg.norm(places, axis=-1)
@@ -243,7 +239,7 @@ def test_pulses_come_from_all_sides_alike_and_never_from_within() -> None:
     assert np.abs(moments - [[0.5], [0.1]]).max() < 0.05
 
 
-def test_a_fingertip_and_the_body_feel_the_same_touch() -> None:
+def test_fingertip_and_body_respond_to_the_same_contact() -> None:
     body, options = sphere(), SelfTouchOptions()
     recording = simulate(body, "self-touch", n_frames=500, seed=10)
     n = body.n_sensors
@@ -264,7 +260,7 @@ def test_a_fingertip_and_the_body_feel_the_same_touch() -> None:
     assert felt[feels.any(axis=1)].any(axis=1).all()
 
 
-def test_both_sides_of_self_touch_equal_the_closed_form() -> None:
+def test_self_touch_agrees_with_the_closed_form() -> None:
     body, options = sphere(), SelfTouchOptions()
     run = SCENARIOS["self-touch"].run(body, 100, options, np.random.default_rng(11))
     centres, turns = move_fingertip(body, 100, options, np.random.default_rng(11))
@@ -325,13 +321,15 @@ def test_a_body_with_a_fingertip_is_a_body() -> None:
         ("pulses", {"half_distance": float("inf")}, "half_distance must be positive, got inf m"),
     ],
 )
-def test_nonsense_is_refused(scenario: str, given: dict[str, Any], message: str) -> None:
+def test_invalid_arguments_raise_an_error(
+    scenario: str, given: dict[str, Any], message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         simulate("sphere", scenario, n_frames=20, **given)
 
 
 @pytest.mark.parametrize("scenario", KINEMATIC)
-def test_what_is_seen_is_what_is_told(scenario: str) -> None:
+def test_props_and_facts_of_a_run_are_complete(scenario: str) -> None:
     body = sphere()
     chosen = SCENARIOS[scenario]
     told: list[float] = []

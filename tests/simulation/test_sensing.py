@@ -17,7 +17,7 @@ frames = arrays(
 
 
 @given(sensors, frames, lengths, lengths)
-def test_readings_equal_the_closed_form_worked_out_one_pair_at_a_time(
+def test_readings_agree_with_the_closed_form_of_each_pair(
     sensors: Any, frames: Any, ball: float, detection: float
 ) -> None:
     readings = read_balls(sensors, frames, ball, detection)
@@ -30,9 +30,7 @@ def test_readings_equal_the_closed_form_worked_out_one_pair_at_a_time(
             assert abs(readings[t, i] - deepest) <= 1e-6 * (detection + ball)
 
 
-def test_readings_equal_how_deep_a_finely_sampled_ball_reaches_into_the_sphere_of_detection() -> (
-    None
-):
+def test_readings_agree_with_a_sampled_ball() -> None:
     rng = np.random.default_rng(3)
     ball, detection = 0.3, 0.44
     skin = rng.standard_normal((200_000, 3))
@@ -45,7 +43,7 @@ def test_readings_equal_how_deep_a_finely_sampled_ball_reaches_into_the_sphere_o
 
 
 @given(sensors, frames, lengths, lengths)
-def test_another_ball_never_lowers_a_reading_and_the_deepest_alone_decides(
+def test_readings_are_the_maximum_over_balls(
     sensors: Any, frames: Any, ball: float, detection: float
 ) -> None:
     alone = [
@@ -57,9 +55,7 @@ def test_another_ball_never_lowers_a_reading_and_the_deepest_alone_decides(
 
 
 @given(sensors, frames, st.integers(0, 2**32 - 1))
-def test_readings_do_not_depend_on_where_in_space_it_all_happens(
-    sensors: Any, frames: Any, seed: int
-) -> None:
+def test_readings_are_invariant_to_rigid_motion(sensors: Any, frames: Any, seed: int) -> None:
     turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     np.testing.assert_allclose(
         read_balls(sensors @ turn.T + 1, frames @ turn.T + 1, 0.3, 0.44),
@@ -69,7 +65,9 @@ def test_readings_do_not_depend_on_where_in_space_it_all_happens(
 
 
 @given(sensors, st.lists(lengths, min_size=2, max_size=4), st.data())
-def test_balls_of_different_sizes_read_as_each_would(sensors: Any, radii: Any, data: Any) -> None:
+def test_readings_of_different_radii_agree_with_each_alone(
+    sensors: Any, radii: Any, data: Any
+) -> None:
     frames = data.draw(arrays(np.float64, (2, len(radii), 3), elements=coordinates))
     each = [
         read_balls(sensors, frames[:, j : j + 1], radius, 0.44) for j, radius in enumerate(radii)

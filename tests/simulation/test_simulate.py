@@ -31,16 +31,20 @@ def same_bytes(a: Recording, b: Recording) -> bool:
     return a.readings.tobytes() == b.readings.tobytes() and dict(a.metadata) == dict(b.metadata)
 
 
-def every_scenario_of_every_body():
-    """Yield all pairs; every body and every scenario has one that is not slow."""
-    for body in BODIES:
-        for scenario in SCENARIOS:
-            quick = body == "sphere" or scenario == "pulses"
-            yield pytest.param(body, scenario, marks=() if quick else pytest.mark.slow)
+# Each body and each scenario has a pair that is not slow.
+PAIRS = [
+    pytest.param(
+        body,
+        scenario,
+        marks=() if body == "sphere" or scenario == "pulses" else pytest.mark.slow,
+    )
+    for body in BODIES
+    for scenario in SCENARIOS
+]
 
 
-@pytest.mark.parametrize(("body", "scenario"), every_scenario_of_every_body())
-def test_every_scenario_of_every_body_gives_a_recording_that_says_where_it_came_from(
+@pytest.mark.parametrize(("body", "scenario"), PAIRS)
+def test_every_scenario_of_every_body_gives_a_documented_recording(
     body: str, scenario: str, bodies: Mapping[str, Body]
 ) -> None:
     needs_mujoco()
@@ -77,7 +81,7 @@ def test_every_scenario_of_every_body_gives_a_recording_that_says_where_it_came_
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_all_that_is_known_comes_back_from_a_file(scenario: str, tmp_path: Path) -> None:
+def test_a_simulated_recording_survives_a_file_round_trip(scenario: str, tmp_path: Path) -> None:
     needs_mujoco()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)
@@ -91,7 +95,7 @@ def test_all_that_is_known_comes_back_from_a_file(scenario: str, tmp_path: Path)
     assert dict(again.metadata) == dict(recording.metadata)
 
 
-def test_runs_in_parallel_are_those_that_run_alone() -> None:
+def test_parallel_runs_equal_single_runs() -> None:
     needs_mujoco()
     together = simulate_runs("sphere", "bombardment", [3, 4], workers=2, n_frames=20)
     assert all(
@@ -100,7 +104,7 @@ def test_runs_in_parallel_are_those_that_run_alone() -> None:
     )
 
 
-def test_the_parameters_are_recorded_as_they_were_used() -> None:
+def test_effective_parameters_are_in_the_metadata() -> None:
     needs_mujoco()
     given = {"n_balls": np.int64(7), "detection_radius": 0.3, "frame_interval": 0.04}
     options = BombardmentOptions(**given)
@@ -114,14 +118,14 @@ def test_the_parameters_are_recorded_as_they_were_used() -> None:
     assert 0 <= float(recording.metadata["deepest_overlap"]) < 0.1
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
+def test_recordings_are_reproducible_by_seed() -> None:
     needs_mujoco()
     first = simulate(n_frames=60, seed=5)
     assert same_bytes(first, simulate(n_frames=60, seed=5))
     assert not np.array_equal(first.readings, simulate(n_frames=60, seed=6).readings)
 
 
-def test_a_generator_is_a_source_of_seeds_and_the_recording_can_be_made_again() -> None:
+def test_a_recording_from_a_generator_can_be_reproduced() -> None:
     needs_mujoco()
     rng = np.random.default_rng(8)
     first, second = simulate(n_frames=20, seed=rng), simulate(n_frames=20, seed=rng)
@@ -132,14 +136,14 @@ def test_a_generator_is_a_source_of_seeds_and_the_recording_can_be_made_again() 
     assert same_bytes(second, simulate(n_frames=20, seed=seed))
 
 
-def test_sensors_do_not_touch_the_dynamics() -> None:
+def test_sensors_do_not_affect_the_dynamics() -> None:
     needs_mujoco()
     few, many = (simulate(n_frames=60, n_sensors=n) for n in (20, 300))
     same = ("energy_drift", "deepest_overlap", "timestep")
     assert [few.metadata[name] for name in same] == [many.metadata[name] for name in same]
 
 
-def test_progress_rises_from_0_to_1() -> None:
+def test_progress_increases_from_0_to_1() -> None:
     needs_mujoco()
     told: list[float] = []
     simulate(n_frames=250, progress=told.append)
@@ -179,12 +183,12 @@ def test_one_frame_is_a_recording() -> None:
         ({"n_bals": 3}, "has no parameter 'n_bals'; choose from box_half_width, n_balls"),
     ],
 )
-def test_nonsense_is_refused(arguments: dict[str, Any], message: str) -> None:
+def test_invalid_arguments_raise_an_error(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         simulate(**arguments)
 
 
-def test_without_mujoco_everything_but_a_simulation_works() -> None:
+def test_without_mujoco_only_simulations_fail() -> None:
     code = """
 import sys
 sys.modules["mujoco"] = None  # as if it were not installed
@@ -201,7 +205,7 @@ except ImportError as error:
     assert "pip install 'anisomap[simulation]'" in outcome.stdout
 
 
-def test_a_recording_is_what_the_sensors_read_of_the_flight(bombarded: Any) -> None:
+def test_readings_of_a_recording_agree_with_the_flight(bombarded: Any) -> None:
     recording = simulate(seed=1)
     options = bombarded.options
     np.testing.assert_array_equal(

@@ -49,7 +49,7 @@ def test_distance_is_at_most_that_to_any_point_of_the_surface(kind: str, seed: i
 @pytest.mark.parametrize("kind", PRIMITIVES)
 @given(seed=seeds)
 @settings(max_examples=20, deadline=None)
-def test_distance_grows_by_one_a_metre_along_the_normal(kind: str, seed: int) -> None:
+def test_the_gradient_of_distance_is_one_along_the_normal(kind: str, seed: int) -> None:
     solid = PRIMITIVES[kind]()
     points = np.random.default_rng(seed).uniform(-1.5, 1.5, size=(30, 3))
     outside = points[solid.distance(points) > 0.01]
@@ -62,7 +62,7 @@ def test_distance_grows_by_one_a_metre_along_the_normal(kind: str, seed: int) ->
     np.testing.assert_allclose(solid.distance(solids.project([solid], outside)), 0, atol=1e-9)
 
 
-def test_a_box_made_of_triangles_is_as_far_as_one_made_of_numbers() -> None:
+def test_distance_from_a_mesh_of_a_box_agrees_with_the_box() -> None:
     exact = solids.box((0.4, 0.7, 0.05))
     triangles = TriangleSearch(exact.outline)
     points = np.random.default_rng(3).uniform(-1, 1, size=(3000, 3))
@@ -72,7 +72,7 @@ def test_a_box_made_of_triangles_is_as_far_as_one_made_of_numbers() -> None:
 
 
 @pytest.mark.parametrize("kind", PRIMITIVES)
-def test_outlines_close_and_face_outwards(kind: str) -> None:
+def test_outlines_are_closed_and_oriented_outwards(kind: str) -> None:
     outline = PRIMITIVES[kind]().outline
     corners = outline.vertices[outline.faces]
     volume = np.einsum("fd,fd->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
@@ -104,7 +104,7 @@ def test_scaling_scales_distances() -> None:
         )
 
 
-def test_meshes_that_are_no_bodies_are_refused() -> None:
+def test_invalid_meshes_raise_an_error() -> None:
     pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
     box = solids.box((1, 1, 1)).outline
     assert solids.mesh(box.vertices, box.faces).distance([[2.0, 0, 0]])[0] == pytest.approx(1)
@@ -118,6 +118,6 @@ def test_meshes_that_are_no_bodies_are_refused() -> None:
         solids.mesh(box.vertices, np.empty((0, 3), dtype=int))
 
 
-def test_a_mesh_cannot_be_changed() -> None:
+def test_a_mesh_is_immutable() -> None:
     with pytest.raises(ValueError, match="read-only"):
         Mesh(np.zeros((3, 3)), [[0, 1, 2]]).vertices[0] = 1

@@ -17,7 +17,7 @@ from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.spreading import sample_surface, spread
 
 
-def test_points_are_drawn_uniformly_from_the_surface_that_shows() -> None:
+def test_points_are_uniform_on_the_exposed_surface() -> None:
     rng = np.random.default_rng(0)
     parts = [solids.box((1, 1, 1)), solids.ball(0.8, (1, 0, 0))]
     points, normals = sample_surface(parts, 40_000, rng)
@@ -42,7 +42,7 @@ def test_spread_sensors_keep_their_distance_and_leave_no_gap() -> None:
     assert widest <= nearest * 1.1
 
 
-def test_density_is_what_was_asked_for() -> None:
+def test_sensors_have_the_given_density() -> None:
     body = uneven_sphere(800)
     height = body.positions[:, 2]
     upper, lower = np.sum(height > 0), np.sum(height < 0)
@@ -51,7 +51,7 @@ def test_density_is_what_was_asked_for() -> None:
     assert upper / lower == pytest.approx(expected, rel=0.1)
 
 
-def test_where_the_density_is_zero_there_is_no_sensor() -> None:
+def test_there_are_no_sensors_at_zero_density() -> None:
     body = covered("half", [solids.ball(1.0)], 50, lambda points: points[:, 0] > 0.2)
     assert (body.positions[:, 0] > 0.2).all()
     with pytest.raises(InputError, match="hardly any surface"):
@@ -59,7 +59,7 @@ def test_where_the_density_is_zero_there_is_no_sensor() -> None:
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_the_way_along_the_surface_is_no_shorter_than_the_straight_line(
+def test_surface_distances_are_a_metric_no_shorter_than_straight_lines(
     name: str, bodies: Mapping[str, Body]
 ) -> None:
     body = bodies[name]
@@ -96,7 +96,7 @@ def test_shortest_paths_agree_with_closed_forms() -> None:
     np.testing.assert_allclose(found, squareform(pdist(flat.positions)), rtol=0.04, atol=1e-12)
 
 
-def test_a_hole_is_walked_around(bodies: Mapping[str, Body]) -> None:
+def test_surface_distances_go_around_a_hole(bodies: Mapping[str, Body]) -> None:
     body = bodies["holed-plate"]
     found = surface_distances(body)
     assert found is not None

@@ -61,7 +61,7 @@ def test_heights_are_those_of_the_grid_and_of_the_triangles_between() -> None:
     np.testing.assert_allclose(terrain.distance(middles), 0, atol=1e-12)
 
 
-def test_cells_are_parted_along_the_diagonal_along_which_the_engine_parts_them() -> None:
+def test_cells_have_the_diagonal_of_mujoco() -> None:
     mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     terrain = ground(2)
     lowest, highest = terrain.heights.min(), terrain.heights.max()
@@ -98,7 +98,7 @@ def test_readings_are_the_depth_of_the_ground_in_the_sphere_of_detection() -> No
     assert 0.1 < (expected > 0).mean() < 0.9
 
 
-def test_the_ground_is_as_rough_as_asked_and_smooth_over_its_correlation_length() -> None:
+def test_the_ground_has_the_given_roughness_and_correlation_length() -> None:
     terrain = bumpy_terrain(20.0, 0.2, 0.1, 0.8, np.random.default_rng(0))
     heights = terrain.heights
     assert np.sqrt(np.mean(heights**2)) == pytest.approx(0.1)

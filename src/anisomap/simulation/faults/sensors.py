@@ -199,7 +199,8 @@ def gain_spread(
         See `FAULTS`.
     factor : float
         Ratio of the largest to the smallest gain, at least 1. Gains are distributed uniformly
-        around 1 on a logarithmic scale. Chosen by hand for elastomers of uneven thickness.
+        around 1 on a logarithmic scale. Rest values are multiplied, too. Chosen by hand for
+        elastomers of uneven thickness.
     """
     if not (np.isfinite(factor) and factor >= 1):
         raise InputError(f"factor must be at least 1, got {factor:g}")
