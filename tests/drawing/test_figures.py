@@ -279,7 +279,7 @@ def test_drawing_does_not_change_the_state_of_matplotlib() -> None:
 def test_matplotlib_is_imported_when_something_is_drawn() -> None:
     code = (
         "import sys, numpy, anisomap.drawing.figures as f;"
-        "from anisomap.drawing.figures import charts, curves, gallery, stage;"
+        "from anisomap.drawing.figures import charts, coverage, gallery, scenes;"
         "from anisomap.sensor_map import SensorMap;"
         "assert 'matplotlib' not in sys.modules;"
         "f.map_figure(SensorMap(numpy.eye(3)));"

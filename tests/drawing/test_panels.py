@@ -17,14 +17,14 @@ from anisomap.drawing.figures.charts import (
     plot_scores,
     scores_figure,
 )
-from anisomap.drawing.figures.curves import coverage_figure, plot_coverage
+from anisomap.drawing.figures.coverage import coverage_figure, plot_coverage
 from anisomap.drawing.figures.gallery import (
     gallery_figure,
     map_panel,
     plot_panel,
     truth_panel,
 )
-from anisomap.drawing.figures.stage import bodies_figure, plot_scene, scene_figure
+from anisomap.drawing.figures.scenes import bodies_figure, plot_scene, scene_figure
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.evaluation import score
 from anisomap.scene import Mesh, Prop, Scene

@@ -13,7 +13,7 @@ from anisomap.cli import bodies
 from anisomap.cli import parameters as options
 from anisomap.cli.console import number, percent, progress
 from anisomap.drawing import figures
-from anisomap.drawing.figures import curves
+from anisomap.drawing.figures.coverage import coverage_figure
 from anisomap.files import atomic_write, check_distinct, check_target
 from anisomap.methods import DEFAULT_METHOD
 from anisomap.simulation import CoverageCurve, coverage_curve
@@ -97,7 +97,7 @@ def coverage(
             f"Mantel r of {method}": curve.mantel_r,
         }
         title = f"{skin.name}, {scenario}"
-        figure = curves.coverage_figure(title, curve.n_frames, curve.rate_hz, shares)
+        figure = coverage_figure(title, curve.n_frames, curve.rate_hz, shares)
         figures.save_figure(figure, picture)
 
 

@@ -13,7 +13,7 @@ from anisomap.cli import bodies, pipeline
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number, percent, progress, warn
 from anisomap.drawing import figures
-from anisomap.drawing.figures import stage
+from anisomap.drawing.figures import scenes
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
 from anisomap.scene import Scene
@@ -102,7 +102,7 @@ def _check_outputs(target: Path, picture: Path | None, video: Path | None, body:
     if picture:
         figures.check_writable(picture)
     if video:
-        stage.check_animation(video)
+        scenes.check_animation(video)
 
 
 def _simulate_many(
@@ -155,27 +155,27 @@ def _show(
     else:
         if picture:
             with progress("drawing the scene"):
-                figures.save_figure(stage.scene_figure(scene), picture)
+                figures.save_figure(scenes.scene_figure(scene), picture)
         if video:
             with progress("drawing the animation") as tell:
-                stage.save_animation(scene, video, progress=tell)
+                scenes.save_animation(scene, video, progress=tell)
     named = (("picture", picture), ("video", video))
     return [(what, path) for what, path in named if path is not None]
 
 
 def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
     """Render with MuJoCo; return False if there is no display."""
-    frames = range(min(stage.MAX_ANIMATION_FRAMES, scene.n_frames)) if video else range(0)
+    frames = range(min(scenes.MAX_ANIMATION_FRAMES, scene.n_frames)) if video else range(0)
     try:
         with progress("rendering the scene"):
-            images = mujoco_viewer.render(scene, [stage.busiest_frame(scene), *frames])
+            images = mujoco_viewer.render(scene, [scenes.busiest_frame(scene), *frames])
     except mujoco_viewer.NoScreenError as error:
         warn(f"{error}; using the drawing instead")
         return False
     if picture:
-        stage.save_pixels(picture, images[:1])
+        scenes.save_pixels(picture, images[:1])
     if video:
-        stage.save_pixels(video, images[1:])
+        scenes.save_pixels(video, images[1:])
     return True
 
 

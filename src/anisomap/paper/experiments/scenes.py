@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from anisomap.drawing.figures.stage import bodies_figure, scene_figure
+from anisomap.drawing.figures.scenes import bodies_figure, scene_figure
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Settings, Table, Tables
 from anisomap.paper.runs import BOMBARDED, CASES
 from anisomap.simulation import find_body, run_simulation

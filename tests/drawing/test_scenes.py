@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from anisomap.drawing.figures import figure_bytes, stage
+from anisomap.drawing.figures import figure_bytes, scenes
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.scene import Mesh, Prop, Scene
 from anisomap.simulation import BODIES, SCENARIOS, mujoco_viewer, run_simulation
@@ -47,7 +47,7 @@ def test_objects_have_their_position_size_and_rotation():
 
 
 def test_the_figure_shows_the_busiest_frame_with_axes_in_units():
-    figure = stage.scene_figure(small_scene())
+    figure = scenes.scene_figure(small_scene())
     space, body, raster = figure.axes[:3]
     assert space.get_title() == "Frame 4 of 6, 0.20 s"
     assert (space.get_xlabel(), space.get_zlabel()) == ("x (m)", "z (m)")
@@ -58,7 +58,7 @@ def test_the_figure_shows_the_busiest_frame_with_axes_in_units():
 
 
 def test_the_same_scene_gives_the_same_bytes():
-    first, again = (figure_bytes(stage.scene_figure(small_scene())) for _ in range(2))
+    first, again = (figure_bytes(scenes.scene_figure(small_scene())) for _ in range(2))
     assert first == again
 
 
@@ -74,19 +74,19 @@ def test_every_scenario_can_be_drawn(scenario):
     assert scene.n_frames == 30
     assert scene.sensors.shape[1:] == (scene.readings.shape[1], 3)
     assert {prop.role for prop in scene.props} >= {"body"}
-    space, *_ = stage.scene_figure(scene, 29).axes
+    space, *_ = scenes.scene_figure(scene, 29).axes
     assert any(len(drawn.get_facecolor()) > 10 for drawn in space.collections)
 
 
 def test_a_frame_beyond_the_scene_is_rejected():
     for frame in (-1, 6):
         with pytest.raises(InputError, match=f"frame must be from 0 to 5, got {frame}"):
-            stage.scene_figure(small_scene(), frame)
+            scenes.scene_figure(small_scene(), frame)
 
 
 def test_an_animation_has_one_picture_per_frame(tmp_path):
     path, shares = tmp_path / "run.gif", []
-    stage.save_animation(small_scene(), path, n_frames=4, progress=shares.append)
+    scenes.save_animation(small_scene(), path, n_frames=4, progress=shares.append)
     with Image.open(path) as moving:
         assert moving.n_frames == 4
     assert shares[-1] == 1
@@ -96,22 +96,22 @@ def test_an_animation_has_one_picture_per_frame(tmp_path):
 def test_rendered_images_are_saved_as_picture_or_animation(tmp_path):
     rng = np.random.default_rng(0)
     images = [rng.integers(0, 255, (40, 60, 3), dtype=np.uint8) for _ in range(3)]
-    stage.save_pixels(tmp_path / "one.png", images[:1])
+    scenes.save_pixels(tmp_path / "one.png", images[:1])
     with Image.open(tmp_path / "one.png") as picture:
         np.testing.assert_array_equal(np.asarray(picture), images[0])
-    stage.save_pixels(tmp_path / "more.gif", images)
+    scenes.save_pixels(tmp_path / "more.gif", images)
     with Image.open(tmp_path / "more.gif") as moving:
         assert moving.n_frames == 3
     with pytest.raises(FileError, match=r"must end in \.gif"):
-        stage.save_pixels(tmp_path / "more.png", images)
+        scenes.save_pixels(tmp_path / "more.png", images)
 
 
 def test_mp4_without_ffmpeg_is_rejected(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FileError, match=r"needs the program ffmpeg.*\.gif does not need it"):
-        stage.check_animation(tmp_path / "run.mp4")
+        scenes.check_animation(tmp_path / "run.mp4")
     with pytest.raises(FileError, match=r"must end in \.gif or \.mp4"):
-        stage.check_animation(tmp_path / "run.webm")
+        scenes.check_animation(tmp_path / "run.webm")
 
 
 def test_mujoco_renders_scenes():
