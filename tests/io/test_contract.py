@@ -157,7 +157,7 @@ def test_folder(tmp_path: Path) -> None:
             reader(tmp_path)
     for name in ("run2.csv", "run10.csv", "run1.csv.gz", "run3.csv", "readme.md"):
         (tmp_path / name).write_text("1,2\n")
-    with pytest.raises(FileError, match=r"several runs of one skin: run1\.csv\.gz, run10\.csv, "):
+    with pytest.raises(FileError, match=r"several runs of one skin: .*run1\.csv\.gz, .*run10\.csv"):
         io.read(tmp_path)
 
 

@@ -365,13 +365,13 @@ def _recognise(file: Path) -> Format:
 def _folder_message(folder: Path) -> str:
     """Suggest to list the recordings in a folder as several runs."""
     known = tuple(suffix for f in FORMATS if f.open_recording for suffix in f.suffixes)
-    names = sorted(path.name for path in folder.iterdir())
-    files = [name for name in names if name.lower().removesuffix(".gz").endswith(known)]
+    paths = sorted(folder.iterdir())
+    files = [path for path in paths if path.name.lower().removesuffix(".gz").endswith(known)]
     if not files:
         return f"{folder} is a folder without data.log, bag or images; give a file"
     return (
-        f"{folder} is a folder; give its files instead, which are read as several runs of one "
-        f"skin: {join_items(files, _MAX_LISTED)}"
+        f"{folder} is a folder; give its files instead to read them as several runs of one skin: "
+        f"{join_items(files, _MAX_LISTED)}"
     )
 
 
