@@ -1,0 +1,44 @@
+"""The scripts in examples/."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("PIL")
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", ["retina", "cochlea"])
+def test_examples_map_their_recording(name, tmp_path, monkeypatch, capsys):
+    picture = tmp_path / "map.png"
+    monkeypatch.setattr(sys, "argv", [name, "--frames", "400", "--output", str(picture)])
+    load(name).main()
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if "Mantel" in line]
+    scores = {words[0]: float(words[-1]) for words in lines}
+    assert max(scores.values()) > 0.9
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", ["retina", "cochlea"])
+def test_neighbours_in_the_examples_are_the_most_similar(name):
+    record = getattr(load(name), f"record_{name}")
+    recording = record(400, 1)
+    r = np.corrcoef(recording.readings.T)
+    distances = np.linalg.norm(recording.positions[:, None] - recording.positions, axis=2)
+    near = (distances > 0) & (distances < 1.5 * np.min(distances[distances > 0]))
+    far = distances > np.median(distances)
+    assert 1 - r[near].mean() < (1 - r[far].mean()) / 3
+    np.testing.assert_array_equal(record(400, 1).readings, recording.readings)
+    assert (record(400, 2).readings != recording.readings).any()
