@@ -1,8 +1,9 @@
-"""Reproducing the paper: quick runs of the experiments, and the promises of the runner."""
+"""Reproduction of the paper: quick runs of the experiments, and the runner."""
 
 import csv
 import json
 import re
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +12,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from anisomap import io
 from anisomap.cli.app import main
-from anisomap.errors import FileError, InputError, MissingExtraError
+from anisomap.errors import FileError, InputError
 from anisomap.paper import (
     EXPERIMENTS,
     Document,
@@ -22,14 +24,14 @@ from anisomap.paper import (
     Outcome,
     Settings,
     Table,
-    claim_evidence,
-    measures,
     numbers,
     reproduce,
-    result_cache,
+    results,
+    shape_statistics,
 )
-from anisomap.paper.experiments import stimuli
-from anisomap.paper.runs import BOMBARDED
+from anisomap.paper.cases import CASES, METHODS, PATCH_RUNS, find_case
+from anisomap.paper.claim_checks import NOT_REPRODUCED, PARTLY, REPRODUCED, ClaimCheck
+from anisomap.paper.claims import CLAIMS
 from anisomap.simulation import find_body
 
 pytest.importorskip("mujoco")
@@ -38,17 +40,14 @@ pytest.importorskip("jinja2")
 
 ROOT = Path(__file__).parents[1]
 QUICK = Settings(quick=True)
-
-
-CHEAP = ("data-s1-s6", "data-s7-s11", "text-s3", "figure-s3")
-"""Experiments that take about a second each."""
+CHEAP = ("data-s1-s6", "data-s7-s11", "text-s3", "figure-s3", "figure-s10")
 
 
 @pytest.fixture(
     scope="module", params=[CHEAP, pytest.param((), marks=pytest.mark.slow)], ids=["cheap", "all"]
 )
 def quick(tmp_path_factory, request):
-    """Give the folder of a run of ``anisomap paper --quick``."""
+    """Return the folder of a run of ``anisomap paper --quick``."""
     folder = tmp_path_factory.mktemp("paper") / "out"
     chosen = [word for name in request.param for word in ("--only", name)]
     workers = "1" if chosen else "2"
@@ -58,212 +57,265 @@ def quick(tmp_path_factory, request):
     return folder
 
 
-def made_in(folder):
-    """Give the names of the experiments that were run."""
-    return {path.parent.name for path in folder.glob("*/done.json")}
+def computed_in(folder):
+    return {path.parent.name for path in folder.glob(f"*/{results.RECORD}")}
 
 
-def test_every_experiment_leaves_what_its_record_tells(quick, request):
+def read_table(folder, name):
+    with (folder / name / f"{name}.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.glob("*/*")}
+
+
+def test_every_experiment_writes_the_files_in_its_record(quick, request):
     chosen = request.node.callspec.params["quick"]
-    assert made_in(quick) >= set(chosen or (e.name for e in EXPERIMENTS.values() if not e.files))
-    for name in made_in(quick):
-        experiment = EXPERIMENTS[name]
-        kept = result_cache.load(quick, experiment.name)
-        assert kept is not None, experiment.name
-        assert kept.pictures or kept.tables or kept.documents
-        for table in kept.tables:
-            path = quick / experiment.name / f"{table.name}.csv"
-            with path.open(newline="") as file:
-                assert next(csv.reader(file)) == list(table.columns)
-            assert all(table.columns.values()), "every column is explained"
-            assert table.rows
-        for picture in kept.pictures:
-            for kind in result_cache.KINDS:
-                assert (quick / experiment.name / f"{picture['name']}.{kind}").stat().st_size > 5000
+    assert computed_in(quick) == set(
+        chosen or (one.name for one in EXPERIMENTS.values() if not one.files)
+    )
+    for name in computed_in(quick):
+        record = json.loads((quick / name / results.RECORD).read_text())
+        assert record["pictures"] or record["tables"] or record["documents"]
+        for table in record["tables"]:
+            with (quick / name / f"{table['name']}.csv").open(newline="") as file:
+                header, *rows = csv.reader(file)
+            assert header == list(table["columns"])
+            assert rows
+            assert all(table["columns"].values()), "every column has a description"
+        for picture in record["pictures"]:
+            for kind in results.FIGURE_FORMATS:
+                assert (quick / name / f"{picture['name']}.{kind}").stat().st_size > 5000
 
 
-def test_the_page_shows_all_and_needs_nothing_from_elsewhere(quick):
+def test_the_page_shows_all_results_without_a_network(quick):
     page = (quick / "index.html").read_text()
     links = re.findall(r'(?:href|src)="([^"]+)"', page)
     assert not [link for link in links if "//" in link]
     for link in links:
         assert link.startswith("#") or (quick / link).is_file(), link
     for name, experiment in EXPERIMENTS.items():
-        shown = bool(experiment.title) and (name in made_in(quick) or bool(experiment.files))
+        shown = bool(experiment.title) and (name in computed_in(quick) or bool(experiment.files))
         assert (f'id="{name}"' in page) == shown
-    assert "matejhof/robotic-homunculus-supporting-materials" in page, "how to get real skin"
+    assert "matejhof/robotic-homunculus-supporting-materials" in page, "source of real recordings"
     pictures = {path.relative_to(quick).as_posix() for path in quick.glob("*/*.png")}
     assert pictures <= set(links)
 
 
-def test_what_is_finished_is_not_run_again(quick):
+def test_finished_experiments_are_not_repeated(quick):
     before = {path: path.stat().st_mtime_ns for path in quick.glob("*/*")}
-    told = reproduce(quick, QUICK, only=[*made_in(quick), "real-skin"], workers=2)
-    assert {done.name for done in told if done.how == "kept"} == made_in(quick)
-    assert {done.name for done in told if done.how != "kept"} == {"real-skin"}
+    found = reproduce(quick, QUICK, only=[*computed_in(quick), "real-skin"], workers=2)
+    assert {one.name for one in found if one.state == "cached"} == computed_in(quick)
+    assert {one.name for one in found if one.state == "skipped"} == {"real-skin"}
     assert before == {path: path.stat().st_mtime_ns for path in quick.glob("*/*")}
 
 
+def test_results_do_not_depend_on_the_number_of_workers(quick, tmp_path):
+    chosen = ("figure-s10", "data-s7-s11")
+    reproduce(tmp_path, QUICK, only=chosen, workers=2)
+    for name in chosen:
+        for path in (tmp_path / name).iterdir():
+            if path.name != results.RECORD:  # holds the duration
+                assert path.read_bytes() == (quick / name / path.name).read_bytes(), path.name
+
+
 @pytest.mark.parametrize("quick", [pytest.param((), marks=pytest.mark.slow)], indirect=True)
-def test_every_claim_gets_a_verdict(quick):
-    rows = result_cache.load(quick, "claims").tables[0].records()
+def test_every_claim_has_a_verdict_that_agrees_with_its_cases(quick):
+    rows = read_table(quick, "claims")
+    assert [row["claim"] for row in rows] == [claim.text for claim in CLAIMS]
     for row in rows:
-        assert row["verdict"].startswith(
-            (claim_evidence.HOLDS, claim_evidence.FAILS, claim_evidence.PARTLY)
-        )
-        held, of = map(int, row["cases"].split(" of "))
-        assert (row["verdict"] == claim_evidence.HOLDS) == (held == of)
-        assert (row["verdict"] == claim_evidence.FAILS) == (held == 0)
+        held, n_cases = map(int, row["cases"].split(" of "))
+        assert row["verdict"].startswith((REPRODUCED, NOT_REPRODUCED, PARTLY))
+        assert (row["verdict"] == REPRODUCED) == (held == n_cases)
+        assert (row["verdict"] == NOT_REPRODUCED) == (held == 0)
 
 
-def test_sample_data_can_be_read_and_says_how_it_was_made(quick):
+def test_sample_data_hold_the_readings_positions_and_parameters(quick):
     path = quick / "data-s1-s6" / "data-s2.txt"
-    case = next(case for case in BOMBARDED if case.body == "sphere")
+    case = find_case("sphere")
     recording = case.record(QUICK, QUICK.picked_seed(case.name))
     found = io.read(path)
     assert found.names == recording.names
     np.testing.assert_allclose(found.readings, recording.readings, rtol=1e-4)
     text = path.read_text()
-    places = np.array(
+    positions = np.array(
         [line.split()[3:6] for line in text.splitlines() if line.startswith("# sensor")], float
     )
-    np.testing.assert_allclose(places, find_body("sphere").positions, atol=1e-5)
-    words = (quick / "data-s1-s6" / "text-s1.txt").read_text()
+    np.testing.assert_allclose(positions, find_body("sphere").positions, atol=1e-5)
+    description = (quick / "data-s1-s6" / "text-s1.txt").read_text()
     for name in re.findall(r"^# (\w+): ", text, flags=re.MULTILINE):
-        known = {"frames", "rate_hz", "body", "scenario", "seed", "anisomap", "mujoco"}
+        facts = {"frames", "rate_hz", "body", "scenario", "seed", "anisomap", "mujoco"}
         measured = {"energy_drift", "deepest_overlap"}
-        assert name in known | measured or f"{name} = " in words, name
+        assert name in facts | measured or f"{name} = " in description, name
 
 
-def test_the_patch_fails_as_the_papers_did(quick):
+def test_the_simulated_patch_has_the_failures_of_the_paper(quick):
     early, late = (io.read(quick / "data-s7-s11" / f"data-s{n}.txt") for n in (9, 11))
     for recording in (early, late):
         silent = np.array([name.startswith("t5") for name in recording.names])
         assert (recording.varying() == ~silent).all()
-    at_full = (late.readings == late.readings.max()).sum(axis=0)
-    assert late.names[int(np.argmax(at_full))] == "t3p0"
-    assert at_full.max() > 10 * np.sort(at_full)[-2]
+    saturated = (late.readings == late.readings.max()).sum(axis=0)
+    assert late.names[int(np.argmax(saturated))] == "t3p0"
+    assert saturated.max() > 10 * np.sort(saturated)[-2]
 
 
-def test_real_skin_is_mapped_where_it_is_given(recordings_folder, tmp_path):
+def test_real_skin_is_mapped_if_its_recording_is_given(recordings_folder, tmp_path):
     settings = replace(QUICK, recordings=recordings_folder)
     reproduce(tmp_path, settings, only=["real-skin"], workers=1)
-    (table,) = result_cache.load(tmp_path, "real-skin").tables
-    best = {row["method"]: row["mantel_r"] for row in table.records() if row["dimensions"] == 2}
-    assert best["r-anisomap"] > 0.98
+    found = {row["method"]: float(row["mantel_r"]) for row in read_table(tmp_path, "real-skin")}
+    assert found["r-anisomap"] > 0.98
     assert "was not given" not in (tmp_path / "index.html").read_text()
 
 
-# The runner, with experiments that cost nothing.
+def test_missing_extras_are_reported_in_one_sentence(tmp_path):
+    code = (
+        "import sys; sys.modules.update(dict.fromkeys(('mujoco', 'matplotlib', 'jinja2')));"
+        f"from anisomap.cli import main; main(['paper', '-o', {str(tmp_path / 'out')!r}])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == [
+        "error: reproducing the paper needs an extra: pip install 'anisomap[paper]'"
+    ]
+    assert not (tmp_path / "out").exists()
 
 
-def count_up(settings, tables):
-    rows = [(settings.seed + sum(row[0] for table in tables.values() for row in table.rows),)]
-    return Outcome(tables=(Table("number", "A number.", {"value": "a number"}, tuple(rows)),))
+# The runner, with experiments that take no time.
+
+
+def add_up(settings, tables):
+    value = settings.seed + sum(row[0] for table in tables.values() for row in table.rows)
+    return Outcome(tables=(Table("number", "A number.", {"value": "a number"}, ((value,),)),))
 
 
 def write_text(_settings, _tables):
     return Outcome(documents=(Document("text.txt", "A text.", "text\n"),))
 
 
-def break_off(_settings, _tables):
-    raise InputError("this one never works")
+def fail(_settings, _tables):
+    raise InputError("this experiment fails")
+
+
+def interrupt(_settings, _tables):
+    raise KeyboardInterrupt
+
+
+def count_threads(_settings, _tables):
+    rows = tuple((pool["user_api"], pool["num_threads"]) for pool in threadpool_info())
+    columns = {"pool": "kind of thread pool", "threads": "number of threads"}
+    return Outcome(tables=(Table("threads", "Threads.", columns, rows),))
 
 
 def registry(*experiments):
     return {one.name: one for one in experiments}
 
 
-FIRST = Experiment("first", "First", "Something.", count_up)
-SECOND = Experiment("second", "Second", "More.", count_up, needs=("first",))
-TEXT = Experiment("text", "Text", "Words.", write_text)
+FIRST = Experiment("first", "First", "A number.", add_up)
+SECOND = Experiment("second", "Second", "A sum.", add_up, needs=("first",))
+TEXT = Experiment("text", "Text", "A text.", write_text)
 ALL = registry(SECOND, FIRST, TEXT)
 
 
-def made(folder, settings=QUICK, experiments=ALL, **options):
-    told = reproduce(folder, settings, experiments=experiments, workers=1, **options)
-    return {done.name for done in told if done.how == "made"}
+def compute(folder, settings=QUICK, experiments=ALL, **options):
+    """Return the names of the experiments that were computed."""
+    found = reproduce(folder, settings, experiments=experiments, workers=1, **options)
+    return {one.name for one in found if one.state == "computed"}
 
 
-def test_needs_come_first_and_nothing_is_run_twice(tmp_path):
-    assert made(tmp_path) == {"first", "second", "text"}
-    assert result_cache.load(tmp_path, "second").tables[0].rows == ((2,),)
-    assert made(tmp_path) == set()
-    assert made(tmp_path, only=["second"]) == set()
+def number_of(folder, name):
+    return (folder / name / "number.csv").read_text()
 
 
-def test_another_seed_runs_all_again(tmp_path):
-    made(tmp_path)
-    assert made(tmp_path, replace(QUICK, seed=5)) == {"first", "second", "text"}
-    assert result_cache.load(tmp_path, "second").tables[0].rows == ((10,),)
+def test_needed_experiments_run_first_and_all_run_once(tmp_path):
+    assert compute(tmp_path) == {"first", "second", "text"}
+    assert number_of(tmp_path, "second") == "value\n2\n"
+    assert compute(tmp_path) == set()
+    assert compute(tmp_path, only=["second"]) == set()
 
 
-@pytest.mark.parametrize("damage", ["text.txt", "done.json"])
-@pytest.mark.parametrize("how", ["cut", "gone", "changed"])
-def test_a_damaged_result_is_made_again(tmp_path, damage, how):
-    made(tmp_path)
-    path = tmp_path / "text" / damage
-    if how == "gone":
+def test_another_seed_repeats_all_experiments(tmp_path):
+    compute(tmp_path)
+    assert compute(tmp_path, replace(QUICK, seed=5)) == {"first", "second", "text"}
+    assert number_of(tmp_path, "second") == "value\n10\n"
+
+
+def test_progress_is_reported_up_to_the_end(tmp_path):
+    for state in ("computed", "cached"):
+        calls = []
+        compute(
+            tmp_path, report=lambda status, fraction, calls=calls: calls.append((status, fraction))
+        )
+        assert {status.state for status, _ in calls} == {state}
+        assert [fraction for _, fraction in calls] == pytest.approx([1 / 3, 2 / 3, 1])
+
+
+@pytest.mark.parametrize("name", ["text.txt", results.RECORD])
+@pytest.mark.parametrize("damage", ["truncated", "removed", "changed"])
+def test_damaged_results_are_computed_again(tmp_path, name, damage):
+    compute(tmp_path)
+    path = tmp_path / "text" / name
+    if damage == "removed":
         path.unlink()
     else:
-        path.write_text(path.read_text()[:-3] if how == "cut" else "{}")
-    assert made(tmp_path) == {"text"}
+        path.write_text(path.read_text()[:-3] if damage == "truncated" else "{}")
+    assert compute(tmp_path) == {"text"}
     assert (tmp_path / "text" / "text.txt").read_text() == "text\n"
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("finished")
+    compute(folder, experiments=registry(FIRST))
+    record = (folder / "first" / results.RECORD).read_bytes()
+    return folder, record
+
+
 @given(st.integers(0, 10_000), st.binary(min_size=1, max_size=4))
-def test_a_record_damaged_anywhere_is_never_taken_for_another(tmp_path_factory, place, junk):
-    folder = tmp_path_factory.mktemp("damaged")
-    made(folder, experiments=registry(FIRST))
-    path = folder / "first" / "done.json"
-    whole = path.read_bytes()
-    place %= len(whole)
-    path.write_bytes(whole[:place] + junk + whole[place + len(junk) :])
-    kept = result_cache.load(folder, "first", json.loads(whole)["key"])
-    assert kept is None or kept.tables[0].rows == ((1,),)
+def test_a_damaged_record_never_gives_other_rows(finished, position, junk):
+    folder, record = finished
+    position %= len(record)
+    damaged = record[:position] + junk + record[position + len(junk) :]
+    (folder / "first" / results.RECORD).write_bytes(damaged)
+    found = results.load(folder, "first", json.loads(record)["fingerprint"])
+    assert found is None or found.tables[0].rows == ((1,),)
 
 
-def test_what_fails_leaves_nothing_and_what_was_done_stays(tmp_path):
-    broken = Experiment("second", "Second", "More.", break_off, needs=("first",))
-    with pytest.raises(InputError, match="never works"):
-        made(tmp_path, experiments=registry(FIRST, broken))
+@pytest.mark.parametrize(("broken", "error"), [(fail, InputError), (interrupt, KeyboardInterrupt)])
+def test_a_stopped_run_continues_with_the_unfinished_experiments(tmp_path, broken, error):
+    with pytest.raises(error):
+        compute(tmp_path, experiments=registry(FIRST, replace(SECOND, compute=broken)))
     assert [path.name for path in tmp_path.iterdir()] == ["first"]
-    assert made(tmp_path) == {"second", "text"}
+    before = contents(tmp_path)
+    assert compute(tmp_path) == {"second", "text"}
+    assert before.items() <= contents(tmp_path).items()
 
 
-def test_what_a_killed_run_left_is_swept_away(tmp_path):
-    aside = tmp_path / ".first-4711"
-    aside.mkdir()
-    (aside / "half.csv").write_text("val")
-    made(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {*ALL, "index.html"}
+def test_experiments_use_one_thread_per_worker(tmp_path):
+    with threadpool_limits(2):
+        compute(tmp_path, experiments=registry(Experiment("threads", "Threads", "", count_threads)))
+    rows = read_table(tmp_path, "threads")
+    assert rows
+    assert {row["threads"] for row in rows} == {"1"}
 
 
-def test_what_makes_no_sense_is_refused_at_once(tmp_path):
+def test_invalid_arguments_raise_errors(tmp_path):
     with pytest.raises(InputError, match="choose from second, first, text"):
-        made(tmp_path, only=["third"])
-    with pytest.raises(InputError, match="at least 1"):
+        compute(tmp_path, only=["third"])
+    with pytest.raises(InputError, match="workers must be at least 1, got 0"):
         reproduce(tmp_path, QUICK, experiments=ALL, workers=0)
-    with pytest.raises(FileError, match="no folder of recordings"):
-        made(tmp_path, replace(QUICK, recordings=tmp_path / "nowhere"))
-    with pytest.raises(InputError, match="seed"):
+    with pytest.raises(FileError, match="nowhere does not exist"):
+        compute(tmp_path, replace(QUICK, recordings=tmp_path / "nowhere"))
+    with pytest.raises(InputError, match="seed must be at least 0"):
         Settings(seed=-1)
     (tmp_path / "file").write_text("")
-    with pytest.raises(FileError, match="cannot make the folder"):
-        made(tmp_path / "file")
+    with pytest.raises(FileError, match="cannot create the folder"):
+        compute(tmp_path / "file")
     with pytest.raises(InputError, match="2 values for 1 columns"):
         Table("wrong", "", {"value": "a number"}, ((1, 2),))
 
 
-@pytest.mark.parametrize(("module", "extra"), [("mujoco", "simulation"), ("jinja2", "report")])
-def test_what_it_needs_is_told_before_anything_runs(tmp_path, monkeypatch, module, extra):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=rf"anisomap\[{extra}\]"):
-        made(tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_seed_is_picked_at_random_but_always_the_same():
+def test_seeds_are_picked_at_random_and_reproducibly():
     settings = Settings()
     picked = {purpose: settings.picked_seed(purpose) for purpose in "abcdefghijkl"}
     assert set(picked.values()) <= set(settings.seeds)
@@ -271,81 +323,174 @@ def test_a_seed_is_picked_at_random_but_always_the_same():
     assert picked == {purpose: settings.picked_seed(purpose) for purpose in picked}
 
 
-# What is measured of shapes.
+# Claims.
+
+
+def score_rows(score):
+    """Return rows of scores; `score` returns Mantel r by group, method and dimensions."""
+    runs = [(case.name, case.name, 3) for case in CASES]
+    runs.append(("plane-bombardment", "plane-bombardment, 2D", 2))
+    runs += [(str(number), f"patch, {k}D", k) for number in PATCH_RUNS for k in (2, 3)]
+    return [
+        {
+            "run": run,
+            "group": group,
+            "seed": seed,
+            "method": method,
+            "dimensions": k,
+            "mantel_r": score(group, method, k) + 0.001 * seed,
+        }
+        for run, group, k in runs
+        for seed in (1, 2)
+        for method in METHODS
+    ]
+
+
+def tables(*, isolation, patch_r, axial_scale, spread, change):
+    columns = {
+        "figure-2": [
+            {
+                "run": i + 1,
+                "method": "r-anisomap",
+                "dimensions": 2,
+                "isolation": alone,
+                "mantel_r": r,
+            }
+            for i, (alone, r) in enumerate(zip(isolation, patch_r, strict=True))
+        ],
+        "figure-4": [
+            {
+                "scenario": "locomotion",
+                "method": method,
+                "local_axial_scale": axial_scale,
+                "axial_scale": axial_scale,
+            }
+            for method in METHODS
+        ],
+        "figure-7": [
+            {"body": body, "r-anisomap": 1.0, "information-distance": spread}
+            for body in ("cylinder", "plane")
+        ],
+        "bins": [
+            {"run": "plane", "method": method, "largest change": change} for method in METHODS[1:]
+        ],
+    }
+    return {
+        name: Table(
+            name, "", dict.fromkeys(rows[0], ""), tuple(tuple(row.values()) for row in rows)
+        )
+        for name, rows in columns.items()
+    }
+
+
+def as_in_the_paper(group, method, dimensions):
+    r = {"r-anisomap": 0.98, "i-anisomap": 0.97, "information-distance": 0.95, "isomap": 0.95}
+    rolling = 0.2 * (group == "cylinder-locomotion")
+    spherised = 0.05 * (method == "information-distance" and dimensions == 3)
+    return r[method] - rolling - spherised
+
+
+def contrary_to_the_paper(group, method, _dimensions):
+    r = {"r-anisomap": 0.1, "i-anisomap": 0.11, "information-distance": 0.2, "isomap": 0.3}
+    return r[method] + 0.2 * (group == "cylinder-locomotion")
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.check.__name__)
+def test_every_claim_can_be_reproduced_and_can_fail(claim):
+    good = [
+        row | {"null_max": 0.2, "neighbours_kept": row["mantel_r"]}
+        for row in score_rows(as_in_the_paper)
+    ]
+    found = tables(
+        isolation=(1, 1, 1, 3, 3), patch_r=[0.9] * 5, axial_scale=0.5, spread=0.5, change=0.01
+    )
+    assert claim.check(good, found).verdict == REPRODUCED
+    bad = [
+        row | {"null_max": 0.9, "neighbours_kept": -row["mantel_r"]}
+        for row in score_rows(contrary_to_the_paper)
+    ]
+    found = tables(
+        isolation=[1] * 5,
+        patch_r=(0.9, 0.9, 0.9, 0.5, 0.5),
+        axial_scale=1.5,
+        spread=1.5,
+        change=0.3,
+    )
+    assert claim.check(bad, found).verdict == NOT_REPRODUCED
+
+
+def test_a_sensor_that_is_isolated_while_it_works_is_not_isolated_by_its_failure():
+    (claim,) = (claim for claim in CLAIMS if "sensor 30" in claim.text)
+    found = tables(isolation=(3, 1, 1, 3, 3), patch_r=[0.9] * 5, axial_scale=1, spread=1, change=0)
+    assert claim.check([], found).verdict == NOT_REPRODUCED
+
+
+def test_a_verdict_names_the_smaller_group_of_cases():
+    def verdict(**held):
+        return ClaimCheck("", held).verdict
+
+    assert verdict(a=True, b=True) == "reproduced"
+    assert verdict(a=False, b=False) == "not reproduced"
+    assert verdict(a=True, b=False, c=False) == "partly reproduced in 1 of 3 cases: a"
+    assert verdict(a=True, b=True, c=True, d=False, e=False) == (
+        "partly reproduced in 3 of 5 cases: not d; e"
+    )
+    with pytest.raises(ValueError, match="at least one case"):
+        verdict()
+
+
+# Shape statistics.
 
 
 @given(st.floats(0.05, 3), st.integers(0, 100))
-def test_a_cylinder_squeezed_along_its_axis_is_found_so(factor, seed):
+def test_axial_scale_recovers_the_compression_of_a_cylinder(factor, seed):
     truth = find_body("cylinder").positions
-    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
-    scale = measures.axial_scale(7 * truth * [1, 1, factor] @ turn + 3, truth)
+    rotation = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    scale = shape_statistics.axial_scale(7 * truth * [1, 1, factor] @ rotation + 3, truth)
     assert scale.local == pytest.approx(factor, rel=1e-6)
-    if factor > 0.5:  # much flatter ones do not lie along their axis once they are aligned
+    if factor > 0.5:  # the axis of a much flatter cylinder is not aligned with the true axis
         assert scale.whole == pytest.approx(factor, rel=1e-3)
 
 
-def test_a_sphere_has_no_spread_of_radii_and_a_line_has_that_of_a_uniform_density():
-    assert measures.spread_of_radii(find_body("sphere").positions) < 0.01
+def test_spread_of_radii_of_a_sphere_and_of_a_line():
+    assert shape_statistics.spread_of_radii(find_body("sphere").positions) < 0.01
     line = np.linspace(-1, 1, 2001)[:, None]
-    assert measures.spread_of_radii(line) == pytest.approx(1 / 3**0.5, abs=1e-3)
+    assert shape_statistics.spread_of_radii(line) == pytest.approx(1 / 3**0.5, abs=1e-3)
 
 
-def test_a_sensor_alone_is_isolated_and_one_in_a_lattice_is_not():
+def test_isolation_inside_and_outside_a_lattice():
     grid = np.stack(np.meshgrid(range(5), range(5)), -1).reshape(-1, 2).astype(float)
-    assert measures.isolation(grid, 7) == pytest.approx(1)
+    assert shape_statistics.isolation(grid, 7) == pytest.approx(1)
     grid[0] -= [3, 4]
-    assert measures.isolation(grid, 0) == pytest.approx(np.hypot(4, 4))
+    assert shape_statistics.isolation(grid, 0) == pytest.approx(np.hypot(4, 4))
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 3, 5])
-def test_distances_in_k_dimensions_have_k_variances(dimensions):
+def test_the_spectrum_of_k_dimensional_points_has_k_positive_variances(dimensions):
     points = np.random.default_rng(dimensions).normal(size=(400, dimensions))
     distances = np.linalg.norm(points[:, None] - points, axis=2)
-    variances = measures.spectrum(distances)
-    assert measures.chosen_dimension(variances) == dimensions
+    variances = shape_statistics.spectrum(distances)
+    assert shape_statistics.n_dimensions(variances) == dimensions
     np.testing.assert_allclose(
         variances[:dimensions].sum(), ((points - points.mean(axis=0)) ** 2).sum()
     )
     np.testing.assert_allclose(variances[dimensions:], 0, atol=1e-9)
 
 
-def test_neighbouring_pixels_and_bands_are_most_alike():
-    retina, cochlea = stimuli.retina(400, 1), stimuli.cochlea(400, 1)
-    for recording in (retina, cochlea):
-        alike = np.corrcoef(recording.readings.T)
-        apart = np.linalg.norm(recording.positions[:, None] - recording.positions, axis=2)
-        near = (apart > 0) & (apart < 1.5 * np.min(apart[apart > 0]))
-        far = apart > np.median(apart)
-        assert 1 - alike[near].mean() < (1 - alike[far].mean()) / 3
-    again, another = stimuli.cochlea(400, 1), stimuli.cochlea(400, 2)
-    np.testing.assert_array_equal(again.readings, cochlea.readings)
-    assert (another.readings != cochlea.readings).any()
-
-
-def test_a_verdict_says_for_which_cases_it_holds():
-    def verdict(**held):
-        return claim_evidence.Evidence("", held).verdict
-
-    assert verdict(a=True, b=True) == "holds"
-    assert verdict(a=False, b=False) == "does not hold"
-    assert verdict(a=True, b=False, c=False) == "holds only for a"
-    assert verdict(a=True, b=True, c=False) == "holds only for 2 of 3: not for c"
-
-
 # Numbers in documents.
 
 
-def test_numbers_of_documents_are_those_of_the_tables():
-    for path in (ROOT / "README.md", ROOT / "docs" / "explanation" / "paper.md"):
-        text = path.read_text(encoding="utf-8")
+def test_documents_hold_the_numbers_of_the_tables():
+    paper = (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for text in (paper, readme):
         assert numbers.fill(text, ROOT / "docs" / "results") == text, "run make numbers"
-    assert numbers.tables_in(
-        (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
-    )
+        assert numbers.tables_in(text)
+    assert all(f"| {claim.text} |" in paper for claim in CLAIMS), "run make numbers"
 
 
-def test_documents_are_brought_up_to_date(tmp_path):
-    made(tmp_path / "out")
+def test_documents_are_updated_from_results(tmp_path):
+    compute(tmp_path / "out")
     page = tmp_path / "page.md"
     page.write_text("A\n<!-- numbers: number: value -->\nold\n<!-- end of numbers -->\nB\n")
     arguments = [str(tmp_path / "out"), str(tmp_path / "tables"), str(page)]

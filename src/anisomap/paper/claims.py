@@ -1,4 +1,4 @@
-"""Every sentence of the paper that can be checked, what we measured, and whether it holds."""
+"""The paper's testable claims, and the table of their verdicts."""
 
 from __future__ import annotations
 
@@ -6,163 +6,152 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
-from anisomap.paper import claim_evidence
-from anisomap.paper.claim_evidence import (
-    ALIKE,
+from anisomap.paper import claim_checks
+from anisomap.paper.claim_checks import (
     AMONG_BEST,
     EXCELLENT,
     ISOLATED,
     REASONABLE,
+    RELATED,
+    SIMILAR,
     SPHERICAL,
-    Evidence,
+    ClaimCheck,
     Rows,
 )
 from anisomap.paper.experiment import Experiment, Outcome, Row, Settings, Table, Tables
-from anisomap.paper.experiments.quality import SCORES, all_scores
+from anisomap.paper.experiments.accuracy import SCORES, all_scores
 
 _COLUMNS = {
-    "claim": "what the paper says",
-    "where": "where in the paper",
-    "test": "what we take it to mean in numbers",
-    "measured": "what came out",
-    "cases": "in how many of the cases it held",
-    "verdict": "holds, does not hold, or what it holds only for",
+    "claim": "claim of the paper",
+    "where": "section or figure of the paper",
+    "test": "criterion in numbers",
+    "measured": "measured values",
+    "cases": "number of cases in which the criterion is met",
+    "verdict": "whether the claim is reproduced, and in which cases",
 }
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A sentence of the paper, and how it is checked.
+    """A claim of the paper and its check.
 
     Parameters
     ----------
     text : str
     where : str
-        Section or figure.
+        Section or figure of the paper.
     test : str
-        What we take it to mean.
+        Criterion in numbers.
     check : callable
-        Takes the rows of scores and all tables; gives the evidence.
+        ``check(rows, tables)`` returns a `ClaimCheck`.
     """
 
     text: str
     where: str
     test: str
-    check: Callable[[Rows, Tables], Evidence]
+    check: Callable[[Rows, Tables], ClaimCheck]
 
 
 CLAIMS = (
     Claim(
         "The r-ANISOMAP algorithm performed reasonably or excellently in all cases",
         "Discussion",
-        f"mean Mantel r of at least {REASONABLE} (reasonable; {EXCELLENT} is excellent)",
-        claim_evidence.reasonable,
+        f"mean Mantel r of at least {REASONABLE} (reasonable; excellent: {EXCELLENT})",
+        claim_checks.is_reasonable,
     ),
     Claim(
         "The best 3D reconstruction was invariably one of the ANISOMAP variants",
         "Discussion",
-        "in every run, the greatest Mantel r in 3D is r- or I-ANISOMAP's",
-        claim_evidence.best_is_anisomap,
+        "r- or I-ANISOMAP has the highest Mantel r in 3D in every run",
+        claim_checks.best_is_anisomap,
     ),
     Claim(
         "r-ANISOMAP was consistently among the best performing",
         "Results",
-        f"mean Mantel r at most {AMONG_BEST} behind the best method's",
-        claim_evidence.r_among_best,
+        f"mean Mantel r at most {AMONG_BEST} below that of the best method",
+        claim_checks.r_anisomap_among_best,
     ),
     Claim(
         "Cylinder, locomotion: correlations relatively poor for all reconstruction methods",
         "Discussion",
-        "mean Mantel r below that of the method on all other runs",
-        claim_evidence.rolling_is_poor,
+        "mean Mantel r lower than in all other groups, for each method",
+        claim_checks.rolling_cylinder_is_poor,
     ),
     Claim(
         "Reconstructions of the rolling cylinder were compressed in the axial direction",
         "Discussion, Fig. 4",
-        "neighbours along the axis too close, against those around it: local axial scale below 1",
-        claim_evidence.axial,
+        "local axial scale below 1: axial neighbours too close relative to circumferential ones",
+        claim_checks.rolling_cylinder_is_compressed,
     ),
     Claim(
         "3D reconstructions by information distance are notably worse than 2D ones; not so for "
         "the other methods",
         "Methods, Fig. 3",
-        f"flat skins: r in 2D less that in 3D above {AMONG_BEST} for information distance only",
-        claim_evidence.flat_is_better,
+        f"flat skins: mean r in 2D minus mean r in 3D above {AMONG_BEST} for information distance "
+        "only",
+        claim_checks.flat_maps_are_better,
     ),
     Claim(
         "All algorithms perform far better than random guessing",
         "Results, Fig. 3",
-        "Mantel r above the greatest of all random relabellings, in every map",
-        claim_evidence.above_null,
+        "Mantel r above the maximum of the null distribution for every map",
+        claim_checks.better_than_random,
     ),
     Claim(
         "The faulty sensor 30 is isolated from the others by r-ANISOMAP",
         "Results, Fig. 2",
-        f"2D: at least {ISOLATED:g} times as far from its nearest as others are, in runs 4 and 5, "
-        "and not in runs 1 to 3",
-        claim_evidence.isolated,
+        f"2D maps: distance to the nearest sensor at least {ISOLATED:g} times the median of the "
+        "others in runs 4 and 5, and less in runs 1 to 3",
+        claim_checks.failing_sensor_is_isolated,
     ),
     Claim(
         "The reconstruction is robust to unanticipated hardware failure",
         "Abstract",
-        f"r-ANISOMAP in 2D: Mantel r of runs 4 and 5 at most {ALIKE} below runs 1 to 3",
-        claim_evidence.robust,
+        f"r-ANISOMAP in 2D: Mantel r of runs 4 and 5 at most {SIMILAR} below the mean of runs 1 to "
+        "3",
+        claim_checks.is_robust,
     ),
     Claim(
         "Information distance has a tendency to spherise reconstructions",
         "Methods, Fig. 7",
-        f"spread of radii below {SPHERICAL} of the truth's, and below r-ANISOMAP's",
-        claim_evidence.spherises,
+        f"spread of radii below {SPHERICAL} of the true spread, and below that of r-ANISOMAP",
+        claim_checks.information_distance_spherises,
     ),
     Claim(
         "6 and 8 bins produced qualitatively similar results",
         "Methods",
-        f"mean Mantel r within {ALIKE} of that with 4 bins",
-        claim_evidence.bins_do_not_matter,
+        f"mean Mantel r within {SIMILAR} of that with 4 bins",
+        claim_checks.bins_do_not_matter,
     ),
     Claim(
         "High distance-correlation corresponds to a map that respects the topology",
         "Results",
-        "over maps of a scenario, r and the share of true neighbours kept go together (rank "
-        "correlation above 0.5)",
-        claim_evidence.r_means_topology,
-    ),
-    Claim(
-        "Visual and auditory surfaces can be learned from their data, too",
-        "Abstract, Introduction",
-        f"Mantel r of at least {REASONABLE} for retina and cochlea, in the better dimension",
-        claim_evidence.senses,
+        "rank correlation between Mantel r and the share of neighbours preserved, over the maps of "
+        f"a group, above {RELATED}",
+        claim_checks.r_implies_topology,
     ),
 )
 
 
 def claims_table(_: Settings, tables: Tables) -> Outcome:
     """Check every claim."""
-    rows = [row for row in all_scores(tables) if row["bins"] == DEFAULT_BINS]
-    checked: list[Row] = []
+    scores = [row for row in all_scores(tables) if row["bins"] == DEFAULT_BINS]
+    rows: list[Row] = []
     for claim in CLAIMS:
-        found = claim.check(rows, tables)
+        found = claim.check(scores, tables)
         cases = f"{sum(found.held.values())} of {len(found.held)}"
-        checked.append((claim.text, claim.where, claim.test, found.measured, cases, found.verdict))
-    caption = "What the paper says, and what came out."
-    return Outcome(tables=(Table("claims", caption, _COLUMNS, tuple(checked)),))
+        rows.append((claim.text, claim.where, claim.test, found.measured, cases, found.verdict))
+    caption = "Claims of the paper and results."
+    return Outcome(tables=(Table("claims", caption, _COLUMNS, tuple(rows)),))
 
 
 EXPERIMENT = Experiment(
     "claims",
-    "What the paper says, and what came out",
-    "Each sentence of the paper that can be checked, with what we take it to mean in numbers. The "
-    "supplement with the paper's parameters is lost, so where a claim does not hold here, our "
-    "physics may differ from theirs: the curves further down show what each parameter decides.",
+    "Claims of the paper and results",
+    "Each testable claim of the paper, with a criterion in numbers that was chosen here. The "
+    "paper's supplement with the parameters of its simulation is no longer available. A claim that "
+    "is not reproduced may therefore depend on these parameters; the sensitivity analyses below "
+    "show their effects.",
     claims_table,
-    needs=(
-        *SCORES,
-        "figure-2",
-        "figure-4",
-        "figure-7",
-        "bins",
-        "failing-sensor",
-        "retina",
-        "cochlea",
-    ),
+    needs=(*SCORES, "figure-2", "figure-4", "figure-7", "bins"),
 )

@@ -1,11 +1,10 @@
-"""What an experiment is, what it is given, and what it leaves behind."""
+"""Experiments: their settings, their inputs and their results."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,16 +17,16 @@ Row: TypeAlias = tuple[Cell, ...]
 
 @dataclass(frozen=True)
 class Settings:
-    """How large everything is, and where randomness starts.
+    """Size and randomness of all experiments.
 
     Parameters
     ----------
     seed : int
-        First seed of every row of runs; at least 0.
+        First seed of each scenario; at least 0.
     quick : bool
-        Take hardly enough of everything: for tests, and to see what there will be.
+        Use far fewer frames, seeds and permutations, for tests and previews.
     recordings : Path, optional
-        Folder of real recordings; what needs one that is not there is left out.
+        Folder of real recordings; experiments that need an absent recording are skipped.
 
     Raises
     ------
@@ -41,35 +40,35 @@ class Settings:
 
     def __post_init__(self) -> None:
         if self.seed < 0:
-            raise InputError(f"seed is {self.seed}; it must be a whole number of at least 0")
+            raise InputError(f"seed must be at least 0, got {self.seed}")
 
     @property
     def n_frames(self) -> int:
-        """Frames of a simulated run: the paper's 2,000."""
+        """Frames per simulated run: 2,000, as in the paper."""
         return 250 if self.quick else 2000
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """Seeds of the runs of a scenario: ten, where the paper had one."""
+        """Seeds of each scenario: ten (the paper has one run each)."""
         return tuple(range(self.seed, self.seed + (2 if self.quick else 10)))
 
     @property
     def few_seeds(self) -> tuple[int, ...]:
-        """Seeds of the runs at each point of a curve."""
+        """Seeds at each value of a parameter in the sensitivity experiments."""
         return self.seeds[: 1 if self.quick else 3]
 
     @property
     def permutations(self) -> int:
-        """Random labellings of a null: the paper's 10,000."""
+        """Random relabellings in a null distribution: 10,000, as in the paper."""
         return 200 if self.quick else 10_000
 
     def picked_seed(self, purpose: str) -> int:
-        """Choose one of `seeds` at random, the same one whenever it is asked for.
+        """Pick one of `seeds` at random, reproducibly.
 
         Parameters
         ----------
         purpose : str
-            What for; different purposes have different draws.
+            Different purposes have independent draws.
         """
         rng = np.random.default_rng([self.seed, *purpose.encode()])
         return int(rng.choice(self.seeds))
@@ -77,25 +76,24 @@ class Settings:
 
 @dataclass(frozen=True)
 class Table:
-    """Numbers, with words for every column.
+    """A table with a description of each column.
 
     Parameters
     ----------
     name : str
-        Of its file, without suffix.
+        File name without suffix.
     caption : str
-        What it tells.
     columns : mapping of str to str
-        Names of the columns, in order, and what each means, with its unit.
+        Column names, in order, and their meanings with units.
     rows : tuple of tuple
-        One value a column.
+        One value per column.
     shown : bool
-        Whether the page shows all rows, or links to the file only.
+        Whether the page shows the rows, or only links to the file.
 
     Raises
     ------
     InputError
-        If a row has not one value a column.
+        If a row does not have one value per column.
     """
 
     name: str
@@ -105,21 +103,15 @@ class Table:
     shown: bool = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
-        object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
         for row in self.rows:
             if len(row) != len(self.columns):
                 raise InputError(
-                    f"a row of the table {self.name} has {len(row)} values for "
+                    f"table {self.name}: a row has {len(row)} values for "
                     f"{len(self.columns)} columns"
                 )
 
-    def __reduce__(self) -> tuple[Callable[..., Table], tuple[Any, ...]]:
-        # A read-only view of a mapping cannot be sent to another process itself.
-        return Table, (self.name, self.caption, dict(self.columns), self.rows, self.shown)
-
     def records(self) -> list[dict[str, Any]]:
-        """Give the rows as dictionaries."""
+        """Return the rows as dictionaries."""
         return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
 
 
@@ -130,9 +122,8 @@ class Picture:
     Parameters
     ----------
     name : str
-        Of its files, without suffix.
+        File name without suffix.
     caption : str
-        What it shows, and from which runs.
     figure : matplotlib.figure.Figure
     """
 
@@ -143,14 +134,13 @@ class Picture:
 
 @dataclass(frozen=True)
 class Document:
-    """A file of plain text.
+    """A plain-text file.
 
     Parameters
     ----------
     name : str
-        Of its file, with suffix.
+        File name with suffix.
     caption : str
-        What is in it.
     text : str
     """
 
@@ -161,7 +151,7 @@ class Document:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What an experiment leaves behind."""
+    """Result of an experiment."""
 
     pictures: tuple[Picture, ...] = ()
     tables: tuple[Table, ...] = ()
@@ -169,49 +159,49 @@ class Outcome:
 
 
 Tables: TypeAlias = Mapping[str, Table]
-"""Tables of other experiments, by their names."""
+"""Tables of other experiments, by name."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """Something of the paper that can be made again.
+    """A figure, table or text of the paper, and how it is computed.
 
     Parameters
     ----------
     name : str
-        Of its folder; unique.
+        Unique; also the name of its folder.
     title : str
-        Its heading on the page; empty for one that only measures for others.
-    shows : str
-        What there is to be seen, and what the paper says of it.
-    make : callable
-        Takes `Settings` and the tables of those that it needs; gives an `Outcome`.
+        Heading on the page; empty for experiments that only provide data to others.
+    description : str
+        Paragraphs shown on the page, separated by blank lines.
+    compute : callable
+        ``compute(settings, tables)`` returns an `Outcome`; `tables` holds the tables of the
+        experiments in `needs`.
     needs : tuple of str
-        Names of experiments whose tables it takes.
+        Names of experiments that must run first.
     files : tuple of str
-        Names of real recordings that it reads from `Settings.recordings`; without one of them it
-        is left out.
+        Real recordings that are read from `Settings.recordings`. If one is absent, the experiment
+        is skipped.
     absent : str
-        What to tell a reader then.
+        Text shown on the page if the experiment is skipped.
     cost : float
-        Roughly how many seconds it takes: long ones start first.
+        Approximate duration in seconds; the longest experiments start first.
     """
 
     name: str
     title: str
-    shows: str
-    make: Callable[[Settings, Tables], Outcome]
+    description: str
+    compute: Callable[[Settings, Tables], Outcome]
     needs: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     absent: str = ""
     cost: float = field(default=1.0, compare=False)
 
-    def can_run(self, settings: Settings) -> bool:
-        """Tell whether all recordings are there that it reads."""
-        return all(path.is_file() for path in self.paths(settings)) and (
-            not self.files or settings.recordings is not None
-        )
-
     def paths(self, settings: Settings) -> list[Path]:
-        """Give the paths of the recordings that it reads."""
+        """Return the paths of the real recordings that are read; [] without a folder of them."""
         return [] if settings.recordings is None else [settings.recordings / f for f in self.files]
+
+    def can_run(self, settings: Settings) -> bool:
+        """Whether all recordings that are read exist."""
+        paths = self.paths(settings)
+        return len(paths) == len(self.files) and all(path.is_file() for path in paths)

@@ -1,16 +1,15 @@
-"""Numbers in documents come from the tables of `anisomap paper`, by a command and not by hand.
+"""Insert tables of results into Markdown documents.
 
-A Markdown document says which columns of which table it shows::
+A document marks where columns of a table go::
 
     <!-- numbers: figure-3: run, r-anisomap, isomap -->
     ...
     <!-- end of numbers -->
 
-and what stands between the two lines is written by::
+The following command copies the tables that the documents name from the folder of results to the
+folder of tables, and replaces the lines between the markers::
 
     python -m anisomap.paper.numbers RESULTS TABLES DOCUMENT ...
-
-which first copies the tables that are named from the folder of results to the folder of tables.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from pathlib import Path
 from anisomap.errors import FileError
 from anisomap.files import atomic_write
 
-_PLACE = re.compile(
+_MARKED = re.compile(
     r"(?P<opening><!-- numbers: (?P<table>[\w-]+)(?:: (?P<columns>[^\n]*?))? -->\n)"
     r".*?(?P<closing><!-- end of numbers -->)",
     re.DOTALL,
@@ -33,17 +32,16 @@ _PLACE = re.compile(
 
 
 def tables_in(text: str) -> list[str]:
-    """List the tables that a document shows."""
-    return [place["table"] for place in _PLACE.finditer(text)]
+    """Return the names of the tables in a document."""
+    return [match["table"] for match in _MARKED.finditer(text)]
 
 
 def fill(text: str, tables: Path) -> str:
-    """Write the numbers of a document anew.
+    """Replace the tables of a document.
 
     Parameters
     ----------
     text : str
-        The document.
     tables : Path
         Folder of the tables (CSV).
 
@@ -54,25 +52,25 @@ def fill(text: str, tables: Path) -> str:
     Raises
     ------
     FileError
-        If a table or one of its columns is not there.
+        If a table or one of its columns does not exist.
     """
-    return _PLACE.sub(
-        lambda place: (
-            place["opening"]
-            + markdown(tables / f"{place['table']}.csv", _split(place["columns"]))
-            + place["closing"]
+    return _MARKED.sub(
+        lambda match: (
+            match["opening"]
+            + to_markdown(tables / f"{match['table']}.csv", _split(match["columns"]))
+            + match["closing"]
         ),
         text,
     )
 
 
-def markdown(path: Path, columns: Sequence[str] = ()) -> str:
-    """Write columns of a CSV file as a table in Markdown; all of them unless named.
+def to_markdown(path: Path, columns: Sequence[str] = ()) -> str:
+    """Convert columns of a CSV file, all by default, to a Markdown table.
 
     Raises
     ------
     FileError
-        If the file or a column is not there.
+        If the file cannot be read or a column does not exist.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -82,43 +80,43 @@ def markdown(path: Path, columns: Sequence[str] = ()) -> str:
     chosen = list(columns) or header
     for name in chosen:
         if name not in header:
-            raise FileError(f"{path} has no column {name!r}, but {', '.join(header)}")
-    places = [header.index(name) for name in chosen]
-    lines = [chosen, ["---"] * len(chosen), *([_rounded(row[i]) for i in places] for row in rows)]
+            raise FileError(f"{path} has no column {name!r}; its columns are {', '.join(header)}")
+    indices = [header.index(name) for name in chosen]
+    lines = [chosen, ["---"] * len(chosen), *([_rounded(row[i]) for i in indices] for row in rows)]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def collect(results: Path, tables: Path, names: Sequence[str]) -> None:
-    """Copy tables out of the folders of experiments.
+    """Copy tables from the folders of experiments.
 
     Raises
     ------
     FileError
-        If a table is not there.
+        If a table does not exist.
     """
     for name in names:
         found = sorted(results.glob(f"*/{name}.csv"))
         if not found:
-            raise FileError(f"there is no table {name} in {results}; run anisomap paper first")
-        with atomic_write(tables / f"{name}.csv") as aside:
-            shutil.copyfile(found[0], aside)
+            raise FileError(f"{results} has no table {name}; run anisomap paper first")
+        with atomic_write(tables / f"{name}.csv") as temporary:
+            shutil.copyfile(found[0], temporary)
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Bring documents up to date: RESULTS TABLES DOCUMENT ...
+    """Update documents; the arguments are RESULTS TABLES DOCUMENT ...
 
     Raises
     ------
     FileError
-        If a file is not there or cannot be written.
+        If a file does not exist or cannot be written.
     """
     results, tables, *documents = map(Path, arguments)
     tables.mkdir(parents=True, exist_ok=True)
     for path in documents:
         text = path.read_text(encoding="utf-8")
         collect(results, tables, tables_in(text))
-        with atomic_write(path) as aside:
-            aside.write_text(fill(text, tables), encoding="utf-8")
+        with atomic_write(path) as temporary:
+            temporary.write_text(fill(text, tables), encoding="utf-8")
 
 
 def _split(columns: str | None) -> list[str]:
@@ -126,7 +124,7 @@ def _split(columns: str | None) -> list[str]:
 
 
 def _rounded(text: str) -> str:
-    """Write numbers with three digits after the point, and text as it is."""
+    """Round floats to three decimals; escape other text."""
     if re.fullmatch(r"-?\d+\.\d+(e-?\d+)?", text):
         return f"{float(text):.3f}"
     return text.replace("|", "\\|")

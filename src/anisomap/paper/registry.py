@@ -1,4 +1,4 @@
-"""All experiments, in the order of the page: the paper's, then what the paper only mentions."""
+"""All experiments, in the order of the page: the paper's figures, then additional analyses."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ from types import MappingProxyType
 from anisomap.paper import claims
 from anisomap.paper.experiment import Experiment
 from anisomap.paper.experiments import (
+    accuracy,
+    bodies_and_scenarios,
+    bombarded_bodies,
+    dimensionality,
     failing_sensor,
-    hardware,
-    modalities,
-    quality,
-    reconstructions,
-    scenes,
+    hardware_patch,
+    sample_data,
     sensitivity,
-    shapes,
-    supplement,
+    shape_distortion,
 )
 
 _IN_ORDER = (
     claims.EXPERIMENT,
-    reconstructions.FIGURE_1,
-    hardware.FIGURE_2,
-    hardware.REAL_SKIN,
-    *quality.EXPERIMENTS,
-    shapes.FIGURE_4,
-    *scenes.EXPERIMENTS,
-    shapes.FIGURE_7,
-    *reconstructions.SUPPLEMENTARY,
-    *hardware.SUPPLEMENTARY,
-    *supplement.EXPERIMENTS,
-    quality.BINS,
+    bombarded_bodies.FIGURE_1,
+    hardware_patch.FIGURE_2,
+    hardware_patch.REAL_SKIN,
+    *accuracy.EXPERIMENTS,
+    shape_distortion.FIGURE_4,
+    *bodies_and_scenarios.EXPERIMENTS,
+    shape_distortion.FIGURE_7,
+    *bombarded_bodies.SUPPLEMENTARY,
+    *hardware_patch.SUPPLEMENTARY,
+    *sample_data.EXPERIMENTS,
+    accuracy.BINS,
     failing_sensor.EXPERIMENT,
     *sensitivity.EXPERIMENTS,
-    *modalities.EXPERIMENTS,
+    dimensionality.EXPERIMENT,
 )
 
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({one.name: one for one in _IN_ORDER})
-"""By name, which is also that of the folder that an experiment leaves."""
+"""By name, which is also the name of the folder of its results."""

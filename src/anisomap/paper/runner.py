@@ -1,23 +1,21 @@
-"""Running experiments: each once, those that others need first, over all cores."""
+"""Running experiments in parallel, each at most once."""
 
 from __future__ import annotations
 
 import os
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
+from joblib import Parallel, cpu_count, delayed
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import AnisomapWarning, FileError, InputError, MissingExtraError
-from anisomap.paper import result_cache as results
-from anisomap.paper.experiment import Experiment, Settings, Table
+from anisomap.paper import results
+from anisomap.paper.experiment import Experiment, Settings
 from anisomap.paper.page import write_page
 from anisomap.paper.registry import EXPERIMENTS
 
@@ -25,21 +23,21 @@ PAGE = "index.html"
 
 
 @dataclass(frozen=True)
-class Done:
-    """What became of an experiment.
+class Status:
+    """State of an experiment after a run.
 
     Attributes
     ----------
     name : str
     seconds : float
-        How long it took when it ran.
-    how : {"made", "kept", "left out"}
-        Kept ones were finished before; those left out lack a recording.
+        Duration of the experiment when it was computed.
+    state : {"computed", "cached", "skipped"}
+        Skipped experiments lack a recording.
     """
 
     name: str
     seconds: float
-    how: str
+    state: str
 
 
 def reproduce(
@@ -49,161 +47,121 @@ def reproduce(
     only: Sequence[str] = (),
     workers: int | None = None,
     experiments: Mapping[str, Experiment] = EXPERIMENTS,
-    tell: Callable[[Done, float], None] | None = None,
-) -> list[Done]:
-    """Run the experiments of the paper, and write the page.
+    report: Callable[[Status, float], None] | None = None,
+) -> list[Status]:
+    """Run the experiments of the paper and write the page.
 
     Parameters
     ----------
     folder : path-like
-        Where to; made if it is not there. What is finished there is not run again.
+        Output folder; created if absent. Valid results in it are not computed again, so an
+        interrupted run continues with the experiments that were not finished.
     settings : Settings, optional
     only : sequence of str
-        Names of experiments; all unless given. Those that they need are run, too.
+        Names of experiments, which run after those that they need; all by default.
     workers : int, optional
-        Processes; as many as there are cores unless given. With 1, everything runs in this one.
+        Number of processes; the number of cores by default. Each uses one thread.
     experiments : mapping of str to Experiment
-        What there is to run.
-    tell : callable, optional
-        Told of every experiment once it is done, and the share of all that is.
+    report : callable, optional
+        ``report(status, fraction)`` is called after each experiment, with the fraction of
+        experiments that are finished.
 
     Returns
     -------
-    list of Done
+    list of Status
         In the order of `experiments`.
 
     Raises
     ------
     InputError
-        If there is no such experiment, or fewer than 1 worker.
+        If an experiment is unknown, or `workers` is less than 1.
     FileError
-        If the folder cannot be made or written to, or the folder of recordings is not there.
+        If the folder cannot be written, or the folder of recordings does not exist.
     MissingExtraError
         If MuJoCo, matplotlib or jinja2 is not installed.
     """
-    _check_extras()
-    chosen = settings or Settings()
-    target = Path(folder)
-    wanted = _with_needs(only or list(experiments), experiments)
-    if workers is not None and workers < 1:
-        raise InputError(f"workers is {workers}; it takes at least 1")
-    if chosen.recordings is not None and not chosen.recordings.is_dir():
-        raise FileError(f"there is no folder of recordings {chosen.recordings}")
+    settings, target = settings or Settings(), Path(folder)
+    chosen = _with_needs(only or list(experiments), experiments)
+    _check(settings, workers)
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(f"cannot make the folder {target}: {error.strerror}") from error
-    results.sweep(target, experiments)
-    can_run = [one for one in wanted if one.can_run(chosen)]
-    keys: dict[str, str] = {}
-    for one in can_run:
-        keys[one.name] = results.key_of(one, chosen, keys)
-    pending = [one for one in can_run if results.load(target, one.name, keys[one.name]) is None]
-    tell = tell or (lambda _done, _share: None)
-    for done, one in enumerate(one for one in can_run if one not in pending):
-        tell(_finished(target, one, "kept"), (done + 1) / len(can_run))
-    run = _Run(target, chosen, keys, len(can_run), tell)
-    run.make(pending, workers or os.cpu_count() or 1)
-    write_page(target / PAGE, target, chosen, experiments, keys)
-    return [
-        Done(one.name, 0.0, "left out")
-        if one not in can_run
-        else _finished(target, one, "made" if one in pending else "kept")
-        for one in wanted
-    ]
+        raise FileError(f"cannot create the folder {target}: {error.strerror}") from error
+
+    found = {one.name: Status(one.name, 0.0, "skipped") for one in chosen}
+    prints: dict[str, str] = {}
+    pending: list[Experiment] = []
+
+    def finish(name: str, seconds: float, state: str) -> None:
+        found[name] = Status(name, seconds, state)
+        if report is not None:
+            finished = sum(status.state != "skipped" for status in found.values())
+            report(found[name], finished / total)
+
+    runnable = [one for one in chosen if one.can_run(settings)]
+    total = len(runnable)
+    for one in runnable:
+        prints[one.name] = results.fingerprint(one, settings, prints)
+        result = results.load(target, one.name, prints[one.name])
+        if result is None:
+            pending.append(one)
+        else:
+            finish(one.name, result.seconds, "cached")
+    for level in _levels(pending):
+        parallel = Parallel(
+            n_jobs=min(workers or cpu_count(), len(level)),
+            batch_size=1,
+            return_as="generator_unordered",
+        )
+        calls = (delayed(_run)(target, one, settings, prints) for one in level)
+        for name, seconds in parallel(calls):
+            finish(name, seconds, "computed")
+    write_page(target / PAGE, settings, experiments, prints)
+    return list(found.values())
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """Makes experiments, in processes of their own or in this one."""
-
-    folder: Path
-    settings: Settings
-    keys: Mapping[str, str]
-    total: int
-    tell: Callable[[Done, float], None]
-
-    def make(self, pending: Sequence[Experiment], workers: int) -> None:
-        if not pending:
-            return
-        if workers == 1:
-            self._make_in(_Here(), pending)
-            return
-        # Fresh processes, since forked ones inherit threads.
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            try:
-                self._make_in(pool, pending)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-
-    def _make_in(self, pool: Executor, pending: Sequence[Experiment]) -> None:
-        waiting = sorted(pending, key=lambda one: -one.cost)
-        unfinished = {one.name for one in pending}
-        running: dict[Future[None], Experiment] = {}
-        while waiting or running:
-            ready = [one for one in waiting if not unfinished & set(one.needs)]
-            waiting = [one for one in waiting if one not in ready]
-            for one in ready:
-                arguments = (self.folder, one, self.settings, self._tables(one), self.keys)
-                running[pool.submit(_make, *arguments)] = one
-            finished, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in finished:
-                one = running.pop(future)
-                future.result()
-                unfinished.discard(one.name)
-                share = 1 - len(unfinished) / self.total
-                self.tell(_finished(self.folder, one, "made"), share)
-
-    def _tables(self, one: Experiment) -> dict[str, Table]:
-        kept = [results.load(self.folder, name) for name in one.needs]
-        return {table.name: table for each in kept if each for table in each.tables}
+def _check(settings: Settings, workers: int | None) -> None:
+    if not all(map(find_spec, ("mujoco", "matplotlib", "jinja2"))):
+        raise MissingExtraError("reproducing the paper", "paper")
+    if workers is not None and workers < 1:
+        raise InputError(f"workers must be at least 1, got {workers}")
+    if settings.recordings is not None and not settings.recordings.is_dir():
+        raise FileError(f"the folder of recordings {settings.recordings} does not exist")
 
 
-class _Here(Executor):
-    """Runs what is submitted at once, in this process."""
-
-    def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(function(*arguments, **options))
-        return future
-
-
-def _make(
-    folder: Path,
-    experiment: Experiment,
-    settings: Settings,
-    tables: Mapping[str, Table],
-    keys: Mapping[str, str],
-) -> None:
+def _run(
+    folder: Path, experiment: Experiment, settings: Settings, prints: Mapping[str, str]
+) -> tuple[str, float]:
+    """Compute and save an experiment; return its name and duration."""
     started = time.perf_counter()
+    needed = [results.load(folder, name, prints[name]) for name in experiment.needs]
+    tables = {table.name: table for result in needed if result for table in result.tables}
     with threadpool_limits(1), warnings.catch_warnings():
-        # One doubt would be told for hundreds of maps; the tables show what there is to doubt.
+        # Notes on single maps would be repeated for hundreds of maps; the tables hold the scores.
         warnings.simplefilter("ignore", AnisomapWarning)
-        outcome = experiment.make(settings, tables)
-        results.save(folder, experiment, outcome, keys[experiment.name], started)
+        outcome = experiment.compute(settings, tables)
+        seconds = round(time.perf_counter() - started, 2)
+        results.save(folder, experiment.name, outcome, prints[experiment.name], seconds)
+    return experiment.name, seconds
 
 
-def _finished(folder: Path, one: Experiment, how: str) -> Done:
-    kept = results.load(folder, one.name)
-    return Done(one.name, kept.seconds if kept else 0.0, how)
-
-
-def _check_extras() -> None:
-    for module, extra in (("mujoco", "simulation"), ("matplotlib", "report"), ("jinja2", "report")):
-        if find_spec(module) is None:
-            raise MissingExtraError("making the paper again", extra)
+def _levels(pending: Sequence[Experiment]) -> Iterator[list[Experiment]]:
+    """Group experiments so that each needs only those of earlier groups, longest first."""
+    waiting = list(pending)
+    while waiting:
+        names = {one.name for one in waiting}
+        level = [one for one in waiting if not names & set(one.needs)]
+        waiting = [one for one in waiting if one not in level]
+        yield sorted(level, key=lambda one: -one.cost)
 
 
 def _with_needs(names: Sequence[str], experiments: Mapping[str, Experiment]) -> list[Experiment]:
-    """Give experiments and those that they need, each after those, else in their order."""
+    """Return experiments in an order in which each follows those that it needs."""
     found: dict[str, Experiment] = {}
 
     def add(name: str) -> None:
         if name not in experiments:
-            raise InputError(
-                f"there is no experiment {name!r}; choose from {', '.join(experiments)}"
-            )
+            raise InputError(f"unknown experiment {name!r}; choose from {', '.join(experiments)}")
         for needed in experiments[name].needs:
             add(needed)
         found.setdefault(name, experiments[name])

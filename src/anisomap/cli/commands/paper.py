@@ -1,4 +1,4 @@
-"""``anisomap paper``: every experiment of the paper, made again."""
+"""``anisomap paper``: reproduce the experiments of the paper."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cyclopts.validators import Number
 
 from anisomap.cli import parameters as options
 from anisomap.cli.console import errors, progress
-from anisomap.paper import Done, Settings, reproduce
+from anisomap.paper import Settings, Status, reproduce
 from anisomap.paper.runner import PAGE
 
 
@@ -27,39 +27,40 @@ def paper(
     only: Annotated[list[str] | None, Parameter(negative=())] = None,
     reporting: options.Reporting = options.AS_TEXT,
 ) -> None:
-    """Make every figure and table of the paper again, and a page that walks through them.
+    """Reproduce the figures, tables and claims of the paper, with a page of all results.
 
-    What is finished in the folder is not run again, so a run that was interrupted goes on.
+    Experiments that are already finished in the folder are not repeated, so an interrupted run can
+    be continued.
 
     Parameters
     ----------
     output_dir
-        Folder for the results; made if it is not there. Open its index.html.
+        Folder for the results; created if absent. Open its index.html.
     quick
-        Take far fewer frames, seeds and permutations: to see what there will be.
+        Use far fewer frames, seeds and permutations, for a preview.
     seed
-        First seed of the runs of each scenario; the same seed gives the same results.
+        First seed of each scenario; the same seed gives the same results.
     workers
-        Processes; as many as there are cores unless given.
+        Number of processes; the number of cores by default.
     recordings
-        Folder of recordings of real skin (icub_hexagon.npz), which the page tells how to get.
+        Folder of recordings of real skin (icub_hexagon.npz); the page explains how to get them.
     only
-        Experiment to run, with those that it needs; may be repeated. All unless given.
+        Experiment to run, after those that it needs; may be repeated. All by default.
     """
     settings = Settings(seed=seed, quick=quick, recordings=recordings)
-    with progress("running the paper's experiments") as show:
+    with progress("reproducing the paper") as show:
 
-        def tell(done: Done, share: float) -> None:
-            show(share)
-            if done.how == "made":
-                errors.print(f"{done.name}: {done.seconds:.1f} s", markup=False)
+        def report(status: Status, fraction: float) -> None:
+            show(fraction)
+            if status.state == "computed":
+                errors.print(f"{status.name}: {status.seconds:.1f} s", markup=False)
 
-        found = reproduce(output_dir, settings, only=only or (), workers=workers, tell=tell)
+        found = reproduce(output_dir, settings, only=only or (), workers=workers, report=report)
     with reporting.printer() as printer:
         printer.table(
             "Experiments",
-            ("name", "seconds", "result"),
-            [(done.name, f"{done.seconds:.1f}", done.how) for done in found],
+            ("name", "seconds", "state"),
+            [(status.name, f"{status.seconds:.1f}", status.state) for status in found],
         )
-        printer.record(experiments=[asdict(done) for done in found], page=output_dir / PAGE)
+        printer.record(experiments=[asdict(status) for status in found], page=output_dir / PAGE)
         printer.line(f"\nOpen {output_dir / PAGE}")

@@ -1,1 +1,1 @@
-"""The experiments of the paper: one file a figure or group of figures."""
+"""The experiments: one module per group of figures."""

@@ -1,8 +1,8 @@
-"""What the paper's lost parameters decide: Mantel r over frames, radius, balls, mu and bins."""
+"""Sensitivity of Mantel r to parameters that the paper does not give."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -13,8 +13,9 @@ from anisomap.drawing.figures.charts import CurvePanel, curves_figure
 from anisomap.errors import InputError
 from anisomap.methods import MethodOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
-from anisomap.paper.runs import BOMBARDED, CASES, METHODS, Case, make_map
+from anisomap.paper.scoring import map_and_score
 from anisomap.recording import Recording
 from anisomap.simulation import find_body, find_scenario
 from anisomap.simulation.options import options_for
@@ -31,30 +32,34 @@ Trial = tuple[float, Recording, MethodOptions]
 
 
 @dataclass(frozen=True)
-class Sweep:
-    """A parameter, and the values that it takes.
+class Parameter:
+    """A parameter and the values to try.
 
     Attributes
     ----------
     name : str
+        Name of the experiment.
+    title : str
+        Heading on the page.
     label : str
-        For the x axis.
-    shows : str
-        What the paper says of it, and what to look for.
+        Label of the x axis.
+    description : str
+        What the paper says about the parameter.
     values, quick_values : tuple of float
-        Rising.
+        In ascending order.
     trials : callable
-        Takes case, settings, seed and values; yields value, recording and options of methods.
-    default : callable
-        Gives the value that a case has elsewhere.
+        ``trials(case, settings, seed, values)`` yields values, recordings and options.
+    default : float
+        Value in all other experiments.
     cases : tuple of Case
     methods : tuple of str
-        Those that the parameter can change.
+        Methods that depend on the parameter.
     """
 
     name: str
+    title: str
     label: str
-    shows: str
+    description: str
     values: tuple[float, ...]
     quick_values: tuple[float, ...]
     trials: Callable[[Case, Settings, int, tuple[float, ...]], Iterator[Trial]]
@@ -62,90 +67,91 @@ class Sweep:
     cases: tuple[Case, ...] = CASES
     methods: tuple[str, ...] = METHODS
 
-    def chosen(self, settings: Settings) -> tuple[float, ...]:
-        """Give the values to try."""
-        return self.quick_values if settings.quick else self.values
 
-
-def _frames(
+def _vary_frames(
     case: Case, settings: Settings, seed: int, values: tuple[float, ...]
 ) -> Iterator[Trial]:
-    """Beginnings of one long run."""
+    """Truncate one long run."""
     longest = case.record(settings, seed, n_frames=int(max(values)))
     for value in values:
         yield value, replace(longest, readings=longest.readings[: int(value)]), MethodOptions()
 
 
-def _radius(
+def _vary_radius(
     case: Case, settings: Settings, seed: int, values: tuple[float, ...]
 ) -> Iterator[Trial]:
-    usual = _usual(case)["detection_radius"]
+    options = options_for(find_scenario(case.scenario).options, find_body(case.body))
+    default = vars(options)["detection_radius"]
     for value in values:
-        yield value, case.record(settings, seed, detection_radius=value * usual), MethodOptions()
+        yield value, case.record(settings, seed, detection_radius=value * default), MethodOptions()
 
 
-def _balls(case: Case, settings: Settings, seed: int, values: tuple[float, ...]) -> Iterator[Trial]:
+def _vary_balls(
+    case: Case, settings: Settings, seed: int, values: tuple[float, ...]
+) -> Iterator[Trial]:
     for value in values:
         yield value, case.record(settings, seed, n_balls=int(value)), MethodOptions()
 
 
-def _mu(case: Case, settings: Settings, seed: int, values: tuple[float, ...]) -> Iterator[Trial]:
+def _vary_mu(
+    case: Case, settings: Settings, seed: int, values: tuple[float, ...]
+) -> Iterator[Trial]:
     recording = case.record(settings, seed)
     for value in values:
         yield value, recording, MethodOptions(mu=value)
 
 
-def _bins(case: Case, settings: Settings, seed: int, values: tuple[float, ...]) -> Iterator[Trial]:
+def _vary_bins(
+    case: Case, settings: Settings, seed: int, values: tuple[float, ...]
+) -> Iterator[Trial]:
     recording = case.record(settings, seed)
     for value in values:
         yield value, recording, MethodOptions(bins=int(value))
 
 
-def _usual(case: Case) -> Mapping[str, Any]:
-    return dict(vars(options_for(find_scenario(case.scenario).options, find_body(case.body))))
-
-
-def measure(sweep: Sweep, case: Case, settings: Settings, _: Tables) -> Outcome:
-    """Score the maps of one scenario over the values of a parameter."""
+def score_values(parameter: Parameter, case: Case, settings: Settings, _: Tables) -> Outcome:
+    """Score the maps of one scenario for all values of a parameter."""
+    values = parameter.quick_values if settings.quick else parameter.values
     rows: list[Row] = []
     for seed in settings.few_seeds:
-        for value, recording, options in sweep.trials(case, settings, seed, sweep.chosen(settings)):
-            for method in sweep.methods:
-                r = _mantel_r(recording, method, options)
-                rows.append((case.name, value, seed, method, r))
-    name = f"{sweep.name}-{case.name}"
-    caption = f"{case.body}, {case.scenario}, over {sweep.label}."
+        for value, recording, options in parameter.trials(case, settings, seed, values):
+            rows += [
+                (case.name, value, seed, method, _mantel_r(recording, method, options))
+                for method in parameter.methods
+            ]
+    name = f"{parameter.name}-{case.name}"
+    caption = f"{case.body}, {case.scenario}, by {parameter.label}."
     return Outcome(tables=(Table(name, caption, _COLUMNS, tuple(rows), shown=False),))
 
 
-def draw(sweep: Sweep, settings: Settings, tables: Tables) -> Outcome:
-    """Draw what `measure` measured of all scenarios."""
-    found = {case.name: tables[f"{sweep.name}-{case.name}"] for case in sweep.cases}
+def draw_curves(parameter: Parameter, settings: Settings, tables: Tables) -> Outcome:
+    """Draw the scores of all scenarios for all values of a parameter."""
+    found = {case: tables[f"{parameter.name}-{case.name}"] for case in parameter.cases}
     panels = [
-        _panel(sweep, case.label.replace("\n", " "), found[case.name].records())
-        for case in sweep.cases
+        _panel(parameter, case.label.replace("\n", " "), table.records())
+        for case, table in found.items()
     ]
     figure = curves_figure(
-        f"Mantel r over {sweep.label}", panels, x_label=sweep.label, logarithmic=True
+        f"Mantel r by {parameter.label}", panels, x_label=parameter.label, logarithmic=True
     )
     seeds = settings.few_seeds
     caption = (
-        f"3D maps; dots are runs (seeds {seeds[0]} to {seeds[-1]}), lines their means. The dotted "
-        "line is the value used everywhere else."
+        f"Mantel r of 3D maps; dots: runs (seeds {seeds[0]} to {seeds[-1]}), lines: means. Dotted "
+        "line: value in all other experiments."
     )
     rows = tuple(row for table in found.values() for row in table.rows)
-    table = Table(sweep.name, f"Scores over {sweep.label}.", _COLUMNS, rows, shown=False)
-    return Outcome((Picture(sweep.name, caption, figure),), (table,))
+    table = Table(parameter.name, f"Scores by {parameter.label}.", _COLUMNS, rows, shown=False)
+    return Outcome((Picture(parameter.name, caption, figure),), (table,))
 
 
 def _mantel_r(recording: Recording, method: str, options: MethodOptions) -> float:
     try:
-        return make_map(recording, method, 3, options=options).score.mantel.r
-    except InputError:  # too little was touched for a map, which is a result, too
+        return map_and_score(recording, method, 3, options=options).score.mantel.r
+    except InputError:  # too few contacts for a map, which is a valid result
         return float("nan")
 
 
-def _panel(sweep: Sweep, title: str, rows: list[dict[str, Any]]) -> CurvePanel:
+def _panel(parameter: Parameter, title: str, rows: list[dict[str, Any]]) -> CurvePanel:
     values = sorted({row["value"] for row in rows})
     curves = {
         method: np.array(
@@ -155,59 +161,65 @@ def _panel(sweep: Sweep, title: str, rows: list[dict[str, Any]]) -> CurvePanel:
             ],
             dtype=np.float64,
         )
-        for method in sweep.methods
+        for method in parameter.methods
     }
-    return CurvePanel(title, np.array(values, dtype=np.float64), curves, sweep.default)
+    return CurvePanel(title, np.array(values, dtype=np.float64), curves, parameter.default)
 
 
-SWEEPS = (
-    Sweep(
+PARAMETERS = (
+    Parameter(
         "sensitivity-frames",
+        "Sensitivity to the number of frames",
         "number of frames",
-        "The paper's runs have 2,000 frames. How much more would more have told?",
+        "The paper's runs have 2,000 frames. Longer runs show how much accuracy more data gives.",
         (250, 500, 1000, 2000, 4000, 8000, 16000, 32000),
         (60, 120, 250),
-        _frames,
+        _vary_frames,
         2000,
     ),
-    Sweep(
+    Parameter(
         "sensitivity-radius",
-        "detection radius, times our default",
-        "How far a sensor sees is lost with the paper's Text S1. Our default is 0.44 m for bodies "
-        "that reach to 1 m in a bombardment; it decides more than any other parameter.",
+        "Sensitivity to the detection radius",
+        "detection radius, relative to the default",
+        "The detection radius of the sensors was given in the paper's Text S1, which is no longer "
+        "available. The default here is 0.44 m for bombarded bodies that extend 1 m from their "
+        "centre. No other parameter has a larger effect.",
         (0.4, 0.55, 0.7, 0.85, 1, 1.2, 1.5, 2),
         (0.7, 1),
-        _radius,
+        _vary_radius,
         1,
     ),
-    Sweep(
+    Parameter(
         "sensitivity-balls",
+        "Sensitivity to the number of balls",
         "number of balls",
-        "How many balls fly about is lost, too; we take 40.",
+        "The paper's number of balls is not known; the default here is 40.",
         (5, 10, 20, 40, 80, 160),
         (20, 40),
-        _balls,
+        _vary_balls,
         40,
         BOMBARDED,
     ),
-    Sweep(
+    Parameter(
         "sensitivity-mu",
+        "Sensitivity to mu",
         "mu",
-        "The paper adds a small term, mu times the smallest positive similarity, to each "
-        "similarity before it takes the reciprocal, and does not tell mu; we take 1.",
+        "The paper adds mu times the smallest positive similarity to each similarity before taking "
+        "the reciprocal. It gives no value for mu; the default here is 1.",
         (0.001, 0.01, 0.1, 1, 10, 100),
         (0.1, 1),
-        _mu,
+        _vary_mu,
         1,
         methods=("r-anisomap", "i-anisomap"),
     ),
-    Sweep(
+    Parameter(
         "sensitivity-bins",
-        "bins a sensor",
-        "The paper bins readings into 4, and tried 6 and 8. r-ANISOMAP bins nothing.",
+        "Sensitivity to the number of bins",
+        "bins per sensor",
+        "The paper uses 4 bins and tried 6 and 8. r-ANISOMAP does not use bins.",
         (2, 3, 4, 6, 8, 12, 16),
         (4, 8),
-        _bins,
+        _vary_bins,
         DEFAULT_BINS,
         methods=METHODS[1:],
     ),
@@ -215,24 +227,24 @@ SWEEPS = (
 
 EXPERIMENTS = tuple(
     experiment
-    for sweep in SWEEPS
+    for parameter in PARAMETERS
     for experiment in (
         *(
             Experiment(
-                f"{sweep.name}-{case.name}",
+                f"{parameter.name}-{case.name}",
                 "",
-                f"Scores of {case.name} over {sweep.label}.",
-                partial(measure, sweep, case),
-                cost=150 if sweep.name == "sensitivity-frames" else 50,
+                f"Scores of {case.name} by {parameter.label}.",
+                partial(score_values, parameter, case),
+                cost=150 if parameter.name == "sensitivity-frames" else 50,
             )
-            for case in sweep.cases
+            for case in parameter.cases
         ),
         Experiment(
-            sweep.name,
-            f"How much it depends on the {sweep.label.split(',')[0].removesuffix(' a sensor')}",
-            sweep.shows,
-            partial(draw, sweep),
-            needs=tuple(f"{sweep.name}-{case.name}" for case in sweep.cases),
+            parameter.name,
+            parameter.title,
+            parameter.description,
+            partial(draw_curves, parameter),
+            needs=tuple(f"{parameter.name}-{case.name}" for case in parameter.cases),
         ),
     )
 )

@@ -1,4 +1,4 @@
-"""What the paper says of the shape of maps, as numbers."""
+"""Statistics of the shape of maps, for the paper's statements about shapes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from scipy.spatial import KDTree
 
 from anisomap.evaluation import align
 
-_TOUCHING = 1e-6
+_EQUAL = 1e-6  # largest difference of coordinates on one line of a lattice, in metres
 
 
 def spread_of_radii(positions: ArrayLike) -> float:
-    """Tell how far a configuration is from a sphere around its centroid.
+    """Compute the relative spread of the distances from the centroid.
 
     Parameters
     ----------
@@ -23,8 +23,8 @@ def spread_of_radii(positions: ArrayLike) -> float:
     Returns
     -------
     float
-        Standard deviation over mean of the distances from the centroid: 0 for a sphere (in the
-        plane, a circle), about 0.35 for a square filled evenly.
+        Standard deviation divided by mean: 0 for a sphere (in 2D, a circle), about 0.35 for a
+        filled square.
     """
     points = np.asarray(positions, dtype=np.float64)
     radii = np.linalg.norm(points - points.mean(axis=0), axis=1)
@@ -33,16 +33,15 @@ def spread_of_radii(positions: ArrayLike) -> float:
 
 @dataclass(frozen=True)
 class AxialScale:
-    """How much a map of a cylinder is compressed along its axis.
+    """Axial compression of a map of a cylinder: 1 is correct, less is compressed.
 
     Attributes
     ----------
     whole : float
-        Scale along the axis over scale away from it, of the map laid onto the truth; 1 if the
-        proportions are right, less if the cylinder is too short for its width.
+        Axial scale divided by radial scale, after alignment with the true positions.
     local : float
-        Distance of neighbours along the axis over that of neighbours around it, on the map, over
-        the same in truth. It needs no alignment.
+        Distance of axial neighbours divided by distance of circumferential neighbours, relative to
+        the same ratio of the true positions; independent of the alignment.
     """
 
     whole: float
@@ -50,55 +49,53 @@ class AxialScale:
 
 
 def axial_scale(positions: ArrayLike, truth: ArrayLike) -> AxialScale:
-    """Measure the axial compression of the paper's Figure 4.
+    """Measure the axial compression shown in the paper's Figure 4.
 
     Parameters
     ----------
     positions : array_like of shape (N, 3)
-        A map of a cylinder in any frame.
+        A map of a cylinder in any coordinate frame.
     truth : array_like of shape (N, 3)
-        True positions: in columns on a cylinder about the z axis.
+        True positions: columns on a cylinder about the z axis.
 
     Returns
     -------
     AxialScale
-        In either number, 1 is right and less is compressed along the axis.
     """
     true = np.asarray(truth, dtype=np.float64)
     true = true - true.mean(axis=0)
     aligned = align(positions, true).aligned
     outwards = true[:, :2] / np.linalg.norm(true[:, :2], axis=1, keepdims=True)
-    along = float(aligned[:, 2] @ true[:, 2] / (true[:, 2] @ true[:, 2]))
+    axial = float(aligned[:, 2] @ true[:, 2] / (true[:, 2] @ true[:, 2]))
     radial = float(np.mean((aligned[:, :2] * outwards).sum(axis=1)))
     radius = float(np.linalg.norm(true[:, :2], axis=1).mean())
-    found = np.asarray(positions, dtype=np.float64)
-    local = _neighbour_ratio(found, true) / _neighbour_ratio(true, true)
-    return AxialScale(along / (radial / radius), local)
+    points = np.asarray(positions, dtype=np.float64)
+    local = _neighbour_ratio(points, true) / _neighbour_ratio(true, true)
+    return AxialScale(axial / (radial / radius), local)
 
 
 def _neighbour_ratio(points: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Mean distance of true neighbours along the axis, over that of those around it."""
-    return _mean_step(points, truth[:, :2], truth[:, 2:]) / _mean_step(
-        points, truth[:, 2:], truth[:, :2]
-    )
+    """Divide the mean distance of axial neighbours by that of circumferential neighbours."""
+    axial = _mean_step(points, truth[:, :2], truth[:, 2:])
+    return axial / _mean_step(points, truth[:, 2:], truth[:, :2])
 
 
 def _mean_step(
     points: NDArray[np.float64], same: NDArray[np.float64], other: NDArray[np.float64]
 ) -> float:
-    """Mean distance of each point to the nearest in `other` among those with equal `same`."""
+    """Mean distance of points that are equal in `same` and nearest neighbours in `other`."""
     steps = []
     for i in range(len(points)):
-        line = np.flatnonzero(np.linalg.norm(same - same[i], axis=1) < _TOUCHING)
-        apart = np.linalg.norm(other[line] - other[i], axis=1)
-        line, apart = line[apart > _TOUCHING], apart[apart > _TOUCHING]
-        nearest = line[apart < apart.min() + _TOUCHING]
+        line = np.flatnonzero(np.linalg.norm(same - same[i], axis=1) < _EQUAL)
+        distances = np.linalg.norm(other[line] - other[i], axis=1)
+        line, distances = line[distances > _EQUAL], distances[distances > _EQUAL]
+        nearest = line[distances < distances.min() + _EQUAL]
         steps += np.linalg.norm(points[nearest] - points[i], axis=1).tolist()
     return float(np.mean(steps))
 
 
 def isolation(positions: ArrayLike, sensor: int) -> float:
-    """Tell how far a sensor lies from all others on a map.
+    """Measure how far a sensor lies from all others on a map.
 
     Parameters
     ----------
@@ -109,8 +106,8 @@ def isolation(positions: ArrayLike, sensor: int) -> float:
     Returns
     -------
     float
-        Distance to its nearest neighbour, over the median of that distance of all others: about 1
-        for a sensor among others.
+        Distance to its nearest neighbour, divided by the median of that distance over all other
+        sensors: about 1 for a sensor among others.
     """
     points = np.asarray(positions, dtype=np.float64)
     nearest = np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
@@ -118,7 +115,7 @@ def isolation(positions: ArrayLike, sensor: int) -> float:
 
 
 def spectrum(metric: ArrayLike) -> NDArray[np.float64]:
-    """Give the variances of classical scaling, the largest first.
+    """Compute the variances of classical scaling.
 
     Parameters
     ----------
@@ -128,8 +125,8 @@ def spectrum(metric: ArrayLike) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of shape (N,)
-        Eigenvalues of the doubly centred squared distances; negative ones where no space holds
-        them.
+        Eigenvalues of the doubly centred squared distances in descending order; negative ones if
+        the metric is not Euclidean.
     """
     squares = np.asarray(metric, dtype=np.float64) ** 2
     rows = squares.mean(axis=0)
@@ -137,21 +134,21 @@ def spectrum(metric: ArrayLike) -> NDArray[np.float64]:
     return np.linalg.eigvalsh(inner)[::-1]
 
 
-def chosen_dimension(variances: ArrayLike) -> int:
-    """Choose how many dimensions to scale into: before the greatest drop of variance.
+def n_dimensions(variances: ArrayLike) -> int:
+    """Choose the number of dimensions by the largest drop in variance.
 
     Parameters
     ----------
     variances : array_like
-        From `spectrum`, largest first.
+        From `spectrum`, in descending order.
 
     Returns
     -------
     int
-        The m that makes ``variance[m] - variance[m + 1]`` greatest, counted from 1.
+        The m, counted from 1, that maximises ``variance[m] - variance[m + 1]``.
 
-    Notes
-    -----
+    References
+    ----------
     Pierce & Kuipers (1997), "Map learning with uninterpreted sensors and effectors", Artificial
     Intelligence 92: 169-227, doi:10.1016/S0004-3702(96)00051-3.
     """

@@ -1,0 +1,122 @@
+"""The paper's runs: six simulated scenarios, and five runs of the patch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.drawing.figures.charts import METHOD_LOOKS
+from anisomap.paper.experiment import Settings
+from anisomap.recording import Recording
+from anisomap.simulation import dead, saturating, simulate
+
+METHODS = tuple(METHOD_LOOKS)
+"""The paper's methods, in the order of all figures and tables."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A body and a scenario.
+
+    Attributes
+    ----------
+    name : str
+    body, scenario : str
+        Keys of `anisomap.simulation.BODIES` and `SCENARIOS`.
+    label : str
+        Label in figures.
+    """
+
+    name: str
+    body: str
+    scenario: str
+    label: str
+
+    def record(self, settings: Settings, seed: int, **parameters: Any) -> Recording:
+        """Simulate a run; `parameters` are those of the scenario, and ``n_frames``."""
+        if not parameters:
+            return _simulated(self.body, self.scenario, seed, settings.n_frames)
+        chosen = {"n_frames": settings.n_frames, **parameters}
+        return simulate(self.body, self.scenario, seed=seed, **chosen)
+
+
+@lru_cache(maxsize=64)  # several experiments of one worker use the same runs
+def _simulated(body: str, scenario: str, seed: int, n_frames: int) -> Recording:
+    return simulate(body, scenario, seed=seed, n_frames=n_frames)
+
+
+BOMBARDED = (
+    Case("sphere-bombardment", "sphere", "bombardment", "sphere,\nbombardment"),
+    Case("cylinder-bombardment", "cylinder", "bombardment", "cylinder,\nbombardment"),
+    Case("y-shape-bombardment", "y-shape", "bombardment", "Y-shape,\nbombardment"),
+    Case("plane-bombardment", "plane", "bombardment", "plane,\nbombardment"),
+)
+ROLLED = (
+    Case("sphere-locomotion", "sphere", "locomotion", "sphere,\nlocomotion"),
+    Case("cylinder-locomotion", "cylinder", "locomotion", "cylinder,\nlocomotion"),
+)
+CASES = (*BOMBARDED, *ROLLED)
+
+PATCH_FRAMES = (1120, 1054, 1487, 2128, 2105)
+"""Frames of the paper's five hardware runs."""
+
+PATCH_RUNS = range(1, len(PATCH_FRAMES) + 1)
+
+SILENT = tuple(f"t5p{pad}" for pad in range(12) if pad not in (6, 10))
+"""Sensors of the triangle that never responds."""
+
+FAILING = "t3p0"
+"""Sensor 30 of the patch, counted from 0; the paper's sensor 30 fails."""
+
+FIRST_FAILED_RUN = 4
+
+
+def find_case(body: str, scenario: str = "bombardment") -> Case:
+    """Return the case of a body and a scenario."""
+    return next(case for case in CASES if (case.body, case.scenario) == (body, scenario))
+
+
+def patch_seed(settings: Settings, number: int) -> int:
+    """Return the seed of a run of the patch."""
+    return settings.seed + number - 1
+
+
+def patch_run(settings: Settings, number: int, **failure: float) -> Recording:
+    """Simulate a run of the hardware patch.
+
+    Parameters
+    ----------
+    settings : Settings
+    number : int
+        1 to 5. One triangle is silent in all runs; sensor 30 saturates intermittently from run 4.
+    **failure
+        Parameters of `anisomap.simulation.saturating`.
+
+    Returns
+    -------
+    Recording
+        Of the 60 sensors of six triangles; positions in mm.
+    """
+    seed = patch_seed(settings, number)
+    frames = PATCH_FRAMES[number - 1]
+    n_frames = frames // 8 if settings.quick else frames
+    recording = dead(_simulated("hexagon", "rubbing", seed, n_frames), SILENT)
+    if number >= FIRST_FAILED_RUN:
+        recording = saturating(recording, [FAILING], rng=seed, **failure)
+    return replace(
+        recording,
+        positions=1e3 * true_positions(recording),
+        units="mm",
+        source=f"simulated patch, run {number}, seed {seed}",
+    )
+
+
+def true_positions(recording: Recording, dimensions: int = 3) -> NDArray[np.float64]:
+    """Return the first coordinates of the true positions, shape (N, k) with k <= `dimensions`."""
+    if recording.positions is None:
+        raise ValueError(f"{recording.source} has no true positions")
+    return recording.positions[:, :dimensions]

@@ -1,0 +1,205 @@
+"""Data S1 to S11 and Texts S1 to S3: sample runs and their documentation as plain text."""
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+from collections.abc import Iterable
+from importlib.resources import files
+
+import numpy as np
+from docstring_parser import parse as parse_docstring
+
+from anisomap._version import __version__
+from anisomap.paper.cases import (
+    FAILING,
+    PATCH_RUNS,
+    SILENT,
+    Case,
+    find_case,
+    patch_run,
+    patch_seed,
+)
+from anisomap.paper.experiment import Document, Experiment, Outcome, Settings, Table, Tables
+from anisomap.recording import Recording
+from anisomap.simulation import find_body, find_scenario
+from anisomap.simulation.options import options_for
+
+_WIDTH = 100
+_COLUMNS = {
+    "file": "name of the file",
+    "what": "content",
+    "seed": "seed of the run",
+    "frames": "number of frames",
+    "sensors": "number of sensors",
+}
+_FORMAT = """\
+Data files are plain text (UTF-8, lines end with a line feed).
+
+Lines that begin with # are comments: a title, the source, the parameters of the simulation as
+"name: value", and the sensors, one per line:
+
+    # sensor NAME x y z nx ny nz
+
+x y z is the true position, and nx ny nz the unit vector normal to the skin, pointing outwards. The
+comments are followed by one line of column names and one line per frame, separated by tabs: the
+time in seconds, then the readings of the sensors in the order of the comments.
+"""
+
+
+def sample_runs(settings: Settings, _: Tables) -> Outcome:
+    """Write Data S1 to S6 and Text S1."""
+    cases = [find_case(body) for body in ("cylinder", "sphere", "plane", "y-shape")]
+    cases += [find_case(body, "locomotion") for body in ("cylinder", "sphere")]
+    documents, rows = [], []
+    for i, case in enumerate(cases, start=1):
+        seed = settings.picked_seed(case.name)
+        recording = case.record(settings, seed)
+        what = f"{case.body} {case.scenario}"
+        text = to_text(f"Data S{i}: sample run, {what}", recording)
+        documents.append(Document(f"data-s{i}.txt", f"Data S{i}: {what}, seed {seed}.", text))
+        rows.append((f"data-s{i}.txt", what, seed, recording.n_frames, recording.n_sensors))
+    caption = "Text S1: the simulation and its parameters."
+    documents.append(Document("text-s1.txt", caption, _text_s1(cases)))
+    table = Table("data-s1-s6", "Sample runs of all scenarios.", _COLUMNS, tuple(rows))
+    return Outcome(tables=(table,), documents=tuple(documents))
+
+
+def patch_runs(settings: Settings, _: Tables) -> Outcome:
+    """Write Data S7 to S11 and Text S2."""
+    documents, rows = [], []
+    for number in PATCH_RUNS:
+        recording = patch_run(settings, number)
+        name, seed = f"data-s{6 + number}.txt", patch_seed(settings, number)
+        what = f"simulated patch, run {number}"
+        text = to_text(f"Data S{6 + number}: {what}", recording)
+        documents.append(Document(name, f"Data S{6 + number}: run {number}, seed {seed}.", text))
+        rows.append((name, what, seed, recording.n_frames, recording.n_sensors))
+    documents.append(Document("text-s2.txt", "Text S2: the patch and its files.", _text_s2()))
+    table = Table("data-s7-s11", "The five runs of the simulated patch.", _COLUMNS, tuple(rows))
+    return Outcome(tables=(table,), documents=tuple(documents))
+
+
+def proof(_: Settings, __: Tables) -> Outcome:
+    """Write Text S3."""
+    caption = "Text S3: proof that shortest paths leave a metric unchanged."
+    text = files("anisomap.paper").joinpath("templates", "text-s3.txt").read_text(encoding="utf-8")
+    return Outcome(documents=(Document("text-s3.txt", caption, text),))
+
+
+def to_text(title: str, recording: Recording) -> str:
+    """Write a recording as plain text, in the format that Text S1 describes.
+
+    Parameters
+    ----------
+    title : str
+    recording : Recording
+        With true positions, normals and a frame rate.
+
+    Returns
+    -------
+    str
+    """
+    positions, normals = recording.positions, recording.normals
+    if positions is None or normals is None or not recording.rate_hz:
+        raise ValueError("the recording must have true positions, normals and a frame rate")
+    facts = {"frames": recording.n_frames, "rate_hz": recording.rate_hz, **recording.metadata}
+    lines = [f"# {title}", f"# {recording.source}"]
+    lines += [f"# {name}: {value}" for name, value in facts.items()]
+    lines += [f"# positions in {recording.units}"]
+    for name, position, normal in zip(recording.names, positions, normals, strict=True):
+        numbers = " ".join(f"{value:.6g}" for value in (*position, *normal))
+        lines.append(f"# sensor {name} {numbers}")
+    lines.append("\t".join(("time", *recording.names)))
+    times = np.arange(recording.n_frames) / recording.rate_hz
+    for time, frame in zip(times, recording.readings.tolist(), strict=True):
+        lines.append("\t".join((f"{time:.6g}", *(f"{value:.5g}" for value in frame))))
+    return "\n".join(lines) + "\n"
+
+
+def _text_s1(cases: Iterable[Case]) -> str:
+    parts = [
+        "Text S1. Summary of the simulation",
+        f"Simulated with the default parameters of anisomap {__version__}; the paper's parameters "
+        "are no longer available. Lengths are in metres. Each data file repeats the parameters of "
+        "its run.",
+        _FORMAT.strip(),
+        "A sensor is a point on the surface of a rigid body, surrounded by a detection sphere. Its "
+        "reading is the depth in metres to which the nearest detectable object enters this sphere, "
+        "and 0 without one. For balls it is max(0, detection_radius + ball_radius - distance to "
+        "the centre of the ball), the maximum over all balls. Sensors have no mass and do not "
+        "collide.",
+    ]
+    parts += [_describe(case) for case in cases]
+    return "\n\n".join(_wrapped(part) for part in parts) + "\n"
+
+
+def _text_s2() -> str:
+    parts = [
+        "Text S2. The patch and the format of its data",
+        "The five runs are simulated, not recorded from hardware. Six triangles of the skin of the "
+        "Italian Institute of Technology lie around a vertex. Each has 10 pads that measure "
+        "pressure and 2 that measure temperature. A hand rubs them along lines and circles.",
+        _FORMAT.strip(),
+        f"Sensors are named by triangle and pad. The triangle of {SILENT[0]} to {SILENT[-1]} is "
+        "silent: its readings are 0 in all runs. From run 4 on, sensor 30 (counted from 0: "
+        f"{FAILING}) intermittently jumps to the highest reading of the run, whether touched or "
+        "not.",
+        _describe(Case("patch", "hexagon", "rubbing", "")),
+    ]
+    return "\n\n".join(_wrapped(part) for part in parts) + "\n"
+
+
+def _describe(case: Case) -> str:
+    """Describe a body, a scenario and all its parameters."""
+    entry, body = find_scenario(case.scenario), find_body(case.body)
+    options = options_for(entry.options, body)
+    docstring = parse_docstring(inspect.cleandoc(inspect.getdoc(entry.run) or ""))
+    lines = [
+        f"{case.body}, {case.scenario}",
+        f"    {entry.summary}. {docstring.short_description}",
+        f"    {body.n_sensors} sensors; the outermost sensor is {body.reach:.4g} m from the "
+        f"centre; neighbouring sensors are {body.spacing:.4g} m apart (median).",
+    ]
+    for kind in reversed(type(options).__mro__):
+        for parameter in parse_docstring(inspect.cleandoc(kind.__doc__ or "")).params:
+            if hasattr(options, parameter.arg_name):
+                value = getattr(options, parameter.arg_name)
+                text = " ".join((parameter.description or "").split())
+                lines.append(f"    {parameter.arg_name} = {_plain(value)}: {text}")
+    return "\n".join(lines)
+
+
+def _wrapped(text: str) -> str:
+    return "\n".join(
+        textwrap.fill(line, _WIDTH, subsequent_indent=" " * (len(line) - len(line.lstrip())))
+        for line in text.splitlines()
+    )
+
+
+def _plain(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+EXPERIMENTS = (
+    Experiment(
+        "data-s1-s6",
+        "Data S1 to S6 and Text S1: sample runs of all scenarios",
+        "Plain-text files. Text S1 describes their format and all parameters of the simulation.",
+        sample_runs,
+        cost=20,
+    ),
+    Experiment(
+        "data-s7-s11",
+        "Data S7 to S11 and Text S2: the five runs of the patch",
+        "The runs of the simulated patch, in the same format.",
+        patch_runs,
+        cost=8,
+    ),
+    Experiment(
+        "text-s3",
+        "Text S3: shortest paths leave a metric unchanged",
+        "The theorem behind the second step of ANISOMAP, with a proof.",
+        proof,
+    ),
+)

@@ -1,0 +1,209 @@
+"""Results of experiments on disk.
+
+Each experiment has a folder with its figures (PNG and SVG), tables (CSV), texts, and a record
+(JSON) with captions, a digest of every file and a fingerprint of its inputs. A result is valid
+while fingerprint and digests match.
+
+`joblib.Memory` is not used: it stores pickles, which are unsafe to load from a folder that was
+received from others; it would not notice changes in functions that an experiment calls; and the
+files written here are the output in any case.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import importlib.metadata
+import io
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import anisomap
+from anisomap.drawing.figures import figure_bytes
+from anisomap.errors import FileError
+from anisomap.paper.experiment import Cell, Experiment, Outcome, Settings, Table
+
+RECORD = "record.json"
+FIGURE_FORMATS = ("png", "svg")
+
+_LIBRARIES = ("numpy", "scipy", "mujoco", "matplotlib")
+
+
+@dataclass(frozen=True)
+class Result:
+    """Result of an experiment, read from its folder.
+
+    Attributes
+    ----------
+    seconds : float
+        Duration of the experiment.
+    pictures, documents : tuple of dict
+        ``name`` and ``caption`` of each.
+    tables : tuple of Table
+    """
+
+    seconds: float
+    pictures: tuple[dict[str, str], ...]
+    documents: tuple[dict[str, str], ...]
+    tables: tuple[Table, ...]
+
+
+def fingerprint(experiment: Experiment, settings: Settings, needed: Mapping[str, str]) -> str:
+    """Digest everything that the result of an experiment depends on.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    settings : Settings
+    needed : mapping of str to str
+        Fingerprints of the experiments that must run first.
+
+    Returns
+    -------
+    str
+        Hexadecimal digest of the settings, recordings, required experiments, the source code of
+        this package and the versions of the libraries.
+    """
+    inputs = {
+        "name": experiment.name,
+        "settings": {"seed": settings.seed, "quick": settings.quick},
+        "recordings": [_digest(path.read_bytes()) for path in experiment.paths(settings)],
+        "needs": {name: needed[name] for name in experiment.needs},
+        "code": _digest_of_package(),
+        "libraries": {name: importlib.metadata.version(name) for name in _LIBRARIES},
+    }
+    return _digest(json.dumps(inputs, sort_keys=True).encode())
+
+
+def save(folder: Path, name: str, outcome: Outcome, inputs: str, seconds: float) -> None:
+    """Write the result of an experiment, and its record last.
+
+    Parameters
+    ----------
+    folder : Path
+        Parent folder of all experiments.
+    name : str
+        Name of the experiment.
+    outcome : Outcome
+    inputs : str
+        From `fingerprint`.
+    seconds : float
+
+    Raises
+    ------
+    FileError
+        If a file cannot be written.
+    """
+    target = folder / name
+    try:
+        if target.exists():
+            shutil.rmtree(target)
+        target.mkdir()
+        for picture in outcome.pictures:
+            for kind in FIGURE_FORMATS:
+                content = figure_bytes(picture.figure, kind)
+                (target / f"{picture.name}.{kind}").write_bytes(content)
+        for table in outcome.tables:
+            (target / f"{table.name}.csv").write_text(to_csv(table), encoding="utf-8")
+        for document in outcome.documents:
+            (target / document.name).write_text(document.text, encoding="utf-8")
+        record = {
+            "fingerprint": inputs,
+            "seconds": seconds,
+            "pictures": [{"name": p.name, "caption": p.caption} for p in outcome.pictures],
+            "documents": [{"name": d.name, "caption": d.caption} for d in outcome.documents],
+            "tables": [
+                {"name": t.name, "caption": t.caption, "columns": dict(t.columns), "shown": t.shown}
+                for t in outcome.tables
+            ],
+            "digests": {path.name: _digest(path.read_bytes()) for path in sorted(target.iterdir())},
+        }
+        text = json.dumps(record, indent=1) + "\n"
+        (target / RECORD).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"cannot write {target}: {error.strerror or error}") from error
+
+
+def load(folder: Path, name: str, inputs: str) -> Result | None:
+    """Read the result of an experiment if it is valid.
+
+    Parameters
+    ----------
+    folder : Path
+        Parent folder of all experiments.
+    name : str
+    inputs : str
+        From `fingerprint`.
+
+    Returns
+    -------
+    Result or None
+        None if the record or a file is missing or damaged, or the fingerprint differs.
+    """
+    try:
+        record = json.loads((folder / name / RECORD).read_text(encoding="utf-8"))
+        damaged = (
+            _digest((folder / name / file).read_bytes()) != digest
+            for file, digest in record["digests"].items()
+        )
+        if record["fingerprint"] != inputs or any(damaged):
+            return None
+        return Result(
+            seconds=float(record["seconds"]),
+            pictures=tuple(record["pictures"]),
+            documents=tuple(record["documents"]),
+            tables=tuple(_read_table(folder / name, entry) for entry in record["tables"]),
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def to_csv(table: Table) -> str:
+    """Write a table as CSV; floats with six significant digits."""
+    lines = [list(table.columns), *([_to_text(value) for value in row] for row in table.rows)]
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerows(lines)
+    return buffer.getvalue()
+
+
+def _read_table(folder: Path, entry: dict[str, Any]) -> Table:
+    with (folder / f"{entry['name']}.csv").open(encoding="utf-8", newline="") as file:
+        header, *lines = csv.reader(file)
+    if header != list(entry["columns"]):
+        raise ValueError(header)
+    rows = tuple(tuple(_from_text(text) for text in line) for line in lines)
+    return Table(entry["name"], entry["caption"], entry["columns"], rows, entry["shown"])
+
+
+def _to_text(value: Cell) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _from_text(text: str) -> Cell:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+@cache
+def _digest_of_package() -> str:
+    """Digest the source code and texts; the command line does not affect results."""
+    root = Path(str(files(anisomap)))
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*")):
+        if path.suffix in (".py", ".txt") and path.relative_to(root).parts[0] != "cli":
+            digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,167 @@
+"""Maps of the runs by all methods, and their scores."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from anisomap.drawing.figures.charts import METHOD_LOOKS, NullBox
+from anisomap.evaluation import Mantel, Score, score
+from anisomap.methods import MethodOptions
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.paper.cases import METHODS, true_positions
+from anisomap.paper.experiment import Row, Settings
+from anisomap.paper.shape_statistics import axial_scale, spread_of_radii
+from anisomap.reconstruction import reconstruct
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+
+_WHISKER = 1.5  # interquartile ranges, as in the paper's Figure 3
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredMap:
+    """A map and its score."""
+
+    sensor_map: SensorMap
+    score: Score
+
+    @property
+    def title(self) -> str:
+        """Method and Mantel r, for figures."""
+        return f"{METHOD_LOOKS[self.sensor_map.method].label}, r = {self.score.mantel.r:.3f}"
+
+
+def map_and_score(
+    recording: Recording,
+    method: str,
+    dimensions: int,
+    *,
+    permutations: int = 0,
+    exclude: Iterable[str] = (),
+    options: MethodOptions | None = None,
+) -> ScoredMap:
+    """Reconstruct a map and score it against the true positions of the recording.
+
+    Maps in 2D are compared with the first two coordinates of the true positions.
+    """
+    sensor_map = reconstruct(recording, method, dimensions, options=options)
+    result = score(
+        sensor_map,
+        true_positions(recording, dimensions),
+        exclude=exclude,
+        units=recording.units,
+        permutations=permutations,
+    )
+    return ScoredMap(sensor_map, result)
+
+
+SCORE_COLUMNS = {
+    "run": "body and scenario, or number of the run of the patch",
+    "seed": "seed of the run",
+    "method": "method",
+    "dimensions": "dimensions of the map",
+    "bins": "bins per sensor for entropies",
+    "mantel_r": "Mantel r of the map with the true positions",
+    "null_whisker_low": "null distribution of Mantel r (random relabelling): lower whisker, 1.5 "
+    "interquartile ranges",
+    "null_quartile_1": "null distribution: first quartile",
+    "null_median": "null distribution: median",
+    "null_quartile_3": "null distribution: third quartile",
+    "null_whisker_high": "null distribution: upper whisker",
+    "null_min": "null distribution: minimum",
+    "null_max": "null distribution: maximum",
+    "permutations": "random relabellings; without any, the null distribution is nan",
+    "rms_in_spacings": "RMS error after alignment, in distances between neighbouring sensors",
+    "neighbours_kept": "share of the six true nearest neighbours that are nearest on the map",
+    "spread_of_radii": "standard deviation divided by mean of the distances from the centroid of "
+    "the map",
+    "true_spread_of_radii": "the same for the true positions",
+    "axial_scale": "cylinder in 3D: axial scale divided by radial scale of the map aligned with "
+    "the true positions; below 1: compressed along the axis",
+    "local_axial_scale": "cylinder in 3D: distance of axial neighbours divided by distance of "
+    "circumferential neighbours, relative to the true ratio; below 1: compressed along the axis",
+    "stress": "Stress-1 of the scaling",
+}
+
+
+def score_rows(
+    run: str,
+    recording: Recording,
+    seed: int,
+    dimensions: Iterable[int],
+    settings: Settings,
+    *,
+    exclude: Iterable[str] = (),
+    more_bins: Iterable[int] = (),
+) -> Iterator[Row]:
+    """Score every method on a recording; yield rows of `SCORE_COLUMNS`.
+
+    Methods that bin readings are also scored with the numbers of bins in `more_bins`, without a
+    null distribution.
+    """
+    excluded = list(exclude)
+    for k in dimensions:
+        for method in METHODS:
+            binned = () if method == "r-anisomap" else tuple(more_bins)
+            for bins in (DEFAULT_BINS, *binned):
+                scored = map_and_score(
+                    recording,
+                    method,
+                    k,
+                    permutations=settings.permutations if bins == DEFAULT_BINS else 0,
+                    exclude=excluded,
+                    options=MethodOptions(bins=bins),
+                )
+                cells = _score_cells(
+                    scored, is_cylinder=recording.metadata.get("body") == "cylinder"
+                )
+                yield (run, seed, method, k, bins, *cells)
+
+
+def null_box(row: dict[str, Any]) -> NullBox:
+    """Return the box plot of a null distribution from a row of `SCORE_COLUMNS`."""
+    low, high = row["null_whisker_low"], row["null_whisker_high"]
+    extremes = (row["null_min"], row["null_max"])
+    return NullBox(
+        low,
+        row["null_quartile_1"],
+        row["null_median"],
+        row["null_quartile_3"],
+        high,
+        tuple(value for value in extremes if not low <= value <= high),
+    )
+
+
+def _score_cells(scored: ScoredMap, *, is_cylinder: bool) -> Row:
+    result = scored.score
+    mapped = scored.sensor_map.positions[result.sensors]
+    axial = (math.nan, math.nan)
+    if is_cylinder and scored.sensor_map.dimensions == 3:
+        scale = axial_scale(mapped, result.truth)
+        axial = (scale.whole, scale.local)
+    return (
+        result.mantel.r,
+        *_null_cells(result.mantel),
+        result.rms_in_spacings,
+        result.neighbours_kept,
+        spread_of_radii(mapped),
+        spread_of_radii(result.truth),
+        *axial,
+        scored.sensor_map.stress,
+    )
+
+
+def _null_cells(mantel: Mantel) -> Row:
+    null = mantel.null
+    if not null.size:
+        return (*[math.nan] * 7, 0)
+    first, median, third = np.quantile(null, (0.25, 0.5, 0.75)).tolist()
+    reach = _WHISKER * (third - first)
+    inside = null[(null >= first - reach) & (null <= third + reach)]
+    low, high = float(inside.min()), float(inside.max())
+    return (low, first, median, third, high, float(null.min()), float(null.max()), null.size)
