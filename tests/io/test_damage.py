@@ -16,7 +16,7 @@ from anisomap.sensor_map import SensorMap
 
 Reader = Callable[[Path], Recording | SensorMap]
 CASES = 40
-MANY_CASES = 400
+MANY_CASES = 200
 MEASURED = 8
 """Memory is measured in one of this many cases, because tracing is slow."""
 BUFFERS = 16 << 20
