@@ -90,7 +90,7 @@ def test_missing_readings_are_refused_until_a_way_is_chosen(run, run_map, skin_c
     assert "1 missing" in run("info", skin_csv).out
 
 
-def test_separate_pieces_are_warned_of(run_map, tmp_path):
+def test_separate_components_are_warned_of_and_written_apart(run, run_map, tmp_path):
     readings = np.zeros((1200, 12))
     rng = np.random.default_rng(0)
     for sensors, frames in ((range(7), slice(0, 600)), (range(7, 12), slice(600, 1200))):

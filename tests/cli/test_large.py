@@ -131,7 +131,7 @@ def test_what_blocks_do_not_allow_is_refused(run, parts, robots, monkeypatch):
     assert "sensor 5 in frame 0 is NaN or infinite" in made.err
     made = run("map", *parts, "--preset", "icub")
     assert made.code != 0
-    assert "no whole triangles" in made.err
+    assert "multiple of 12" in made.err
 
 
 @pytest.mark.usefixtures("all_is_large")
@@ -140,7 +140,7 @@ def test_large_recordings_must_have_the_same_sensors(run, parts):
     anisomap.write(few, "few.npz")
     made = run("map", parts[0], "few.npz")
     assert made.code != 0
-    assert "few.npz is not of the same sensors" in made.err
+    assert "have different sensors" in made.err
 
 
 def test_an_approximate_map_is_labelled_in_all_that_is_written(run_map, parts):
@@ -174,9 +174,9 @@ def test_a_seed_repeats_an_approximate_map(run_map, parts):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["-m", "covariogram"], "--approximate is of r-anisomap, not of covariogram"),
-        (["-m", "isomap"], "not of isomap"),
-        (["--workers", 2], "leave out --workers"),
+        (["-m", "covariogram"], "supports r-anisomap only, got covariogram"),
+        (["-m", "isomap"], "supports r-anisomap only, got isomap"),
+        (["--workers", 2], "does not support --workers"),
         (["--even-spacing"], "even spacing"),
     ],
 )

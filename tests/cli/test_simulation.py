@@ -118,7 +118,7 @@ def test_without_a_screen_the_view_says_so_and_the_recording_is_there(run, tmp_p
         (["sphere", "-o", "nowhere/run.npz"], "nowhere"),
         (["sphere", "--picture", "run.bmp"], "must end in .png, .svg or .pdf"),
         (["sphere", "--video", "run.avi"], "must end in .gif or .mp4"),
-        (["sphere", "--runs", "2", "--picture", "run.png"], "leave --runs out"),
+        (["sphere", "--runs", "2", "--picture", "run.png"], "leave out --runs"),
         (["missing.stl"], "there is no file missing.stl"),
     ],
 )
