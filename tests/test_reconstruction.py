@@ -372,8 +372,8 @@ UNTOUCHED = Recording(-np.eye(50)[:, :4])
         ({"dimensions": 0}, "dimensions must be at least 1, got 0"),
         ({"drop": ["nobody"]}, "no sensor 'nobody'"),
         ({"recording": Recording(np.full((9, 5), np.nan))}, "got 0 of 5"),
-        ({"options": MethodOptions(bins=1), "method": "isomap"}, "1 bins"),
-        ({"options": MethodOptions(n_neighbours=0), "method": "isomap"}, "0 neighbours"),
+        ({"options": MethodOptions(bins=1), "method": "isomap"}, "bins must be at least 2, got 1"),
+        ({"options": MethodOptions(n_neighbours=0), "method": "isomap"}, "at least 1, got 0"),
     ],
 )
 def test_what_cannot_be_mapped_is_refused_in_words(arguments, message):

@@ -103,8 +103,11 @@ def test_missing_readings_are_dealt_with_as_everywhere():
 @pytest.mark.parametrize(
     ("readings", "message"),
     [
-        (np.zeros((50, 9), np.uint8), "only 0 of 9 sensors ever vary"),
-        (np.random.default_rng(0).integers(0, 9, (300, 9)), "no 3 sensors are related"),
+        (np.zeros((50, 9), np.uint8), "got 0 of 9"),
+        (
+            np.random.default_rng(0).integers(0, 9, (300, 9)),
+            "no 3 sensors have statistically significant links",
+        ),
         (READINGS[0], "frames x sensors"),
     ],
 )
@@ -135,7 +138,7 @@ def test_behaviour_in_blocks_is_the_same(monkeypatch):
     whole = behaviour.observe(readings)
     monkeypatch.setattr(behaviour, "_BLOCK_READINGS", 6000 * 7)
     blocks = behaviour.observe(readings)
-    monkeypatch.setattr(behaviour, "_ALL_PAIRS", 39)
+    monkeypatch.setattr(behaviour, "_MAX_ALL_PAIRS", 39)
     many = behaviour.observe(readings)
     for name in ("active", "contacts", "at_ceiling", "unexplained", "lag_correlation"):
         np.testing.assert_allclose(getattr(blocks, name), getattr(whole, name), rtol=1e-12)
@@ -155,8 +158,8 @@ def test_known_matches_are_believed():
     expected[5] = 0  # there is nobody to ask
     np.testing.assert_allclose(known.unexplained, expected)
     among = Matches(kin, np.full(6, 0.4)).among(np.array([True, False, True, True, False, False]))
-    np.testing.assert_array_equal(among.kin, np.full((3, 2), -1))
-    np.testing.assert_array_equal(Matches(kin, kin[:, 0]).among(np.arange(6) < 2).kin[:, 0], 1)
+    np.testing.assert_array_equal(among.nearest, np.full((3, 2), -1))
+    np.testing.assert_array_equal(Matches(kin, kin[:, 0]).among(np.arange(6) < 2).nearest[:, 0], 1)
 
 
 def test_of_very_many_sensors_mantel_r_is_of_a_sample(found, monkeypatch):

@@ -1,4 +1,4 @@
-"""What is in a recording, and which of its sensors can be trusted."""
+"""Summary of a recording, and the health of its sensors."""
 
 from anisomap.health.assessment import STATUSES, SensorHealth, assess
 from anisomap.health.behaviour import Matches

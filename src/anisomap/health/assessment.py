@@ -1,7 +1,7 @@
-"""Verdicts on sensors: dead, stuck, saturating, noisy, intermittent, isolated.
+"""Health of sensors: dead, stuck, saturating, noisy, intermittent or isolated.
 
-Every verdict compares a sensor with the other sensors of the same recording, since what is normal
-differs between skins. To add a fault, add one function and one line to `_TESTS`.
+Each sensor is compared with the other sensors of the recording, since typical values differ between
+skins. To add a fault, add one function and one line to `_TESTS`.
 """
 
 from __future__ import annotations
@@ -18,44 +18,44 @@ from anisomap.recording import Recording
 from anisomap.runs import as_runs
 
 STATUSES = ("ok", "dead", "stuck", "saturating", "noisy", "intermittent", "isolated")
-"""Every status that a sensor can have; one that has several faults has the first."""
+"""All statuses; a sensor with several faults has the first of them."""
 
-FEWEST_CONTACTS = 5
-"""A sensor that was touched less often has statistics made of anecdotes."""
+MIN_CONTACTS = 5
+"""Contacts below which statistics of a sensor are unreliable; chosen by hand."""
 
 _SILENT = ("dead", "stuck", "isolated")
-_OUTLIER = 5 * 1.4826  # five standard deviations of a normal population, from its median deviation
-_CEILING_EXCESS = 0.3
-_CEILING_FRAMES = 10
-_UNEXPLAINED = 0.5
-_NOISE = 0.15  # of the variance; of healthy real sensors, the worst show 0.09
-_CHANCE = 4.0  # standard errors of an autocorrelation
+# Limits; where no source is given they were chosen by hand: no false alarm on four real recordings.
+_OUTLIER = 5 * 1.4826  # 5 sd of a normal distribution, in median absolute deviations
+_MAX_CEILING_EXCESS = 0.3  # share of active frames at the ceiling, above the median sensor
+_MIN_CEILING_FRAMES = 10  # frames at the ceiling
+_MAX_UNEXPLAINED = 0.5  # share of active frames without a similar sensor
+_MAX_NOISE = 0.15  # share of the variance; the worst healthy real sensor has 0.09
+_STANDARD_ERRORS = 4.0  # of an autocorrelation
 
 
 @dataclass(frozen=True)
 class SensorHealth:
-    """What one sensor did during a recording, and whether it looks well.
+    """Health and statistics of a sensor.
 
     Attributes
     ----------
     name : str
-        The sensor.
     status : str
         One of `STATUSES`.
     reason : str
-        Why it is not ``"ok"``, in a sentence; empty if it is.
+        Reason for a status other than ``"ok"``; else empty.
     minimum, maximum : float
-        Range of its readings; NaN if none is finite.
+        Range of the readings; NaN if none is finite.
     distinct : int
-        How many different values it read.
+        Number of distinct values.
     active : float
-        Share of frames in which it was beyond rest, in [0, 1].
+        Share of frames beyond rest, in [0, 1].
     contacts : int
-        How many separate times it went beyond rest.
+        Number of contacts: runs of frames beyond rest.
     lag_correlation : float
-        Correlation of its readings with those one frame later, in [-1, 1]; NaN if it never varies.
+        Autocorrelation at a lag of one frame, in [-1, 1]; NaN for a constant sensor.
     best_match : float
-        Highest Pearson r with another sensor; NaN if there is none that varies.
+        Highest Pearson r with another sensor; NaN if no other sensor varies.
     """
 
     name: str
@@ -122,10 +122,10 @@ def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth
         behaviour = observe(readings if varying.all() else readings[:, varying], known)
     verdicts = _constant_verdicts(readings, varying, behaviour)
     if behaviour is not None:
-        living = np.flatnonzero(varying)
+        active = np.flatnonzero(varying)
         for status, test in reversed(_TESTS.items()):
             for i, reason in test(behaviour).items():
-                verdicts[int(living[i])] = (status, reason)
+                verdicts[int(active[i])] = (status, reason)
     position = np.cumsum(varying) - 1
     result = []
     for i, name in enumerate(recording.names):
@@ -159,21 +159,27 @@ def _constant_verdicts(
     for i in np.flatnonzero(~varying):
         value = readings[0, i]
         if low - slack <= value <= high + slack:
-            verdicts[int(i)] = ("dead", f"always reads {value:g}, as if never touched")
+            verdicts[int(i)] = (
+                "dead",
+                f"constant at {value:g}, a rest value: never touched, or dead",
+            )
         else:
-            verdicts[int(i)] = ("stuck", f"always reads {value:g}, where others never rest")
+            verdicts[int(i)] = (
+                "stuck",
+                f"constant at {value:g}, which is no rest value of other sensors",
+            )
     return verdicts
 
 
-def _judged(b: Behaviour) -> NDArray[np.bool_]:
-    """Tell which sensors were active often enough to be judged by how they were."""
-    return np.asarray(b.contacts >= FEWEST_CONTACTS)
+def _testable(b: Behaviour) -> NDArray[np.bool_]:
+    """Select sensors with enough contacts to be tested."""
+    return np.asarray(b.contacts >= MIN_CONTACTS)
 
 
 def _saturating(b: Behaviour) -> dict[int, str]:
     typical = float(np.median(b.at_ceiling))
-    often = b.at_ceiling * b.active * b.n_frames >= _CEILING_FRAMES
-    suspects = often & (b.at_ceiling > typical + _CEILING_EXCESS)
+    often = b.at_ceiling * b.active * b.n_frames >= _MIN_CEILING_FRAMES
+    suspects = often & (b.at_ceiling > typical + _MAX_CEILING_EXCESS)
     return {
         int(i): f"at its extreme value in {b.at_ceiling[i]:.0%} of its active frames "
         f"(typical: {typical:.0%})"
@@ -183,23 +189,20 @@ def _saturating(b: Behaviour) -> dict[int, str]:
 
 def _noisy(b: Behaviour) -> dict[int, str]:
     typical = float(np.median(b.noise_share))
-    slack = max(_OUTLIER * _spread(b.noise_share), _CHANCE / np.sqrt(b.n_frames))
-    suspects = _judged(b) & (b.noise_share > max(_NOISE, typical + slack))
+    slack = max(_OUTLIER * _spread(b.noise_share), _STANDARD_ERRORS / np.sqrt(b.n_frames))
+    suspects = _testable(b) & (b.noise_share > max(_MAX_NOISE, typical + slack))
     return {
-        int(i): f"{b.noise_share[i]:.0%} of its variance is noise from frame to frame "
-        f"(typical: {typical:.0%})"
+        int(i): f"{b.noise_share[i]:.0%} of the variance is white noise (typical: {typical:.0%})"
         for i in np.flatnonzero(suspects)
     }
 
 
 def _intermittent(b: Behaviour) -> dict[int, str]:
     typical = float(np.median(b.unexplained))
-    limit = max(_UNEXPLAINED, typical + _OUTLIER * _spread(b.unexplained))
-    suspects = _judged(b) & (b.unexplained > limit)
+    limit = max(_MAX_UNEXPLAINED, typical + _OUTLIER * _spread(b.unexplained))
+    suspects = _testable(b) & (b.unexplained > limit)
     return {
-        int(
-            i
-        ): f"active while its nearest kin are not in {b.unexplained[i]:.0%} of its active frames "
+        int(i): f"no similar sensor is active in {b.unexplained[i]:.0%} of its active frames "
         f"(typical: {typical:.0%})"
         for i in np.flatnonzero(suspects)
     }
@@ -209,8 +212,8 @@ def _isolated(b: Behaviour) -> dict[int, str]:
     return {
         int(
             i
-        ): f"related to no other sensor beyond chance: its highest r is {b.best_match[i]:.2f}, "
-        f"and chance alone gives up to {b.chance_match[i]:.2f}"
+        ): f"no significant correlation with any sensor: its highest r is {b.best_match[i]:.2f}, "
+        f"and circular shifts reach {b.chance_match[i]:.2f}"
         for i in np.flatnonzero(b.best_match <= b.chance_match)
     }
 

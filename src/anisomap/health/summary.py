@@ -1,4 +1,4 @@
-"""What is in a recording as a whole, and why a map of it may be weak."""
+"""Summary of a recording, and reasons why a map of it may be unreliable."""
 
 from __future__ import annotations
 
@@ -7,36 +7,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisomap.health.assessment import FEWEST_CONTACTS, SensorHealth, assess
+from anisomap.health.assessment import MIN_CONTACTS, SensorHealth, assess
 from anisomap.recording import Recording
 from anisomap.wording import join_items
 
-FEWEST_FRAMES = 500
-"""The paper's shortest run has 1,054 frames; below half of that its correlations are unsteady."""
+MIN_FRAMES = 500
+"""Frames below which a recording is called short: half of the paper's shortest run (1,054)."""
 
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """What is in a recording, in a few numbers.
+    """Summary of a recording.
 
     Attributes
     ----------
     n_frames, n_sensors : int
-        Its size.
+        Size.
     rate_hz, duration : float or None
-        Frames a second, and seconds; None if not known.
+        Frames per second, and seconds; None if unknown.
     minimum, maximum : float
         Range of all finite readings.
     share_of_zeros : float
         Share of readings that are exactly 0, in [0, 1].
     distinct_values : int
-        Median number of different values a sensor.
+        Median number of distinct values per sensor.
     missing : int
-        How many readings are NaN or infinite.
+        Number of readings that are NaN or infinite.
     n_constant : int
-        How many sensors never vary.
+        Number of constant sensors.
     warnings : tuple of str
-        Why a map of it may be weak.
+        Reasons why a map may be unreliable.
     """
 
     n_frames: int
@@ -55,13 +55,13 @@ class RecordingSummary:
 def summarise(
     recording: Recording, health: Sequence[SensorHealth] | None = None
 ) -> RecordingSummary:
-    """Describe a recording in a few numbers.
+    """Summarise a recording.
 
     Parameters
     ----------
     recording : Recording
     health : sequence of SensorHealth, optional
-        Its assessment, if it is at hand already.
+        From `assess`, if computed already.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def summarise(
     """
     readings = recording.readings
     finite = np.isfinite(readings)
-    judged = assess(recording) if health is None else health
+    assessed = assess(recording) if health is None else health
     return RecordingSummary(
         n_frames=recording.n_frames,
         n_sensors=recording.n_sensors,
@@ -78,52 +78,56 @@ def summarise(
         minimum=float(readings.min(where=finite, initial=np.inf)),
         maximum=float(readings.max(where=finite, initial=-np.inf)),
         share_of_zeros=float(np.mean(readings == 0)),
-        distinct_values=int(np.median([sensor.distinct for sensor in judged])),
+        distinct_values=int(np.median([sensor.distinct for sensor in assessed])),
         missing=int(np.count_nonzero(~finite)),
         n_constant=int(np.count_nonzero(~recording.varying())),
-        warnings=weaknesses(recording, judged),
+        warnings=weaknesses(recording, assessed),
     )
 
 
 def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[str, ...]:
-    """Say why a map of a recording may be weak, a sentence a reason.
+    """List reasons why a map of a recording may be unreliable.
 
     Parameters
     ----------
     recording : Recording
     health : sequence of SensorHealth
-        Its assessment.
+        From `assess`.
 
     Returns
     -------
     tuple of str
-        Empty if nothing speaks against it.
+        Empty if there are none.
     """
     found = []
-    if recording.n_frames < FEWEST_FRAMES:
+    if recording.n_frames < MIN_FRAMES:
         found.append(
-            f"only {recording.n_frames} frames: statistics of so few are unsteady; "
-            f"record {FEWEST_FRAMES} or more"
+            f"only {recording.n_frames} frames: statistics are unreliable; record {MIN_FRAMES} or "
+            "more"
         )
     groups = {
         "never vary and carry no information": ("dead", "stuck"),
-        "look faulty and may distort the whole map (leave them out: --drop)": (
+        "look faulty and may distort the whole map; drop them": (
             "saturating",
             "intermittent",
             "noisy",
         ),
-        "are related to no other sensor beyond chance, so their place is a guess": ("isolated",),
+        "have no significant correlation with another sensor, so their position is a guess": (
+            "isolated",
+        ),
     }
-    for what, statuses in groups.items():
+    for fault, statuses in groups.items():
         names = [sensor.name for sensor in health if sensor.status in statuses]
         if names:
-            verdict = "do not trust a map of this: " if 2 * len(names) > len(health) else ""
+            verdict = (
+                "do not trust a map of this recording: " if 2 * len(names) > len(health) else ""
+            )
             listed = join_items(names)
-            found.append(f"{verdict}{len(names)} of {len(health)} sensors {what}: {listed}")
-    rare = [s.name for s in health if 0 < s.contacts < FEWEST_CONTACTS and s.status == "ok"]
+            found.append(f"{verdict}{len(names)} of {len(health)} sensors {fault}: {listed}")
+    rare = [s.name for s in health if 0 < s.contacts < MIN_CONTACTS and s.status == "ok"]
     if rare:
         found.append(
-            f"{len(rare)} of {len(health)} sensors were touched fewer than {FEWEST_CONTACTS} "
+            f"{len(rare)} of {len(health)} sensors were touched fewer than {MIN_CONTACTS} "
             f"times: {join_items(rare)}"
         )
     return tuple(found)

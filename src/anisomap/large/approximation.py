@@ -1,4 +1,4 @@
-"""Maps of very many sensors: approximately, from a few of all pairs, and labelled as such."""
+"""Approximate maps of very many sensors, from a small share of all pairs."""
 
 from __future__ import annotations
 
@@ -35,31 +35,31 @@ from anisomap.sensor_map import UNPLACED, SensorMap
 logger = logging.getLogger(__name__)
 
 APPROXIMATED = "r-anisomap"
-"""The method that there is an approximate way of."""
+"""The method of approximate maps."""
 
 EXCERPT_READINGS = 1 << 27
-"""Readings that sensor health is judged from: of many sensors, few are touched in few frames."""
+"""Readings from which sensor health is assessed; many sensors need many to be touched."""
 
-_KIN = 4
-_FEWEST_CONTACTS = 20  # in the excerpt, to be judged by it
+_N_NEAREST = 4  # most similar sensors, as in `anisomap.health.behaviour`
+_MIN_CONTACTS = 20  # in the excerpt, for its assessment to count; chosen by hand
 
 
 @dataclass(frozen=True, eq=False)
 class Related:
-    """What an approximate map is made from, once all frames were gone through twice.
+    """The graph of the most similar sensors, with what else an approximate map needs.
 
     Attributes
     ----------
     known : Sketch
     links : SensorPairs
-        All pairs that r was worked out for.
+        All pairs whose r was computed.
     graph : SensorGraph
-        Those that are edges.
+        The pairs that are edges.
     excerpt : Recording
-        Pieces of frames from all over the recording; all frames, if they are few.
+        Blocks of frames from the whole recording; all frames if they are few.
     health : tuple of SensorHealth
     dropped : ndarray of bool, shape (N,)
-        Which sensors were left out.
+        Mask of the dropped sensors.
     options : ApproximateOptions
     """
 
@@ -73,12 +73,12 @@ class Related:
 
     @property
     def n_frames(self) -> int:
-        """How many frames there were."""
+        """Number of frames."""
         return self.known.n_frames
 
     @property
     def varying(self) -> NDArray[np.bool_]:
-        """Which sensors ever varied and were not dropped, shape (N,)."""
+        """Mask of the sensors that vary and were not dropped, shape (N,)."""
         return self.known.varying
 
 
@@ -92,19 +92,19 @@ def reconstruct_approximately(
     missing: MissingPolicy = "error",
     drop: Iterable[str | int] = (),
 ) -> SensorMap:
-    """Make an r-ANISOMAP map of too many sensors to compare all pairs: approximately.
+    """Reconstruct an approximate r-ANISOMAP map of too many sensors to compare all pairs.
 
     Parameters
     ----------
     readings : ndarray of shape (T, N), or callable
-        A memory-mapped array, or a function that opens the recording anew each time and gives its
-        chunks, arrays of shape (t, N). It is gone through twice or more.
+        A memory-mapped array, or a function that opens the recording at each call and returns its
+        chunks, arrays of shape (t, N). It is read twice or more.
     dimensions : int
-        Of the space to map into.
+        Number of coordinates.
     options : MethodOptions, optional
-        Of which `mu`, `smacof` and `min_sensors` are used.
+        Only `mu`, `smacof` and `min_sensors` are used.
     approximate : ApproximateOptions, optional
-        How much is looked at, and the seed.
+        Sizes of the approximation, and the seed.
     names : sequence of str, optional
         Names of the sensors.
     missing : {"error", "drop-frames", "interpolate"}
@@ -115,19 +115,19 @@ def reconstruct_approximately(
     Returns
     -------
     SensorMap
-        Of the method "r-anisomap"; its provenance says ``approximate``, and so does a note. The
-        same seed gives the same map, whatever the number of threads. Stress-1 is that of the pairs
-        with landmarks.
+        With `SensorMap.approximate` set, and a note. The same seed gives the same map for any
+        number of threads. Stress-1 covers pairs with landmarks only.
 
     Raises
     ------
     InputError
-        If too few sensors vary or are related, chunks do not fit, or a sensor is unknown.
+        If too few sensors vary or are related, chunks have different shapes, or a sensor is
+        unknown.
 
     Warns
     -----
     AnisomapWarning
-        Once for each of the notes.
+        Once for each note of the map.
 
     Notes
     -----
@@ -148,14 +148,14 @@ def relate(
     drop: Iterable[str | int] = (),
     options: ApproximateOptions | None = None,
 ) -> Related:
-    """Go through all frames, twice or more, for which sensors are most like which.
+    """Find the most similar sensors of each sensor, reading all frames twice or more.
 
     Parameters
     ----------
     chunks, missing, drop, options
         As for `reconstruct_approximately`.
     like : Recording or sequence of str
-        One with the sensors' names, positions and whatever else is known, or just the names.
+        A recording whose names, positions and metadata apply, or the names alone.
 
     Returns
     -------
@@ -174,12 +174,12 @@ def relate(
             pieces.add(chunk)
             yield chunk
 
-    logger.info("sketching what every sensor read")
+    logger.info("computing sketches of all sensors")
     known = compute_sketch(watched(), chosen.sketch_size, np.random.default_rng(chosen.seed))
     excerpt = pieces.recording(like)
     dropped = _mask(excerpt, drop)
     known = _without(known, dropped)
-    logger.info("looking for those most like each sensor")
+    logger.info("searching for the most similar sensors")
     links = correlations(opened(), known, _candidates(known, chosen))
     graph, further = bridge_components(
         build_graph(links, known, chosen.n_neighbours), known, opened
@@ -203,7 +203,7 @@ def approximate_map_of(
     *,
     options: MethodOptions | None = None,
 ) -> SensorMap:
-    """Make an approximate map of sensors that were related.
+    """Reconstruct an approximate map from a graph of similar sensors.
 
     Parameters
     ----------
@@ -225,8 +225,8 @@ def approximate_map_of(
     ]
     if np.count_nonzero(component == 0) < chosen.min_sensors:
         raise InputError(
-            f"no {chosen.min_sensors} sensors are related to one another beyond chance, so "
-            "there is nothing to map; was the skin touched during the recording?"
+            f"no {chosen.min_sensors} sensors have statistically significant links, so there is "
+            "nothing to map; was the skin touched during the recording?"
         )
     lengths = edge_lengths(found.links, found.graph.edges, chosen.mu)
     graph = adjacency_matrix(found.graph.edges, lengths, n_sensors)
@@ -274,7 +274,7 @@ def _mask(recording: Recording, sensors: Iterable[str | int]) -> NDArray[np.bool
 
 
 def _without(known: Sketch, dropped: NDArray[np.bool_]) -> Sketch:
-    """Treat sensors as if they never varied."""
+    """Mark sensors as constant."""
     projections = np.where(dropped[:, None], np.float32(0), known.projections)
     return replace(known, varying=known.varying & ~dropped, projections=projections)
 
@@ -284,7 +284,9 @@ def _candidates(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     sensors = np.flatnonzero(known.varying)
     if sensors.size < 2:
-        raise InputError(f"only {sensors.size} of {len(known.mean)} sensors ever vary")
+        raise InputError(
+            f"a map requires sensors that vary, got {sensors.size} of {len(known.mean)}"
+        )
     count = min(options.n_candidates, len(sensors) - 1)
     found, _ = most_similar(known.projections[sensors], count)
     firsts, seconds = pairs_of(found)
@@ -292,38 +294,38 @@ def _candidates(
 
 
 def _matches(links: SensorPairs, n_sensors: int) -> Matches:
-    """Give the sensors most like each, and the highest r."""
+    """Return the most similar sensors of each sensor, and its highest r."""
     whose = np.concatenate([links.firsts, links.seconds])
     others = np.concatenate([links.seconds, links.firsts])
     r = np.tile(links.r, 2)
     order = np.lexsort((-r, whose))
     begins = np.searchsorted(whose[order], np.arange(n_sensors + 1))
-    places = begins[:-1, None] + np.arange(_KIN)
+    places = begins[:-1, None] + np.arange(_N_NEAREST)
     there = places < begins[1:, None]
     places = np.minimum(places, len(order) - 1)
     best = np.where(there[:, 0], r[order][places[:, 0]], np.nan)
-    return Matches(kin=np.where(there, others[order][places], -1), best=best)
+    return Matches(nearest=np.where(there, others[order][places], -1), best=best)
 
 
 def _revised(
-    health: Sequence[SensorHealth], known: Sketch, graph: SensorGraph, judged: int
+    health: Sequence[SensorHealth], known: Sketch, graph: SensorGraph, n_assessed: int
 ) -> Iterator[SensorHealth]:
-    """Make of judgements of the excerpt those of all frames."""
+    """Extend the assessment of the excerpt to all frames."""
     alone = np.bincount(graph.component)[graph.component] == 1
     for i, sensor in enumerate(health):
         revised = sensor
-        if judged < known.n_frames:
+        if n_assessed < known.n_frames:
             revised = replace(sensor, contacts=int(known.contacts[i]))
-            if known.varying[i] and sensor.contacts < _FEWEST_CONTACTS:
+            if known.varying[i] and sensor.contacts < _MIN_CONTACTS:
                 revised = replace(revised, status="ok", reason="")
         if known.varying[i] and alone[i] and revised.status == "ok":
-            reason = "related to no other sensor beyond chance"
+            reason = "no significant correlation with another sensor"
             revised = replace(revised, status="isolated", reason=reason)
         yield revised
 
 
 def _members(component: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """List the sensors of each piece, the largest piece first."""
+    """List the sensors of each component, the largest component first."""
     order = np.argsort(component, kind="stable")
     order = order[component[order] != UNPLACED]
     return np.split(order, np.flatnonzero(np.diff(component[order])) + 1)
@@ -332,13 +334,12 @@ def _members(component: NDArray[np.intp]) -> list[NDArray[np.intp]]:
 def _notes(found: Related, component: NDArray[np.intp], *, converged: bool) -> Iterator[str]:
     options = found.options
     yield (
-        "this map is approximate: of all pairs of sensors, r was worked out for each sensor and "
-        f"the {options.n_candidates} most like it by a sketch of {options.sketch_size} numbers; "
-        f"paths lead over the best {options.n_neighbours} of these, and to {options.n_landmarks} "
-        "landmarks only"
+        f"this map is approximate: r was computed for each sensor with {options.n_candidates} "
+        f"candidates only, found by a sketch of {options.sketch_size} numbers; shortest paths use "
+        f"the best {options.n_neighbours} of them and lead to {options.n_landmarks} landmarks only"
     )
     if found.excerpt.n_frames < found.n_frames:
-        yield (f"sensor health was judged from {found.excerpt.n_frames} of {found.n_frames} frames")
+        yield f"sensor health was assessed from {found.excerpt.n_frames} of {found.n_frames} frames"
     yield from caveats(component, found.excerpt.names, converged=converged)
 
 
