@@ -10,6 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from anisomap.drawing import extras
 from anisomap.errors import InputError
 
@@ -29,6 +32,7 @@ PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")
 MARKERS = ("o", "s", "^", "D")
 """Markers that go with `PALETTE`, for printing in black and white."""
 
+_SHORT = 0.6  # of the longest axis
 _STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
@@ -107,6 +111,22 @@ def panel_axes(ax: Axes | None, dimensions: int = 2) -> Axes:
         wanted = "3D axes (projection='3d')" if dimensions == 3 else "2D axes"
         raise InputError(f"the data need {wanted}, got axes with projection {ax.name!r}")
     return ax
+
+
+def set_ticks(axes: Axes, extents: NDArray[np.float64], count: int) -> None:
+    """Limit the number of ticks to about `count`, on short axes to two.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    extents : ndarray of shape (k,)
+        Lengths of the axes in units of the data.
+    count : int
+    """
+    locator = load("matplotlib.ticker").MaxNLocator
+    for name, extent in zip("xyz", extents, strict=False):
+        long = extent > _SHORT * extents.max()
+        getattr(axes, f"{name}axis").set_major_locator(locator(count if long else 2))
 
 
 def set_title(axes: Axes, title: str) -> None:

@@ -15,9 +15,9 @@ from anisomap.drawing.figures.backend import (
     Axes,
     add_axes,
     drawing_style,
-    load,
     new_figure,
     panel_axes,
+    set_ticks,
     set_title,
     write_notes,
     write_title,
@@ -43,7 +43,6 @@ _OBLIQUE_VIEW: View = (38.0, -68.0)  # of flat bodies, so that bending of the ma
 # Inches.
 _HEAD, _LINE, _BELOW = 0.45, 0.17, 0.35
 _CHARACTERS_PER_INCH = 13.5
-_SHORT = 0.6  # of the longest axis; shorter ones have fewer ticks
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +254,11 @@ def plot_panel(panel: Panel, *, ax: Axes | None = None) -> Axes:
     )
     limits = box_around(panel.points, panel.unplaced[:, :dimensions])
     draw_configuration(axes, panel.points, look, limits=limits, view=panel.view, units=panel.units)
-    _thin_ticks(axes, np.ptp(limits, axis=1))
+    set_ticks(axes, np.ptp(limits, axis=1), 3)
+    for name in "xyz"[:dimensions]:
+        axis = getattr(axes, f"{name}axis")
+        axis.label.set_size(8)
+        axis.set_tick_params(labelsize=7)
     if len(panel.unplaced):
         axes.scatter(*panel.unplaced.T, s=22, facecolors="none", edgecolors=FAINT, linewidths=0.7)
     set_title(axes, panel.title)
@@ -305,13 +308,3 @@ def _joined(
 
 def _mask(given: ArrayLike | None, count: int, *, default: bool) -> NDArray[np.bool_]:
     return np.full(count, default) if given is None else np.asarray(given, dtype=bool)
-
-
-def _thin_ticks(axes: Axes, extents: NDArray[np.float64]) -> None:
-    """Reduce the ticks of short axes."""
-    locator = load("matplotlib.ticker").MaxNLocator
-    for name, extent in zip("xyz", extents, strict=False):
-        axis = getattr(axes, f"{name}axis")
-        axis.set_major_locator(locator(3 if extent > _SHORT * extents.max() else 2))
-        axis.label.set_size(8)
-        axis.set_tick_params(labelsize=7)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from anisomap.drawing.figures.backend import FAINT, INK, PALETTE, Axes, load
+from anisomap.drawing.figures.backend import FAINT, INK, PALETTE, Axes, load, set_ticks
 from anisomap.drawing.view import View, axis_title, view_axes
 
 MAX_VECTOR_DOTS = 5_000
@@ -23,7 +23,6 @@ _STEEP = 50  # degrees of elevation above which the z axis is foreshortened
 _FEW_PAIRS = 200
 _DOT_AREA = 75.0  # square points, for up to 60 sensors
 _CROWDED = 300
-_SHORT = 0.6  # of the longest axis; shorter ones have fewer ticks
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,15 +84,12 @@ def draw_configuration(
     units : str
         Of the axes.
     """
-    locator = load("matplotlib.ticker").MaxNLocator
     extents = np.ptp(limits, axis=1)
-    for name, span, extent in zip("xyz", limits, extents, strict=False):
+    for name, span in zip("xyz", limits, strict=False):
         axes.set(**{f"{name}lim": span})
         title = axis_title(name, units)
         getattr(axes, f"set_{name}label")(title, parse_math=False, color=INK)
-        getattr(axes, f"{name}axis").set_major_locator(
-            locator(4 if extent > _SHORT * extents.max() else 3)
-        )
+    set_ticks(axes, extents, 4)
     axes.set_aspect("equal")
     if points.shape[1] == 3:
         _set_up_3d(axes, limits, view)

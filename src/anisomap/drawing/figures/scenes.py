@@ -20,6 +20,7 @@ from anisomap.drawing.figures.backend import (
     load,
     new_figure,
     panel_axes,
+    set_ticks,
     set_title,
     write_title,
 )
@@ -43,7 +44,6 @@ _LIGHT = np.array([0.3, -0.5, 0.81])  # direction of the light
 _DARKEST = 0.55
 _SHARP = 0.9  # cosine of the largest angle between two faces whose edge is not drawn
 _GROUND_EXTENT = 1.8  # of the ground drawn, in extents of everything else
-_SHORT = 0.6  # of the longest axis; shorter ones have fewer ticks
 _FRAMES_PER_SECOND = 15
 
 
@@ -126,8 +126,7 @@ def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) ->
             touched = replace(_body_of(scene), readings=np.ones_like(scene.readings))
             axes = plot_scene(touched, 0, ax=add_axes(figure, 3, 1, len(scenes), i + 1))
             set_title(axes, label)
-            for axis in (axes.xaxis, axes.yaxis):
-                axis.set_major_locator(load("matplotlib.ticker").MaxNLocator(2))
+            axes.locator_params(nbins=2)
         return figure
 
 
@@ -194,12 +193,10 @@ def plot_scene(scene: Scene, frame: int, *, ax: Axes | None = None) -> Axes:
         xlim=(lowest[0], highest[0]), ylim=(lowest[1], highest[1]), zlim=(lowest[2], highest[2])
     )
     axes.set_box_aspect(np.maximum(highest - lowest, 1e-12), zoom=0.98)
-    locator = load("matplotlib.ticker").MaxNLocator
-    for name, share in zip("xyz", (highest - lowest) / (highest - lowest).max(), strict=True):
-        axis = getattr(axes, f"{name}axis")
+    set_ticks(axes, highest - lowest, 4)
+    for name in "xyz":
         getattr(axes, f"set_{name}label")(name + _in_units(scene))
-        axis.set_pane_color((1.0, 1.0, 1.0))
-        axis.set_major_locator(locator(4 if share > _SHORT else 2))
+        getattr(axes, f"{name}axis").set_pane_color((1.0, 1.0, 1.0))
     axes.grid(visible=False)
     return axes
 

@@ -40,7 +40,7 @@ _OTHER = "#7f7f7f"
 _LINES = "rgba(70,76,84,0.55)"
 _TRUE_LINES = "rgba(0,114,178,0.35)"
 _ERRORS = "rgba(213,94,0,0.9)"
-_EYE_DISTANCE = 2.4  # from the centre, in cube edges; shows the box at any angle
+_EYE_DISTANCE = 2.2  # from the centre; the box has the diagonal of a unit cube
 _CROWDED = 800
 MAX_DOTS = 5_000
 """Largest number of sensors per view; browsers rotate this many smoothly."""
