@@ -234,3 +234,15 @@ def test_a_declared_prior_is_named_in_the_map(run_map, skin_csv):
     refused = run_map(skin_csv, "-m", "r-anisomap", "--even-spacing", "-o", "none.csv")
     assert refused.code == 2
     assert "r-anisomap makes no use of even spacing" in " ".join(refused.err.split())
+
+
+def test_a_column_of_text_is_skipped_with_a_warning_and_may_be_dropped(run_map, skin_csv):
+    header, *lines = skin_csv.read_text().splitlines()
+    labelled = [f"label,{header}", *(f"press {i % 3},{line}" for i, line in enumerate(lines))]
+    skin_csv.write_text("\n".join(labelled) + "\n")
+    made = run_map(skin_csv, "-d", 2, "--drop", "label,s3", "-o", "m.csv")
+    assert made.code == 0
+    assert "label" in made.err
+    found = anisomap.read_map("m.csv")
+    assert found.n_sensors == 42
+    np.testing.assert_array_equal(np.flatnonzero(~found.placed), [3])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from anisomap.cli.console import Printer
 from anisomap.errors import InputError
 from anisomap.io import ReadOptions
 from anisomap.placement import METRES, mirrored, parse_length, scaled_to_spacing
+from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
 
 reading_group = Group("Reading", sort_key=0)
@@ -200,9 +201,15 @@ Reporting: TypeAlias = Annotated[ReportingOptions, Parameter(name="*", group=rep
 Reading: TypeAlias = Annotated[ReadingOptions, Parameter(name="*", group=reading_group)]
 
 
-def sensors(chosen: list[str] | None, names: tuple[str, ...]) -> list[str]:
-    """Split a list of sensors at commas, unless a sensor name contains the comma."""
+def sensors(
+    chosen: list[str] | None, names: tuple[str, ...], metadata: Mapping[str, Scalar] | None = None
+) -> list[str]:
+    """Split a list of sensors at commas, unless a sensor name contains the comma.
+
+    Columns of text that the reader has skipped, according to the metadata, are left out.
+    """
+    skipped = str((metadata or {}).get("text_columns", ""))
     found = []
     for text in chosen or []:
         found += [text] if text in names else [part.strip() for part in text.split(",")]
-    return found
+    return [name for name in found if name in names or f"({name})" not in skipped]

@@ -121,6 +121,7 @@ def map_recording(
         examined = pipeline.examine(pipeline.read_runs(recordings, how, missing))
     names = examined.recording.names
     left_out = options.sensors(exclude, names)
+    dropped = options.sensors(drop, names, examined.recording.metadata)
     examined.recording.indices(left_out)  # unknown names are reported before the work
     with reporting.printer() as printer:
         pipeline.print_recording(printer, examined)
@@ -129,7 +130,7 @@ def map_recording(
             by,
             dimensions,
             options=chosen,
-            drop=options.sensors(drop, names),
+            drop=dropped,
             with_confidence=confidence,
             gathered=found,
         )
