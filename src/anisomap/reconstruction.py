@@ -35,6 +35,7 @@ from anisomap.methods import (
     check_even_spacing,
     find_method,
 )
+from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.metric import check_semi_metric
 from anisomap.numerics.precision import Reals
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
@@ -99,14 +100,15 @@ def reconstruct(
     names = [skin.names[i] for i in np.flatnonzero(mapped)]
     complete = [run.complete() for run in select_sensors(runs, names)]
 
-    pairs = compare(
-        complete, recipe.similarity, bins=options.bins, with_noise=recipe.refine is not None
-    )
-    dissimilarity = dissimilarities(pairs, method, options)
-    metric = recipe.metric(dissimilarity)
-    configuration = scale(metric, dimensions, weights=pairs.weights, options=options.smacof)
-    if recipe.refine is not None:
-        configuration = refine(recipe.refine, pairs, metric, configuration, options)
+    with limited_blas(len(names)):
+        pairs = compare(
+            complete, recipe.similarity, bins=options.bins, with_noise=recipe.refine is not None
+        )
+        dissimilarity = dissimilarities(pairs, method, options)
+        metric = recipe.metric(dissimilarity)
+        configuration = scale(metric, dimensions, weights=pairs.weights, options=options.smacof)
+        if recipe.refine is not None:
+            configuration = refine(recipe.refine, pairs, metric, configuration, options)
 
     _check_related(configuration, options)
     provenance = options_provenance(method, options)
@@ -189,15 +191,19 @@ def reconstruct_from(
             noise=variance if noise is None else checked_noise(noise, n_sensors)[inside],
             known=None if counts is None else counts > 0,
         )
-        matrix = dissimilarities(pairs, method, options)
-    elif stage == "dissimilarity":
-        matrix = check_semi_metric(matrix)
-    lengths = check_semi_metric(matrix) if stage == "metric" else recipe.metric(matrix)
-    configuration = scale(lengths, dimensions, start=begin, weights=counts, options=options.smacof)
+    with limited_blas(len(matrix)):
+        if pairs is not None:
+            matrix = dissimilarities(pairs, method, options)
+        else:
+            matrix = check_semi_metric(matrix)
+        lengths = matrix if stage == "metric" else recipe.metric(matrix)
+        configuration = scale(
+            lengths, dimensions, start=begin, weights=counts, options=options.smacof
+        )
+        if recipe.refine is not None and pairs is not None:
+            configuration = refine(recipe.refine, pairs, lengths, configuration, options)
     notes: Iterable[str] = ()
-    if recipe.refine is not None and pairs is not None:
-        configuration = refine(recipe.refine, pairs, lengths, configuration, options)
-    elif recipe.refine is not None:
+    if recipe.refine is not None and pairs is None:
         notes = (
             f"{method} refines its map by the similarity, which was not given: this map is its "
             "unrefined scaling",

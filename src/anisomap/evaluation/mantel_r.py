@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
+from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.sensor_map import SensorMap
 
 PERMUTATIONS = 10_000
@@ -112,11 +113,12 @@ def mantel(
     a32, b32 = a.astype(np.float32), b.astype(np.float32)
     generator = np.random.default_rng(0 if rng is None else rng)
     report_every = max(1, permutations // 100)
-    for i in range(permutations):
-        order = generator.permutation(n_sensors)
-        null[i] = np.vdot(a32[order].take(order, axis=1), b32) / 2
-        if progress is not None and i % report_every == 0:
-            progress(i / permutations)
+    with limited_blas(n_sensors):
+        for i in range(permutations):
+            order = generator.permutation(n_sensors)
+            null[i] = np.vdot(a32[order].take(order, axis=1), b32) / 2
+            if progress is not None and i % report_every == 0:
+                progress(i / permutations)
     null.setflags(write=False)
     r = float(np.clip(np.vdot(a, b) / 2, -1, 1))
     return Mantel(r=r, null=null, n_sensors=n_sensors)

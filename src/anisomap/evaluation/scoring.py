@@ -125,16 +125,16 @@ def score(
     largest = sensor_map.component == 0
     chosen = np.flatnonzero(largest & included & known)
     for count, why in (
-        (np.count_nonzero(~sensor_map.placed), "have no position on the map"),
-        (np.count_nonzero(sensor_map.placed & ~included), "were excluded"),
+        (np.count_nonzero(~sensor_map.placed), "no position on the map"),
+        (np.count_nonzero(sensor_map.placed & ~included), "excluded"),
         (
             np.count_nonzero(sensor_map.placed & ~largest & included),
-            "are outside the largest component",
+            "outside the largest component",
         ),
-        (np.count_nonzero(largest & included & ~known), "have no known true position"),
+        (np.count_nonzero(largest & included & ~known), "no known true position"),
     ):
         if count:
-            notes.append(f"{count} of {sensor_map.n_sensors} sensors {why}")
+            notes.append(f"{count} of {sensor_map.n_sensors} sensors not compared: {why}")
     positions, true_positions = sensor_map.positions[chosen], true_positions[chosen]
     if len(chosen) < MIN_SENSORS_COMPARED:
         raise InputError(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from anisomap.health.behaviour import Behaviour, Matches, observe
 from anisomap.numerics.columns import columns, count_values
+from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording
 from anisomap.runs import as_runs
 
@@ -96,8 +97,11 @@ def assess(
     (section "Prototyping Issues"). A status other than "ok" calls for inspection; it is no proof.
     """
     runs = as_runs(recording)
-    if len(runs) == 1:
-        return _assess(runs[0], matches)
+    with limited_blas(runs[0].n_sensors):
+        return _assess(runs[0], matches) if len(runs) == 1 else _assess_runs(runs)
+
+
+def _assess_runs(runs: Sequence[Recording]) -> tuple[SensorHealth, ...]:
     best: dict[str, SensorHealth] = {}
     for run in runs:
         for sensor in _assess(run, None):

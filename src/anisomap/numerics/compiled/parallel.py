@@ -1,4 +1,4 @@
-"""Lazy import of compiled loops, and threads that share their work."""
+"""Lazy import of compiled loops, and numbers of threads for loops and BLAS."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, Protocol, TypeVar
+
+from threadpoolctl import threadpool_limits
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -62,6 +64,17 @@ def parallel_map(n_rows: int) -> Iterator[MapFunction]:
         return
     with ThreadPoolExecutor(thread_count()) as pool:
         yield lambda task, items: list(pool.map(task, items))
+
+
+@contextmanager
+def limited_blas(n_rows: int) -> Iterator[None]:
+    """Run BLAS on one thread while matrices have too few rows for threads; then restore it.
+
+    Threads of BLAS wait for each other actively. On a busy machine, small products take ten times
+    the CPU time with them.
+    """
+    with threadpool_limits(1 if n_rows < MIN_PARALLEL_ROWS else None, user_api="blas"):
+        yield
 
 
 def serial_map(task: Callable[[Task], Result], items: Iterable[Task], /) -> list[Result]:
