@@ -308,7 +308,7 @@ def test_every_caveat_is_listed_once() -> None:
     scored = score(sensor_map, scored.truth, exclude=["s3"], units="mm", permutations=50)
     page = Page(render_report(sensor_map, score=scored, summary=summary("only 2 frames", notes[0])))
     listed = [text.lower() for text in page.texts["li"]]
-    for caveat in (*notes, "only 2 frames", "1 of 12 sensors were excluded"):
+    for caveat in (*notes, "only 2 frames", "1 of 12 sensors not compared: excluded"):
         assert listed.count(caveat) == 1
     for fact in ("2345", "-1.5 to 255", "87.5%", "unknown", "1 constant"):
         assert fact in page.text
