@@ -141,7 +141,7 @@ def claims_table(_: Settings, tables: Tables) -> Outcome:
         found = claim.check(scores, tables)
         cases = f"{sum(found.held.values())} of {len(found.held)}"
         rows.append((claim.text, claim.where, claim.test, found.measured, cases, found.verdict))
-    caption = "Claims of the paper and results."
+    caption = "Verdict on each claim."
     return Outcome(tables=(Table("claims", caption, _COLUMNS, tuple(rows)),))
 
 

@@ -111,6 +111,7 @@ def reproduce(
         parallel = Parallel(
             n_jobs=min(workers or cpu_count(), len(level)),
             batch_size=1,
+            pre_dispatch="n_jobs",  # after a kill, workers finish only what they are running
             return_as="generator_unordered",
         )
         calls = (delayed(_run)(target, one, settings, prints) for one in level)
