@@ -1,4 +1,4 @@
-"""Geometry of a simulated run, passed from the simulation to the drawing."""
+"""Geometry of a simulated run, for drawing."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Prop:
     centres : array_like of shape (T, B, 3)
         Positions of the local origins of B objects in each frame; T = 1 for static objects.
     rotations : array_like of shape (T, B, 3, 3), optional
-        Rotation of each object. Default: none.
+        Rotation matrix of each object in each frame. Default: identity.
     scales : array_like of shape (B,), optional
         Size of each object relative to the mesh. Default: 1.
     """
@@ -60,7 +60,7 @@ class Prop:
                 object.__setattr__(self, name, frozen(values))
 
     def surfaces(self, frame: int) -> list[NDArray[np.float64]]:
-        """Return the vertices of each object in a frame, shape (V, 3) each."""
+        """Return the vertices of each of the B objects in a frame, each of shape (V, 3)."""
         centres = self.centres[frame % len(self.centres)]
         scales = np.ones(len(centres)) if self.scales is None else self.scales
         corners = scales[:, None, None] * self.mesh.vertices
@@ -82,7 +82,7 @@ class Scene:
         Sensor positions in each frame; T = 1 for static sensors.
     readings : array_like of shape (T, N)
     times : array_like of shape (T,)
-        Seconds.
+        In seconds.
     units : str
         Unit of lengths.
     """

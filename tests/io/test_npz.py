@@ -219,7 +219,7 @@ def test_invalid_characters(tmp_path: Path) -> None:
 def test_truncated_archives(saved) -> None:
     path = saved(readings=READINGS)
     path.write_bytes(path.read_bytes()[:-30])
-    assert "not a NumPy archive, or damaged" in error(path)
+    assert "damaged or not a NumPy archive" in error(path)
 
 
 def test_text_with_the_suffix_of_an_archive(tmp_path: Path) -> None:
@@ -258,8 +258,8 @@ def test_single_arrays(tmp_path: Path, dtype: str, order: str) -> None:
 def test_wrong_single_arrays(tmp_path: Path) -> None:
     path = tmp_path / "skin.npy"
     for array, message in (
-        (np.arange(3.0), r"\(T, N\), got \(3,\)"),
-        (np.zeros((0, 3)), r"got \(0, 3\)"),
+        (np.arange(3.0), r"\(T, N\), got shape \(3,\)"),
+        (np.zeros((0, 3)), r"got shape \(0, 3\)"),
         (np.array([["a"]]), "must hold numbers"),
         (np.zeros((2, 2), complex), "must hold numbers"),
     ):
@@ -267,7 +267,7 @@ def test_wrong_single_arrays(tmp_path: Path) -> None:
         with pytest.raises(FileError, match=message):
             io.read(path)
     np.save(path, np.array([[Trap(tmp_path / "sprung")]], dtype=object), allow_pickle=True)
-    with pytest.raises(FileError, match=r"skin\.npy"):
+    with pytest.raises(FileError, match=r"skin\.npy.* must hold numbers, got dtype object"):
         io.read(path)
     assert not (tmp_path / "sprung").exists()
     np.save(path, READINGS)

@@ -283,9 +283,13 @@ JOINT = '<joint name="{0}j" type="fixed"><parent link="{1}"/><child link="{0}"/>
         (
             "a.urdf",
             ROBOT.format(JOINT.format("b", "a", '<origin xyz="1 2"/>')),
-            "must be 3 numbers",
+            "must be 3 finite numbers",
         ),
-        ("a.urdf", ROBOT.format(JOINT.format("b", "a", '<origin xyz="1 2 nan"/>')), "3 numbers"),
+        (
+            "a.urdf",
+            ROBOT.format(JOINT.format("b", "a", '<origin xyz="1 2 nan"/>')),
+            "3 finite numbers",
+        ),
         (
             "a.urdf",
             ROBOT.format(JOINT.format("b", "a", "") + JOINT.format("c", "b", "")),

@@ -193,7 +193,7 @@ def test_provenance_accepts_numpy_scalars(tmp_path: Path) -> None:
 
 def test_provenance_rejects_lists(tmp_path: Path) -> None:
     for suffix in (".csv", ".json", ".npz"):
-        with pytest.raises(InputError, match="not list"):
+        with pytest.raises(InputError, match="got list"):
             io.write(SensorMap(np.eye(2), provenance={"a": [1]}), tmp_path / f"map{suffix}")
     assert not list(tmp_path.iterdir())
 

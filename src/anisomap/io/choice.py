@@ -45,9 +45,10 @@ def choose(path: Path, contents: Sequence[Content], select: str, noun: str) -> C
     contents : sequence of Content
         All items in the file.
     select : str
-        Name of an item, or a part of its name between ``/``; empty for the only usable item.
+        Name of an item, or whole components of its name (``b/c`` of ``a/b/c``); empty for the only
+        usable item.
     noun : str
-        What an item is called in messages: ``"dataset"``.
+        Noun for an item in messages, such as ``"dataset"``.
 
     Returns
     -------
@@ -77,8 +78,8 @@ def choose(path: Path, contents: Sequence[Content], select: str, noun: str) -> C
             "choose one with --select"
         )
     if not usable:
-        held = f"; it holds {_listed(contents)}" if contents else ""
-        raise FileError(f"{path} holds no {noun} that can be a recording{held}")
+        listing = f"; it holds {_listed(contents)}" if contents else ""
+        raise FileError(f"{path} holds no {noun} that can be a recording{listing}")
     return usable[0]
 
 

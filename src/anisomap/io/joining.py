@@ -20,14 +20,19 @@ def join_streams(streams: Mapping[str, Stream]) -> Stream:
     Parameters
     ----------
     streams : mapping of str to Stream
-        By the name of the part, which becomes a prefix of its sensors' names. All need times from
-        synchronised clocks.
+        Streams by name of the part, which becomes a prefix of its sensors' names. All need times
+        from synchronised clocks.
 
     Returns
     -------
     Stream
         The frames of the first stream, each with the latest earlier frame of the other streams.
         Frames outside the recording time of any stream are left out.
+
+    Raises
+    ------
+    FileError
+        While iterating, if a stream has no times or no frame, or the streams do not overlap.
     """
     (_, leader), *followers = streams.items()
     names = tuple(
@@ -48,19 +53,19 @@ def join_streams(streams: Mapping[str, Stream]) -> Stream:
 
 
 def _blocks(leader: Stream, followers: list[_Follower], parts: list[str]) -> Iterator[Block]:
-    together = False
+    overlap = False
     for block in leader.blocks:
         if block.times is None:
-            raise FileError(f"{leader.path} has no times, which joining recordings requires")
-        rows, running = [block.readings], np.ones(len(block.readings), dtype=bool)
+            raise FileError(f"{leader.path} has no times; joining recordings requires them")
+        rows, covered = [block.readings], np.ones(len(block.readings), dtype=bool)
         for follower in followers:
             readings, known = follower.at(block.times)
             rows.append(readings)
-            running &= known
-        if running.any():
-            together = True
-            yield Block(np.hstack(rows)[running], block.fraction, block.times[running])
-    if not together:
+            covered &= known
+        if covered.any():
+            overlap = True
+            yield Block(np.hstack(rows)[covered], block.fraction, block.times[covered])
+    if not overlap:
         raise FileError(f"{leader.path}: the recordings {join_items(parts)} do not overlap in time")
 
 
@@ -93,8 +98,8 @@ class _Follower:
                 return
             if block.times is None:
                 raise FileError(
-                    f"{self._stream.path}: {self._name} has no times, which joining recordings "
-                    "requires"
+                    f"{self._stream.path}: {self._name} has no times; joining recordings requires "
+                    "them"
                 )
             # searchsorted needs non-decreasing times, so a clock that steps back is held constant.
             self._times = np.fmax.accumulate(np.append(self._times, block.times))

@@ -63,7 +63,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
             surface_distances=archive.array("surface_distances", NUMBERS),
             units=archive.text("units"),
             source=archive.text("source", path.name),
-            metadata={**archive.scalars(but=_RECORDING_KEYS), **archive.mapping("metadata")},
+            metadata={**archive.scalars(exclude=_RECORDING_KEYS), **archive.mapping("metadata")},
         )
 
 
@@ -92,7 +92,7 @@ def read_map(path: Path) -> SensorMap:
         return SensorMap(
             positions,
             names=names,
-            component=archive.list_of("component", np.dtype(np.intp)),
+            component=archive.integers("component", np.dtype(np.intp)),
             health=archive.texts("health"),
             units=units,
             method=archive.text("method"),
@@ -104,7 +104,7 @@ def read_map(path: Path) -> SensorMap:
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording as an NPZ archive; all is read back equal."""
+    """Write a recording as an NPZ archive; every field is read back equal."""
     arrays: dict[str, Any] = {
         "readings": recording.readings,
         "names": np.array(recording.names, dtype=str),
@@ -121,7 +121,7 @@ def write_recording(recording: Recording, path: Path) -> None:
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
-    """Write a map as an NPZ archive; all is read back equal."""
+    """Write a map as an NPZ archive; every field is read back equal."""
     arrays: dict[str, Any] = {
         "positions": sensor_map.positions,
         "names": np.array(sensor_map.names, dtype=str),
@@ -147,7 +147,7 @@ def _write(arrays: Mapping[str, Any], path: Path) -> None:
         for name, array in arrays.items():
             if array is None:
                 continue
-            # An explicit ZipInfo holds neither time nor operating system, so bytes are repeatable.
+            # An explicit ZipInfo omits the time and the operating system: equal input, equal bytes.
             info = zipfile.ZipInfo(name + SUFFIX)
             info.compress_type, info.create_system = zipfile.ZIP_DEFLATED, 0
             with archive.open(info, "w", force_zip64=True) as member:

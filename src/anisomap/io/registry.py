@@ -103,12 +103,14 @@ def read(
     Returns
     -------
     Recording
-        The peak memory of reading is about the size of its arrays.
+        Reading takes little more memory than its arrays.
 
     Raises
     ------
     FileError
         If the file is missing, damaged, or holds no recording.
+    InputError
+        If the preset is unknown, or the preset or grid does not fit the recording.
     MissingExtraError
         If the format needs a library that is not installed.
 
@@ -168,7 +170,9 @@ def contents(
     Parameters
     ----------
     path : path-like
+        As for `read`.
     options : ReadOptions, optional
+        As for `read`; only `definitions` is used.
 
     Returns
     -------
@@ -223,12 +227,12 @@ def read_map(path: str | os.PathLike[str]) -> SensorMap:
         return found
 
 
-def write(thing: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
+def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     """Write a map or a recording in the format of the suffix.
 
     Parameters
     ----------
-    thing : SensorMap or Recording
+    data : SensorMap or Recording
     path : path-like
         Maps: ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``, ``.pcd``; with a scale also
         ``.urdf``, ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``. Recordings:
@@ -239,29 +243,27 @@ def write(thing: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     FileError
         If the suffix is unknown or the file cannot be written.
     InputError
-        If `thing` is neither a map nor a recording, or the format cannot represent it.
+        If `data` is neither a map nor a recording, or the format cannot represent it.
     """
     file = Path(path)
-    if isinstance(thing, SensorMap):
-        _check_encodable((*thing.names, *thing.health), file)
+    if isinstance(data, SensorMap):
+        _check_encodable((*data.names, *data.health), file)
         write_map = _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
         with atomic_write(file) as temporary:
-            write_map(thing, temporary)
-    elif isinstance(thing, Recording):
-        _check_encodable(thing.names, file)
+            write_map(data, temporary)
+    elif isinstance(data, Recording):
+        _check_encodable(data.names, file)
         write_recording = _by_suffix(
             file, {s: f.write_recording for f in FORMATS for s in f.suffixes}
         )
         with atomic_write(file) as temporary:
-            write_recording(thing, temporary)
+            write_recording(data, temporary)
     else:
-        raise InputError(
-            f"write needs a SensorMap or a Recording, got an object of type {type(thing).__name__}"
-        )
+        raise InputError(f"write needs a SensorMap or a Recording, got {type(data).__name__}")
 
 
 def write_components(sensor_map: SensorMap, path: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Write each connected component of a map to a file of its own.
+    """Write each connected component of a map to a separate file.
 
     Parameters
     ----------
@@ -269,7 +271,7 @@ def write_components(sensor_map: SensorMap, path: str | os.PathLike[str]) -> tup
         Sensors without a position are not written.
     path : path-like
         Template of the file names: ``skin.urdf`` gives ``skin-1.urdf``, ``skin-2.urdf``, ..., in
-        order of decreasing component size. Existing files are replaced, as by `write`.
+        order of decreasing component size. Existing files are replaced.
 
     Returns
     -------
@@ -319,6 +321,11 @@ def needs_scale(path: str | os.PathLike[str]) -> bool:
     ----------
     path : path-like
         As for `write`.
+
+    Raises
+    ------
+    FileError
+        If the suffix is not that of a map format.
     """
     return _by_suffix(
         Path(path), {s: f for f in FORMATS if f.write_map for s in f.suffixes}
@@ -340,7 +347,7 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
 
 
 def _with_file_errors(blocks: Iterator[Block], file: Path) -> Iterator[Block]:
-    """Convert errors of reading, but not errors of the caller's loop body."""
+    """Convert errors of reading to FileErrors, but not errors of the caller's loop body."""
     with file_errors(file):
         yield from blocks
 
@@ -363,7 +370,7 @@ def _recognise(file: Path) -> Format:
 
 
 def _folder_message(folder: Path) -> str:
-    """Suggest to list the recordings in a folder as several runs."""
+    """Suggest giving the recordings in a folder as several runs."""
     known = tuple(suffix for f in FORMATS if f.open_recording for suffix in f.suffixes)
     paths = sorted(folder.iterdir())
     files = [path for path in paths if path.name.lower().removesuffix(".gz").endswith(known)]
@@ -380,7 +387,7 @@ def _suffixes(formats: Iterable[Format]) -> str:
 
 
 def _by_suffix(file: Path, writers: Mapping[str, Writer | None]) -> Writer:
-    # The longest match, because .launch.xml also ends in .xml.
+    # Use the longest match, because .launch.xml also ends in .xml.
     matching = [suffix for suffix in writers if file.name.lower().endswith(suffix)]
     writer = writers[max(matching, key=len)] if matching else None
     if writer is None:
@@ -391,7 +398,9 @@ def _by_suffix(file: Path, writers: Mapping[str, Writer | None]) -> Writer:
 
 
 def _check_encodable(words: Iterable[str], file: Path) -> None:
-    """Reject text that UTF-8 or numpy cannot represent, before anything is written."""
+    """Reject null characters and unpaired surrogates before anything is written."""
     for word in words:
         if "\0" in word or any("\ud800" <= character <= "\udfff" for character in word):
-            raise FileError(f"cannot write {file}: {word!r} holds a character that is not text")
+            raise FileError(
+                f"cannot write {file}: {word!r} contains a character that is not valid text"
+            )

@@ -72,7 +72,7 @@ class Block:
     receive_times: NDArray[np.float64] | None = None
 
     def part(self, start: int, stop: int | None = None) -> Block:
-        """Return the frames from `start` to `stop`."""
+        """Return the frames from `start` up to, but not including, `stop`."""
         frames = slice(start, stop)
         return replace(
             self,

@@ -1,4 +1,4 @@
-"""Give a map a scale, an orientation and surface normals, as robot software needs them.
+"""Scale, handedness and surface normals of a map, as robot software needs them.
 
 A map is known up to rotation, translation, scale and mirror image. The distance between
 neighbouring sensors and the handedness of the skin come from the user.

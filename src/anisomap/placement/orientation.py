@@ -15,6 +15,10 @@ from anisomap.sensor_map import SensorMap
 def mirrored(sensor_map: SensorMap) -> SensorMap:
     """Reflect a map.
 
+    Parameters
+    ----------
+    sensor_map : SensorMap
+
     Returns
     -------
     SensorMap
@@ -32,10 +36,20 @@ def mirrored(sensor_map: SensorMap) -> SensorMap:
 def surface_normals(sensor_map: SensorMap) -> NDArray[np.float64]:
     """Estimate the surface normal at each sensor, separately for each connected component.
 
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        Of at most three dimensions.
+
     Returns
     -------
     ndarray of shape (N, 3)
-        NaN for unplaced sensors. See `anisomap.numerics.normals.estimate_normals`.
+        Unit vectors, NaN for unplaced sensors. See `anisomap.numerics.normals.estimate_normals`.
+
+    Raises
+    ------
+    InputError
+        If the map has more than three dimensions.
     """
     normals = np.full((sensor_map.n_sensors, 3), np.nan)
     for label in range(len(sensor_map.component_sizes)):

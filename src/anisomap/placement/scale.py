@@ -20,6 +20,11 @@ _LENGTH = re.compile(r"\s*([0-9.eE+-]+)\s*([a-z\u00b5]+)\s*")
 def parse_length(text: str) -> tuple[float, str]:
     """Parse a length such as ``6.5mm``.
 
+    Parameters
+    ----------
+    text : str
+        A positive number and a unit.
+
     Returns
     -------
     value : float
@@ -48,6 +53,15 @@ def median_spacing(sensor_map: SensorMap) -> float:
     """Compute the median distance from a placed sensor to its nearest neighbour.
 
     Neighbours are searched within each connected component.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+
+    Returns
+    -------
+    float
+        Positive, in the unit of the map.
 
     Raises
     ------

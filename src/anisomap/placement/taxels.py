@@ -51,7 +51,7 @@ class Taxels:
     def roll_pitch_yaw(self) -> NDArray[np.float64]:
         """Rotations about the fixed x, y and z axes in radians, shape (n, 3)."""
         with warnings.catch_warnings():
-            # With the normal along x only the sum of two angles is determined; any pair is valid.
+            # If the normal is along x, only the sum of two angles is determined; any pair is valid.
             warnings.filterwarnings("ignore", message="Gimbal lock")
             return np.asarray(self.rotations.as_euler("xyz"))
 
@@ -62,9 +62,9 @@ def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     Parameters
     ----------
     sensor_map : SensorMap
-        With a unit of length, and one connected component.
+        With a unit of length, one connected component, and at most three dimensions.
     purpose : str
-        Start of error messages: ``"URDF"``.
+        Start of error messages, such as ``"URDF"``.
 
     Returns
     -------
@@ -73,7 +73,8 @@ def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     Raises
     ------
     InputError
-        If the map has no scale, several components, or no placed sensor.
+        If the map has no scale, several components, no placed sensor, or more than three
+        dimensions.
     """
     if sensor_map.units not in METRES:
         raise InputError(
@@ -85,8 +86,8 @@ def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     if n_components != 1:
         raise InputError(
             f"{purpose} needs one connected component, but the map has {n_components}, and their "
-            "relative poses are unknown; write each component to a file of its own "
-            "(anisomap.io.write_components)"
+            "relative poses are unknown; write each component to a separate file "
+            "(--split-components, or anisomap.io.write_components)"
         )
     indices = np.flatnonzero(sensor_map.placed)
     positions = pad_to_3d(sensor_map.positions[indices]) * METRES[sensor_map.units]

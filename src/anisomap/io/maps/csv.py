@@ -89,7 +89,7 @@ def read_map(path: Path) -> SensorMap:
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
-    """Write a map as comments about the map and one line per sensor; all is read back equal.
+    """Write a map as comments and one line per sensor; every field is read back equal.
 
     The suffix ``.tsv`` selects tabs, all others commas.
     """
@@ -123,7 +123,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
 
 def _without_trailing_columns(rows: list[delimited.Record]) -> list[delimited.Record]:
-    """Drop empty columns at the end, which delimiters at the end of every line give."""
+    """Drop the empty last columns of a table with delimiters at the end of every line."""
     empty = delimited.empty_columns([fields for _, fields in rows]) if rows else 0
     return [(number, fields[: len(fields) - empty]) for number, fields in rows]
 

@@ -57,7 +57,7 @@ def read_map(path: Path) -> SensorMap:
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
-    """Write a map as strict JSON; all is read back equal."""
+    """Write a map as strict JSON; every field is read back equal."""
     document = {
         "format": _MARK,
         "known_up_to": sensor_map.known_up_to,
@@ -109,7 +109,7 @@ class _Sensor:
         values = self.value("position", (list,))
         if len(values) != dimensions:
             raise FileError(
-                f"{self.where}: position must have {dimensions} coordinates, as that of sensor 0, "
+                f"{self.where}: position must have {dimensions} coordinates, as for sensor 0, "
                 f"got {len(values)}"
             )
         try:

@@ -28,7 +28,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     ):
         pose = zip(("x", "y", "z", "qx", "qy", "qz", "qw"), (*position, *turn), strict=True)
         words = " ".join(f"--{key} {float(value)!r}" for key, value in pose)
-        # Quoted, because a name may hold blanks.
+        # Quoted, because a name may contain blanks.
         frames = f"--frame-id '{_escape(skin.frame)}' --child-frame-id '{_escape(name)}'"
         node = {
             "pkg": "tf2_ros",

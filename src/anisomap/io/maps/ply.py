@@ -129,7 +129,7 @@ def _read_vertices(path: Path, header: _Header, lines: Iterator[Line]) -> list[l
     rows = [_row(path, header.columns["vertex"], number, line) for number, line in body]
     if len(rows) < header.counts["vertex"]:
         raise FileError(
-            f"{path} is cut short: it holds {len(rows)} of {header.counts['vertex']} vertices"
+            f"{path} is truncated: it holds {len(rows)} of {header.counts['vertex']} vertices"
         )
     return rows
 

@@ -17,7 +17,7 @@ from anisomap.placement import Taxels
 from anisomap.sensor_map import SensorMap
 
 MAX_FRAMES = 100
-"""Number of frames that is written without a warning; chosen by hand."""
+"""Maximum number of frames without a warning; chosen by hand."""
 
 _CHANNEL = "tactile"
 

@@ -1,4 +1,4 @@
-"""XML shared by URDF, MJCF and launch files: writing elements and comments, and safe parsing."""
+"""Write XML elements and comments, and parse XML safely, for URDF, MJCF and launch files."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     Raises
     ------
     InputError
-        If the map has no scale or several components.
+        If the map has no scale, several components, or no placed sensor.
     FileError
-        If a name holds a control character.
+        If a name contains a control character.
     """
     skin = to_taxels(sensor_map, purpose)
     for name in (*skin.names, skin.frame):
@@ -58,22 +58,22 @@ def tag(name: str, attributes: Mapping[str, str], *, closed: bool = True) -> str
 
 
 def map_comments(sensor_map: SensorMap, element: str) -> list[str]:
-    """Format comments about a map: its frame, how far to trust it, and its notes.
+    """Format comments about a map: its frame, method, confidence and notes.
 
     Parameters
     ----------
     sensor_map : SensorMap
     element : str
-        The element that represents a sensor: ``"site"``.
+        The element that represents a sensor, such as ``"site"``.
     """
     confidence = sensor_map.confidence
-    judged = "unknown" if math.isnan(confidence) else f"{confidence:.3f} (expected Mantel r)"
+    stated = "unknown" if math.isnan(confidence) else f"{confidence:.3f} (expected Mantel r)"
     lines = [
         f"{int(sensor_map.placed.sum())} sensors in metres, right-handed; the z axis of each "
         f"{element} is the estimated surface normal",
         f"known up to {sensor_map.known_up_to}",
         f"method: {sensor_map.method or 'unknown'}",
-        f"confidence: {judged}",
+        f"confidence: {stated}",
         *(f"note: {note}" for note in sensor_map.notes),
     ]
     return [comment(line) for line in lines]
@@ -112,7 +112,7 @@ def parse_xml(path: Path) -> object:
         return parser.fromstring(path.read_bytes(), forbid_dtd=True)
 
 
-def parse_vector(path: Path, what: str, text: str | None) -> NDArray[np.float64]:
+def parse_vector(path: Path, name: str, text: str | None) -> NDArray[np.float64]:
     """Parse three finite numbers, separated by blanks.
 
     Raises
@@ -125,20 +125,20 @@ def parse_vector(path: Path, what: str, text: str | None) -> NDArray[np.float64]
     except ValueError:
         values = np.empty(0)
     if len(values) != 3 or not np.isfinite(values).all():
-        raise FileError(f"{path}: {what} must be 3 numbers, got {text!r}")
+        raise FileError(f"{path}: {name} must be 3 finite numbers, got {text!r}")
     return values
 
 
 def map_from_positions(
-    path: Path, positions: Mapping[str, NDArray[np.float64]], what: str
+    path: Path, positions: Mapping[str, NDArray[np.float64]], elements: str
 ) -> SensorMap:
     """Create a map from positions in metres, by sensor name.
 
     Raises
     ------
     FileError
-        If there are none.
+        If `positions` is empty.
     """
     if not positions:
-        raise FileError(f"{path} holds no {what} to read as sensors")
+        raise FileError(f"{path} holds no {elements} to read as sensors")
     return SensorMap(np.array(list(positions.values())), names=tuple(positions), units="m")

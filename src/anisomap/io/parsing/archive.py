@@ -30,18 +30,24 @@ NUMBERS, WHOLE, TEXT = "biuf", "biu", "US"
 """Accepted values of `numpy.dtype.kind`."""
 _DESCRIPTIONS = {NUMBERS: "numbers", WHOLE: "integers"}
 
-_MAX_RATIO = 1032  # of deflate (RFC 1951: at most 258 bytes per 2 bits)
+_MAX_RATIO = 1032  # maximum of deflate (RFC 1951: 258 bytes per 2 bits)
 _MAX_SCALAR_BYTES = 1 << 16
 
 
 @contextmanager
 def open_archive(path: Path) -> Iterator[Archive]:
-    """Open an NPZ file; damage raises FileError."""
+    """Open an NPZ file.
+
+    Raises
+    ------
+    FileError
+        In the block, if the file is damaged.
+    """
     try:
         with zipfile.ZipFile(path) as archive:
             yield Archive(path, archive)
     except zipfile.BadZipFile as error:
-        raise FileError(f"{path} is not a NumPy archive, or damaged: {error}") from error
+        raise FileError(f"{path} is damaged or not a NumPy archive: {error}") from error
     except (zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise FileError(f"{path} is damaged: {error}") from error
 
@@ -60,10 +66,10 @@ class Archive:
         return [name.removesuffix(SUFFIX) for name in members if name.endswith(SUFFIX)]
 
     def require(self, name: str, what: str) -> None:
-        """Raise FileError if an array is missing."""
+        """Raise FileError if an array is missing; `what` describes it in the message."""
         if name not in self.names:
-            held = f"arrays: {join_items(self.names)}" if self.names else "it has no array"
-            raise FileError(f"{self.path} holds no {what}: array {name!r} is missing ({held})")
+            found = f"arrays: {join_items(self.names)}" if self.names else "it has no array"
+            raise FileError(f"{self.path} holds no {what}: array {name!r} is missing ({found})")
 
     def required(self, name: str, kinds: str) -> NDArray[Any]:
         """Read an existing array, which must be of one of `kinds`."""
@@ -118,7 +124,7 @@ class Archive:
         """Read an array, or return None if it is missing."""
         return self.required(name, kinds) if name in self.names else None
 
-    def list_of(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
+    def integers(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
         """Read a 1-D array of integers; empty if it is missing."""
         values = self.array(name, WHOLE)
         if values is None:
@@ -155,12 +161,12 @@ class Archive:
             return {name: packed}
         return {key: value for key, value in mapping.items() if isinstance(value, Scalar)}
 
-    def scalars(self, but: set[str]) -> dict[str, Scalar]:
-        """Read all scalar arrays except those named in `but`; objects are skipped."""
+    def scalars(self, exclude: set[str]) -> dict[str, Scalar]:
+        """Read all scalar arrays except those named in `exclude`; objects are skipped."""
         found = {}
         for name in dict.fromkeys(self.names):
             info = self.zip.getinfo(name + SUFFIX)
-            if name in but or info.file_size > _MAX_SCALAR_BYTES:
+            if name in exclude or info.file_size > _MAX_SCALAR_BYTES:
                 continue
             self._check_size(info)
             with self.zip.open(info) as member:
@@ -185,7 +191,7 @@ class Archive:
         if values.dtype.kind == "S":
             return [text.decode("utf-8", "replace") for text in values.tolist()]
         if values.dtype.kind == "U":
-            # numpy accepts code points beyond Unicode, which fail later and elsewhere.
+            # numpy accepts code points beyond Unicode, on which Python fails later.
             characters = values.view(np.dtype(np.uint32).newbyteorder(values.dtype.byteorder))
             if characters.max(initial=0) > sys.maxunicode:
                 raise FileError(f"{self.path}: {name} holds invalid Unicode characters")
@@ -202,7 +208,7 @@ class Archive:
                 return np.lib.format.read_array_header_2_0(member)
         except zipfile.BadZipFile:
             raise
-        except Exception as error:  # numpy parses the header as Python, and raises anything
+        except Exception as error:  # numpy evaluates the header as a literal; any error may result
             raise FileError(f"{self.path}: the header of the array {name} is damaged") from error
 
     def _check_size(self, info: zipfile.ZipInfo) -> None:
@@ -213,4 +219,4 @@ class Archive:
             )
         ratio = 1 if info.compress_type == zipfile.ZIP_STORED else _MAX_RATIO
         packed = min(info.compress_size, self.path.stat().st_size)
-        check_expansion(self.path, info.filename, packed, info.file_size, largest_ratio=ratio)
+        check_expansion(self.path, info.filename, packed, info.file_size, max_ratio=ratio)

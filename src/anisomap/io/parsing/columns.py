@@ -33,7 +33,7 @@ _PER_SECOND = {
     **dict.fromkeys(("min", "minutes", "minuten"), 1 / 60),
     **dict.fromkeys(("h", "hours", "stunden"), 1 / 3600),
 }
-# Units that can be a whole column name; the others are as likely names of sensors.
+# Units that can be a whole column name; the other units may also name sensors.
 _TIME_UNITS = set(_PER_SECOND) - {"s", "us", "ns", "min", "h"}
 _COUNTER_NAMES = {
     *("", "frame", "frames", "index", "idx", "seq", "sequence", "sample", "row", "packet", "no"),
@@ -41,7 +41,7 @@ _COUNTER_NAMES = {
 }
 # Seconds since 1970 stay below 1e11 until the year 5138; in ms, us and ns they are larger.
 _EPOCHS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
-# Chosen by hand: fewer rows are no evidence of a steady clock, and a few rows may be glitches.
+# Chosen by hand: fewer rows do not show that a clock is steady, and a few rows may be glitches.
 _MIN_FRAMES = 8
 _MIN_STEADY_FRACTION = 0.95
 _MIN_RISING_FRACTION = 0.99
@@ -56,13 +56,13 @@ class Roles:
     time : int or None
         Column of times.
     per_second : float
-        Number of its units per second.
+        Units of `time` per second, such as 1000 for milliseconds.
     counter : int or None
         Column of a frame counter.
     non_sensors : tuple of int
         All columns that are not sensors.
     guessed : tuple of int
-        Those of them that were recognised by their values and an unusual name.
+        The columns of `non_sensors` that were recognised by their values and an unusual name.
     """
 
     time: int | None = None
@@ -76,8 +76,8 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
     """Find the columns of time and frame counter by name.
 
     - A time column has a name such as time, Zeit, stamp, elapsed or ms, with or without a unit
-      (``time [ms]``, ``stamp_ns``). ``t`` alone counts among the first two columns only. Of
-      several, the first gives the times, and none is a sensor.
+      (``time [ms]``, ``stamp_ns``). ``t`` alone denotes time in the first two columns only. If
+      there are several, the first gives the times, and none is a sensor.
     - A counter is one of the first two columns, has a name such as frame, index or seq, or an
       empty one, and increases in integers.
     - A column with a time word in a longer name (``host_time``) is time if it increases. The first
@@ -128,7 +128,7 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
     """Find the columns of time and frame counter in a table without a header.
 
     In at least 8 frames, the first column alone, or the first two alone, must increase throughout.
-    Consecutive integers are a counter, and nearly equal steps are times. Sensors do neither.
+    Consecutive integers are a counter, and values with nearly equal steps are times.
 
     Parameters
     ----------
@@ -160,12 +160,12 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
 
 
 def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:
-    """Warn of columns that `roles_by_name` took as time or counter without a known name."""
+    """Warn about columns without a known name that `roles_by_name` took as time or counter."""
     for column in roles.guessed:
         role = "a frame counter" if column == roles.counter else "time"
         warnings.warn(
             f"{path}: column {column + 1} ({header[column]}) increases steadily and is taken as "
-            f"{role}, not as a sensor; rename it like the sensors if it is one",
+            f"{role}; if it is a sensor, name it like the other sensors",
             AnisomapWarning,
             stacklevel=2,
         )
@@ -176,7 +176,7 @@ def _words(name: str) -> list[str]:
 
 
 def is_time(name: str, column: int = 0) -> bool:
-    """Return whether a column has a name of times; `column` is its index."""
+    """Return whether a column name denotes time; `column` is its index."""
     words = _words(name)
     if not words or re.search(r"\d", name) or words == ["t"]:
         return words == ["t"] and name.strip().lower() == "t" and column < 2
@@ -185,13 +185,13 @@ def is_time(name: str, column: int = 0) -> bool:
 
 
 def units_per_second(name: str, times: NDArray[np.float64]) -> float:
-    """Determine the unit of times from the column name, or from their magnitude."""
+    """Return the units per second of times, by the column name or the magnitude of the first."""
     units = [word for word in _words(name) if word in _PER_SECOND]
     if units:
         return _PER_SECOND[units[-1]]
     finite = times[np.isfinite(times)]
     start = float(finite[0]) if finite.size else 0.0
-    return next((per_second for least, per_second in _EPOCHS if start > least), 1.0)
+    return next((per_second for threshold, per_second in _EPOCHS if start > threshold), 1.0)
 
 
 def _mentions_time(name: str) -> bool:

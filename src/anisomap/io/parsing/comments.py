@@ -1,4 +1,4 @@
-"""Metadata in ``# key: value`` lines at the top of a text file; reading restores equal values."""
+"""Metadata in ``# key: value`` lines at the top of a text file, read back equal."""
 
 from __future__ import annotations
 
@@ -56,7 +56,9 @@ def read_comments(
     Returns
     -------
     entries : list of (str, scalar)
+        Entries before the section.
     mapping : dict of str to scalar
+        Entries in the section.
     """
     entries: list[tuple[str, Scalar]] = []
     mapping: dict[str, Scalar] = {}
@@ -95,7 +97,7 @@ def to_python_scalar(value: object) -> Scalar:
     if not isinstance(scalar, Scalar):
         raise InputError(
             "values of provenance and metadata must be str, int, float or bool, "
-            f"not {type(value).__name__}"
+            f"got {type(value).__name__}"
         )
     return scalar
 

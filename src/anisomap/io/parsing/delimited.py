@@ -19,7 +19,8 @@ Record = tuple[int, list[str]]
 
 _SAMPLE_LINES, _SAMPLE_CHARACTERS = 1000, 1 << 22
 _SAMPLE_RECORDS = 50
-# In order of trust: semicolons and tabs are rare in numbers and names, commas may be decimal.
+# In order of reliability: numbers and names rarely contain semicolons and tabs; commas may be
+# decimal.
 _DELIMITERS = (";", "\t", ",", None)
 _BLANK_SEPARATED = re.compile(r'"((?:[^"]|"")*)"|(\S+)')
 # Chosen by hand, so that a row of numbers is not mistaken for the labels 0, 1, 2, ...
@@ -45,7 +46,7 @@ class Layout:
     first_line : int
         The line after the header, from 1; 1 without a header.
     text_columns : tuple of int
-        Columns without a number in any cell of the sample.
+        Columns with text and no number in the sample.
     """
 
     delimiter: str | None
@@ -117,8 +118,8 @@ def records(lines: Iterable[str], delimiter: str | None) -> Iterator[Record]:
 def find_delimiter(sample: Sequence[str]) -> str | None:
     """Detect the delimiter.
 
-    It is the first of semicolon, tab, comma and white space that gives all records the same number
-    of fields. If none does (in a damaged file), it is the one that splits the most records.
+    The delimiter is the first of semicolon, tab, comma and white space that gives all records the
+    same number of fields. If none does (in a damaged file), it is the one that splits most records.
 
     Parameters
     ----------
@@ -143,10 +144,10 @@ def find_delimiter(sample: Sequence[str]) -> str | None:
 
 
 def count_preamble(sample: Sequence[str]) -> int:
-    """Count the lines of metadata above the table in the export of a measurement program.
+    """Count the lines of metadata above the table, as measurement programs export them.
 
-    They are recognised only if several rows of numbers of equal width follow, with more fields than
-    the first line.
+    Metadata are recognised only if several rows of numbers of equal width follow, with more fields
+    than the first line.
 
     Parameters
     ----------
@@ -228,7 +229,7 @@ def _text_columns(
     if candidates:
         every = [fields for _, fields in _all_records(sample, delimiter)]
         candidates = [i for i in candidates if i in _without_numbers(every[1:], delimiter)]
-    # Without a column of numbers, a message about the first cell helps more than skipping all.
+    # A file without a column of numbers gives an error about its first cell instead.
     return tuple(candidates) if rows and len(candidates) < len(rows[0]) else ()
 
 
@@ -274,7 +275,7 @@ def _looks_like_header(
 
 
 def _counts(fields: Sequence[str]) -> bool:
-    """Return whether fields are 0, 1, 2, ... or 1, 2, 3, ...: default labels of a data frame."""
+    """Return whether fields are 0, 1, 2, ... or 1, 2, 3, ...: default labels of data frames."""
     return len(fields) >= _MIN_COUNTED and any(
         [field.strip() for field in fields] == [str(start + i) for i in range(len(fields))]
         for start in (0, 1)

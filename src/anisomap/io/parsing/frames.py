@@ -29,6 +29,11 @@ def increasing_times(
     Returns
     -------
     ndarray of float64, shape (T,), or None
+
+    Raises
+    ------
+    FileError
+        If `times` is not one-dimensional.
     """
     values = np.asarray(times, dtype=np.float64)
     if values.ndim != 1:

@@ -27,9 +27,13 @@ def import_extra(module: str, purpose: str, extra: str) -> Any:
     module : str
         Full name of the module.
     purpose : str
-        Start of the error message: ``"reading HDF5"``.
+        Start of the error message, such as ``"reading HDF5"``.
     extra : str
         Name of the extra.
+
+    Returns
+    -------
+    module
 
     Raises
     ------
@@ -47,7 +51,7 @@ def library_errors(path: Path) -> Iterator[None]:
     """Convert any exception that a library raises in the block into a DamagedError.
 
     The exceptions that these libraries raise for damaged files are undocumented. The block must
-    hold library calls only, because it would hide our own defects.
+    contain library calls only, because it would hide defects of anisomap.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Typed facts of a map, stored among its provenance in every map format."""
+"""Conversion between the typed fields of a map and the provenance that files store."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _FLAGS = ("approximate", "uneven", "mirrored")
 
 
 def to_provenance(sensor_map: SensorMap) -> dict[str, Scalar]:
-    """Return the provenance of a map with its frame and those flags that are set."""
+    """Return the provenance of a map, extended by its frame and the flags that are set."""
     flags: dict[str, Scalar] = {name: True for name in _FLAGS if getattr(sensor_map, name)}
     frame = {} if sensor_map.frame == DEFAULT_FRAME else {"frame": sensor_map.frame}
     return {**sensor_map.provenance, **flags, **frame}

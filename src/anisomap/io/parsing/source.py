@@ -29,7 +29,7 @@ _MAX_QUOTED = 40
 MAX_RATIO, MIN_CHECKED_BYTES = 900, 1 << 30
 """Compressed data may expand at most `MAX_RATIO`-fold beyond `MIN_CHECKED_BYTES`.
 
-Deflate reaches 1032 at most; chosen by hand below that, where no recording of real sensors comes.
+Chosen by hand, below the maximum of deflate (1032) and above any recording of real sensors.
 """
 
 
@@ -45,7 +45,7 @@ def file_errors(path: Path) -> Iterator[None]:
     Raises
     ------
     FileError
-        Instead of errors of input, decoding, decompression, memory and the operating system.
+        For errors of input, decoding, decompression, memory and the operating system.
     """
     try:
         yield
@@ -70,7 +70,7 @@ def file_errors(path: Path) -> Iterator[None]:
 
 
 def check_expansion(
-    path: Path, what: str, n_compressed: int, n_decompressed: int, *, largest_ratio: float = np.inf
+    path: Path, what: str, n_compressed: int, n_decompressed: int, *, max_ratio: float = np.inf
 ) -> None:
     """Reject data that expand far more than any recording (decompression bombs).
 
@@ -82,15 +82,15 @@ def check_expansion(
         The compressed part of the file, for messages.
     n_compressed, n_decompressed : int
         Bytes before and after decompression.
-    largest_ratio : float
+    max_ratio : float
         Maximum ratio of the compression method.
 
     Raises
     ------
     FileError
-        If `n_decompressed` exceeds `largest_ratio` or `max_expansion`.
+        If the ratio exceeds `max_ratio`, or `n_decompressed` exceeds `max_expansion`.
     """
-    if n_decompressed > min(max_expansion(n_compressed), largest_ratio * n_compressed):
+    if n_decompressed > min(max_expansion(n_compressed), max_ratio * n_compressed):
         raise FileError(
             f"{path}: {what} expands from {n_compressed} to {n_decompressed} bytes, more than any "
             "recording; the file is damaged or a decompression bomb"
@@ -112,7 +112,7 @@ class _Gunzipped(gzip.GzipFile):
     def read(self, size: int | None = -1) -> bytes:
         if size is None or size < 0:
             return b"".join(iter(lambda: self.read(HEAD_BYTES), b""))
-        content = super().read1(size)  # `read` discards the data before the damage
+        content = super().read1(size)  # `read` would discard the data before the damage
         if self.tell() > MIN_CHECKED_BYTES:
             n_compressed = self._path.stat().st_size
             check_expansion(self._path, "its content", n_compressed, self.tell())
@@ -181,7 +181,9 @@ def read_head(path: Path) -> bytes:
         if not path.exists():
             raise FileError(f"there is no file {path}")
         if not path.is_file():
-            raise FileError(f"{path} is not a regular file; save its content to one first")
+            raise FileError(
+                f"{path} is not a regular file; save its content to a regular file first"
+            )
         with open_binary(path) as stream:
             start = _read_start(stream)
         if not start:

@@ -1,4 +1,4 @@
-"""Parse lines of numbers: fast with numpy, and line by line to locate what numpy rejects."""
+"""Parse lines of numbers: fast with numpy, and line by line to locate errors."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Table:
     n_columns : int
         Required number of fields per line.
     because : str
-        Reason for `n_columns`, for messages: ``"the header names 3"``.
+        Reason for `n_columns` in messages, such as ``"the header names 3"``.
     first_line : int
         First line of numbers, from 1; earlier lines are skipped.
     names : tuple of str
@@ -81,7 +81,7 @@ class Table:
 
 
 def read_blocks(
-    table: Table, *, warn_of_cut: bool = True
+    table: Table, *, warn_if_truncated: bool = True
 ) -> Iterator[tuple[NDArray[np.float64], float]]:
     """Read lines of numbers in blocks.
 
@@ -92,7 +92,7 @@ def read_blocks(
     ----------
     table : Table
         The file and its layout.
-    warn_of_cut : bool
+    warn_if_truncated : bool
         Whether to warn of a truncated last line.
 
     Yields
@@ -113,8 +113,13 @@ def read_blocks(
     with open_text_with_progress(table.path) as text:
         lines = itertools.islice(text.lines, first_line - 1, None)
         for block, damage in _line_blocks(lines):
-            rows = _all_but_a_cut_line(
-                block, table, first_line, n_before=n_rows, later=lines, warn_of_cut=warn_of_cut
+            rows = _parse_without_truncated_line(
+                block,
+                table,
+                first_line,
+                n_before=n_rows,
+                later=lines,
+                warn_if_truncated=warn_if_truncated,
             )
             first_line, n_rows = first_line + len(block), n_rows + len(rows)
             if len(rows):
@@ -133,7 +138,7 @@ def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
     """
     held = [np.empty((0, table.n_columns))]
     with suppress(*GZIP_ERRORS):
-        for rows, _ in read_blocks(table, warn_of_cut=False):
+        for rows, _ in read_blocks(table, warn_if_truncated=False):
             held.append(rows)
             if sum(map(len, held)) >= n_rows:
                 break
@@ -158,14 +163,14 @@ def _line_blocks(lines: Iterator[str]) -> Iterator[tuple[list[str], Exception | 
             yield block, None
 
 
-def _all_but_a_cut_line(
+def _parse_without_truncated_line(
     lines: list[str],
     table: Table,
     first_line: int,
     *,
     n_before: int,
     later: Iterator[str],
-    warn_of_cut: bool,
+    warn_if_truncated: bool,
 ) -> NDArray[np.float64]:
     """Parse lines; drop an incomplete last line of the file that has no line end."""
     try:
@@ -179,7 +184,7 @@ def _all_but_a_cut_line(
         rows = _parse_fast(whole, table, first_line)
         if not n_before + len(rows):
             raise
-        if warn_of_cut:
+        if warn_if_truncated:
             warnings.warn(
                 f"{table.path}: the last line ({error.line}) is truncated in field {n_fields} of "
                 f"{table.n_columns} and dropped; read the {n_before + len(rows)} frames before it",
@@ -232,7 +237,7 @@ def is_number(field: str, delimiter: str | None) -> bool:
 
 
 def _text_to_nan(field: str) -> float:
-    """Convert a field of a text column; a number there needs a close look by `_row`."""
+    """Convert a field of a text column to NaN; raise ValueError for a number."""
     if field.strip() and is_number(field, ","):
         raise ValueError(field)
     return math.nan
@@ -254,7 +259,7 @@ def _parse_fast(lines: list[str], table: Table, first_line: int) -> NDArray[np.f
         )
     except ValueError:
         return _parse_lines(lines, table, first_line)
-    # loadtxt compares the widths of lines within the block only.
+    # np.loadtxt compares the widths of lines only within the block.
     return block if block.shape[1] == table.n_columns else _parse_lines(lines, table, first_line)
 
 

@@ -1,6 +1,6 @@
 """Parquet and Arrow (Feather) files: a column of lists, or one column per sensor.
 
-Data sets for robot learning store the readings of a frame as a list (``observation.tactile``), and
+Datasets for robot learning store the readings of a frame as a list (``observation.tactile``), and
 times in a column ``timestamp``, which restarts from 0 in every episode.
 """
 
@@ -70,7 +70,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a recording in a Parquet or Arrow file.
 
     `options.select` names a column of lists, or is ``columns`` for all numeric columns, one per
-    sensor. Times come from a column with a name of times. With episodes, only the rate is known.
+    sensor. The first column with a name such as ``timestamp`` gives the times, or only the rate if
+    there is a column ``episode_index``.
     """
     with _open(path) as source:
         name = choose(path, _contents(source), options.select, "column").name
@@ -252,7 +253,7 @@ def _rows(path: Path, column: Any, name: str, n_sensors: int | None) -> NDArray[
     n_rows = len(column)
     while _is_list(column.type):
         if column.null_count:
-            raise FileError(f"{path}: column {name} lacks whole frames (nulls instead of lists)")
+            raise FileError(f"{path}: column {name} must hold a list in every row, got null")
         column = column.flatten()
     values = _column(column)
     width = n_sensors or (len(values) // n_rows if n_rows else 0)

@@ -20,7 +20,7 @@ from anisomap.io.parsing.libraries import library_errors
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
-_NUMBERS, _TEXT, _OF_ANY_LENGTH = "biuf", "SU", "O"
+_NUMBERS, _TEXT, _VARIABLE_LENGTH = "biuf", "SU", "O"
 _POSITIONS = {"positions", "position", "xyz", "coordinates", "taxel_positions"}
 _RATES = {"rate_hz", "fs", "sample_rate", "sampling_rate"}
 _BLOCK_BYTES = 1 << 22
@@ -33,17 +33,17 @@ class Dataset:
     Parameters
     ----------
     name : str
-        Name with groups: ``"left/readings"``.
+        Name with groups, such as ``"left/readings"``.
     shape : tuple of int
-        Frames first, for a recording.
+        The first axis of a recording is frames.
     dtype : str
-        Type, for display.
+        Data type, for display.
     kind : str
-        `numpy.dtype.kind`.
+        As `numpy.dtype.kind`.
     read : callable
         ``read(start, stop)`` reads a range of frames.
     frames_at_once : int
-        Number of frames that are compressed together.
+        Number of frames per compressed chunk.
     """
 
     name: str
@@ -88,8 +88,8 @@ def stream_of(
     ----------
     path : pathlib.Path
     datasets : sequence of Dataset
-        All datasets of the file. Those in the group of the recording with a name of times,
-        positions, names or a rate are used if their shape fits.
+        All datasets of the file. Those in the same group as the recording that are named as times,
+        positions, names or rate are used if their shapes fit.
     options : ReadOptions
         `select` names the dataset.
     metadata : mapping of str to scalar
@@ -98,11 +98,18 @@ def stream_of(
     -------
     Stream
         With all dimensions but the first flattened.
+
+    Raises
+    ------
+    ChoiceError
+        If several datasets can be a recording and none is selected.
+    FileError
+        If no dataset can be a recording, or the selection does not match one.
     """
     name = choose(path, contents_of(datasets), options.select, "dataset").name
     chosen = next(each for each in datasets if each.name == name)
     if not _usable(chosen):
-        choose(path, contents_of([chosen]), "", "dataset")  # raises, as it is not usable
+        choose(path, contents_of([chosen]), "", "dataset")  # raises FileError
     near = [each for each in datasets if each.group == chosen.group and each is not chosen]
     n_frames, n_sensors = chosen.shape[0], math.prod(chosen.shape[1:])
     with library_errors(path):
@@ -124,10 +131,15 @@ def stream_of(
 
 def _usable(dataset: Dataset) -> bool:
     fits = dataset.kind in _NUMBERS and len(dataset.shape) >= 2 and dataset.shape[0] > 1
-    return fits and 0 not in dataset.shape and dataset.key not in _POSITIONS and not _flat(dataset)
+    return (
+        fits
+        and 0 not in dataset.shape
+        and dataset.key not in _POSITIONS
+        and not _is_time_vector(dataset)
+    )
 
 
-def _flat(dataset: Dataset) -> bool:
+def _is_time_vector(dataset: Dataset) -> bool:
     """Return whether this is a vector of times, which MATLAB stores as a matrix."""
     return len(dataset.shape) == 2 and 1 in dataset.shape and is_time(dataset.key)
 
@@ -158,7 +170,7 @@ def _names(path: Path, near: Sequence[Dataset], n_sensors: int) -> tuple[str, ..
         if each.kind in _TEXT:
             values = each.whole().ravel().tolist()
             return tuple(v.decode() if isinstance(v, bytes) else v for v in values)
-        if each.kind == _OF_ANY_LENGTH:
+        if each.kind == _VARIABLE_LENGTH:
             # The HDF5 library can hang on variable-length strings in a damaged file.
             warnings.warn(
                 f"{path}: {each.name} holds variable-length strings, which are not supported, so "

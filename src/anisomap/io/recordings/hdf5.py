@@ -53,6 +53,17 @@ def open_datasets(path: Path, extra: str, *, frames_last: bool = False) -> Itera
         The extra to install if h5py is missing.
     frames_last : bool
         Whether the axes are reversed, as in MATLAB files.
+
+    Yields
+    ------
+    list of Dataset
+
+    Raises
+    ------
+    FileError
+        If the file is damaged.
+    MissingExtraError
+        If h5py is not installed.
     """
     h5py = import_extra("h5py", "reading HDF5", extra)
     with library_errors(path):
@@ -100,4 +111,4 @@ def _check_size(path: Path, item: Any, name: str) -> None:
     if item.external or item.is_virtual:
         raise OSError(f"dataset {name} is stored in other files, which are not opened")
     packed = min(item.id.get_storage_size(), path.stat().st_size) + _HEADERS
-    check_expansion(path, f"dataset {name}", packed, item.nbytes, largest_ratio=_MAX_RATIO)
+    check_expansion(path, f"dataset {name}", packed, item.nbytes, max_ratio=_MAX_RATIO)

@@ -111,10 +111,10 @@ def _image(pillow: Any, path: Path) -> NDArray[Any]:
 
 def _page(path: Path, image: Any, page: int) -> NDArray[Any]:
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # Pillow warns of images that are too large
+        warnings.simplefilter("error")  # Pillow warns about decompression bombs
         image.seek(page)
         size, packed = 4 * image.width * image.height, path.stat().st_size
-        check_expansion(path, f"page {page}", packed, size, largest_ratio=_MAX_RATIO)
+        check_expansion(path, f"page {page}", packed, size, max_ratio=_MAX_RATIO)
         image.load()
         grey = image if image.mode in _GREY_MODES else image.convert("L")
         return np.asarray(grey)

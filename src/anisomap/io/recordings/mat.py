@@ -35,7 +35,7 @@ _TYPES = {
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Recognise versions 5 and 7.3 by their first words; version 4 is known by its suffix only."""
+    """Recognise versions 5 and 7.3 by their headers; version 4 has none, only its suffix."""
     return head.startswith((_MAGIC, _MAGIC_73))
 
 
@@ -72,7 +72,7 @@ def _variables(path: Path) -> list[Dataset]:
         dtype = np.dtype(_TYPES.get(kind, "V"))
         size = math.prod(shape) * dtype.itemsize
         packed = path.stat().st_size
-        check_expansion(path, f"variable {name}", packed, size, largest_ratio=_MAX_RATIO)
+        check_expansion(path, f"variable {name}", packed, size, max_ratio=_MAX_RATIO)
         found.append(Dataset(name, tuple(shape), kind, dtype.kind, _reader(path, name)))
     return found
 

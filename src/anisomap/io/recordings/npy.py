@@ -28,12 +28,24 @@ def recognises(path: Path, head: bytes) -> bool:
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open an array of shape (T, N), memory-mapped."""
     with library_errors(path):
+        shape, dtype = _header(path)
+    if dtype.kind not in _NUMBERS:
+        raise FileError(f"{path}: the array must hold numbers, got dtype {dtype}")
+    if len(shape) != 2 or 0 in shape:
+        raise FileError(f"{path}: the array must be frames x sensors (T, N), got shape {shape}")
+    with library_errors(path):
         array = np.lib.format.open_memmap(path, mode="r")
-    if array.dtype.kind not in _NUMBERS:
-        raise FileError(f"{path}: the array has dtype {array.dtype}; it must hold numbers")
-    if array.ndim != 2 or 0 in array.shape:
-        raise FileError(f"{path}: the array must be frames x sensors (T, N), got {array.shape}")
     yield Stream(path, array.shape[1], _blocks(array), source=path.name)
+
+
+def _header(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Read shape and dtype, which memory-mapping does not report for an array of objects."""
+    with path.open("rb") as stream:
+        if np.lib.format.read_magic(stream) == (1, 0):
+            shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+        else:
+            shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+    return shape, dtype
 
 
 def _blocks(array: NDArray[Any]) -> Iterator[Block]:

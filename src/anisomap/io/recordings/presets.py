@@ -42,7 +42,7 @@ def apply_preset(recording: Recording, preset: str) -> Recording:
     Returns
     -------
     Recording
-        The metadata hold the preset, and whether the skin is raw or compensated.
+        Its metadata include the preset, and whether the skin is raw or compensated.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def numbering(recording: Recording, preset: str) -> dict[int, str]:
     Parameters
     ----------
     recording : Recording
-        As for `apply_preset`. The result depends on which values vary, but not on how.
+        As for `apply_preset`. Only whether each value varies matters.
     preset : str
         A name in `PRESETS`.
 
@@ -127,6 +127,11 @@ def icub(recording: Recording) -> dict[int, str]:
     dict of int to str
         ``b0.t3.k11`` is pad 11 of triangle 3 of board 0.
 
+    Raises
+    ------
+    InputError
+        If the number of values is not a multiple of 12.
+
     Notes
     -----
     Schmitz et al. (2011), IEEE Transactions on Robotics 27(3): 389-400,
@@ -161,7 +166,13 @@ def icub_hand(recording: Recording) -> dict[int, str]:
     Returns
     -------
     dict of int to str
-        ``thumb.0``, ``palm.47``. Parts with constant readings are absent and left out.
+        Names such as ``thumb.0`` and ``palm.47``. Parts with constant readings are absent from the
+        robot and left out.
+
+    Raises
+    ------
+    InputError
+        If there are not 192 values.
     """
     if recording.n_sensors != _BOARD:
         raise InputError(f"an iCub hand has {_BOARD} values, got {recording.n_sensors}")

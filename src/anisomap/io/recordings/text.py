@@ -1,7 +1,7 @@
 """Recordings as delimited text, with one line per frame and one column per sensor.
 
-`delimited` detects delimiter, decimal comma, header and columns of text, which are skipped;
-`columns` detects times and frame counters. Files may be gzipped.
+`anisomap.io.parsing.delimited` detects delimiter, decimal comma, header and columns of text, which
+are skipped; `anisomap.io.parsing.columns` detects times and frame counters. Files may be gzipped.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _logger = logging.getLogger(__name__)
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Recognise any text; asked after all other formats."""
+    """Recognise any text; this format is tried last."""
     return bool(head) and b"\0" not in head
 
 
@@ -66,8 +66,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         sample[preamble:], own_delimiter=_DELIMITERS.get(str(known.get("fields")), "")
     )
     if not layout.n_columns:
-        held = "only a header" if layout.header else "no line of numbers"
-        raise FileError(f"{path} holds {held}; it must have one line of numbers per frame")
+        content = "only a header" if layout.header else "no line of numbers"
+        raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")
     table = _table(path, layout, sample, preamble)
     names = layout.header if known else tuple(name.strip() for name in layout.header)
     _warn_of_text(table)
@@ -182,7 +182,7 @@ def _warn_of_text(table: Table) -> None:
         return
     columns = join_items([_column_label(table, column) for column in table.text_columns])
     warnings.warn(
-        f"{table.path}: skipped text, which is not a reading, in {columns}",
+        f"{table.path}: skipped text in {columns}",
         AnisomapWarning,
         stacklevel=2,
     )

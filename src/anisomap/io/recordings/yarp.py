@@ -32,7 +32,7 @@ _LINE = re.compile(rb"\s*(\d+)\s+(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s+[-+.(\dni]")
 _PORT = re.compile(r"\]\s*(/\S+)\s*\[connected\]")
 _INFO_CHARACTERS = 1 << 16
 _LINES_LOOKED_AT, _ROWS_LOOKED_AT = 3, 1000
-# In seconds since 1970, before any recording; larger than any reading.
+# Seconds since 1970: below the stamps of any recording, above any reading.
 _EPOCH = 1e8
 _SAME_CLOCK_S = 60.0
 _BRACKETS = str.maketrans("()", "  ")

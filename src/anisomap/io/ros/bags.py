@@ -59,8 +59,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     `options.select` names the topic, with a field after a colon if it is not the default:
     ``/xela:sensors.taxels.x``. Several topics, separated by commas or given by a pattern
     (``/range/*``), are joined at the times of the first. `options.definitions` are message
-    definitions for a bag without them. Times are the stamps of the messages from 0, or the times
-    of their receipt if the stamps do not increase.
+    definitions for a bag without them. Times start at 0; they are the stamps of the messages, or
+    the times of receipt if the stamps do not increase.
     """
     warn_of_missing_end(path)
     with _open(path, options) as bag:
@@ -97,7 +97,7 @@ class _Bag:
     reader: Any
 
     def contents(self) -> tuple[Content, ...]:
-        """List the topics; if there are tactile ones, only these are usable."""
+        """List the topics; if any is tactile, only tactile topics are usable."""
         with library_errors(self.path):
             topics = dict(self.reader.topics)
         tactile = any(messages.is_tactile(info.msgtype or "") for info in topics.values())
@@ -134,7 +134,7 @@ class _Bag:
         if message_type not in self.reader.typestore.fielddefs:
             raise FileError(
                 f"{self.path} lacks the definition of message type {message_type} of {topic}; "
-                "give its definition (--msg FILE)"
+                "give it (--msg FILE, or ReadOptions.definitions)"
             )
         kind = kind_of(message_type, fields)
         field = field or (kind.field if kind else "")
@@ -260,7 +260,7 @@ class _CellRows(_Rows):
     """A topic with one message per skin cell; a frame is a round of messages of all cells."""
 
     def stream(self) -> Stream:
-        """Create a stream, after a pass over all messages to find the cells."""
+        """Create a stream after reading all messages once to find the cells."""
         sizes: dict[str, int] = {}
         counts = Counter[str]()
         try:

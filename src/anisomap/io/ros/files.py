@@ -20,7 +20,7 @@ _REPAIRABLE = (".bag", ".mcap")
 
 
 def as_rosbags_path(path: Path) -> Path:
-    """Return a path with the suffix that rosbags expects, which opens truncated files repaired.
+    """Return a path with the suffix that rosbags expects; opening it repairs a truncated file.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def as_rosbags_path(path: Path) -> Path:
 
 
 def warn_of_missing_end(path: Path) -> None:
-    """Warn of a bag that was truncated or not closed, with the number of lost bytes."""
+    """Warn if a bag was truncated or not closed, with the number of lost bytes."""
     suffix = "" if path.is_dir() else _kind(path)
     repair = find_repair(path, suffix) if suffix in _REPAIRABLE else None
     if repair is None:
@@ -60,7 +60,12 @@ def register_definitions(store: Any, files: Iterable[Path]) -> None:
     ----------
     store : rosbags.typesys.store.Typestore
     files : iterable of pathlib.Path
-        Each a ``.msg`` file in a folder ``package/msg``, or named ``package.Name.msg``.
+        Each is a ``.msg`` file in a folder ``package/msg``, or is named ``package.Name.msg``.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be read, or its package is unknown.
     """
     typesys = import_extra("rosbags.typesys", "reading bags", EXTRA)
     for file in files:
@@ -72,7 +77,7 @@ def register_definitions(store: Any, files: Iterable[Path]) -> None:
 
 
 def check_chunks(path: Path, reader: Any) -> None:
-    """Reject decompression bombs.
+    """Reject decompression bombs, with a FileError.
 
     MCAP declares the size of each chunk; chunks of ROS 1 bags are checked while decompressing.
     """
@@ -83,8 +88,8 @@ def check_chunks(path: Path, reader: Any) -> None:
                 check_expansion(path, "a chunk", chunk.compressed_size, chunk.uncompressed_size)
         if storage is None:
             for at, chunk in each.chunks.items():
-                how = chunk.decompressor.__module__.partition(".")[0].removeprefix("_")
-                bounded = partial(decompress, path, compression=how)
+                method = chunk.decompressor.__module__.partition(".")[0].removeprefix("_")
+                bounded = partial(decompress, path, compression=method)
                 each.chunks[at] = chunk._replace(decompressor=bounded)
 
 

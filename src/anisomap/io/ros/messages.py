@@ -29,7 +29,7 @@ class Kind:
     Parameters
     ----------
     field : str
-        Default path of the readings: ``"sensors.taxels.z"``.
+        Default path of the readings, such as ``"sensors.taxels.z"``.
     values : callable
         ``values(message, path)`` returns the readings.
     names : callable
@@ -86,14 +86,14 @@ def kind_of(message_type: str, fields: list[str]) -> Kind | None:
     Parameters
     ----------
     message_type : str
-        As ``"package/msg/Name"``.
+        Such as ``"package/msg/Name"``.
     fields : list of str
         Paths of all its arrays of numbers.
 
     Returns
     -------
     Kind or None
-        None without an array of numbers.
+        None if the type is unknown and has no array of numbers.
     """
     package, _, name = message_type.partition("/msg/")
     known = KINDS.get(f"{package}/{name}") or KINDS.get(name)
@@ -104,7 +104,7 @@ def kind_of(message_type: str, fields: list[str]) -> Kind | None:
 
 
 def is_tactile(message_type: str) -> bool:
-    """Return whether a message type is made for arrays of sensors."""
+    """Return whether a message type is intended for arrays of sensors."""
     package, _, name = message_type.partition("/msg/")
     return f"{package}/{name}" in KINDS or name in KINDS or name.endswith("MultiArray")
 
@@ -129,7 +129,7 @@ def _pixels(message: Any, _: str) -> NDArray[Any]:
         kind = kind.newbyteorder(">")
     used = width * channels * kind.itemsize
     if message.step < used or len(message.data) < height * message.step:
-        raise ValueError(f"the image of {height} x {width} pixels ({encoding}) is cut short")
+        raise ValueError(f"the image of {height} x {width} pixels ({encoding}) is truncated")
     rows = np.asarray(message.data)[: height * message.step].reshape(height, message.step)
     pixels = np.ascontiguousarray(rows[:, :used]).view(kind).reshape(height * width, channels)
     return pixels[:, 0] if channels == 1 else pixels[:, :3].mean(axis=1)

@@ -1,4 +1,4 @@
-"""Read bags without an index at the end, which killed recorders leave behind.
+"""Read bags without an index at the end, which interrupted recorders leave behind.
 
 A missing index is rebuilt in memory and appended to the last complete record; the file is not
 changed. No library does this: rosbags 0.11 rejects such files ("Bag is not indexed", "File end
@@ -47,6 +47,11 @@ def find_repair(path: Path, suffix: str) -> Repair | None:
     path : pathlib.Path
     suffix : str
         ``".mcap"`` or ``".bag"``.
+
+    Raises
+    ------
+    FileError
+        If a chunk of a ROS 1 bag is a decompression bomb.
     """
     with path.open("rb") as file:
         return _repair_mcap(file) if suffix == ".mcap" else _repair_ros1(path, file)
@@ -62,17 +67,23 @@ def decompress(path: Path, compressed: bytes, compression: str) -> bytes:
     compressed : bytes
     compression : {"none", "bz2", "lz4"}
 
+    Returns
+    -------
+    bytes
+
     Raises
     ------
     FileError
         If the chunk is a decompression bomb.
+    MissingExtraError
+        If lz4 is required and not installed.
     """
-    most = max_expansion(len(compressed))
+    limit = max_expansion(len(compressed))
     if compression == "bz2":
-        content = bz2.BZ2Decompressor().decompress(compressed, max_length=most + 1)
+        content = bz2.BZ2Decompressor().decompress(compressed, max_length=limit + 1)
     elif compression == "lz4":
         lz4 = import_extra("lz4.frame", "reading bags", EXTRA)
-        content = lz4.LZ4FrameDecompressor().decompress(compressed, max_length=most + 1)
+        content = lz4.LZ4FrameDecompressor().decompress(compressed, max_length=limit + 1)
     else:
         content = compressed
     check_expansion(path, "a chunk", len(compressed), len(content))
@@ -80,7 +91,7 @@ def decompress(path: Path, compressed: bytes, compression: str) -> bytes:
 
 
 class BagFile(io.BufferedReader):
-    """A possibly repaired file that limits reads to its size.
+    """A file, repaired if necessary, that limits reads to its size.
 
     Python allocates the requested number of bytes before reading, and a damaged length can request
     any number.
@@ -231,7 +242,7 @@ def _take_index(file: BinaryIO, record: _Record, chunk: _Chunk) -> None:
     file.seek(record.data + 4)
     entries = file.read(min(12 * count, record.end - record.data - 4))
     chunk.counts[record.number(b"conn")] = count
-    # A stamp is a pair of seconds and nanoseconds, compressed into one integer for comparison.
+    # Seconds and nanoseconds of a stamp are combined in one integer for comparison.
     stamps = [struct.unpack_from("<II", entries, at) for at in range(0, len(entries) - 7, 12)]
     chunk.times += [seconds << 32 | nanoseconds for seconds, nanoseconds in stamps]
 
