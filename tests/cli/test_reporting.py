@@ -1,6 +1,9 @@
 """--quiet and --json: every command that reports has them, and they mean the same."""
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -79,3 +82,38 @@ def test_warnings_and_errors_remain_when_quiet(run, tmp_path):
     assert "never vary" in found.err
     refused = run("info", "nothing.npz", "--quiet")
     assert (refused.code, refused.err.startswith("error: ")) == (2, True)
+
+
+MAP = [sys.executable, "-c", "from anisomap.cli import main; main()", "map", "skin.npz", "-d", "2"]
+
+
+@pytest.mark.usefixtures("_files")
+@pytest.mark.parametrize("option", ["--no-confidence", "--json"])
+def test_a_reader_that_leaves_does_not_cost_the_map(tmp_path, option):
+    started = subprocess.Popen(
+        [*MAP, "-o", "piped.csv", "--permutations", "0", option],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    started.stdout.close()
+    _, said = started.communicate()
+    assert started.returncode == 0, said
+    assert anisomap.read_map(tmp_path / "piped.csv").placed.all()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.usefixtures("_files")
+def test_a_full_standard_output_is_an_error_after_the_map_is_written(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*MAP, "-o", "full.csv", "--no-confidence", "--permutations", "0"],
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 2
+    assert done.stderr == "error: cannot write to standard output: No space left on device\n"
+    assert anisomap.read_map(tmp_path / "full.csv").placed.all()

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from cyclopts import App, CycloptsError
 
 from anisomap._version import __version__
-from anisomap.cli.console import complain, console, warn
+from anisomap.cli.console import complain, console, discard_stdout, warn
 from anisomap.errors import AnisomapError, AnisomapWarning
 
 BAD_INPUT = 2
@@ -79,9 +79,7 @@ def _exit_code(arguments: list[str] | None) -> int:
     except KeyboardInterrupt:
         return _failed("interrupted; no file was left half-written", INTERRUPTED)
     except BrokenPipeError:
-        # The reader of our output has closed the pipe (`anisomap info x | head`), which is no
-        # error; without this, flushing stdout at exit would raise again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard_stdout()  # the reader of our output has left, which is no error
     except Exception as error:
         if os.environ.get("ANISOMAP_DEBUG"):
             raise

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import math
+import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -23,9 +25,25 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from anisomap.errors import FileError
+
 _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
-console = Console(highlight=False, soft_wrap=False)
+
+class _Stdout(Console):
+    """Standard output whose reader may leave: the command then continues without output."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        discard_stdout()
+
+
+def discard_stdout() -> None:
+    """Send the rest of standard output, buffered text included, to the null device."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+console = _Stdout(highlight=False, soft_wrap=False)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
@@ -54,6 +72,7 @@ class Printer:
     quiet: bool = False
     as_json: bool = False
     values: dict[str, Any] = field(default_factory=dict)
+    failure: OSError | None = None
 
     @property
     def _prints_text(self) -> bool:
@@ -74,7 +93,7 @@ class Printer:
         table.add_column(overflow="fold")
         for name, value in facts.items():
             table.add_row(escape(name), escape(value))
-        console.print(table)
+        self._emit(console.print, table)
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Print rows; columns of numbers are aligned to the right."""
@@ -94,17 +113,39 @@ class Printer:
             )
         for row in rows:
             table.add_row(*map(escape, row))
-        console.print(table)
+        self._emit(console.print, table)
 
     def line(self, text: str) -> None:
         """Print a line of plain text."""
         if self._prints_text:
-            console.print(text, markup=False, soft_wrap=True)
+            self._emit(console.print, text, markup=False, soft_wrap=True)
 
     def finish(self) -> None:
-        """Print the JSON object, if it was asked for."""
+        """Print the JSON object, if it was asked for.
+
+        Raises
+        ------
+        FileError
+            If anything could not be printed; the command has done all else by then.
+        """
         if self.as_json and not self.quiet:
-            console.out(json.dumps(plain(self.values), indent=2, ensure_ascii=False))
+            text = json.dumps(plain(self.values), indent=2, ensure_ascii=False)
+            self._emit(console.out, text)
+        if self.failure is not None:
+            raise FileError(f"cannot write to standard output: {self.failure.strerror}")
+
+    def _emit(self, output: Callable[..., None], *arguments: Any, **settings: Any) -> None:
+        """Print; after a failure, such as a full disk, print no more but let the command go on."""
+        if self.failure is not None:
+            return
+        try:
+            output(*arguments, **settings)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            console.on_broken_pipe()
+        except OSError as error:
+            self.failure = error
+            discard_stdout()
 
 
 def plain(value: Any) -> Any:
