@@ -130,5 +130,5 @@ def test_mujoco_renders_scenes():
 def test_without_a_screen_the_viewer_raises(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(mujoco_viewer.NoScreenError, match="there is no screen"):
+    with pytest.raises(mujoco_viewer.NoScreenError, match="needs a display"):
         mujoco_viewer.show(small_scene())

@@ -56,7 +56,7 @@ def test_joined_ports_are_numbered_separately() -> None:
     np.testing.assert_array_equal(found.readings[:, -1], hand.readings[:, 143])
 
 
-def test_what_does_not_fit() -> None:
+def test_recordings_that_do_not_fit_a_preset_are_rejected() -> None:
     with pytest.raises(InputError, match="multiple of 12"):
         apply_preset(Recording(np.eye(13)), "icub")
     with pytest.raises(InputError, match="192 values, got 24"):

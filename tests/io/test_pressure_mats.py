@@ -94,7 +94,9 @@ def test_a_truncated_last_frame(put: Put) -> None:
         (lambda text: text[: text.index("Frame 1") + 8], "has no frame"),
     ],
 )
-def test_what_does_not_fit(put: Put, change: Callable[[str], str], message: str) -> None:
+def test_frames_that_do_not_fit_the_header_are_rejected(
+    put: Put, change: Callable[[str], str], message: str
+) -> None:
     with pytest.raises(FileError, match=message):
         io.read(put("walk.asf", change(movie())))
 

@@ -135,7 +135,7 @@ def test_the_tactile_element_is_complete(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".urdf", ".xacro", ".mjcf", ".launch.xml"])
-def test_comments_state_how_far_to_trust_the_map(suffix: str, tmp_path: Path) -> None:
+def test_comments_state_method_confidence_and_notes(suffix: str, tmp_path: Path) -> None:
     notes = ("sensors 3--5 & <7> were rarely touched-", "ends with -->", "a\x07b\nc")
     skin = replace(dome(), method="r-anisomap", confidence=0.875, notes=notes)
     path = tmp_path / f"skin{suffix}"
@@ -245,7 +245,7 @@ def test_a_map_without_scale_or_with_two_components_is_rejected(
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".urdf", ".launch.xml", ".npz"])
-def test_components_are_written_to_files_of_their_own(suffix: str, tmp_path: Path) -> None:
+def test_components_are_written_to_separate_files(suffix: str, tmp_path: Path) -> None:
     positions = np.vstack([np.eye(3), 2 * np.eye(3), np.full((1, 3), np.nan)])
     skin = SensorMap(positions, component=[1, 0, 0, 1, 0, 1, -1], units="m")
     files = io.write_components(skin, tmp_path / f"skin{suffix}")

@@ -1,3 +1,5 @@
+"""Bodies: sensors on the surface, and invalid arguments."""
+
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,3 +1,5 @@
+"""Coverage of the sensors by recording length."""
+
 import numpy as np
 import pytest
 

@@ -1,3 +1,5 @@
+"""Injected faults: their effects and their log."""
+
 from dataclasses import replace
 from typing import Any
 
@@ -309,7 +311,7 @@ def test_faults_are_parsed_from_text() -> None:
         ("rusty:s1", "there is no fault 'rusty'; choose from dead, stuck"),
         ("dead", "the fault dead needs sensors"),
         ("dead:", "needs sensors"),
-        ("dead:s1,level=3", "the fault dead has no parameter 'level'; it has none"),
+        ("dead:s1,level=3", "the fault dead has no parameter 'level'; it has no parameters"),
         ("noisy:s1,lvl=3", "no parameter 'lvl'; choose from level"),
         ("noisy:s1,level=loud", "parameter level of the fault noisy must be a number, got 'loud'"),
         ("dropped-frames:s1", "affects all sensors; leave out s1"),
@@ -329,7 +331,7 @@ def test_inapplicable_faults_raise_an_error() -> None:
         crosstalk(bare, [0])
     with pytest.raises(InputError, match="with times or a rate"):
         clock_jitter(bare)
-    with pytest.raises(InputError, match="at least one sensor that is not itself a copy"):
+    with pytest.raises(InputError, match="at least one sensor to copy from"):
         duplicated(bare, range(4))
     with pytest.raises(InputError, match="even number of sensors, got 3"):
         swapped(bare, [0, 1, 2])

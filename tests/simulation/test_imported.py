@@ -159,8 +159,8 @@ def test_an_invalid_file_raises_an_error(
 @pytest.mark.parametrize(
     ("positions", "message"),
     [
-        (np.zeros((3, 3)), "at least 4 sensors in 3D"),
-        (np.zeros((9, 2)), "at least 4 sensors in 3D"),
+        (np.zeros((3, 3)), r"\(N, 3\) with N at least 4"),
+        (np.zeros((9, 2)), r"\(N, 3\) with N at least 4"),
         (np.vstack([np.eye(3), [[1, 0, 0]]]), "sensors 0 and 3 coincide"),
     ],
 )

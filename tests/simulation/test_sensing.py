@@ -1,3 +1,5 @@
+"""Readings in closed form: balls, against brute force."""
+
 from typing import Any
 
 import numpy as np

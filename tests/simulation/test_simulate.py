@@ -1,3 +1,5 @@
+"""Simulated recordings of all bodies and scenarios."""
+
 import subprocess
 import sys
 import warnings

@@ -39,7 +39,7 @@ def test_the_distance_is_that_of_the_nearest_of_all_triangles(seed: int) -> None
     assert ((found > 0) == above).all()
 
 
-def test_no_sampled_point_of_the_ground_is_nearer_than_the_distance_says() -> None:
+def test_the_distance_is_at_most_that_to_any_sampled_point() -> None:
     terrain = ground(3)
     fine = np.linspace(-2, 2, 401)
     x, y = map(np.ravel, np.meshgrid(fine, fine))

@@ -1,3 +1,5 @@
+"""Distances from triangles, against brute force."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,7 @@
 """Coverage of the sensors by a stimulation, as a function of its length.
 
-Helps to plan a recording: simulate a similar body and stimulation, and find the length at which
-coverage and map quality level off.
+To plan a recording, simulate a similar body and stimulation, and find the length at which coverage
+and map quality level off.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LENGTHS = (62, 125, 250, 500, 1000, 2000)
 """Default lengths in frames, up to that of the paper's runs."""
 
 QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Quantiles over sensors at which contact counts are given: minimum, quartiles and maximum."""
+"""Quantiles of the contact counts over the sensors: minimum, quartiles and maximum."""
 
 # Times the distance to the nearest sensor: includes the diagonals of a square lattice (1.41).
 _NEIGHBOUR_RADIUS = 1.5
@@ -149,7 +149,7 @@ def neighbouring_pairs(recording: Recording) -> NDArray[np.intp]:
     Returns
     -------
     ndarray of int, shape (P, 2)
-        Pairs no further apart than 1.5 times the distance from either sensor to its nearest.
+        Pairs whose distance is at most 1.5 times that from either sensor to its nearest neighbour.
         Distances are along the skin where known, otherwise straight.
 
     Raises
@@ -186,7 +186,7 @@ def _mantel_r(recording: Recording, n_frames: int, method: str | None, dimension
         return float("nan")
     beginning = replace(recording, readings=recording.readings[:n_frames])
     with warnings.catch_warnings():
-        # Short recordings warn of the shortcomings that the curve measures.
+        # Short recordings give warnings about what the curve measures.
         warnings.simplefilter("ignore", AnisomapWarning)
         try:
             found = reconstruct(beginning, method, dimensions)

@@ -71,12 +71,14 @@ def render(
         If MuJoCo is not installed.
     """
     load_mujoco()
-    # In a separate process, since a graphics library that fails to start may end its process.
+    # A separate process, since a graphics library that fails to start may end the process.
     try:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             return pool.submit(_render_here, scene, list(frames), width, height).result()
     except (BrokenProcessPool, ImportError, AttributeError, OSError, RuntimeError) as error:
-        raise NoScreenError(f"MuJoCo cannot render here without a screen: {error}") from error
+        raise NoScreenError(
+            f"MuJoCo cannot render off screen, which requires EGL: {error}"
+        ) from error
 
 
 def _render_here(
@@ -119,7 +121,7 @@ def show(scene: Scene, speed: float = 1.0) -> None:
         If MuJoCo is not installed.
     """
     if not has_screen():
-        raise NoScreenError("there is no screen for MuJoCo's viewer")
+        raise NoScreenError("MuJoCo's viewer needs a display, and none is available")
     mujoco = load_mujoco()
     viewer = importlib.import_module("mujoco.viewer")
     visual = _build(mujoco, scene, 960, 720)

@@ -29,6 +29,7 @@ def positive(default: float, unit: str = "", per: str | None = None) -> Any:
     default : float
         Value for the paper's sphere.
     unit : str
+        Unit, for messages.
     per : {"reach", "spacing"}, optional
         Length of the body with which the default scales.
     """
@@ -105,5 +106,5 @@ def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = N
 
 
 def steps_per_frame(frame_interval: float, longest_step: float) -> int:
-    """Count the equal physics steps, none longer than `longest_step`, that make up a frame."""
+    """Return the number of equal physics steps in a frame, each at most `longest_step`."""
     return max(1, math.ceil(frame_interval / longest_step * (1 - 1e-12)))

@@ -36,7 +36,7 @@ from anisomap.simulation.result import Progress, ScenarioResult, no_progress
 
 Entry = TypeVar("Entry")
 
-DEFAULT_FRAMES = 2000  # as many as the paper's runs
+DEFAULT_FRAMES = 2000  # as in the paper
 DEFAULT_SEED = 1
 
 
@@ -54,7 +54,7 @@ class Scenario:
         Takes a `Body`, the number of frames, the options and a numpy Generator, and returns a
         `ScenarioResult`. With `uses_mujoco`, it also takes a `Progress`.
     uses_mujoco : bool
-        Whether it runs on the physics engine. If so, metadata include the engine's version.
+        Whether it uses the physics engine. If so, the metadata include the engine's version.
     accepts : callable
         Predicate of a body. `function` raises InputError for bodies that are not accepted.
     """
@@ -172,7 +172,8 @@ def simulate(
         The same seed gives the same recording, byte for byte on one machine. From a generator, a
         seed is drawn and stored in the metadata, so that the recording can be reproduced.
     n_sensors : int, optional
-        Number of sensors on a named body. Defaults to that of the body, such as 60 on the sphere.
+        Number of sensors on a named body. Defaults to the number of the body, such as 60 on the
+        sphere.
     progress : callable, optional
         Receives the completed share, from 0 to 1.
     **parameters
@@ -324,7 +325,7 @@ def _find(kind: str, registry: Mapping[str, Entry], name: str) -> Entry:
 
 
 def _as_python(value: Scalar) -> Scalar:
-    """Convert numpy scalars, which files cannot hold, to Python's types."""
+    """Convert numpy scalars, which files cannot store, to Python scalars."""
     return value.item() if isinstance(value, np.generic) else value
 
 

@@ -25,7 +25,7 @@ UNITS = "m"
 """Unit of the lengths of all bodies in `BODIES`."""
 
 ON_SURFACE = 1e-6
-"""Largest distance of a sensor from the surface, x reach of the body."""
+"""Maximum distance of a sensor from the surface, as a fraction of the reach of the body."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +36,11 @@ class Body:
     ----------
     name : str
     positions : array_like of shape (N, 3)
-        Sensors, on the surface.
+        Positions of the sensors, on the surface.
     normals : array_like of shape (N, 3)
         Outward unit normals of the surface at the sensors.
     solids : sequence of Solid
-        Their union is the body. Its middle is near the origin.
+        The body is their union, with its middle near the origin.
     names : tuple of str, optional
         Unique name of each sensor. Default: ``s0, s1, ...``.
     units : str

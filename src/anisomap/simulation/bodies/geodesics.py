@@ -16,11 +16,11 @@ from anisomap.simulation.geometry.spreading import sample_surface
 
 _SEED = 0
 _N_SAMPLES = 6000
-_N_NEIGHBOURS = 100  # with fewer, zigzag paths are longer by some per cent
+_N_NEIGHBOURS = 100  # with fewer, zigzag paths are a few per cent longer
 _MAX_SAG = 0.15  # x chord: largest distance of the middle of an edge from the surface
 _MIN_FACING = -0.5  # cosine between the normals at the ends of an edge
 
-# Simulating one body with many seeds needs its distances each time.
+# Cached, since runs of one body with many seeds share its distances.
 _computed: WeakKeyDictionary[Body, NDArray[np.float64]] = WeakKeyDictionary()
 
 
@@ -73,7 +73,7 @@ def _on_surface(
 ) -> NDArray[np.bool_]:
     """Mark edges that follow the surface, not those through air or across a thin plate."""
     start, end = edges.T
-    # Allows an edge around a corner of 90 degrees, but not to the other face of a thin plate.
+    # Accepts an edge around a corner of 90 degrees, but not to the other face of a thin plate.
     similar = np.einsum("hd,hd->h", normals[start], normals[end]) > _MIN_FACING
     middle = (points[start] + points[end]) / 2
     distance, nearest = map(np.asarray, KDTree(points).query(middle))

@@ -25,12 +25,12 @@ MESH_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
 MODEL_SUFFIXES = (".mjcf", ".xml")
 
 TOLERANCE = 0.02
-"""Largest distance of a given sensor from the surface, x reach of the body."""
+"""Maximum distance of a given sensor from the surface, as a fraction of the reach of the body."""
 
 _SEED = 0
 _MAX_BALL_RADIUS = 0.6  # x median spacing: adjacent balls overlap, so nothing passes between them
 _MAX_NORMAL_ERROR = 45.0  # degrees between a given and an estimated normal
-_MAX_CONTRADICTIONS = 0.1  # share of the sensors, since estimates can be wrong at edges
+_MAX_CONTRADICTIONS = 0.1  # share of the sensors; not 0, since estimates can be wrong at edges
 
 
 def load_body(
@@ -131,8 +131,8 @@ def body_from_mjcf(
     Returns
     -------
     Body
-        Without planes and height fields, and without geoms that collide with nothing (unless none
-        do). A mesh that is not closed is replaced by its convex hull, as MuJoCo does with all
+        Planes, height fields and geoms that do not collide are left out (if no geom collides, all
+        are kept). A mesh that is not closed is replaced by its convex hull, as MuJoCo does with all
         meshes.
 
     Raises
@@ -204,7 +204,7 @@ def body_from_points(
     """
     places = np.asarray(positions, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 3 or len(places) < 4:
-        raise InputError(f"positions must be at least 4 sensors in 3D, got shape {places.shape}")
+        raise InputError(f"positions must have shape (N, 3) with N at least 4, got {places.shape}")
     spacing = nearest_neighbours(places, 1)[0]
     if spacing.min() <= 0:
         here = places[int(spacing.argmin())]
@@ -304,7 +304,7 @@ def _read_mesh(path: Path) -> tuple[Points, NDArray[np.intp]]:
         loaded = trimesh.load_mesh(path)
         return np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces)
     except Exception as error:
-        # The type of the error depends on the format and on the version of trimesh.
+        # The type of the exception depends on the format and the version of trimesh.
         raise FileError(f"{path} cannot be read as a mesh: {error}") from error
 
 

@@ -1,6 +1,6 @@
 """Bodies with irregular, evenly spread sensors: maximal Poisson-disc samples of the surface.
 
-They are harder to map than the paper's bodies: closed, with holes, thin, branching or unevenly
+These bodies are harder to map than the paper's: closed, with holes, thin, branching or unevenly
 covered. Each has a reach of about 1 m. Positions are reproducible: they depend only on `n_sensors`,
 a positive integer. Sensors cover the whole surface unless stated otherwise. All lengths (in m) were
 chosen by hand.
@@ -33,7 +33,7 @@ MAX_DENSITY = 8.0
 
 _SEED = 20110  # arbitrary
 _MESH_AROUND = 64  # vertices per circle
-_FACE_MARGIN = 1e-9  # to tell points on a face from those beside it
+_FACE_MARGIN = 1e-9  # tolerance for points on a face
 
 
 def torus(n_sensors: int = 120) -> Body:

@@ -31,8 +31,8 @@ class Fault:
     kind : str
         A name in `FAULTS` or `FRAME_FAULTS`.
     sensor : str
-        Name of the sensor; `ALL_SENSORS` for all; empty if only frames or times are affected and
-        no reading is wrong.
+        Name of the sensor; `ALL_SENSORS` for all; empty if only frames or times are affected, so
+        that no reading is wrong.
     spans : tuple of (int, int)
         Affected frames as half-open intervals (start, stop).
     """

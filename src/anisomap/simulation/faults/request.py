@@ -70,6 +70,15 @@ class FaultRequest:
     def inject(self, recording: Recording, rng: Randomness) -> Recording:
         """Inject the fault into a recording.
 
+        Parameters
+        ----------
+        recording : Recording
+        rng : numpy.random.Generator or int
+
+        Returns
+        -------
+        Recording
+
         Raises
         ------
         InputError
@@ -153,7 +162,7 @@ def _parse_parameter(kind: str, function: Callable[..., Recording], item: str) -
         if other not in ("recording", "sensors", "rng", "source")
     ]
     if name not in known:
-        choices = f"choose from {', '.join(known)}" if known else "it has none"
+        choices = f"choose from {', '.join(known)}" if known else "it has no parameters"
         raise InputError(f"the fault {kind} has no parameter {name!r}; {choices}")
     try:
         return name, int(value) if value.lstrip("+-").isdecimal() else float(value)

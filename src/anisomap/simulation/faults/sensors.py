@@ -1,7 +1,8 @@
 """Faults of single sensors.
 
-All take a recording, sensors (names or indices) and ``rng`` (a numpy Generator or a seed, ignored
-by faults that are not random), and return a new recording with the fault in its log.
+All functions take a recording, sensors (names or indices) and ``rng`` (a numpy Generator or a seed,
+ignored by faults that are not random), and return a new recording with the fault in its log. They
+raise InputError if a sensor does not exist or a parameter is outside its range.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ def saturating(
     Returns
     -------
     Recording
-        If the recording is short compared to `mean_gap`, some sensors may have no saturated span.
+        In a recording that is short compared to `mean_gap`, sensors may have no saturated span.
 
     Raises
     ------
@@ -275,7 +276,7 @@ def thresholded(
     recording, sensors, rng
         See `FAULTS`.
     level : float
-        Least deviation from rest that counts as touch, as a share of the range of the recording.
+        Minimum deviation from rest that counts as touch, as a share of the range of the recording.
     """
     check_positive("level", level)
 

@@ -20,7 +20,7 @@ from anisomap.simulation.faults.log import (
 )
 from anisomap.simulation.faults.sensors import Randomness
 
-# x the interval to the next frame. Two neighbours move by at most 0.9 of it, and stay in order.
+# x the interval to the next frame. Below 0.5, so that adjacent frames stay in order.
 _MAX_JITTER = 0.45
 
 
@@ -39,6 +39,11 @@ def dropped_frames(recording: Recording, *, rng: Randomness = 0, share: float = 
     Recording
         The frames and their times are removed; the nominal rate is kept. The log marks the frame
         after each gap, but no reading as wrong. Spans of earlier faults are renumbered.
+
+    Raises
+    ------
+    InputError
+        If `share` is not between 0 and 1.
     """
     _check_share(share)
     lost = np.random.default_rng(rng).random(recording.n_frames) < share
@@ -63,6 +68,15 @@ def repeated_frames(recording: Recording, *, rng: Randomness = 0, share: float =
     rng : numpy.random.Generator or int
     share : float
         Expected share of the frames, between 0 and 1. The first frame is never replaced.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    InputError
+        If `share` is not between 0 and 1.
     """
     _check_share(share)
     stale = np.random.default_rng(rng).random(recording.n_frames) < share
@@ -92,7 +106,7 @@ def clock_jitter(recording: Recording, *, rng: Randomness = 0, level: float = 0.
     Raises
     ------
     InputError
-        If the recording has neither times nor a rate.
+        If the recording has neither times nor a rate, or `level` is not between 0 and 1.
     """
     _check_share(level, "level")
     if recording.times is None and recording.rate_hz is None:

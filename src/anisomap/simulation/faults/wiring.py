@@ -1,6 +1,6 @@
 """Faults between sensors: crosstalk, and readings assigned to the wrong sensor.
 
-All take a recording, sensors and ``rng``, like the faults of single sensors.
+All functions take a recording, sensors and ``rng``, like the faults of single sensors.
 """
 
 from __future__ import annotations
@@ -36,12 +36,13 @@ def crosstalk(
     share : float
         Weight of the neighbours' mean, above 0 and at most 1.
     n_neighbours : int
-        Number of nearest sensors that are mixed in. 4 are those of a square grid.
+        Number of nearest sensors to mix in. 4: the neighbours on a square grid.
 
     Raises
     ------
     InputError
-        If the recording has no positions, or no more than `n_neighbours` sensors.
+        If the recording has no positions, or at most `n_neighbours` sensors, or `share` is not in
+        (0, 1].
     """
     if not 0 < share <= 1:
         raise InputError(f"share must be above 0 and at most 1, got {share:g}")
@@ -54,7 +55,7 @@ def crosstalk(
         )
     clean = recording.readings
     chosen = recording.indices(sensors)
-    # One more than needed: the sensor itself need not come first if others share its position.
+    # One more than needed, because the sensor itself is not always first if positions coincide.
     nearest = KDTree(recording.positions).query(recording.positions[chosen], k=n_neighbours + 1)[1]
     readings = np.array(clean)
     for i, near in zip(chosen, np.asarray(nearest), strict=True):
@@ -131,7 +132,9 @@ def duplicated(
     copies = recording.indices(sensors)
     others = np.setdiff1d(np.arange(recording.n_sensors), copies)
     if not len(others):
-        raise InputError("duplicating needs at least one sensor that is not itself a copy")
+        raise InputError(
+            "duplicating needs at least one sensor to copy from, but all sensors were selected"
+        )
     if source is None:
         sources = [int(i) for i in generator.choice(others, size=len(copies))]
     else:

@@ -112,7 +112,7 @@ class Solid:
     @cached_property
     def _search(self) -> TriangleSearch:
         if self.shape is None:
-            raise InputError(f"a solid of the kind {self.kind!r} must have a shape")
+            raise InputError(f"a solid of kind {self.kind!r} must have a shape")
         return TriangleSearch(self.shape)
 
 
@@ -122,7 +122,7 @@ def ball(radius: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
 
 
 def coarse_ball() -> Mesh:
-    """Make a mesh of a unit ball with few triangles, for drawing many."""
+    """Make a mesh of a unit ball with few triangles, for drawing many balls."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, _COARSE_VERTICES // 2 + 1)
     return revolved(np.column_stack([np.cos(angle), np.sin(angle)]), _COARSE_VERTICES)
 
@@ -199,7 +199,7 @@ def surface_normals(solids: Sequence[Solid], points: ArrayLike) -> Points:
     shifted = np.stack([points + s * axis for axis in np.eye(3) for s in (step, -step)])
     distances = union_distance(solids, shifted.reshape(-1, 3)).reshape(3, 2, -1)
     gradient = (distances[:, 0] - distances[:, 1]).T
-    # The gradient can vanish on the medial axis, where any direction serves.
+    # The gradient can vanish on the medial axis, where any direction is valid.
     gradient[~gradient.any(axis=1)] = [0, 0, 1]
     return np.asarray(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
 
@@ -294,12 +294,12 @@ def _profile(kind: str, size: tuple[float, ...]) -> Points:
 
 
 def revolved(profile: ArrayLike, n_around: int = _CIRCLE_VERTICES) -> Mesh:
-    """Revolve an outline about the z axis to a closed mesh.
+    """Revolve an outline about the z axis into a closed mesh.
 
     Parameters
     ----------
     profile : array_like of shape (P, 2)
-        Radius and height. The first and the last point lie on the axis, no others.
+        Radius and height. Only the first and the last point lie on the axis.
     n_around : int
         Vertices per circle.
     """

@@ -19,7 +19,7 @@ from anisomap.simulation.geometry.solids import (
 
 Density = Callable[[Points], NDArray[np.float64] | NDArray[np.bool_]]
 
-_CANDIDATES_PER_SENSOR = 100  # more hardly improve the evenness of the spacing
+_CANDIDATES_PER_SENSOR = 100  # more candidates barely make the spacing more even
 _MAX_ROUNDS = 50  # of rejection sampling
 _ROUNDING = 1e-9  # x reach
 
@@ -66,7 +66,9 @@ def sample_surface(
             points, normals = (np.vstack(parts) for parts in zip(*found, strict=True))
             chosen = rng.permutation(n_found)[:n_points]
             return points[chosen], normals[chosen]
-    raise InputError("the solids must have exposed surface for sensors, but each lies in another")
+    raise InputError(
+        "the solids have no exposed surface for sensors, since each lies inside another"
+    )
 
 
 def _sample_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tuple[Points, Points]:
@@ -85,7 +87,7 @@ def _sample_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tupl
 
 
 def _doubled_areas(mesh: Mesh) -> tuple[NDArray[np.float64], Points]:
-    """Return twice the area of each triangle, and the outward normal of that length."""
+    """Return twice the area of each triangle, and its outward normal with that length."""
     corners = mesh.vertices[mesh.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.linalg.norm(cross, axis=1), np.asarray(cross)
@@ -124,7 +126,7 @@ def spread(
     stretch = np.sqrt(np.asarray(weight, dtype=np.float64))
     points, normals, stretch = points[stretch > 0], normals[stretch > 0], stretch[stretch > 0]
     if len(points) < n_sensors:
-        raise InputError(f"there is hardly any surface on which to place {n_sensors} sensors")
+        raise InputError(f"the surface with positive density is too small for {n_sensors} sensors")
     chosen = np.empty(n_sensors, dtype=np.intp)
     nearest = np.full(len(points), np.inf)
     chosen[0] = 0

@@ -11,7 +11,7 @@ from anisomap.scene import Mesh
 Points = NDArray[np.float64]
 
 _MAX_PAIRS = 2_000_000  # of a point and a triangle at once; limits memory
-_MAX_EDGE = 2.5  # x root of twice the mean area; triangles with longer edges are split
+_MAX_EDGE = 2.5  # x square root of twice the mean area; triangles with longer edges are split
 _MAX_SPLITS = 50  # edges are not split below this fraction of the extent of the mesh
 
 

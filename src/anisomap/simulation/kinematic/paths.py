@@ -37,7 +37,9 @@ _LIFT_PROFILE = np.array([1, 2, 3]) / 3
 
 @dataclass(frozen=True)
 class StrokeOptions(ScenarioOptions):
-    """Options of strokes. Defaults are for the paper's sphere, see `simulation.options`.
+    """Options of strokes. Defaults are for the paper's sphere.
+
+    They scale with the body, see `anisomap.simulation.options`.
 
     Parameters
     ----------
@@ -45,17 +47,17 @@ class StrokeOptions(ScenarioOptions):
         Speed along the skin, in m/s. 2: once around the sphere in 3 s, as a hand that rubs a ball
         or a patch of its own size.
     stroke_length : float
-        Mean length of a stroke, in m; lengths vary from half to one and a half of it. 1.2: about
+        Mean length of a stroke, in m; lengths vary from 0.5 to 1.5 times the mean. 1.2: about
         three sensor spacings of the sphere, or most of the width of a patch.
     circle_share : float
         Share of strokes that are circles, from 0 to 1. 0.4: the paper's experimenters made lines
         and circles.
     lift_share : float
-        Share of strokes after which the stimulus is set down elsewhere, from 0 to 1. 0.25: reaches
-        parts of the skin that no stroke leads to.
+        Share of strokes after which the stimulus is set down elsewhere, from 0 to 1. 0.25: so that
+        parts of the skin that no stroke leads to are reached.
     press_depth : float
         Largest depth to which the stimulus presses into the skin, in m. Depth varies between 0 and
-        this within half a second. 0.1: as silicone some millimetres thick on a patch of some
+        this within half a second. 0.1: as for silicone a few millimetres thick on a patch of a few
         centimetres.
     frame_interval : float
         Time between frames, in s. 0.05: the stimulus moves by a quarter of the sensor spacing of
@@ -168,7 +170,7 @@ def draw_strokes(
     options: StrokeOptions,
     rng: np.random.Generator,
 ) -> StrokePath:
-    """Draw strokes over the skin of a body, towards the sensors visited least.
+    """Draw strokes over the skin of a body, towards the least visited sensors.
 
     Parameters
     ----------
@@ -261,7 +263,7 @@ class _Walk:
 
 
 def _set_down(walk: _Walk, rng: np.random.Generator) -> Points:
-    """Start at the sensor visited least, in a random direction."""
+    """Start at the least visited sensor, in a random direction."""
     sensor = int(np.argmin(walk.visits + rng.random(len(walk.visits))))
     normal = walk.sensor_normals[sensor]
     return np.array([walk.sensors[sensor], tangent(rng.standard_normal(3), normal), normal])
@@ -307,7 +309,7 @@ def tangent(directions: Points, normals: Points) -> Points:
     """Project directions onto tangent planes and normalise them; both of shape (..., 3)."""
     across = directions - np.sum(directions * normals, axis=-1, keepdims=True) * normals
     length = np.linalg.norm(across, axis=-1, keepdims=True)
-    # Directions along the normal have no projection; any tangent serves.
+    # Directions along the normal have no projection; any tangent is valid.
     fallback = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=-1)])
     fallback = fallback / np.linalg.norm(fallback, axis=-1, keepdims=True)
     return np.asarray(np.where(length > 1e-9, across / np.maximum(length, 1e-9), fallback))

@@ -23,7 +23,9 @@ _SLAB_HALF_THICKNESS = 0.02  # x reach; for drawing only
 
 @dataclass(frozen=True)
 class PressingOptions(ScenarioOptions):
-    """Options of pressing. Defaults are for the paper's sphere, see `simulation.options`.
+    """Options of pressing. Defaults are for the paper's sphere.
+
+    They scale with the body, see `anisomap.simulation.options`.
 
     Parameters
     ----------

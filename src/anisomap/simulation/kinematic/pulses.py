@@ -31,7 +31,9 @@ _MAX_ROUNDS = 1000  # of rejection sampling
 
 @dataclass(frozen=True)
 class PulsesOptions(ScenarioOptions):
-    """Options of pulses. Defaults are for the paper's sphere, see `simulation.options`.
+    """Options of pulses. Defaults are for the paper's sphere.
+
+    They scale with the body, see `anisomap.simulation.options`.
 
     Parameters
     ----------

@@ -40,15 +40,18 @@ _MESH_THICKNESS = 1e-6  # x reach
 
 @dataclass(frozen=True)
 class BombardmentOptions(ScenarioOptions):
-    """Options of a bombardment. Defaults are for the paper's sphere, see `simulation.options`.
+    """Options of a bombardment. Defaults are for the paper's sphere.
+
+    They scale with the body, see `anisomap.simulation.options`.
 
     Parameters
     ----------
     box_half_width : float
-        Distance from the middle of the box to each wall, in m. 3: leaves two body radii of free
-        flight, so that balls arrive from all directions.
+        Distance from the middle of the box to each wall, in m. 3: two body radii of free flight, so
+        that balls arrive from all directions.
     n_balls : int
-        Number of balls. 40: fill 2 % of the box; 86 % of the readings are zero, as on real skin.
+        Number of balls. 40: they fill 2 % of the box, and 86 % of the readings are zero, as on real
+        skin.
     ball_radius : float
         Radius of the balls, in m; the geometric mean of several sizes. 0.3: below the sensor
         spacing of the sphere (0.43), so that contacts are local, and above half of it, so that no

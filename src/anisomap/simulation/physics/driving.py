@@ -32,7 +32,9 @@ _ROUNDING = 1e-9  # relative error of scaled lengths
 
 @dataclass(frozen=True)
 class LocomotionOptions(ScenarioOptions):
-    """Options of locomotion. Defaults are for the paper's sphere, see `simulation.options`.
+    """Options of locomotion. Defaults are for the paper's sphere.
+
+    They scale with the body, see `anisomap.simulation.options`.
 
     Parameters
     ----------
@@ -54,7 +56,8 @@ class LocomotionOptions(ScenarioOptions):
         Largest angular speed about the vertical of a cylinder, in rad/s. 0.3: slow enough not to
         skid.
     gravity : float
-        In m/s2. 9.81 for a body of 1 m; it scales with the body, so that all sizes move alike.
+        Gravitational acceleration, in m/s2. 9.81: for a body of 1 m; it scales with the body, so
+        that bodies of all sizes move alike.
     friction : float
         Coefficient of sliding friction. 1: rubber on a dry floor, so that the body rolls instead of
         sliding.
@@ -117,7 +120,7 @@ class LocomotionOptions(ScenarioOptions):
 
 
 class Driver:
-    """Rolls a body towards random goals at a set speed, by torques.
+    """Torque controller that rolls a body towards random goals at a set speed.
 
     A sphere rolls in any direction. A cylinder rolls perpendicular to its axis, forwards or
     backwards, and turns slowly about the vertical at the same time.
@@ -164,7 +167,7 @@ class Driver:
         spin = np.array(data.cvel[1, :3])
         torque = self._gain * (self._target_spin(to_goal / np.hypot(*to_goal)) - spin)
         if self._is_cylinder:
-            # Drive along the axis and steering about the vertical; the rest is up to the ground.
+            # Drive along the axis and steer about the vertical; the ground determines the rest.
             axis = data.xmat[1].reshape(3, 3)[:, 2]
             torque = axis * (axis @ torque) + np.array([0, 0, torque[2]])
         data.xfrc_applied[1, 3:] = torque

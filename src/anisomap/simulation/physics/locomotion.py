@@ -115,7 +115,7 @@ def locomotion(
     }
     _warn_about(measured)
     if np.abs(journey.centres[:, :2]).max() > scaled.half_width:
-        raise InputError("the body rolled off the ground; use a lower speed or larger half_width")
+        raise InputError("the body rolled off the ground; use a lower speed or a larger half_width")
     ground = journey.terrain.mesh
     ground = replace(ground, vertices=reach * ground.vertices)
     centres, rotations = reach * journey.centres[:, None], journey.rotations[:, None]

@@ -119,7 +119,7 @@ def bumpy_terrain(
     Parameters
     ----------
     half_width : float
-        Least distance from the middle to each edge.
+        Minimum distance from the middle to each edge.
     cell : float
         Grid spacing.
     roughness : float
