@@ -129,5 +129,5 @@ def test_nobody_is_asked_where_nothing_can_be_told():
 def test_diagnosis_is_of_the_sensors_of_the_map():
     skin = flat_skin(n_frames=300)
     made = reconstruct(skin, "r-anisomap", 2)
-    with pytest.raises(InputError, match="not of the sensors of the map"):
+    with pytest.raises(InputError, match="must have the sensors of the map"):
         diagnose(made, skin.select(range(40)))

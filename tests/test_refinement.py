@@ -122,7 +122,9 @@ def test_declared_spacing_helps_where_it_is_true():
 
 @pytest.mark.parametrize("method", [name for name in METHODS if name != "covariogram"])
 def test_methods_that_make_no_use_of_even_spacing_refuse_it(method):
-    with pytest.raises(InputError, match=f"{method} makes no use of even spacing; use covariogram"):
+    with pytest.raises(
+        InputError, match=f"{method} does not support even spacing; use covariogram"
+    ):
         reconstruct(flat_skin(), method, 2, options=EVEN)
 
 

@@ -1,9 +1,9 @@
-"""Where the sensors of a robot's skin are, from nothing but what they read.
+"""Reconstruct the positions of a robot's tactile sensors from their readings alone.
 
 McGregor, Polani & Dautenhahn (2011), "Generation of Tactile Maps for Artificial Skin",
 PLoS ONE 6(11): e26561, doi:10.1371/journal.pone.0026561.
 
-The names live in `__init__.pyi`, where type checkers read them; each is imported on first use.
+Names are listed in `__init__.pyi`, for type checkers, and imported on first use.
 """
 
 import lazy_loader

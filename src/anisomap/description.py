@@ -1,4 +1,4 @@
-"""Notes and provenance of a map: what its stages report, in text and in plain values."""
+"""Notes and provenance of a map, as text and as plain values."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def caveats(component: NDArray[np.intp], names: Sequence[str], *, converged: boo
 def unknown_pairs(known: NDArray[np.bool_], names: Sequence[str]) -> Iterator[str]:
     """Yield a note if some pairs of sensors were never recorded together."""
     if not known.all():
-        concerned = [names[i] for i in np.flatnonzero(~known.all(axis=1)).tolist()]
+        affected = [names[i] for i in np.flatnonzero(~known.all(axis=1)).tolist()]
         yield (
             f"{np.count_nonzero(np.triu(~known))} pairs of sensors were never recorded together; "
-            f"their distances follow from other pairs only: {noun_and_items('sensor', concerned)}"
+            f"their distances follow from other pairs only: {noun_and_items('sensor', affected)}"
         )
 
 
 def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]:
-    """Return the parameters that make a map again."""
+    """Return the version and the parameters with which a map can be reproduced."""
     recipe, defaults = find_method(method), MethodOptions()
     facts: dict[str, Scalar] = {
         "anisomap": __version__,
@@ -53,8 +53,8 @@ def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]
     if options.n_neighbours is not None:
         facts["n_neighbours"] = options.n_neighbours
     if recipe.refine is not None:
-        usual = asdict(CovariogramOptions())
-        changed = {k: v for k, v in asdict(options.covariogram).items() if v != usual[k]}
+        unchanged = asdict(CovariogramOptions())
+        changed = {k: v for k, v in asdict(options.covariogram).items() if v != unchanged[k]}
         facts |= {f"covariogram_{name}": value for name, value in changed.items()}
         for name in ("split_unrelated", "independent_frames"):
             if getattr(options, name) != getattr(defaults, name):
@@ -63,6 +63,6 @@ def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]
 
 
 def refinement_provenance(facts: RefinementFacts) -> dict[str, Scalar]:
-    """Keep the facts that differ from those of an unrefined map."""
+    """Return the facts that differ from those of an unrefined map."""
     unrefined = asdict(RefinementFacts())
     return {k: v for k, v in asdict(facts).items() if v != unrefined[k]}

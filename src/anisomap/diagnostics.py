@@ -1,6 +1,6 @@
 """Diagnosis of a map: sensor health, split-half confidence, and the notes that follow from them.
 
-All of it is computed beside the map, from the map and its recording, and never changes positions.
+All are computed from a map and its recording; none changes a position.
 """
 
 from __future__ import annotations
@@ -49,27 +49,27 @@ def diagnose(
     sensor_map : SensorMap
         From `anisomap.reconstruct`.
     recording : Recording, array_like of shape (T, N), or sequence of Recording
-        Of the same sensors, as given to `anisomap.reconstruct`.
+        The recording that was mapped, as given to `anisomap.reconstruct`.
     options : MethodOptions, optional
         As given to `anisomap.reconstruct`.
     drop : iterable of str or int
-        Sensors that were dropped; their faults are not noted.
+        Sensors that were left out of the map, by name or index; their faults are not noted.
     health : sequence of SensorHealth, optional
         From `anisomap.assess`, if computed already.
     with_confidence : bool
         Whether to compute `confidence`, which takes two to four times as long as the map.
     progress : callable, optional
-        Called with the share done, from 0 to 1.
+        Called with the completed share, from 0 to 1.
 
     Returns
     -------
     SensorMap
-        The same positions.
+        A copy with the same positions.
 
     Raises
     ------
     InputError
-        If the recording is not of the sensors of the map.
+        If the sensors of the recording are not those of the map.
 
     Warns
     -----
@@ -77,16 +77,16 @@ def diagnose(
         Once for each note that is added.
     """
     runs = as_runs(recording)
-    skin = join_runs(runs)
-    if skin.names != sensor_map.names:
+    joined = join_runs(runs)
+    if joined.names != sensor_map.names:
         raise InputError(
-            f"the recording ({skin.n_sensors} sensors, {skin.names[0]} ...) is not of the sensors "
-            f"of the map ({sensor_map.n_sensors} sensors, {sensor_map.names[0]} ...)"
+            f"the recording must have the sensors of the map, {sensor_map.n_sensors} sensors from "
+            f"{sensor_map.names[0]!r} on, got {joined.n_sensors} from {joined.names[0]!r} on"
         )
     assessed = assess(runs) if health is None else tuple(health)
-    dropped = set(skin.indices(drop).tolist())
+    dropped = set(joined.indices(drop).tolist())
     kept = [sensor for i, sensor in enumerate(assessed) if i not in dropped]
-    notes = list(weaknesses(skin, kept))
+    notes = list(weaknesses(joined, kept))
     expected = math.nan
     if with_confidence:
         expected = confidence(sensor_map, runs, options=options, progress=progress)
@@ -108,7 +108,7 @@ def confidence(
     options: MethodOptions | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> float:
-    """Estimate the Mantel r of a map with the truth from maps of halves of the recording.
+    """Estimate the Mantel r between a map and the truth from maps of halves of the recording.
 
     Parameters
     ----------
@@ -118,9 +118,9 @@ def confidence(
     Returns
     -------
     float
-        For the largest component; in [0, 1]. NaN if it is unknown: for methods that do not refine
-        their maps, for precomputed stages, runs that lack sensors, fewer than 12 sensors or 80
-        frames, and for uneven maps whose halves agree, since both share the same distortion.
+        Confidence of the largest component, in [0, 1]. NaN for methods without refinement,
+        approximate maps, runs with different sensors, fewer than 12 sensors or 80 frames, and for
+        uneven maps if the halves agree, since both share the same distortion.
 
     Notes
     -----
@@ -138,21 +138,21 @@ def confidence(
         or np.count_nonzero(largest) < MIN_SENSORS
     ):
         return math.nan
-    tell = progress or (lambda _share: None)
+    report = progress or (lambda _share: None)
     n_done = 0
-    whole = replace(options or MethodOptions(), split_unrelated=False)
+    half_options = replace(options or MethodOptions(), split_unrelated=False)
 
-    def place(half: NDArray[np.floating]) -> NDArray[np.float64]:
+    def map_half(half: NDArray[np.floating]) -> NDArray[np.float64]:
         nonlocal n_done
-        made = reconstruct(half, DEFAULT_METHOD, sensor_map.dimensions, options=whole)
+        made = reconstruct(half, DEFAULT_METHOD, sensor_map.dimensions, options=half_options)
         n_done += 1
-        tell(n_done / N_HALVES)
+        report(n_done / N_HALVES)
         return made.positions
 
     logger.info("mapping halves of the recording to estimate the confidence")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # halves are short by design
-        agreement = agreement_of_halves(runs[0].readings[:, largest], place)
+        agreement = agreement_of_halves(runs[0].readings[:, largest], map_half)
     expected = expected_mantel_r(agreement)
     return math.nan if sensor_map.uneven and expected >= DOUBTFUL else expected
 

@@ -1,19 +1,19 @@
-"""What can go wrong, in words that a user can act on.
+"""Exceptions and warnings.
 
-Every message names what was wrong, where (file, line, sensor or frame) and what would be right.
+Every message states the problem, its place (file, line, sensor or frame) and what is expected.
 """
 
 
 class AnisomapError(Exception):
-    """Base of every error that anisomap raises on purpose; its message is one clear sentence."""
+    """Base class of all errors that anisomap raises; the message is one sentence."""
 
 
 class InputError(AnisomapError, ValueError):
-    """Data or an argument that cannot be used as given."""
+    """Data or an argument is invalid."""
 
 
 class FileError(InputError):
-    """A file that is missing, damaged, or not of the kind that it claims to be."""
+    """A file is missing, damaged, of an unexpected format, or cannot be written."""
 
 
 class MissingExtraError(AnisomapError, ImportError):
@@ -22,9 +22,9 @@ class MissingExtraError(AnisomapError, ImportError):
     Parameters
     ----------
     purpose : str
-        What needs it, to begin the message with: ``"simulating a recording"``.
+        Subject of the message, such as ``"simulating a recording"``.
     extra : str
-        Name of the extra that brings it: ``"simulation"``.
+        Extra that installs the dependency, such as ``"simulation"``.
     """
 
     def __init__(self, purpose: str, extra: str) -> None:
@@ -33,4 +33,4 @@ class MissingExtraError(AnisomapError, ImportError):
 
 
 class AnisomapWarning(UserWarning):
-    """The result stands, but weaker than it looks: the message says why."""
+    """A result is less reliable than it appears; the message gives the reason."""

@@ -73,7 +73,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     Yields
     ------
     pathlib.Path
-        A temporary file beside `path`, with the same suffix, on which writers may depend.
+        A temporary file in the same folder with the same suffix, since some writers choose the
+        format by the suffix.
 
     Raises
     ------
@@ -91,7 +92,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        # mkstemp creates private files; restore the permissions that the umask asks for.
+        # mkstemp creates private files; set the default permissions instead.
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(target)
     except OSError as error:

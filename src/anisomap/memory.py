@@ -10,7 +10,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.precision import float_type
 
 MATRICES, MATRICES_OF_REFINED = 8, 11
-"""Greatest number of (N, N) matrices held at once by methods without and with refinement.
+"""Maximum number of (N, N) matrices in memory, for methods without and with refinement.
 
 Peak memory at 20,000 sensors was 7.4 and 10.3 matrices.
 """

@@ -69,10 +69,15 @@ class MethodOptions:
     independent_frames : float
         Effective sample size of correlations that are given without readings, above 0.
     even_spacing : bool
-        Declares that neighbours are evenly spaced, for methods with `Method.takes_even_spacing`. A
-        map that relies on it says so.
+        Whether neighbours are declared to be evenly spaced, for methods with
+        `Method.takes_even_spacing`. A map that relies on the declaration carries a note.
     min_sensors : int
-        Smallest number of sensors in the largest component of a map: two always fit.
+        Minimum number of sensors in the largest component of a map.
+
+    Raises
+    ------
+    InputError
+        If `mu` or `independent_frames` is out of range.
     """
 
     mu: float = 1.0
@@ -97,11 +102,12 @@ class MethodOptions:
 
 @dataclass(frozen=True)
 class Method:
-    """A recipe for a map.
+    """The stages of a named method.
 
     Attributes
     ----------
     summary : str
+        Description in one line, for lists of methods.
     similarity : str
         A key of `anisomap.stages.pairs.SIMILARITIES`.
     dissimilarity : callable
@@ -109,7 +115,8 @@ class Method:
     metric : callable
         ``metric(M)`` returns D.
     refine : callable, optional
-        ``refine(pairs, D, positions, options)`` refines the positions of one component.
+        ``refine(pairs, D, positions, options)`` refines the positions of one component and returns
+        a `Refined`. None if the scaled positions are the result.
     takes_even_spacing : bool
         Whether `refine` can use declared even spacing of neighbours.
     """
@@ -191,7 +198,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             takes_even_spacing=True,
         ),
         "contact-fit": Method(
-            "the covariogram map, refined by a fit of the contacts that made the readings",
+            "the covariogram map, refined by a fit of the contacts that caused the readings",
             "blended-correlation",
             _direct,
             metricise,
@@ -212,13 +219,13 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             metricise,
         ),
         "spearman-anisomap": _anisomap("spearman", "ANISOMAP on rank correlation"),
-        "co-activation-anisomap": _anisomap("co-activation", "ANISOMAP on contact, yes or no"),
+        "co-activation-anisomap": _anisomap("co-activation", "ANISOMAP on binary contact (phi)"),
     }
 )
 
 
 def find_method(name: str) -> Method:
-    """Look up a method.
+    """Look up a method by its name, a key of `METHODS`.
 
     Raises
     ------
@@ -250,7 +257,7 @@ def check_even_spacing(method: str, options: MethodOptions, *, readings: bool) -
         return
     if not find_method(method).takes_even_spacing:
         able = ", ".join(name for name, known in METHODS.items() if known.takes_even_spacing)
-        raise InputError(f"{method} makes no use of even spacing; use {able}, or leave it out")
+        raise InputError(f"{method} does not support even spacing; use {able}, or leave it out")
     if not readings:
         raise InputError(
             "even spacing requires readings of all sensors in the same frames, which precomputed "

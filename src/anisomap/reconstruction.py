@@ -1,15 +1,15 @@
-"""The method on one page: McGregor et al. (2011), section "Methods".
+"""Reconstruction of sensor positions from readings: McGregor et al. (2011), section "Methods".
 
-`reconstruct` goes from readings to a map, stage by stage; `reconstruct_from` enters at a stage that
-is known already. Every stage can be called by itself:
+`reconstruct` computes a map from readings, stage by stage; `reconstruct_from` starts from a
+precomputed stage. Every stage can be called separately:
 
-=============  ==================================================  ==========================
-S              `anisomap.stages.pairs.compare`                     similarity of all pairs
-M              `dissimilarities`                                   dissimilarity
-D              `anisomap.methods.Method.metric`                    shortest path lengths
-positions      `anisomap.stages.scaling.scale`                     SMACOF
-refinement     `anisomap.stages.scaling.refine`                    positions refined by S
-=============  ==================================================  ==========================
+=============  ================================  =====================================
+S              `anisomap.stages.pairs.compare`   similarity of all pairs of sensors
+M              `dissimilarities`                 dissimilarity of all pairs of sensors
+D              `anisomap.methods.Method.metric`  metric: shortest path lengths
+positions      `anisomap.stages.scaling.scale`   scaling by SMACOF
+refinement     `anisomap.stages.scaling.refine`  positions refined by S
+=============  ================================  =====================================
 """
 
 from __future__ import annotations
@@ -60,27 +60,28 @@ def reconstruct(
     ----------
     recording : Recording, array_like of shape (T, N), or sequence of Recording
         Complete readings (see `Recording.complete`). Several recordings of one skin make one map:
-        sensors are matched by name, and each pair is compared over the runs that hold both.
+        sensors are matched by name, and each pair is compared over the runs that contain both.
     method : str
         A key of `METHODS`.
     dimensions : int
         Number of coordinates: 2 for flat skins, 3 for bodies.
     options : MethodOptions, optional
+        Parameters of the stages.
     drop : iterable of str or int
         Sensors to leave out, by name or index.
 
     Returns
     -------
     SensorMap
-        In the order of the recording, known up to rotation, translation, scale and reflection.
-        Constant and dropped sensors have no position. `anisomap.diagnose` adds sensor health and a
-        confidence.
+        Positions in the order of the recording, known up to rotation, translation, scale and
+        reflection; NaN for constant and dropped sensors. `anisomap.diagnose` adds sensor health
+        and a confidence.
 
     Raises
     ------
     InputError
         If a reading is missing, fewer than 3 sensors vary or are related, the method or a sensor
-        is unknown, or all pairs do not fit in memory.
+        is unknown, `dimensions` is less than 1, or the matrices of all pairs do not fit in memory.
 
     Warns
     -----
@@ -94,10 +95,10 @@ def reconstruct(
     recipe, options = find_method(method), options or MethodOptions()
     runs = as_runs(recording)
     check_even_spacing(method, options, readings=len(runs) == 1)
-    skin = join_runs(runs)
-    mapped = skin.varying() & ~_mask(skin.names, drop)
+    joined = join_runs(runs)
+    mapped = joined.varying() & ~_mask(joined.names, drop)
     _check_size(mapped, dimensions, recipe, options)
-    names = [skin.names[i] for i in np.flatnonzero(mapped)]
+    names = [joined.names[i] for i in np.flatnonzero(mapped)]
     complete = [run.complete() for run in select_sensors(runs, names)]
 
     with limited_blas(len(names)):
@@ -112,12 +113,12 @@ def reconstruct(
 
     _check_related(configuration, options)
     provenance = options_provenance(method, options)
-    provenance |= {"source": skin.source, "frames": skin.n_frames}
+    provenance |= {"source": joined.source, "frames": joined.n_frames}
     if len(runs) > 1:
         provenance["runs"] = len(runs)
     notes = unknown_pairs(pairs.known, names)
     return _as_map(
-        configuration, skin.names, mapped, method=method, notes=notes, provenance=provenance
+        configuration, joined.names, mapped, method=method, notes=notes, provenance=provenance
     )
 
 
@@ -135,33 +136,35 @@ def reconstruct_from(
     names: Sequence[str] = (),
     drop: Iterable[str | int] = (),
 ) -> SensorMap:
-    """Reconstruct positions from a stage that is known already.
+    """Reconstruct the positions of sensors from a precomputed stage.
 
     Parameters
     ----------
     similarity, dissimilarity, metric : array_like of shape (N, N)
-        Exactly one of them. The method continues from there; only a similarity allows it to refine
-        the map.
+        Exactly one of them; the method continues from this stage. Only a similarity allows
+        refinement of the map.
     method, dimensions, options, drop
         See `reconstruct`.
     noise : array_like of shape (N, N), optional
-        Sampling variance of the similarity; by default that of
-        `anisomap.methods.MethodOptions.independent_frames`.
+        Sampling variance of each similarity; by default the reciprocal of
+        `MethodOptions.independent_frames`.
     weights : array_like of shape (N, N), optional
         Weights of the distances in scaling; 0 marks an unknown pair.
     start : array_like of shape (N, k), optional
         Initial positions of the scaling, with k = `dimensions`.
     names : sequence of str, optional
-        Names of the sensors.
+        Unique names of the sensors; ``s0, s1, ...`` by default.
 
     Returns
     -------
     SensorMap
+        See `reconstruct`.
 
     Raises
     ------
     InputError
-        If not exactly one stage is given, shapes differ, or as `reconstruct`.
+        If not exactly one stage is given, a matrix is not symmetric, shapes disagree, or for the
+        reasons given in `reconstruct`.
 
     Warns
     -----
@@ -180,8 +183,8 @@ def reconstruct_from(
     _check_size(mapped, dimensions, recipe, options)
     inside = ... if mapped.all() else np.ix_(mapped, mapped)
     matrix = matrix[inside]
-    counts = None if weights is None else checked_weights(weights, n_sensors)[inside]
-    begin = None if start is None else checked_start(start, n_sensors, dimensions)[mapped]
+    pair_weights = None if weights is None else checked_weights(weights, n_sensors)[inside]
+    initial = None if start is None else checked_start(start, n_sensors, dimensions)[mapped]
 
     pairs = None
     if stage == "similarity":
@@ -189,7 +192,7 @@ def reconstruct_from(
         pairs = PairStatistics.from_similarity(
             matrix,
             noise=variance if noise is None else checked_noise(noise, n_sensors)[inside],
-            known=None if counts is None else counts > 0,
+            known=None if pair_weights is None else pair_weights > 0,
         )
     with limited_blas(len(matrix)):
         if pairs is not None:
@@ -198,15 +201,15 @@ def reconstruct_from(
             matrix = check_semi_metric(matrix)
         lengths = matrix if stage == "metric" else recipe.metric(matrix)
         configuration = scale(
-            lengths, dimensions, start=begin, weights=counts, options=options.smacof
+            lengths, dimensions, start=initial, weights=pair_weights, options=options.smacof
         )
         if recipe.refine is not None and pairs is not None:
             configuration = refine(recipe.refine, pairs, lengths, configuration, options)
     notes: Iterable[str] = ()
     if recipe.refine is not None and pairs is None:
         notes = (
-            f"{method} refines its map by the similarity, which was not given: this map is its "
-            "unrefined scaling",
+            f"{method} refines positions by the similarity, which was not given: these positions "
+            "are unrefined",
         )
     _check_related(configuration, options)
     provenance = options_provenance(method, options) | {"precomputed": stage}
@@ -216,7 +219,7 @@ def reconstruct_from(
 def dissimilarities(
     pairs: PairStatistics, method: str = DEFAULT_METHOD, options: MethodOptions | None = None
 ) -> Reals:
-    """Turn the similarity of pairs into a dissimilarity: M from S.
+    """Compute the dissimilarity M of all pairs of sensors from their similarity S.
 
     Parameters
     ----------
@@ -255,8 +258,9 @@ def _check_size(
 def _check_related(configuration: Configuration, options: MethodOptions) -> None:
     if np.count_nonzero(configuration.component == 0) < options.min_sensors:
         raise InputError(
-            f"no {options.min_sensors} sensors are related to one another, so there is nothing to "
-            "map; was the skin touched during the recording?"
+            f"a map requires at least {options.min_sensors} related sensors, but the largest group "
+            f"has {np.count_nonzero(configuration.component == 0)}; check that the skin was "
+            "touched during the recording"
         )
 
 
@@ -269,7 +273,7 @@ def _as_map(
     notes: Iterable[str],
     provenance: dict[str, Scalar],
 ) -> SensorMap:
-    """Put the positions of the mapped sensors into a map of all sensors, with its notes."""
+    """Make a map of all sensors from the positions of the mapped ones; warn for each note."""
     positions = np.full((len(names), configuration.positions.shape[1]), np.nan)
     positions[mapped] = configuration.positions
     component = np.full(len(names), UNPLACED)
@@ -297,6 +301,7 @@ def _as_map(
 
 
 def _mask(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
+    """Return True for the given sensors, shape (N,)."""
     mask = np.zeros(len(names), dtype=bool)
     mask[find_sensors(names, sensors)] = True
     return mask

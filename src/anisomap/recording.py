@@ -16,7 +16,7 @@ from anisomap.numerics.gaps import fill_gaps
 from anisomap.wording import html_table, noun_and_items
 
 Scalar: TypeAlias = str | int | float | bool
-"""Values of metadata and provenance: types that every file format can hold."""
+"""Values of metadata and provenance: types that every file format can store."""
 
 MissingPolicy: TypeAlias = Literal["error", "drop-frames", "interpolate"]
 """How to handle readings that are NaN or infinite."""
@@ -166,7 +166,7 @@ class Recording:
         Parameters
         ----------
         sensors : iterable of str or int
-            Names or zero-based indices. Text that is not a name but a number is an index.
+            Names or zero-based indices. A decimal string that is not a name is read as an index.
 
         Returns
         -------
@@ -194,14 +194,14 @@ class Recording:
             All frames of those sensors.
         """
         chosen = np.arange(self.n_sensors)[np.asarray(sensors)]
-        apart = self.surface_distances
+        distances = self.surface_distances
         return replace(
             self,
             readings=self.readings[:, chosen],
             names=tuple(self.names[i] for i in chosen),
             positions=None if self.positions is None else self.positions[chosen],
             normals=None if self.normals is None else self.normals[chosen],
-            surface_distances=None if apart is None else apart[np.ix_(chosen, chosen)],
+            surface_distances=None if distances is None else distances[np.ix_(chosen, chosen)],
         )
 
     def complete(self, missing: MissingPolicy = "error") -> Recording:
@@ -212,7 +212,7 @@ class Recording:
         missing : {"error", "drop-frames", "interpolate"}
             Raise; remove every frame with a missing reading; or interpolate each sensor linearly
             in time (its ends with the nearest reading). A sensor without any finite reading
-            becomes constant zero, and so counts as dead.
+            becomes constant zero, which is assessed as dead.
 
         Returns
         -------

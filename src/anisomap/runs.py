@@ -15,7 +15,7 @@ _MAX_RUNS = 62  # membership of a sensor in runs is one bit of an int64
 
 
 def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Recording, ...]:
-    """Convert what a user may pass as a recording to recordings of one skin.
+    """Convert the `recording` argument of public functions to recordings of one skin.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
     Raises
     ------
     InputError
-        If it is something else, or the sensors of several recordings cannot be matched.
+        If `recording` has another type or shape, or sensors cannot be matched between recordings.
     """
     if isinstance(recording, Recording):
         return (recording,)
@@ -100,12 +100,12 @@ def join_runs(runs: Sequence[Recording]) -> Recording:
 
 
 def sensors_differ(runs: Sequence[Recording]) -> bool:
-    """Whether some runs lack sensors that others have."""
+    """Return whether some runs lack sensors that others have."""
     return len({frozenset(run.names) for run in runs}) > 1
 
 
 def select_sensors(runs: Sequence[Recording], names: Sequence[str]) -> list[Recording]:
-    """Keep the sensors with some names; runs that have none of them are left out."""
+    """Select sensors by name from each run; runs with none of them are left out."""
     kept = set(names)
     selected = []
     for run in runs:

@@ -23,18 +23,18 @@ UNSCALED = ("", "arbitrary")
 DEFAULT_FRAME = "skin"
 
 
-def _not_given() -> NDArray[np.intp]:
+def _no_labels() -> NDArray[np.intp]:
     return np.empty(0, dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SensorMap:
-    """Positions of N sensors, known up to rotation, translation, scale and mirror image.
+    """Positions of N sensors, known up to rotation, translation, scale and reflection.
 
     Parameters
     ----------
     positions : array_like of shape (N, k)
-        A row a sensor, in the order of the recording; NaN for sensors that were not placed.
+        One row per sensor, in the order of the recording; NaN for sensors that were not placed.
     names : sequence of str, optional
         Unique names, one per sensor; ``s0, s1, ...`` by default.
     component : array_like of int, shape (N,), optional
@@ -58,15 +58,15 @@ class SensorMap:
     approximate : bool
         Whether only some pairs of sensors were compared.
     uneven : bool
-        Whether neighbours lie at very unequal distances on the largest component, which the method
-        would have corrected but could not.
+        Whether neighbours in the largest component lie at very unequal distances that the
+        refinement could not correct.
     mirrored : bool
         Whether the map was reflected after it was made.
     notes : sequence of str
         Caveats; empty if none are known.
     provenance : mapping of str to str, int, float or bool
-        Source, parameters, seed and version, to make the map again. For readers only: the program
-        never acts on it.
+        Source, parameters, seed and version, with which the map can be reproduced. Documentation
+        only: it affects no computation.
 
     Raises
     ------
@@ -76,7 +76,7 @@ class SensorMap:
 
     positions: NDArray[np.float64]
     names: tuple[str, ...] = ()
-    component: NDArray[np.intp] = field(default_factory=_not_given)
+    component: NDArray[np.intp] = field(default_factory=_no_labels)
     health: tuple[str, ...] = ()
     units: str = "arbitrary"
     frame: str = DEFAULT_FRAME
@@ -102,13 +102,10 @@ class SensorMap:
         if not component.size:
             component = np.where(placed, 0, UNPLACED)
         health = tuple(self.health) or ("ok",) * n_sensors
-        for what, size in (
-            ("component", component.size),
-            ("health", len(health)),
-        ):
+        for name, size in (("component", component.size), ("health", len(health))):
             if size != n_sensors:
                 raise InputError(
-                    f"{what} must have {n_sensors} entries, one per sensor, got {size}"
+                    f"{name} must have {n_sensors} entries, one per sensor, got {size}"
                 )
         if ((component == UNPLACED) == placed).any():
             raise InputError(
@@ -116,7 +113,7 @@ class SensorMap:
             )
         for array in (positions, component):
             array.setflags(write=False)
-        for name, value in {
+        for field_name, value in {
             "positions": positions,
             "names": names,
             "component": component,
@@ -124,7 +121,7 @@ class SensorMap:
             "notes": tuple(self.notes),
             "provenance": MappingProxyType(dict(self.provenance)),
         }.items():
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, field_name, value)
 
     def __reduce__(self) -> tuple[Callable[..., SensorMap], tuple[dict[str, object]]]:
         # A mappingproxy cannot be pickled.
@@ -194,17 +191,17 @@ class SensorMap:
         return find_sensors(self.names, sensors)
 
     def select(self, sensors: ArrayLike) -> SensorMap:
-        """Keep only some sensors.
+        """Keep some sensors.
 
         Parameters
         ----------
         sensors : array_like
-            Indices or a boolean mask, as numpy takes them.
+            Indices or a boolean mask, as in numpy indexing.
 
         Returns
         -------
         SensorMap
-            With components renumbered from 0, in the same order.
+            The map of those sensors; components are renumbered from 0 in the same order.
         """
         chosen = np.arange(self.n_sensors)[np.asarray(sensors)]
         labels = self.component[chosen]
@@ -219,7 +216,7 @@ class SensorMap:
         )
 
     def split(self) -> tuple[SensorMap, ...]:
-        """Return each connected component as a map of its own, the largest first."""
+        """Return each connected component as a separate map, the largest first."""
         return tuple(
             self.select(self.component == label) for label in range(len(self.component_sizes))
         )

@@ -1,4 +1,4 @@
-"""Formatting of lists in messages, and of facts in notebooks."""
+"""Formatting of lists in messages, and of tables in notebooks."""
 
 from __future__ import annotations
 

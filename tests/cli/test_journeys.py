@@ -233,7 +233,7 @@ def test_a_declared_prior_is_named_in_the_map(run_map, skin_csv):
 
     refused = run_map(skin_csv, "-m", "r-anisomap", "--even-spacing", "-o", "none.csv")
     assert refused.code == 2
-    assert "r-anisomap makes no use of even spacing" in " ".join(refused.err.split())
+    assert "r-anisomap does not support even spacing" in " ".join(refused.err.split())
 
 
 def test_a_column_of_text_is_skipped_with_a_warning_and_may_be_dropped(run_map, skin_csv):

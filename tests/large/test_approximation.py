@@ -144,7 +144,7 @@ def test_behaviour_in_blocks_is_the_same(monkeypatch):
         np.testing.assert_allclose(getattr(blocks, name), getattr(whole, name), rtol=1e-12)
         np.testing.assert_allclose(getattr(many, name), getattr(whole, name), rtol=1e-12)
     np.testing.assert_allclose(many.best_match, whole.best_match, atol=1e-5)
-    assert many.chance_match[5] >= many.best_match[5]
+    assert many.shifted_match[5] >= many.best_match[5]
 
 
 def test_known_matches_are_believed():
@@ -152,7 +152,7 @@ def test_known_matches_are_believed():
     kin = np.array([[1, -1]] * 5 + [[-1, -1]])
     known = behaviour.observe(readings, Matches(kin, np.full(6, 0.4)))
     np.testing.assert_array_equal(known.best_match, 0.4)
-    np.testing.assert_array_equal(known.chance_match, -1)
+    np.testing.assert_array_equal(known.shifted_match, -1)
     active = readings > 0
     expected = (active & ~active[:, [1]]).sum(axis=0) / active.sum(axis=0)
     expected[5] = 0  # there is nobody to ask

@@ -1,4 +1,4 @@
-"""The same calls with scikit-learn's faces."""
+"""Estimators with scikit-learn's interface."""
 
 from anisomap.estimators.embedding import Anisomap as Anisomap
 from anisomap.estimators.mapper import SAMPLE_FRAMES as SAMPLE_FRAMES

@@ -1,4 +1,4 @@
-"""An embedding whose rows are objects."""
+"""A scikit-learn embedding of objects, which are rows."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 
 
 class Anisomap(BaseEstimator):
-    """Embed objects (rows) by their distances, metricised over all pairs: ANISOMAP.
+    """ANISOMAP embedding of objects (rows): scaling of their metricised dissimilarities.
 
-    A drop-in for scikit-learn's ``MDS`` and ``Isomap`` that takes any semi-metric, weights, and
-    missing pairs. There is no `transform`: like MDS, it places only what it was fitted on.
+    An alternative to scikit-learn's ``MDS`` and ``Isomap`` that supports any semi-metric, weights
+    and missing pairs. Like ``MDS``, it has no `transform` for new objects.
 
     Parameters
     ----------
     n_components : int, default=2
-        Dimensions of the embedding.
+        Number of dimensions of the embedding.
     metric : str or callable, default="euclidean"
-        How to compare rows, as `sklearn.metrics.pairwise_distances` takes it; ``"precomputed"`` if
-        X is a matrix of dissimilarities. It may be any semi-metric (correlation, cosine, squared
-        distance).
+        Dissimilarity of rows, as in `sklearn.metrics.pairwise_distances`; ``"precomputed"`` if X is
+        a matrix of dissimilarities. Any semi-metric is allowed, such as correlation, cosine or
+        squared distance.
     metric_params : dict, optional
-        More arguments for `metric`.
+        Additional arguments of `metric`.
     tol, max_iter : float, int
-        When to stop scaling: see `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
+        Stopping criteria: see `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
 
     Attributes
     ----------
     embedding_ : ndarray of shape (n_samples, n_components)
-        Where the objects are.
+        Positions of the objects.
     metric_matrix_ : ndarray of shape (n_samples, n_samples)
         The metricised dissimilarities that were scaled.
     stress_ : float
-        Stress-1: 0 is a perfect fit.
+        Stress-1; 0 is a perfect fit.
     n_iter_ : int
         Iterations of SMACOF.
     n_features_in_ : int
@@ -48,7 +48,7 @@ class Anisomap(BaseEstimator):
 
     See Also
     --------
-    SensorMapper : the same for sensors, which are columns.
+    SensorMapper : Map of sensors, which are columns.
 
     Examples
     --------
@@ -87,19 +87,19 @@ class Anisomap(BaseEstimator):
         Parameters
         ----------
         X : array_like of shape (n_samples, n_features) or (n_samples, n_samples)
-            Objects, or their dissimilarities, where NaN or infinity marks a pair not known (on
-            either side of the diagonal).
+            Objects, or with ``metric="precomputed"`` their dissimilarities. NaN or infinity on
+            either side of the diagonal marks an unknown pair.
         y : object
-            Not looked at.
+            Ignored.
         weights : array_like of shape (n_samples, n_samples), optional
-            How much each distance counts; 0 is not at all.
+            Weights of the distances; 0 marks an unknown distance.
         init : array_like of shape (n_samples, n_components), optional
-            Where to set out from; Torgerson's scaling unless given.
+            Initial positions; Torgerson's classical scaling by default.
 
         Returns
         -------
         Anisomap
-            Itself.
+            The fitted estimator.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class Anisomap(BaseEstimator):
             dissimilarity = pairwise_distances(
                 values, metric=self.metric, **(self.metric_params or {})
             )
-            # Some metrics leave rounding errors: below 0, or of a row to itself.
+            # Rounding errors of some metrics are negative, or not 0 on the diagonal.
             dissimilarity = np.maximum(dissimilarity, 0)
             np.fill_diagonal(dissimilarity, 0)
         self.metric_matrix_ = metricise(dissimilarity)
@@ -147,7 +147,7 @@ class Anisomap(BaseEstimator):
         weights: ArrayLike | None = None,
         init: ArrayLike | None = None,
     ) -> NDArray[np.float64]:
-        """Embed the rows of X and give their positions; see `fit`.
+        """Embed the rows of X and return their positions; see `fit`.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""A scikit-learn transformer whose columns are sensors."""
+"""A scikit-learn transformer that maps sensors, which are columns."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from anisomap.recording import MissingPolicy, Recording
 from anisomap.sensor_map import SensorMap
 
 SAMPLE_FRAMES = 4096
-"""Frames that `SensorMapper.partial_fit` keeps, to estimate the rest value of each sensor."""
+"""Maximum number of frames that `SensorMapper` keeps to estimate the rest of each sensor."""
 
 PARTIAL_NOTE = (
-    "frames came in parts, so the similarity is Pearson's r alone, without rank correlation, and "
-    "contacts were not examined; fit on all frames uses both"
+    "partial_fit computes the similarity by Pearson's r alone, without rank correlation, and does "
+    "not examine contacts; fit on all frames does both"
 )
 
 
@@ -40,7 +40,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
     Parameters
     ----------
     n_components : int, default=3
-        Dimensions of the map.
+        Number of dimensions of the map.
     method : str, default="covariogram"
         A key of `anisomap.methods.METHODS`; the default is that of `anisomap.reconstruct`.
     mu, bins : float, int
@@ -118,8 +118,8 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
             See `anisomap.reconstruct`.
         """
         recording = self._validated(X, reset=True)
-        self._begin()
-        self._take_in(recording)
+        self._reset()
+        self._add_frames(recording)
         options = self._options()
         made = reconstruct(recording, self.method, self.n_components, options=options)
         self._set_map(diagnose(made, recording, with_confidence=False))
@@ -148,23 +148,24 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         Warns
         -----
         AnisomapWarning
-            If the map differs from that of `fit`, and as `anisomap.reconstruct`.
+            If the map differs from that of `fit`, and once for each note of the map.
 
         Notes
         -----
-        Frames are not kept: memory does not grow with their number. The map is that of `fit` on all
-        frames up to rounding, with these exceptions. ``"covariogram"`` and ``"contact-fit"`` use
-        Pearson's r alone, and a note on the map says so. Sensor health is not assessed. Missing
-        readings are handled within each part. Methods on other similarities than Pearson's r keep
-        joint counts of values, which are rounded, with a warning, if sensors have too many distinct
-        values; `anisomap.large.reconstruct_chunks`, which reads the frames twice, rounds later.
+        Frames are not stored, so memory does not grow with their number. The map equals that of
+        `fit` on all frames up to rounding, with these exceptions. ``"covariogram"`` and
+        ``"contact-fit"`` use Pearson's r alone, with a note on the map. Sensor health is not
+        assessed. Missing readings are handled within each part. Methods based on other
+        similarities than Pearson's r store joint counts of values; if sensors have too many
+        distinct values, these are rounded, with a warning.
+        `anisomap.large.reconstruct_chunks`, which reads the frames twice, rounds later.
         """
         first = not hasattr(self, "n_samples_seen_")
         recording = self._validated(X, reset=first)
         if first:
-            self._begin()
-        self._take_in(recording)
-        pairs = self._count_pairs(recording)
+            self._reset()
+        self._add_frames(recording)
+        pairs = self._add_pairs(recording)
         made = reconstruct_from(
             similarity=self._similarity(pairs),
             method=self.method,
@@ -223,13 +224,14 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         names = getattr(self, "feature_names_in_", ())
         return Recording(readings, names=tuple(names)).complete(self.missing)
 
-    def _begin(self) -> None:
+    def _reset(self) -> None:
         self.n_samples_seen_ = 0
         self._pairs: Moments | JointValues | None = None
         self._sample: NDArray[np.floating] | None = None
         self._stride = 1
 
-    def _take_in(self, recording: Recording) -> None:
+    def _add_frames(self, recording: Recording) -> None:
+        """Update the sample of frames and the rest of each sensor."""
         # Every stride-th frame since the first, so that the sample is spread evenly.
         fresh = recording.readings[-self.n_samples_seen_ % self._stride :: self._stride]
         sample = fresh if self._sample is None else np.concatenate([self._sample, fresh])
@@ -240,8 +242,8 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         self.n_samples_seen_ += recording.n_frames
         self._rest: Rest = estimate_rest(sample)
 
-    def _count_pairs(self, recording: Recording) -> Moments | JointValues:
-        """Add the pair statistics of a part of the frames."""
+    def _add_pairs(self, recording: Recording) -> Moments | JointValues:
+        """Add the pair statistics of a part of the frames; return those of all parts."""
         part: Any
         if CHUNKED[find_method(self.method).similarity].of_values is None:
             part = Moments.of(recording.readings)
@@ -267,7 +269,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         return of_values(pairs, self.bins)
 
     def _with_limitations(self, made: SensorMap) -> SensorMap:
-        """Note how the map differs from that of `fit`."""
+        """Add a note if the map differs from that of `fit`."""
         similarity = find_method(self.method).similarity
         if computed_similarity(similarity) == similarity:
             return made

@@ -1,4 +1,4 @@
-"""How good a map is where the truth is known: Mantel r, alignment, neighbourhoods."""
+"""Comparison of maps with true positions: Mantel r, alignment and neighbourhoods."""
 
 from anisomap.evaluation.alignment import Alignment, align
 from anisomap.evaluation.confidence import confidence_in_words

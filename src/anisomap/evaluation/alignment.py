@@ -9,12 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 
-_SINGULAR = 1e-9
+_SINGULAR = 1e-9  # relative singular value below which a configuration is flat
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """The similarity transform that aligns a configuration best with the truth.
+    """The similarity transform that best aligns a configuration with the truth.
 
     ``aligned = scale * positions @ rotation.T + translation``, in the units of the truth. If
     dimensions differ, the smaller configuration is padded with zeros.
@@ -73,7 +73,9 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
     """
     x, y = np.array(positions, dtype=np.float64), np.array(truth, dtype=np.float64)
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y):
-        raise InputError(f"both sides must have the same sensors, got {x.shape} and {y.shape}")
+        raise InputError(
+            f"positions and truth must have the same number of rows, got {x.shape} and {y.shape}"
+        )
     dimensions = max(x.shape[1], y.shape[1])
     x, y = _padded(x, dimensions), _padded(y, dimensions)
     x_mean, y_mean = x.mean(axis=0), y.mean(axis=0)

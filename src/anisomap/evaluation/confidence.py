@@ -1,8 +1,8 @@
 """Split-half repeatability of a map, and the Mantel r with the truth that it predicts.
 
 The recording is split into two halves of alternating blocks of time, in two ways, and each half is
-mapped. The agreement of these maps measures the effect of chance on the map. It does not measure
-systematic distortions, which both halves share.
+mapped. The agreement of these maps measures random errors of the map, not systematic distortions,
+which both halves share.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.numerics.reliability.split_half import N_BLOCKS
 
 DOUBTFUL = 0.9
-"""A map with a lower confidence carries a note that the evidence is insufficient."""
+"""Confidence below which a map carries a note that the evidence is insufficient."""
 
 MIN_SENSORS = 12
-"""Maps of fewer sensors agree too often by chance."""
+"""Minimum number of sensors: maps of fewer agree too often by chance."""
 
 N_HALVES = 4
 """Number of halves that are mapped: two splits of the recording."""
@@ -49,8 +49,8 @@ def agreement_of_halves(
     Returns
     -------
     float
-        Mean Mantel r between the maps of two halves, over two splits; in [-1, 1]. 0 if a half
-        cannot be mapped; NaN if there are fewer than 80 frames.
+        Mean Mantel r between the maps of the two halves, over two splits; in [-1, 1]. A split
+        counts as 0 if a half cannot be mapped; NaN if there are fewer than 80 frames.
     """
     if len(readings) < _MIN_FRAMES:
         return math.nan
@@ -92,8 +92,8 @@ def expected_mantel_r(agreement: float) -> float:
     last term lets the confidence vanish as the halves become unrelated. For other seeds see
     ``docs/explanation/results.md``.
     """
-    apart = min(1 - agreement, 1.0)
-    error = _CONSTANT + _LINEAR * apart - _QUADRATIC * apart**2 + _COLLAPSE * apart**_COLLAPSE_POWER
+    d = min(1 - agreement, 1.0)
+    error = _CONSTANT + _LINEAR * d - _QUADRATIC * d**2 + _COLLAPSE * d**_COLLAPSE_POWER
     return float(np.clip(1 - error, 0, 1))
 
 
@@ -110,13 +110,13 @@ def _agreement(
     place: Callable[[Readings], NDArray[np.float64]], first: Readings, second: Readings
 ) -> float:
     try:
-        places, others = place(first), place(second)
+        x, y = place(first), place(second)
     except InputError:
         return 0.0
-    placed = np.isfinite(places).all(axis=1) & np.isfinite(others).all(axis=1)
+    placed = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
     if np.count_nonzero(placed) < MIN_SENSORS_COMPARED:
         return 0.0
-    one, other = pdist(places[placed]), pdist(others[placed])
-    if np.ptp(one) == 0 or np.ptp(other) == 0:
+    x_distances, y_distances = pdist(x[placed]), pdist(y[placed])
+    if np.ptp(x_distances) == 0 or np.ptp(y_distances) == 0:
         return 0.0
-    return float(np.corrcoef(one, other)[0, 1])
+    return float(np.corrcoef(x_distances, y_distances)[0, 1])

@@ -17,10 +17,12 @@ PERMUTATIONS = 10_000
 """Size of the null distribution, as in Figure 3 of the paper."""
 
 NULL_QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.95, 1.0)
+"""Levels of the quantiles by which a null distribution is summarised."""
+
 _NULL_ROUNDING = 1e-5  # of sums of float32 products
 
 MIN_SENSORS_COMPARED = 4
-"""With three sensors, only three distances would be correlated."""
+"""Minimum number of sensors: three would give a correlation over three distances only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,7 @@ def mantel(
     rng : numpy.random.Generator or int, optional
         Generator of the permutations, or its seed; seed 0 by default.
     progress : callable, optional
-        Called with the share done, from 0 to 1.
+        Called with the completed share, from 0 to 1.
 
     Returns
     -------
@@ -101,9 +103,11 @@ def mantel(
     """
     a, b = _distances(first), _distances(second)
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
-        raise InputError("some distances are not finite; compare only sensors with positions")
+        raise InputError("distances must be finite; leave out sensors without a position")
     if a.shape != b.shape:
-        raise InputError(f"both sides must have the same sensors, got {len(a)} and {len(b)}")
+        raise InputError(
+            f"both configurations must have the same sensors, got {len(a)} and {len(b)}"
+        )
     n_sensors = len(a)
     if n_sensors < MIN_SENSORS_COMPARED:
         raise InputError(f"Mantel r requires at least 4 sensors, got {n_sensors}")
@@ -124,10 +128,10 @@ def mantel(
     return Mantel(r=r, null=null, n_sensors=n_sensors)
 
 
-def _distances(side: SensorMap | ArrayLike) -> NDArray[np.float64]:
-    if isinstance(side, SensorMap):
-        return _between(side.positions)
-    values = np.asarray(side, dtype=np.float64)
+def _distances(configuration: SensorMap | ArrayLike) -> NDArray[np.float64]:
+    if isinstance(configuration, SensorMap):
+        return _between(configuration.positions)
+    values = np.asarray(configuration, dtype=np.float64)
     if values.ndim != 2:
         raise InputError(
             f"expected positions of shape (N, k) or distances of shape (N, N), got {values.shape}"

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 NEIGHBOURS = 6
-"""Neighbours of a sensor on a triangular lattice, the densest packing in the plane."""
+"""Number of neighbours of a sensor on a triangular lattice, the densest packing in the plane."""
 
 
 def median_spacing(positions: ArrayLike) -> float:

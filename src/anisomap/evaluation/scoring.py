@@ -15,7 +15,7 @@ from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreemen
 from anisomap.sensor_map import SensorMap
 
 MAX_ALL_PAIRS = 4000
-"""Largest number of sensors of which all pairs enter Mantel r."""
+"""Maximum number of sensors for which Mantel r uses all pairs."""
 
 SAMPLED = 2000
 """Number of sensors sampled from a larger map."""
@@ -104,7 +104,8 @@ def score(
     Raises
     ------
     InputError
-        If the truth does not match the sensors of the map, or fewer than 4 can be compared.
+        If the truth does not match the sensors of the map, an excluded sensor is unknown, or fewer
+        than 4 sensors can be compared.
     """
     notes = []
     if isinstance(truth, SensorMap):

@@ -44,7 +44,7 @@ class SensorHealth:
     status : str
         One of `STATUSES`.
     reason : str
-        Reason for a status other than ``"ok"``; else empty.
+        Reason for the status; empty if it is ``"ok"``.
     minimum, maximum : float
         Range of the readings; NaN if none is finite.
     distinct : int
@@ -94,7 +94,8 @@ def assess(
     Notes
     -----
     The paper leaves out sensors that never vary, and keeps one that saturates intermittently
-    (section "Prototyping Issues"). A status other than "ok" calls for inspection; it is no proof.
+    (section "Prototyping Issues"). A status other than "ok" is a reason to inspect the sensor, not
+    proof of a fault.
     """
     runs = as_runs(recording)
     with limited_blas(runs[0].n_sensors):
@@ -122,19 +123,19 @@ def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth
     distinct = [count_values(column)[0].size for column in columns(readings)]
     behaviour = None
     if varying.any():
-        known = None if matches is None else matches.among(varying)
-        behaviour = observe(readings if varying.all() else readings[:, varying], known)
-    verdicts = _constant_verdicts(readings, varying, behaviour)
+        nearest = None if matches is None else matches.among(varying)
+        behaviour = observe(readings if varying.all() else readings[:, varying], nearest)
+    faults = _faults_of_constant(readings, varying, behaviour)
     if behaviour is not None:
         active = np.flatnonzero(varying)
         for status, test in reversed(_TESTS.items()):
             for i, reason in test(behaviour).items():
-                verdicts[int(active[i])] = (status, reason)
+                faults[int(active[i])] = (status, reason)
     position = np.cumsum(varying) - 1
     result = []
     for i, name in enumerate(recording.names):
-        status, reason = verdicts.get(i, ("ok", ""))
-        moving = behaviour if varying[i] else None
+        status, reason = faults.get(i, ("ok", ""))
+        known = behaviour if varying[i] else None
         at = position[i]
         result.append(
             SensorHealth(
@@ -144,35 +145,36 @@ def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth
                 minimum=float(readings[:, i].min()),
                 maximum=float(readings[:, i].max()),
                 distinct=distinct[i],
-                active=float(moving.active[at]) if moving else 0.0,
-                contacts=int(moving.contacts[at]) if moving else 0,
-                lag_correlation=float(moving.lag_correlation[at]) if moving else float("nan"),
-                best_match=float(moving.best_match[at]) if moving else float("nan"),
+                active=float(known.active[at]) if known else 0.0,
+                contacts=int(known.contacts[at]) if known else 0,
+                lag_correlation=float(known.lag_correlation[at]) if known else float("nan"),
+                best_match=float(known.best_match[at]) if known else float("nan"),
             )
         )
     return tuple(result)
 
 
-def _constant_verdicts(
+def _faults_of_constant(
     readings: NDArray[np.floating], varying: NDArray[np.bool_], behaviour: Behaviour | None
 ) -> dict[int, tuple[str, str]]:
+    """Return the status and the reason of each constant sensor."""
     rests = behaviour.rest.value if behaviour is not None else np.zeros(1)
     low, high = rests.min(), rests.max()
     slack = 0.05 * (float(readings.max()) - float(readings.min()))
-    verdicts = {}
+    faults = {}
     for i in np.flatnonzero(~varying):
         value = readings[0, i]
         if low - slack <= value <= high + slack:
-            verdicts[int(i)] = (
+            faults[int(i)] = (
                 "dead",
                 f"constant at {value:g}, a rest value: never touched, or dead",
             )
         else:
-            verdicts[int(i)] = (
+            faults[int(i)] = (
                 "stuck",
-                f"constant at {value:g}, which is no rest value of other sensors",
+                f"constant at {value:g}, which is not a rest value of other sensors",
             )
-    return verdicts
+    return faults
 
 
 def _testable(b: Behaviour) -> NDArray[np.bool_]:
@@ -217,8 +219,8 @@ def _isolated(b: Behaviour) -> dict[int, str]:
         int(
             i
         ): f"no significant correlation with any sensor: its highest r is {b.best_match[i]:.2f}, "
-        f"and circular shifts reach {b.chance_match[i]:.2f}"
-        for i in np.flatnonzero(b.best_match <= b.chance_match)
+        f"and after circular shifts {b.shifted_match[i]:.2f}"
+        for i in np.flatnonzero(b.best_match <= b.shifted_match)
     }
 
 

@@ -40,8 +40,10 @@ class Behaviour:
         Autocorrelation at a lag of one frame.
     noise_share : ndarray
         Share of white noise in the variance.
-    best_match, chance_match : ndarray
-        Highest Pearson r with another sensor; the same after circular shifts in time.
+    best_match : ndarray
+        Highest Pearson r with another sensor.
+    shifted_match : ndarray
+        Highest Pearson r with another sensor after circular shifts in time; -1 if not computed.
     n_frames : int
         Number of frames.
     """
@@ -54,7 +56,7 @@ class Behaviour:
     lag_correlation: NDArray[np.float64]
     noise_share: NDArray[np.float64]
     best_match: NDArray[np.float64]
-    chance_match: NDArray[np.float64]
+    shifted_match: NDArray[np.float64]
     n_frames: int
 
 
@@ -74,14 +76,14 @@ class Matches:
     best: NDArray[np.float64]
 
     def among(self, chosen: NDArray[np.bool_]) -> Matches:
-        """Keep some sensors, with indices renumbered."""
+        """Return the matches of some sensors, given as a mask, with indices renumbered."""
         number = np.append(np.where(chosen, np.cumsum(chosen) - 1, NO_SENSOR), NO_SENSOR)
         return Matches(number[self.nearest[chosen]], self.best[chosen])
 
 
 @dataclass(frozen=True, eq=False)
 class _Single:
-    """The part of `Behaviour` that needs no other sensors."""
+    """Statistics of sensors that do not depend on other sensors."""
 
     rest: Rest
     active: NDArray[np.bool_]
@@ -98,8 +100,8 @@ def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> B
     readings : ndarray of shape (T, n)
         Finite readings of sensors that vary.
     matches : Matches, optional
-        The most similar sensors, if known. No circular shifts are then computed, and
-        `chance_match` is -1.
+        The most similar sensors, if known. Circular shifts are then not computed, and
+        `Behaviour.shifted_match` is -1.
 
     Returns
     -------
@@ -132,7 +134,9 @@ def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> B
         lag_correlation=at_one,
         noise_share=_noise_share(at_one, at_two),
         best_match=found.best,
-        chance_match=np.full(n_sensors, -1.0) if matches else _chance_match(readings, found.best),
+        shifted_match=(
+            np.full(n_sensors, -1.0) if matches else _match_after_shifts(readings, found.best)
+        ),
         n_frames=n_frames,
     )
 
@@ -186,9 +190,9 @@ def _lag_correlations(
 ) -> Iterator[NDArray[np.float64]]:
     centred = readings - readings.mean(axis=0)
     centred /= np.abs(centred).max(axis=0)
-    of_itself = np.einsum("ti,ti->i", centred, centred)
+    sum_of_squares = np.einsum("ti,ti->i", centred, centred)
     for lag in lags:
-        yield np.einsum("ti,ti->i", centred[lag:], centred[:-lag]) / of_itself
+        yield np.einsum("ti,ti->i", centred[lag:], centred[:-lag]) / sum_of_squares
 
 
 def _noise_share(at_one: NDArray[np.float64], at_two: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -202,19 +206,19 @@ def _noise_share(at_one: NDArray[np.float64], at_two: NDArray[np.float64]) -> ND
     return np.asarray(1 - np.clip(signal, 0, 1))
 
 
-def _chance_match(
+def _match_after_shifts(
     readings: NDArray[np.floating], best_match: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Compute the highest r of a sensor with any other after circular shifts of its frames.
 
-    Successive frames are dependent, so formulas for independent frames do not hold; circular shifts
-    keep the autocorrelation. Sensors with a high r are not shifted: -1.
+    Circular shifts preserve the autocorrelation, which formulas for independent frames ignore.
+    Sensors with a high r are not shifted, and get -1.
     """
     n_frames, n_sensors = readings.shape
-    chance = np.full(n_sensors, -1.0)
+    highest = np.full(n_sensors, -1.0)
     suspects = np.flatnonzero(best_match < _MIN_CLEAR_R)
     if not suspects.size or n_frames < 2 * _N_SHIFTS:
-        return chance
+        return highest
     others = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_ALL_PAIRS)).astype(int))
     standard = _standardised(readings[:, others], np.float64)
     for start in range(0, suspects.size, _MAX_ALL_PAIRS):
@@ -224,8 +228,8 @@ def _chance_match(
             shifted = np.roll(mine, step * n_frames // (_N_SHIFTS + 1), axis=0)
             correlation = shifted.T @ standard
             correlation[part[:, None] == others] = -1
-            chance[part] = np.maximum(chance[part], correlation.max(axis=1))
-    return chance
+            highest[part] = np.maximum(highest[part], correlation.max(axis=1))
+    return highest
 
 
 def _standardised(

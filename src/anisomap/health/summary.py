@@ -12,7 +12,7 @@ from anisomap.recording import Recording
 from anisomap.wording import join_items
 
 MIN_FRAMES = 500
-"""Frames below which a recording is called short: half of the paper's shortest run (1,054)."""
+"""Frames below which a recording is short: about half of the paper's shortest run (1,054)."""
 
 
 @dataclass(frozen=True)
@@ -112,18 +112,18 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
             "intermittent",
             "noisy",
         ),
-        "have no significant correlation with another sensor, so their position is a guess": (
+        "have no significant correlation with another sensor, so their positions are arbitrary": (
             "isolated",
         ),
     }
     for fault, statuses in groups.items():
         names = [sensor.name for sensor in health if sensor.status in statuses]
         if names:
-            verdict = (
+            caution = (
                 "do not trust a map of this recording: " if 2 * len(names) > len(health) else ""
             )
             listed = join_items(names)
-            found.append(f"{verdict}{len(names)} of {len(health)} sensors {fault}: {listed}")
+            found.append(f"{caution}{len(names)} of {len(health)} sensors {fault}: {listed}")
     rare = [s.name for s in health if 0 < s.contacts < MIN_CONTACTS and s.status == "ok"]
     if rare:
         found.append(

@@ -1,4 +1,4 @@
-"""The first stage: similarity of all pairs of sensors, and how reliable it is."""
+"""The first stage: similarity of all pairs of sensors, and its sampling variance."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
         "pearson": Similarity("linear correlation", lambda x, _: pearson(x)),
         "spearman": Similarity("rank correlation", lambda x, _: spearman(x)),
         "co-activation": Similarity(
-            "correlation of contact, yes or no (phi)", lambda x, _: co_activation(x)
+            "correlation of binary contact (phi)", lambda x, _: co_activation(x)
         ),
         "mutual-information": Similarity(
             "mutual information of binned readings", mutual_information
@@ -59,7 +59,7 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class PairStatistics:
-    """Similarity of all pairs of n sensors, and what is known about its reliability.
+    """Similarity of all pairs of n sensors, and its sampling variance.
 
     Attributes
     ----------
@@ -70,7 +70,8 @@ class PairStatistics:
     known : ndarray of bool, shape (n, n)
         Pairs that were recorded together.
     readings : ndarray of shape (T, n), optional
-        Readings in temporal order; None if only the similarity is known, or not all pairs are.
+        Readings in temporal order; None for a precomputed similarity, and if some pairs are
+        unknown.
     """
 
     similarity: Reals
@@ -95,9 +96,12 @@ class PairStatistics:
         noise : array_like of shape (n, n), or float
             Its sampling variance.
         known : ndarray of bool, shape (n, n), optional
-            Pairs that are known; all by default. The similarity of the others is ignored, whatever
-            its value.
+            Pairs that are known; all by default. The similarity of other pairs is ignored.
         readings : ndarray of shape (T, n), optional
+
+        Returns
+        -------
+        PairStatistics
 
         Raises
         ------
@@ -125,7 +129,7 @@ class PairStatistics:
         return None if self.known.all() else self.known.astype(np.float64)
 
     def select(self, sensors: NDArray[np.bool_]) -> PairStatistics:
-        """Keep some sensors, given as a mask of shape (n,)."""
+        """Return the statistics of some sensors, given as a mask of shape (n,)."""
         if sensors.all():
             return self
         inside = np.ix_(sensors, sensors)
@@ -149,27 +153,27 @@ class PairStatistics:
         largest = np.abs(self.similarity).max(initial=0)
         if largest > 1 + _ROUNDING:
             raise InputError(
-                f"the similarity reaches {largest:g}, but this method requires correlations, from "
-                "-1 to 1; r-anisomap takes any similarity"
+                f"this method requires correlations in [-1, 1], got a similarity of magnitude "
+                f"{largest:g}; r-anisomap accepts any similarity"
             )
 
 
 def compare(
     runs: Sequence[Recording], similarity: str, *, bins: int, with_noise: bool
 ) -> PairStatistics:
-    """Compare all pairs of sensors: the similarity S.
+    """Compute the similarity S of all pairs of sensors.
 
     Parameters
     ----------
     runs : sequence of Recording
         Complete recordings of the sensors to compare. If some lack sensors, each pair is compared
-        over the runs that hold both of its sensors; sensors are then in order of appearance.
+        over the runs that contain both of its sensors; sensors are then in order of appearance.
     similarity : str
         A key of `SIMILARITIES`.
     bins : int
         Bins per sensor, for entropies.
     with_noise : bool
-        Whether to estimate the sampling variance, too; for correlations only.
+        Whether to estimate the sampling variance, for correlations; otherwise it is NaN or 1.
 
     Returns
     -------
@@ -189,10 +193,10 @@ def compare(
     values, noise = np.eye(len(names)), np.ones(shared.shape)
     for runs_of_pair, readings, sensors in _groups(runs, names, shared):
         inside = np.ix_(sensors, sensors)
-        asked = shared[inside] == runs_of_pair
-        values[inside] = np.where(asked, compute(readings, bins), values[inside])
+        in_group = shared[inside] == runs_of_pair
+        values[inside] = np.where(in_group, compute(readings, bins), values[inside])
         if with_noise:
-            noise[inside] = np.where(asked, sampling_variance(readings), noise[inside])
+            noise[inside] = np.where(in_group, sampling_variance(readings), noise[inside])
     return PairStatistics.from_similarity(values, noise=noise, known=shared > 0)
 
 
@@ -208,7 +212,7 @@ def _joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.flo
 
 
 def _shared_runs(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.int64]:
-    """Encode the runs that hold both sensors of each pair: one bit per run, shape (N, N)."""
+    """Encode the runs that contain both sensors of each pair: one bit per run, shape (N, N)."""
     present = np.zeros(len(names), dtype=np.int64)
     column = {name: i for i, name in enumerate(names)}
     for bit, run in enumerate(runs):
@@ -219,7 +223,7 @@ def _shared_runs(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[n
 def _groups(
     runs: Sequence[Recording], names: tuple[str, ...], shared: NDArray[np.int64]
 ) -> Iterator[tuple[int, NDArray[np.floating], NDArray[np.intp]]]:
-    """Yield every set of runs that some pair shares, its frames, and the sensors in all of it."""
+    """Yield each set of runs that some pair shares: its code, its readings, and its sensors."""
     for code in np.unique(shared[shared > 0]).tolist():
         chosen = [run for bit, run in enumerate(runs) if code >> bit & 1]
         sensors = np.flatnonzero((np.diag(shared) & code) == code)

@@ -24,14 +24,14 @@ from anisomap.stages.pairs import PairStatistics
 logger = logging.getLogger(__name__)
 
 _MIN_SENSORS = 8  # fewer have hardly more pairs than coordinates
-_MIN_FRAMES = 40  # fewer hold no contacts that could be told apart
+_MIN_FRAMES = 40  # in fewer frames, contacts cannot be distinguished
 
 _UNEVEN = "the covariogram map has very unequal distances between neighbours"
 _CONTACT_PEAKS = (
     f"{_UNEVEN}, so its lengths were taken from the peak heights of contacts that pass over "
     "neighbours; this assumes that ground or touch is equally rough in both directions"
 )
-_SQUEEZED = (
+_NOT_CORRECTED = (
     f"{_UNEVEN}, and contacts give no better ones: neighbourhoods may be right, but do not trust "
     "the map's scale along one direction relative to another"
 )
@@ -41,9 +41,9 @@ _NOT_EXAMINED = (
 )
 _EVEN = "even spacing of neighbours was declared, not measured, and the map relies on it"
 _NOT_EVEN = (
-    f"{_UNEVEN}, and the halves of the recording disagree about who is a neighbour, so the "
-    "declared even spacing could not be used: do not trust the map's scale along one direction "
-    "relative to another"
+    f"{_UNEVEN}, and the halves of the recording disagree about which sensors are neighbours, so "
+    "the declared even spacing could not be used: do not trust the map's scale along one "
+    "direction relative to another"
 )
 _TOO_FEW = "even spacing was declared, but there are too few sensors or frames to use it"
 
@@ -72,7 +72,7 @@ class RefinementFacts:
 
     @property
     def elongated(self) -> bool:
-        """Whether contacts are longer than compact ones, which a fit of contacts assumes."""
+        """Whether contacts appear elongated, whereas a fit of contacts assumes compact ones."""
         return self.contact_peaks or bool(self.even_spacing) or self.uneven
 
 
@@ -101,7 +101,7 @@ def refine_by_covariogram(
     *,
     evenly_spaced: bool = False,
 ) -> Refined:
-    """Fit a covariogram; where it leaves neighbours uneven, take lengths from a neighbour graph.
+    """Fit a covariogram, and refine an uneven result by lengths on a neighbour graph.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def refine_by_covariogram(
     Returns
     -------
     Refined
-        Fewer than 8 sensors keep their positions.
+        With the given positions if there are fewer than 8 sensors.
     """
     unused = Refined(positions)
     if evenly_spaced:
@@ -150,7 +150,7 @@ def refine_by_covariogram(
     if found.applied:
         return Refined(found.positions, RefinementFacts(contact_peaks=True), (_CONTACT_PEAKS,))
     if found.unevenness > GeodesicOptions.max_unevenness:
-        return Refined(found.positions, RefinementFacts(uneven=True), (_SQUEEZED,))
+        return Refined(found.positions, RefinementFacts(uneven=True), (_NOT_CORRECTED,))
     return Refined(found.positions)
 
 
@@ -181,7 +181,7 @@ def unexamined_unevenness(
 def refine_by_contacts(
     pairs: PairStatistics, mapped: Refined, options: ContactOptions | None = None
 ) -> Refined:
-    """Fit the contacts that made the readings, if they are compact and explain the readings.
+    """Fit the contacts that caused the readings, if they are compact and explain the readings.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From the metric to positions: every connected component is scaled, and refined, by itself."""
+"""Scaling of the metric to positions, and refinement, of each connected component separately."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Options = TypeVar("Options", bound=_HasMinSensors)
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """Positions of n sensors, in one or several connected components.
+    """Positions of n sensors in one or several connected components.
 
     Attributes
     ----------
@@ -41,8 +41,9 @@ class Configuration:
     stress : float
         Stress-1 of all pairs within components.
     converged : bool
+        Whether the scaling of every component converged.
     n_iterations : int
-        The largest number over all components.
+        Number of SMACOF iterations, the maximum over components.
     facts : RefinementFacts
         How the largest component was refined.
     notes : tuple of str
@@ -138,7 +139,7 @@ def refine(
     Returns
     -------
     Configuration
-        In the unit of the metric.
+        With refined positions in the unit of the metric, and their Stress-1.
     """
     positions = configuration.positions.copy()
     raw = spread = 0.0
@@ -152,7 +153,7 @@ def refine(
             positions[inside] = refined.positions
             facts = refined.facts if label == 0 else facts
             notes += refined.notes
-        # Refined positions have a unit of their own; rescale all components to the metric's.
+        # Refinement changes the unit; rescale every component to the unit of the metric.
         factor, missed, size = _best_scale(positions[inside], lengths)
         positions[inside] *= factor if factor > 0 else 1.0
         raw += missed
@@ -168,12 +169,12 @@ def refine(
 
 
 def _among(matrix: Reals, sensors: NDArray[np.bool_]) -> Reals:
-    """Select the pairs of some sensors; without a copy if these are all."""
+    """Select the pairs of some sensors; return the matrix itself if these are all."""
     return matrix if sensors.all() else matrix[np.ix_(sensors, sensors)]
 
 
 def _best_scale(positions: NDArray[np.float64], lengths: Reals) -> tuple[float, float, float]:
-    """Find the scale at which positions fit distances best, in least squares.
+    """Find the least-squares scale of positions to given distances.
 
     Returns
     -------
