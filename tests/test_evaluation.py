@@ -161,7 +161,7 @@ def test_maps_are_matched_by_name_and_else_by_order():
         (cloud(5), cloud(6), "must have the same sensors, got 5 and 6"),
         (cloud(3), cloud(3), "at least 4"),
         (np.zeros((5, 2)), cloud(5), "all distances are equal"),
-        (np.full((5, 2), np.nan), cloud(5), "not finite"),
+        (np.full((5, 2), np.nan), cloud(5), "must be finite"),
         (np.triu(np.ones((5, 5))), cloud(5), "symmetric with a zero diagonal"),
         (np.zeros(5), cloud(5), "expected positions"),
     ],

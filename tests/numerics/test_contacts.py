@@ -150,7 +150,7 @@ def test_the_reduced_curvature_is_the_schur_complement_and_steps_solve_it(dimens
         gradients += fitted.slopes[m] * row
     for contact in range(5):
         at = slice(size + contact * width, size + (contact + 1) * width)
-        whole[at, at] = fitted.precisions[contact]  # with what is known of reaches
+        whole[at, at] = fitted.precisions[contact]  # with the prior of the radii
         gradients[at] = fitted.gradients[contact]
     back = np.linalg.solve(whole[size:, size:], whole[size:, :size])
     expected = whole[:size, :size] - whole[:size, size:] @ back

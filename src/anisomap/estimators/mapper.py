@@ -258,8 +258,8 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
             return pairs.correlation()
         if not pairs.single.exact:
             warnings.warn(
-                f"some sensors have more than {pairs.single.most} distinct values, which were "
-                "rounded; pass all frames at once to keep them",
+                f"some sensors have more than {pairs.single.max_values} distinct values, which are "
+                "rounded by partial_fit; call fit on all frames to keep them",
                 AnisomapWarning,
                 stacklevel=3,
             )

@@ -289,11 +289,11 @@ def _check_unit(chunk: NDArray[Any]) -> None:
 
 
 def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:
-    rounded = np.flatnonzero(values.grains)
+    rounded = np.flatnonzero(values.n_rounded_bits)
     if rounded.size:
         yield (
-            f"{rounded.size} of {len(names)} sensors have more than {values.most} distinct values, "
-            "which were rounded for bins, ranks and rest values"
+            f"{rounded.size} of {len(names)} sensors have more than {values.max_values} distinct "
+            "values, which were rounded for bins, ranks and rest values"
         )
 
 

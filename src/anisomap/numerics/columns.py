@@ -1,4 +1,4 @@
-"""Contiguous readings per sensor, and counts of their distinct values."""
+"""Iteration over the readings of single sensors, and counts of their distinct values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_SAMPLE_FRAMES = 63
+_SAMPLE_FRAMES = 63  # frames from which the most frequent value is guessed
 
 
 def columns(readings: NDArray[Any], n_at_once: int = 64) -> Iterator[NDArray[Any]]:
@@ -18,8 +18,8 @@ def columns(readings: NDArray[Any], n_at_once: int = 64) -> Iterator[NDArray[Any
     ----------
     readings : ndarray of shape (T, N)
     n_at_once : int
-        Sensors copied together. Copying one column at a time would load every row of `readings`
-        from memory for a single number.
+        Number of sensors copied at a time. Copying single columns would load every row of
+        `readings` from memory for one number.
 
     Yields
     ------
@@ -47,7 +47,7 @@ def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]
     Notes
     -----
     Equal to ``numpy.unique(column, return_counts=True)``, but faster: bytes are counted in a table,
-    and since most readings of a tactile sensor are one value, only the others are sorted.
+    and otherwise only readings that differ from a frequent value are sorted.
     """
     if column.dtype.kind in "biu" and column.dtype.itemsize == 1:
         lowest = int(column.min())

@@ -1,7 +1,7 @@
 """Missing readings (NaN or infinite) in chunks of frames.
 
-A chunked recording is a callable that starts an iteration over its chunks from the first frame.
-Results do not depend on how frames are split into chunks.
+A chunked recording is a callable that returns an iterable over its chunks, from the first frame.
+Results do not depend on the division of frames into chunks.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from anisomap.errors import InputError
 Readings: TypeAlias = NDArray[Any]
 
 Chunks: TypeAlias = Callable[[], Iterable[Readings]]
-"""Starts an iteration over arrays of shape (t, N)."""
+"""Returns an iterable over all chunks, arrays of shape (t, N), from the first frame."""
 
 CompleteChunks: TypeAlias = Callable[[], Iterator[Readings]]
-"""Starts an iteration over chunks without missing readings."""
+"""Returns an iterator over chunks without missing readings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Neighbours:
 
     @classmethod
     def none(cls, n_sensors: int) -> Neighbours:
-        """Return the neighbours at the start or the end of a recording."""
+        """Return neighbours without readings, as at the start and the end of a recording."""
         return cls(np.full(n_sensors, np.nan), np.full(n_sensors, np.nan))
 
 

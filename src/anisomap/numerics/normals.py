@@ -14,7 +14,7 @@ NEIGHBOURS = 8
 """Neighbours used for the tangent plane at a point; a point of a square lattice has 8."""
 
 _MIN_ASPECT = 0.05  # width / length of a neighbourhood with a defined plane; chosen by hand
-_MIN_COST = 1e-3  # of an edge between parallel normals: the sparse graph drops edges of cost 0
+_MIN_COST = 1e-3  # cost of an edge between parallel normals: sparse graphs drop edges of cost 0
 
 
 def estimate_normals(positions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -22,7 +22,7 @@ _BLOCK_BYTES = 1 << 26
 
 
 def float_type(n_sensors: int) -> type[np.float32] | type[np.float64]:
-    """Return the float type of (N, N) matrices of so many sensors."""
+    """Return the float type of (N, N) matrices of `n_sensors` sensors."""
     return np.float32 if n_sensors >= MIN_FLOAT32_SENSORS else np.float64
 
 
@@ -58,7 +58,7 @@ def mirror(matrix: NDArray[Any], *, upper: bool, tile: int = 1024) -> None:
     upper : bool
         Whether the upper triangle is the source.
     tile : int
-        Rows and columns copied at a time; 1024 squared float64 fit into a processor's cache.
+        Rows and columns copied at a time; a tile of 1024 x 1024 float64 fits into the cache.
     """
     for rows, columns in _upper_tiles(len(matrix), tile):
         above, below = matrix[rows, columns], matrix[columns, rows].T

@@ -91,7 +91,7 @@ def test_a_given_similarity_replaces_that_of_the_readings():
 
 def test_only_edges_of_the_tree_have_much_stronger_detours():
     readings = smooth_noise(400, 14, 3)
-    joined = adjacency_of(readings, options=NeighbourOptions(reach=1e9))
+    joined = adjacency_of(readings, options=NeighbourOptions(max_step_ratio=1e9))
     partial = partial_correlation(blended_correlation(readings), 0.1)
     weak = [
         (i, j)
@@ -131,7 +131,7 @@ def test_mismatched_shapes_are_refused(readings, positions):
         adjacency_of(readings, positions)
 
 
-@pytest.mark.parametrize("change", [{"ridge": 0}, {"slack": 0.5}, {"reach": 0}])
+@pytest.mark.parametrize("change", [{"ridge": 0}, {"slack": 0.5}, {"max_step_ratio": 0}])
 def test_invalid_options_are_refused(change):
     with pytest.raises(InputError, match=next(iter(change))):
         NeighbourOptions(**change)

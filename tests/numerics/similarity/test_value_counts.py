@@ -33,7 +33,7 @@ def parts_of(readings, data):
 
 def assert_same(a, b):
     assert a.n_frames == b.n_frames
-    np.testing.assert_array_equal(a.grains, b.grains)
+    np.testing.assert_array_equal(a.n_rounded_bits, b.n_rounded_bits)
     for mine, yours in zip((*a.values, *a.counts), (*b.values, *b.counts), strict=True):
         np.testing.assert_array_equal(mine, yours)
 
@@ -62,7 +62,7 @@ def test_values_of_parts_merge_to_those_of_the_whole(readings, data):
 def test_rounding_does_not_depend_on_the_order_of_merging(readings, most, data):
     whole = ValueCounts.of(readings, most)
     assert_same(merged(parts_of(readings, data), most), whole)
-    every = zip(readings.T, whole.values, whole.counts, whole.grains, strict=True)
+    every = zip(readings.T, whole.values, whole.counts, whole.n_rounded_bits, strict=True)
     for column, values, counts, grain in every:
         assert values.size <= most
         assert counts.sum() == len(readings)

@@ -86,14 +86,15 @@ def list_entries(
 ) -> None:
     """List the series that are on, frame by frame.
 
-    `codes` has shape (T, N); `reference` and `position` are those of the layout. Of `entries`,
+    `codes` has shape (T, N); `reference` and `position` are those of the layout. `entries`
+    consists of
 
     - ``series``, shape (E,): series that are on, by frame and increasing series;
     - ``ends``, shape (E,): index at which the frame of each entry ends;
     - ``places``, shape (E,): indices of the entries of each series;
-    - ``starts``, shape (M + 1,): index in ``places`` of the first entry of each series,
+    - ``starts``, shape (M + 1,): index in ``places`` of the first entry of each series.
 
-    only ``starts`` is given; the others are filled.
+    ``starts`` is an input; the other arrays are filled.
     """
     series, ends, places, starts = entries
     free, entry = starts.copy(), 0
@@ -137,11 +138,11 @@ def sum_logarithms(
 ) -> None:
     """Sum n log n over the contingency tables of sensors from `start` to `stop` and later ones.
 
-    `counts` holds the joint counts of all series of these sensors with all M series. Of `tallies`,
-    ``first``, shape (N + 1,), is the index of the first series of each sensor, ``marginals``,
-    shape (M,), the number of frames in which each series is on, and ``logs``, shape (T + 1,), the
-    values of n log n. Cells of the reference codes follow from the marginals. The upper triangle
-    of `joint`, shape (N, N), is filled.
+    `counts` contains the joint counts of all series of these sensors with all M series. `tallies`
+    consists of ``first``, shape (N + 1,), the index of the first series of each sensor;
+    ``marginals``, shape (M,), the number of frames in which each series is on; and ``logs``, shape
+    (T + 1,), the values of n log n. Cells of the reference codes follow from the marginals. The
+    upper triangle of `joint`, shape (N, N), is filled.
     """
     first, marginals, logs = tallies
     n_frames, above = len(logs) - 1, first[start]

@@ -11,7 +11,7 @@ Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
 def loop(**flags: Any) -> Callable[[Loop], Loop]:
-    """Compile a function on its first call, without the interpreter's lock, and cache the code.
+    """Compile a function on its first call, without the global interpreter lock, and cache it.
 
     Parameters
     ----------
@@ -21,8 +21,8 @@ def loop(**flags: Any) -> Callable[[Loop], Loop]:
     Returns
     -------
     callable
-        A decorator. If no cache folder is writable, for example without a home folder and in a
-        read-only installation, functions are compiled in every process.
+        A decorator. If no cache folder is writable, as in a read-only installation without a home
+        folder, functions are compiled in every process.
     """
 
     def compiled(function: Loop) -> Loop:

@@ -15,7 +15,7 @@ def count_shared(
     """Count, for each edge of a graph, the common neighbours of its two ends.
 
     The edges of node u lead to ``ends[offsets[u]:offsets[u + 1]]``; `shared` has the shape of
-    `ends`. Unsigned numbers of nodes save the check for negative indices.
+    `ends`. Unsigned node numbers avoid the check for negative indices.
     """
     is_neighbour = np.zeros(len(offsets) - 1, np.uint8)
     for i in range(len(offsets) - 1):

@@ -48,7 +48,7 @@ def thread_count() -> int:
 
 
 def is_parallel(n_rows: int) -> bool:
-    """Return whether `parallel_map` uses threads for so many rows."""
+    """Return whether `parallel_map` uses threads for `n_rows` rows."""
     return n_rows >= MIN_PARALLEL_ROWS and thread_count() > 1
 
 

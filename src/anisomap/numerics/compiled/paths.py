@@ -55,7 +55,10 @@ def floyd_warshall(paths: Reals) -> None:
 
 @loop()
 def nearest_edges(lengths: Reals, count: int) -> Ints:
-    """Return the ends of the `count` shortest edges of each node; the node itself if fewer."""
+    """Return the ends of the `count` shortest edges of each node, shape (N, count).
+
+    Missing edges end at the node itself.
+    """
     n_nodes = len(lengths)
     ends = np.empty((n_nodes, count), np.int64)
     shortest = np.empty(count)
@@ -81,8 +84,9 @@ def sweep_nodes(
 ) -> bool:
     """Relax the edges of all nodes once; return whether a path became shorter.
 
-    Row u of `tile` holds the lengths of the paths to node u. ``stamps[u]`` holds the times of the
-    last improvement and of the last visit: a neighbour not improved since the visit is skipped.
+    Row u of `tile` contains the lengths of the paths to node u. ``stamps[u]`` contains the times
+    of the last improvement and of the last visit of node u: neighbours that have not improved
+    since the visit are skipped.
     """
     offsets, ends, lengths = edges
     any_shorter = False
@@ -114,7 +118,7 @@ def relax(
 ) -> None:
     """Relax edges until no path becomes shorter: Bellman-Ford for many sources at once.
 
-    Row s of `paths` holds the lengths of the paths from source s; rows of `sources` are updated.
+    Row s of `paths` contains the lengths of the paths from source s; rows of `sources` are updated.
     The `edges` (offsets, ends, lengths) of node u are those from ``offsets[u]`` to
     ``offsets[u + 1]``. Sweeps follow `order`, alternately forwards and backwards.
     """

@@ -17,8 +17,9 @@ def keep_greatest(
 ) -> None:
     """Update the greatest entries of each row with a block of columns.
 
-    `block` holds the columns of the matrix from `left` on. `greatest` holds column numbers and
-    entries per row, in decreasing order. Columns of the row's `own` group are skipped.
+    `block` contains the columns of the matrix from `left` on. `greatest` contains column numbers
+    and entries per row, in decreasing order of the entries. Columns of the row's `own` group are
+    skipped.
     """
     ends, values = greatest
     count = ends.shape[1]

@@ -13,7 +13,7 @@ Reals = NDArray[np.floating[Any]]
 Range = tuple[int, int]  # from the first to before the last
 
 WIDTH = 512  # columns at a time, which fit into the first-level cache
-# Vector units need sums in any order; infinities must keep their meaning.
+# Allows sums in any order, for vectorisation; infinities keep their meaning.
 REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
@@ -41,8 +41,8 @@ def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope
             for axis in range(dimensions):
                 mine, theirs = points[axis, i], points[axis, start:stop]
                 for j in range(size):
-                    apart = mine - theirs[j]
-                    factors[j] += apart * apart
+                    difference = mine - theirs[j]
+                    factors[j] += difference * difference
             target, weight = targets[i, start:stop], weights[weighted, start:stop]
             partial = points.dtype.type(0)
             for j in range(size):

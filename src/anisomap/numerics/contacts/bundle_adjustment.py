@@ -20,7 +20,7 @@ _MAX_ITERATIONS = 1000  # of conjugate gradients
 
 
 class ReducedSystem:
-    """Gradient and curvature of the total score by the sensor positions, contacts re-optimised.
+    """Gradient and curvature of the total score by the positions, with contacts re-optimised.
 
     Parameters
     ----------
@@ -32,8 +32,8 @@ class ReducedSystem:
 
     Notes
     -----
-    Let row m of P hold the gradient of u_m by all positions and row m of Q that by all contacts,
-    h the curvatures, g the slopes, C the contacts' precisions and c their gradients. Second
+    Row m of P is the gradient of u_m by all positions, and row m of Q that by all contacts; h are
+    the curvatures, g the slopes, C the contacts' precisions and c their gradients. Second
     derivatives of u are neglected (Gauss-Newton). Eliminating the contacts leaves the Schur
     complement (Triggs et al. 2000, Bundle Adjustment - A Modern Synthesis, section 6.1) ::
 
@@ -69,7 +69,7 @@ class ReducedSystem:
         )
 
     def curvature(self, steps: Matrix) -> Matrix:
-        """Multiply the curvature by displacements of all sensors, shape (N k,)."""
+        """Multiply the curvature by displacements of all sensors; both of shape (N k,)."""
         along = self._h * (self._by_position @ steps.ravel())
         gradients = (self._by_contact.T @ along).reshape(self._located.gradients.shape)
         return np.asarray(self._by_position.T @ (along - self._contact_response(gradients)))

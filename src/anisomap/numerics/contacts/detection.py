@@ -1,4 +1,4 @@
-"""Detection of contacts: sensors pressed together in a frame, and those at rest around them."""
+"""Detection of contacts: adjacent pressed sensors in a frame, and sensors at rest around them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BORDER_WIDTH = 2.2  # within which resting sensors bound a contact
 _MIN_PEAK_DISTANCE = 2.2  # nearer peaks belong to one contact
 _MIN_DISTANCE_RATIO = 1.3  # to the second nearest peak over the nearest; ambiguous below
 _MAX_TOUCHED = 0.7  # of all sensors; above it a posture or a fault
-_MIN_AT_REST = 2
+_MIN_AT_REST = 2  # resting sensors around a contact, which bound it
 _SAMPLE_FRAMES = 200  # from which the number of contacts is predicted
 
 
@@ -69,7 +69,7 @@ class Contacts:
 
 @dataclass(frozen=True, eq=False)
 class _Neighbourhood:
-    """Distances and neighbour links on a map."""
+    """Distances on a map, the median link length, and the links between neighbours."""
 
     distances: Matrix
     link: float
@@ -100,7 +100,7 @@ def find_contacts(
     Returns
     -------
     Contacts or None
-        None if no contact is found.
+        None if there are none.
     """
     nearby = _neighbourhood(np.asarray(positions, dtype=np.float64))
     n_frames = len(levels.values)

@@ -21,11 +21,11 @@ Matrix = NDArray[np.float64]
 _MIN_CONTACTS = 0.5  # per sensor
 _WARM_UP_ROUNDS = 4  # of contacts and profile before sensors move
 _INITIAL_LOCATION_STEPS, _LOCATION_STEPS = 12, 10
-_SURFACE_OFFSET = 0.7  # of a contact's radius; initial distance of its centre from the skin
+_SURFACE_OFFSET = 0.7  # of a contact's extent; initial distance of its centre from the skin
 _OUTLIER_FACTOR = 4.0  # times the upper quartile range; contacts that score lower are dropped
 _MAX_DROPPED = 0.4  # of all contacts
-_MIN_SOFTNESS = 0.05
-_MIN_REACH_SD = 0.02  # of the reach
+_MIN_SOFTNESS = 0.05  # of the profile
+_MIN_RADIUS_SD = 0.02  # of the mean radius
 _MAX_STEP = 0.45  # keeps neighbours from changing places in one step
 _TOLERANCE = 0.02  # largest displacement of a sensor at convergence
 
@@ -37,7 +37,7 @@ class ContactOptions:
     Parameters
     ----------
     n_levels : int
-        Greatest number of levels above rest into which readings are quantised, 1 to 100.
+        Maximum number of levels above rest into which readings are quantised, 1 to 100.
     max_gain_spread : float
         Standard deviation of the log gains of sensors up to which readings are not normalised.
     max_readings, readings_per_sensor : int
@@ -51,8 +51,8 @@ class ContactOptions:
         Standard deviation of the displacement of a sensor from the given map, in sensor spacings,
         above 0.
     n_rounds, n_steps : int
-        Number of times that contacts are detected, and greatest number of steps of the sensors
-        each time.
+        Number of rounds, each with a new detection of contacts, and maximum number of steps of the
+        sensors per round; at least 1.
     min_explained : float
         Share of the entropy of the readings that contacts must explain for the fit to be used.
     min_at_rest : float
@@ -108,8 +108,8 @@ class ContactFit:
     n_contacts : int
         Number of contacts found.
     explained : float
-        Share of the entropy of the readings that the distance from their contact explains, each
-        reading left out of its own contact's fit; at most 1. NaN if contacts were not fitted.
+        Share of the entropy of the readings that the distance from their contact explains; at most
+        1. Each reading is left out of the fit of its own contact. NaN if contacts were not fitted.
     at_rest : float
         Share of all readings at rest.
     gains : ndarray of shape (N,)
@@ -117,7 +117,7 @@ class ContactFit:
     used : bool
         Whether the fit passed the checks of `ContactOptions`.
     reason : str
-        Why it was not used; empty if it was.
+        Reason for not using the fit; empty if it was used.
     """
 
     positions: Matrix
@@ -161,19 +161,20 @@ def fit_contacts(
     Raises
     ------
     InputError
-        If shapes disagree, or something is not finite.
+        If shapes disagree, a value is not finite, there are fewer than 3 sensors, or most of them
+        coincide with another.
 
     Notes
     -----
-    Contact e is at y_e with reach R_e. Sensor i reads level l or higher with probability
+    Contact e is at y_e with radius R_e. Sensor i reads level l or higher with probability
     ``expit((R_e - |p_i - y_e| - rho_l) / s)``, except for outliers; ``R_e ~ N(R0, tau^2)``. These
     steps alternate:
 
     1. the likelihood of each contact (y, R) is maximised, in 3D from both sides of the skin
        (`locate`);
-    2. the contacts with the lowest likelihoods are dropped, and rho and s are located to distances
-       that leave each reading out of its own contact's fit (`fit_profile`);
-    3. R0 and tau are set to the moments of the reaches, tau^2 divided by the number of reaches that
+    2. the contacts with the lowest likelihoods are dropped, and rho and s are fitted to distances
+       for which each reading is left out of the fit of its own contact (`fit_profile`);
+    3. R0 and tau are set to the moments of the radii, tau^2 divided by the number of radii that
        the readings determine (MacKay 1992, Neural Computation 4: 415-447);
     4. all sensors make one Gauss-Newton step with the contacts eliminated (`ReducedSystem`) and the
        prior ``p_i ~ N(given, prior_sd^2)``.
@@ -266,25 +267,26 @@ def _initial_state(contacts: Contacts, positions: Matrix) -> _State:
     mass = contacts.total(contacts.levels.astype(np.float64))
     centres = contacts.total(contacts.levels[:, None] * points) / mass[:, None]
     offsets = np.linalg.norm(points - centres[contacts.contact_index], axis=1) * pressed
-    radii = np.maximum.reduceat(offsets, contacts.starts)
-    reach = 1.05 * float(np.median(radii)) * (1.22 if k > 2 else 1.0)
-    thresholds = np.linspace(0, 0.7 * reach, contacts.max_level)
-    profile = Profile(thresholds, 0.1 * reach, reach, 0.2 * reach)
+    extents = np.maximum.reduceat(offsets, contacts.starts)
+    # 1.22 is the length of (1, 0.7): centres are offset from the skin by 0.7 of the extent.
+    radius = 1.05 * float(np.median(extents)) * (1.22 if k > 2 else 1.0)
+    thresholds = np.linspace(0, 0.7 * radius, contacts.max_level)
+    profile = Profile(thresholds, 0.1 * radius, radius, 0.2 * radius)
     offset = np.zeros_like(centres)
     if k > 2:
-        offset = _SURFACE_OFFSET * radii[:, None] * _normals(contacts, points)
+        offset = _SURFACE_OFFSET * extents[:, None] * _normals(contacts, points)
     above, below = (
         locate(
             contacts,
             positions,
-            np.column_stack([centres + side * offset, np.full(len(radii), reach)]),
+            np.column_stack([centres + side * offset, np.full(len(extents), radius)]),
             profile,
             steps=_INITIAL_LOCATION_STEPS,
         )
         for side in (1, -1)
     )
     best = select(contacts, above.scores >= below.scores, above, below)
-    return _State(positions, best.states, profile, np.ones(len(radii), dtype=bool))
+    return _State(positions, best.states, profile, np.ones(len(extents), dtype=bool))
 
 
 def _normals(contacts: Contacts, points: Matrix) -> Matrix:
@@ -312,16 +314,17 @@ def _relocated(contacts: Contacts, state: _State) -> _State:
     shift = profile_fit.thresholds[0]
     states = located.states.copy()
     states[:, -1] -= shift
-    reaches = states[kept, -1]
-    reach = float(reaches.mean())
-    certain = np.linalg.inv(located.precisions[kept])[:, -1, -1] / state.profile.reach_sd**2
-    determined = max(float((1 - np.minimum(certain, 1)).sum()), 1e-3 * len(reaches))
-    reach_sd = float(np.sqrt(((reaches - reach) ** 2).sum() / determined))
+    radii = states[kept, -1]
+    radius = float(radii.mean())
+    # Posterior over prior variance: the share of each radius that the readings do not determine.
+    undetermined = np.linalg.inv(located.precisions[kept])[:, -1, -1] / state.profile.radius_sd**2
+    n_determined = max(float((1 - np.minimum(undetermined, 1)).sum()), 1e-3 * len(radii))
+    radius_sd = float(np.sqrt(((radii - radius) ** 2).sum() / n_determined))
     profile = Profile(
         profile_fit.thresholds - shift,
         max(profile_fit.softness, _MIN_SOFTNESS),
-        reach,
-        max(reach_sd, _MIN_REACH_SD * abs(reach)),
+        radius,
+        max(radius_sd, _MIN_RADIUS_SD * abs(radius)),
     )
     return _State(state.positions, states, profile, kept)
 
@@ -351,7 +354,9 @@ def _spacing(positions: Matrix) -> float:
     distances, _ = KDTree(positions).query(positions, k=2)
     unit = float(np.median(np.asarray(distances)[:, 1]))
     if not unit > 0:
-        raise InputError("most sensors have the same position as another; contacts need a map")
+        raise InputError(
+            "the contact fit requires distinct positions, but most sensors coincide with another"
+        )
     return unit
 
 

@@ -1,4 +1,4 @@
-"""Ordinal levels of readings, which do not depend on how readings grow with pressure."""
+"""Ordinal levels of readings, which are independent of the sensors' response curves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MIN_TOUCHES = 5  # readings above rest, for an estimate of the gain
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Readings in steps from rest, 0, up to the max_level contact, `max_level`.
+    """Readings as ordinal levels, from 0 at rest to `max_level` under the deepest contact.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ def assign_levels(readings: ArrayLike, n_levels: int, max_gain_spread: float) ->
     Returns
     -------
     Levels
-        With the rest of `anisomap.numerics.similarity.rest.estimate_rest`.
+        Rest is that of `anisomap.numerics.similarity.rest.estimate_rest`.
     """
     values = np.asarray(readings, dtype=np.float64)
     rest = estimate_rest(values)
@@ -62,7 +62,7 @@ def assign_levels(readings: ArrayLike, n_levels: int, max_gain_spread: float) ->
     gains = _gains(depth)
     if np.log(gains).std() > max_gain_spread:
         depth /= gains
-    touched = depth > _MIN_DEPTH * np.median(_reach(depth))
+    touched = depth > _MIN_DEPTH * np.median(_typical_maximum(depth))
     levels = np.zeros(depth.shape, dtype=np.int8)
     pressed = depth[touched]
     edges = pressed
@@ -78,15 +78,15 @@ def assign_levels(readings: ArrayLike, n_levels: int, max_gain_spread: float) ->
     return Levels(values=levels, max_level=len(edges) + 1, at_rest=at_rest, gains=gains)
 
 
-def _reach(depth: NDArray[np.float64]) -> NDArray[np.float64]:
+def _typical_maximum(depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a high quantile of the depth of each sensor, or its maximum if that is 0."""
-    reach = np.quantile(depth, _RANGE_QUANTILE, axis=0)
-    return np.where(reach > 0, reach, depth.max(axis=0))
+    highest = np.quantile(depth, _RANGE_QUANTILE, axis=0)
+    return np.where(highest > 0, highest, depth.max(axis=0))
 
 
 def _gains(depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the gain of each sensor; the median of all for a rarely touched sensor."""
-    touched = depth > _MIN_DEPTH * _reach(depth)
+    touched = depth > _MIN_DEPTH * _typical_maximum(depth)
     enough = np.flatnonzero(touched.sum(axis=0) > _MIN_TOUCHES)
     known = [np.quantile(depth[touched[:, i], i], _GAIN_QUANTILE) for i in enough]
     gains = np.full(depth.shape[1], np.median(known) if known else 1.0)

@@ -17,8 +17,8 @@ _TOLERANCE = 1e-5  # largest gain in a log-likelihood at convergence
 _INITIAL_DAMPING = 1e-2
 _MIN_DAMPING = 1e-6
 _PRIOR_PRECISION = 1e-3  # of 1 / softness^2; keeps undetermined centres in place
-_MAX_LEVERAGE = 0.8
-_MAX_SHIFT = 1.5
+_MAX_LEVERAGE = 0.8  # of a reading on its contact; bounds leave-one-out steps
+_MAX_SHIFT = 1.5  # of a leave-one-out prediction
 _MIN_DISTANCE = 1e-6  # keeps directions finite
 
 
@@ -29,15 +29,15 @@ class LocatedContacts:
     Attributes
     ----------
     states : ndarray of shape (E, k + 1)
-        Centre y and reach R of each contact.
+        Centre y and radius R of each contact.
     scores : ndarray of shape (E,)
-        Log-likelihood of each contact's readings and reach.
+        Log-likelihood of each contact's readings and radius.
     gradients : ndarray of shape (E, k + 1)
         Gradient of the scores by the states, nearly 0 after `locate`.
     precisions : ndarray of shape (E, k + 1, k + 1)
         Negative Hessian of the scores (Gauss-Newton), positive definite.
     inside : ndarray of shape (M,)
-        Distance of each sensor inside the reach, ``u = R - |p - y|``.
+        Distance of each sensor inside the radius, ``u = R - |p - y|``; negative outside.
     directions : ndarray of shape (M, k + 1)
         Gradient of u by the state, ``((p - y) / |p - y|, 1)``; the negative of its first k
         components is the gradient by p.
@@ -65,13 +65,13 @@ def evaluate(
     directions = np.column_stack([offsets / distances[:, None], np.ones(len(offsets))])
     inside = states[contacts.contact_index, k] - distances
     score, slopes, curvatures = level_log_likelihood(contacts.levels, inside, profile)
-    deviations = (states[:, k] - profile.reach) / profile.reach_sd
+    deviations = (states[:, k] - profile.radius) / profile.radius_sd
     gradients = contacts.total(slopes[:, None] * directions)
-    gradients[:, k] -= deviations / profile.reach_sd
+    gradients[:, k] -= deviations / profile.radius_sd
     precisions = contacts.total(
         curvatures[:, None, None] * directions[:, :, None] * directions[:, None, :]
     )
-    prior = np.append(np.full(k, _PRIOR_PRECISION / profile.softness**2), profile.reach_sd**-2)
+    prior = np.append(np.full(k, _PRIOR_PRECISION / profile.softness**2), profile.radius_sd**-2)
     precisions += np.diag(prior)
     scores = contacts.total(score) - deviations**2 / 2
     return LocatedContacts(
@@ -92,6 +92,7 @@ def locate(
         Initial states.
     profile : Profile
     steps : int
+        Maximum number of steps.
 
     Returns
     -------
@@ -136,7 +137,7 @@ def select(
 
 
 def leave_one_out(contacts: Contacts, fitted: LocatedContacts) -> Matrix:
-    """Predict how far inside each sensor lies if its reading is left out of the contact's fit.
+    """Predict the distance inside of each sensor without its reading in the contact's fit.
 
     Parameters
     ----------
@@ -146,6 +147,7 @@ def leave_one_out(contacts: Contacts, fitted: LocatedContacts) -> Matrix:
     Returns
     -------
     ndarray of shape (M,)
+        See `LocatedContacts.inside`.
 
     Notes
     -----

@@ -24,30 +24,32 @@ _MAX_ITERATIONS = 60  # of L-BFGS, for about ten parameters
 class Profile:
     """Distribution of levels given the distance from a contact.
 
-    The level of a sensor at p depends on its distance inside the reach R of a contact at y,
-    ``u = R - |p - y|``: ``P(level >= l) = expit((u - thresholds[l - 1]) / softness)``.
+    The level of a sensor at p depends on its distance inside the radius R of a contact at y,
+    ``u = R - |p - y|``: ``P(level >= l) = expit((u - thresholds[l - 1]) / softness)``. All lengths
+    are in sensor spacings.
 
     Attributes
     ----------
     thresholds : ndarray of shape (L,)
         Increasing; the first is 0.
     softness : float
-    reach, reach_sd : float
+        Width of the transition between levels, above 0.
+    radius, radius_sd : float
         Mean and standard deviation of R over contacts.
     """
 
     thresholds: Matrix
     softness: float
-    reach: float
-    reach_sd: float
+    radius: float
+    radius_sd: float
 
     def scaled(self, factor: float) -> Profile:
         """Return the profile with all lengths multiplied by a factor."""
         return Profile(
             self.thresholds * factor,
             self.softness * factor,
-            self.reach * factor,
-            self.reach_sd * factor,
+            self.radius * factor,
+            self.radius_sd * factor,
         )
 
 
@@ -60,7 +62,7 @@ def level_log_likelihood(
     ----------
     levels : array_like of int, shape (M,)
     inside : array_like of shape (M,)
-        Distance u of each sensor inside the reach of its contact.
+        Distance u of each sensor inside the radius of its contact.
     profile : Profile
 
     Returns
@@ -100,7 +102,7 @@ def fit_profile(
     Returns
     -------
     Profile
-        Its first threshold is the common error of all reaches, not 0.
+        Its first threshold is the common error of all radii, not 0.
     """
     counts = np.asarray(weights, dtype=np.float64)
     used = counts > 0
@@ -116,7 +118,7 @@ def fit_profile(
         options={"maxiter": _MAX_ITERATIONS},
     )
     thresholds, softness = _unpack(found.x)
-    return Profile(thresholds, softness, profile.reach, profile.reach_sd)
+    return Profile(thresholds, softness, profile.radius, profile.radius_sd)
 
 
 def negative_log_likelihood(
@@ -124,7 +126,8 @@ def negative_log_likelihood(
 ) -> tuple[float, Matrix]:
     """Return the mean negative log-likelihood and its gradient by the unconstrained parameters.
 
-    These are the first threshold and the logarithms of the further steps and of the softness.
+    The parameters are the first threshold and the logarithms of the further steps and of the
+    softness.
     """
     thresholds, softness = _unpack(parameters)
     n_levels = len(thresholds)
@@ -151,13 +154,13 @@ def _probabilities(
 ) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     """Return P(level >= l), P(level > l), and their logits."""
     edges = np.concatenate([[-_FAR], thresholds, [_FAR]])
-    where, reached = np.asarray(levels), np.asarray(inside, dtype=np.float64)
-    lower, upper = (reached - edges[where]) / softness, (reached - edges[where + 1]) / softness
+    where, u = np.asarray(levels), np.asarray(inside, dtype=np.float64)
+    lower, upper = (u - edges[where]) / softness, (u - edges[where + 1]) / softness
     return expit(lower), expit(upper), lower, upper
 
 
 def _with_outliers(at_least: Matrix, above: Matrix, n_levels: int) -> tuple[Matrix, Matrix]:
-    """Return the posterior probability of being no outlier, and the probability of the reading."""
+    """Return the posterior probability that a reading is not an outlier, and its probability."""
     regular = (1 - OUTLIER_SHARE) * np.maximum(at_least - above, _MIN_PROBABILITY)
     total = regular + OUTLIER_SHARE / (n_levels + 1)
     return regular / total, total

@@ -1,1 +1,1 @@
-"""Fit of one covariogram and of the sensor positions to all correlations."""
+"""Joint fit of a covariogram and of the sensor positions to all correlations."""

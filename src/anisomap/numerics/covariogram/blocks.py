@@ -1,4 +1,4 @@
-"""Overlapping blocks of sensors, for fits that cannot hold all pairs at once."""
+"""Overlapping blocks of sensors, for fits of too many sensors to use all pairs at once."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ def overlapping_blocks(positions: ArrayLike, max_size: int) -> list[NDArray[np.i
     ----------
     positions : array_like of shape (N, k)
     max_size : int
-        Greatest number of sensors per block.
+        Maximum number of sensors per block.
 
     Returns
     -------
     list of ndarray of int
-        Sorted indices: one block if it holds all sensors. Otherwise blocks of neighbours, blocks of
-        neighbours shifted by half a block, and blocks of every n-th sensor of the whole skin.
+        Sorted indices: one block if all sensors fit into it. Otherwise blocks of neighbours, blocks
+        of neighbours shifted by half a block, and blocks of every n-th sensor of the whole skin.
     """
     points = np.asarray(positions, dtype=np.float64)
     n_points = len(points)

@@ -88,8 +88,8 @@ def fit_covariogram(
     start : array_like of shape (N, k)
         Initial positions in any unit.
     metric : array_like of shape (N, N)
-        Distances D, finite and in the unit of `start`, which determine the map where correlations
-        do not.
+        Distances D, finite and in the unit of `start`, which determine the positions of sensors
+        that correlations do not determine.
     noise : float
         Sampling variance s^2 of a correlation, above 0: see
         `anisomap.numerics.reliability.sampling_noise.sampling_variance`.
@@ -104,7 +104,7 @@ def fit_covariogram(
     Raises
     ------
     InputError
-        If shapes disagree, the noise is not positive, or something is not finite.
+        If shapes disagree, the noise is not positive, or a value is not finite.
 
     Notes
     -----

@@ -19,8 +19,7 @@ from anisomap.numerics.precision import Reals
 Matrix: TypeAlias = Reals
 
 _MIN_DISTANCE = 1e-6  # ranges; keeps logarithms and gradients finite
-_AMPLITUDE_BOUNDS = (1e-3, 10.0)
-"""Below, the function is flat; above, all pairs lie beyond its range."""
+_AMPLITUDE_BOUNDS = (1e-3, 10.0)  # below, the function is flat; above, all pairs exceed its range
 
 _MIN_EIGENVALUE = 0.5  # of the ridge; chosen by hand, for similarities that are not correlations
 
@@ -38,17 +37,17 @@ class CovariogramOptions:
     repulsion : float
         Weight of the logarithmic repulsion that unfolds the map, at least 0, in units of the noise.
     ridge : float
-        Variance added to each reading before correlations are whitened, relative to its own; above
-        0.
+        Variance added to each sensor before correlations are whitened, relative to its own
+        variance; above 0.
     tolerance : float
         Relative decrease of the objective below which the fit stops; a hundred times as large with
         several blocks.
     max_iterations : int
-        Greatest number of L-BFGS iterations.
+        Maximum number of L-BFGS iterations.
     block : int
-        Greatest number of sensors whose correlations are whitened together, at least 3; more are
-        fitted in overlapping blocks of half as many, since whitening takes cubic time. Blocks of
-        150 to 500 of 1,200 and 2,000 sensors gave equally good maps.
+        Maximum number of sensors whose correlations are whitened together, at least 3. More are
+        fitted in overlapping blocks of half this size, since whitening takes cubic time. For 1,200
+        and 2,000 sensors, blocks of 150 to 500 gave equally good maps.
 
     Raises
     ------
@@ -90,7 +89,7 @@ class Problem:
 class BlockTerms:
     """Contribution of one block at given positions: whitened products, and gradient matrices.
 
-    With ``<A, B> = tr(A W B W)``, `products` holds <E,E>, <E,O>, <E,S>, <O,O>, <O,S>, <S,S> for the
+    With ``<A, B> = tr(A W B W)``, `products` are <E,E>, <E,O>, <E,S>, <O,O>, <O,S>, <S,S> for the
     shape E of the covariogram, the offset O (1 where a pair is known) and the similarity S.
     """
 
@@ -114,7 +113,7 @@ class Block:
         self._pairs = ~np.eye(len(sensors), dtype=bool)
         metric = problem.metric[inside].astype(np.float64)
         self._inverse_metric = np.divide(1.0, metric, out=np.zeros_like(metric), where=self._pairs)
-        self._noise = problem.noise / 2  # each pair stands in a matrix twice
+        self._noise = problem.noise / 2  # each pair occurs twice in a matrix
 
     @cached_property
     def whitened_similarity(self) -> Matrix:
@@ -191,7 +190,7 @@ def objective(
     blocks: Sequence[Block],
     positions: Matrix,
     log_exponent: float,
-    spread_over: MapFunction = serial_map,
+    map_blocks: MapFunction = serial_map,
 ) -> tuple[float, Matrix]:
     """Return the objective and its gradient.
 
@@ -201,8 +200,8 @@ def objective(
     positions : ndarray of shape (N, k)
     log_exponent : float
         Logarithm of the covariogram's exponent.
-    spread_over : callable
-        Maps a function over the blocks.
+    map_blocks : callable
+        Applies a function to every block.
 
     Returns
     -------
@@ -210,7 +209,7 @@ def objective(
     gradient : ndarray of shape (N k + 1,)
         By the coordinates, then by the log exponent.
     """
-    terms = spread_over(lambda block: block.terms(positions, log_exponent), blocks)
+    terms = map_blocks(lambda block: block.terms(positions, log_exponent), blocks)
     products = np.sum([term.products for term in terms], axis=0)
     amplitude, offset = solve_amplitude_and_offset(products)
     ee, eo, es, oo, os, ss = products
@@ -221,7 +220,7 @@ def objective(
         + 2 * (amplitude * offset * eo - amplitude * es - offset * os)
     ) / 2
     exponent = float(np.exp(log_exponent))
-    slopes = spread_over(
+    slopes = map_blocks(
         lambda pair: pair[0].gradient(pair[1], positions, exponent, amplitude, offset),
         zip(blocks, terms, strict=True),
     )
@@ -247,6 +246,7 @@ def solve_amplitude_and_offset(products: Matrix) -> tuple[float, float]:
 
 
 def _whitening(similarity: Matrix, ridge: float) -> Matrix:
+    """Return W of `fit_covariogram`, shape (n, n): the regularised inverse without the mean."""
     covariance = similarity.copy()
     np.fill_diagonal(covariance, 1 + ridge)
     identity = np.eye(len(covariance))

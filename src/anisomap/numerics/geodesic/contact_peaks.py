@@ -10,7 +10,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.similarity.rest import estimate_rest
 
 MIN_PEAKS = 8
-"""Fewest matched peaks from which a length is estimated; chosen by hand."""
+"""Minimum number of matched peaks from which a length is estimated; chosen by hand."""
 
 _CONTACT_THRESHOLD = 0.1  # of a sensor's range; separates contacts from tremor. Chosen by hand
 _RANGE_QUANTILE = 0.995  # top of the range; excludes outliers. Chosen by hand
@@ -67,11 +67,11 @@ def peak_lengths(readings: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float6
     -----
     ``(1 - rho_ij)^(1/2)`` with Spearman's rho of the heights of those peaks of i and j that are
     mutually nearest in time: the root of a variogram (Matheron 1963, Economic Geology 58:
-    1246-1266) of the ground. A rolling body meets the same ground at i and j in one frame (along
-    its axis) or some frames apart (around it), and heights differ as the ground does over that
-    distance. Lengths in both directions are therefore comparable if the ground, or whatever touches
-    the skin, is isotropic. Beyond the correlation length of the ground rho is 0, and all distances
-    look alike.
+    1246-1266) of the ground. On a rolling body, i and j touch the ground in one frame (along the
+    axis) or some frames apart (around it), and the heights of their peaks differ as much as the
+    ground over that distance. Lengths in both directions are therefore comparable if the ground,
+    or any other object that touches the skin, is isotropic. Beyond the correlation length of the
+    ground, rho is 0 and distances are indistinguishable.
     """
     values = np.asarray(readings, dtype=np.float64)
     mask = np.asarray(adjacency, dtype=bool)

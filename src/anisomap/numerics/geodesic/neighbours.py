@@ -34,11 +34,11 @@ class NeighbourOptions:
     slack : float
         Factor, at least 1, by which a direct link may be weaker than the best path over one other
         sensor; up to 1.5 gives similar maps.
-    reach : float
-        Largest ratio, at least 1, of the separation of two neighbours in the readings to the
+    max_step_ratio : float
+        Maximum ratio, at least 1, of the separation of two neighbours in the readings to the
         longest step of the best path between them.
-    reach_on_map : float
-        The same for distances on the map, whose short distances are less reliable.
+    max_map_step_ratio : float
+        The same for distances on the map; larger, since short distances on a map are less reliable.
 
     Raises
     ------
@@ -48,13 +48,13 @@ class NeighbourOptions:
 
     ridge: float = 0.1
     slack: float = 1.2
-    reach: float = 1.3
-    reach_on_map: float = 1.7
+    max_step_ratio: float = 1.3
+    max_map_step_ratio: float = 1.7
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.ridge) and self.ridge > 0):
             raise InputError(f"ridge must be above 0, got {self.ridge}")
-        for name in ("slack", "reach", "reach_on_map"):
+        for name in ("slack", "max_step_ratio", "max_map_step_ratio"):
             if not (value := getattr(self, name)) >= 1:
                 raise InputError(f"{name} must be at least 1, got {value}")
 
@@ -111,12 +111,12 @@ def neighbour_graph(
     1. no third sensor is much more similar to both: ``slack Q_ij >= max_k min(Q_ik, Q_jk)``
        (a relative neighbourhood graph; Toussaint 1980, Pattern Recognition 12: 261-268);
     2. their separation is not much larger than the longest step of the best path between them,
-       ``d_ij <= reach m_ij`` with m from `minimax_paths`, for ``d = (-log S)^(1/2)``, for the same
-       function of the differences between frames, and for the distances on the map.
+       ``d_ij <= max_step_ratio m_ij`` with m from `minimax_paths`, for ``d = (-log S)^(1/2)``, for
+       the same function of the differences between frames, and for the distances on the map.
 
     The maximum spanning tree of the link strengths is always included. Each condition removes
     shortcuts that the others keep: a rolling body touches whole lines of sensors at once, so
-    partial correlations alone cannot tell two steps along a line from one.
+    partial correlations alone cannot distinguish one step along a line from two.
     """
     chosen = options or NeighbourOptions()
     values = np.asarray(readings)
@@ -127,11 +127,11 @@ def neighbour_graph(
         )
     correlation = blended_correlation(values) if similarity is None else np.asarray(similarity)
     changes = blended_correlation(np.diff(values.astype(np.float64, copy=False), axis=0))
-    adjacent = _within(_separation(correlation), chosen.reach)
-    adjacent &= _within(_separation(changes), chosen.reach)
+    adjacent = _within(_separation(correlation), chosen.max_step_ratio)
+    adjacent &= _within(_separation(changes), chosen.max_step_ratio)
     if positions is not None:
         points = _checked_positions(positions, values.shape[1])
-        adjacent &= _within(cdist(points, points), chosen.reach_on_map)
+        adjacent &= _within(cdist(points, points), chosen.max_map_step_ratio)
     partial = partial_correlation(correlation, chosen.ridge)
     adjacent &= partial > 0
     np.fill_diagonal(adjacent, val=False)
@@ -142,7 +142,7 @@ def neighbour_graph(
 
 
 def unevenness(positions: ArrayLike, adjacency: ArrayLike) -> float:
-    """Return the spread of the distances between neighbours on a map.
+    """Measure the spread of the distances between neighbours on a map.
 
     Parameters
     ----------
@@ -213,8 +213,8 @@ def _separation(similarity: Reals) -> Reals:
     return np.asarray(separation)
 
 
-def _within(distances: Reals, reach: float) -> NDArray[np.bool_]:
-    return np.asarray(distances <= reach * minimax_paths(distances))
+def _within(distances: Reals, max_ratio: float) -> NDArray[np.bool_]:
+    return np.asarray(distances <= max_ratio * minimax_paths(distances))
 
 
 def _without_detours(

@@ -1,7 +1,8 @@
-"""Maps fitted to path lengths on a neighbour graph, for skins that correlations do not resolve.
+"""Maps fitted to path lengths on a neighbour graph, where correlations do not resolve distances.
 
-A body rolling on a line is touched along whole lines at once: correlations hardly fall along them,
-and a map made from correlations is compressed in that direction. Adjacency can still be estimated.
+A rolling body is touched along whole lines at once. Correlations hardly decrease along these
+lines, so a map made from correlations is compressed in that direction; adjacency can still be
+estimated.
 """
 
 from __future__ import annotations
@@ -48,17 +49,17 @@ class GeodesicOptions:
         `unevenness`, above 0, beyond which the distances of a map are rejected; 0.4 to 0.7 gave the
         same maps on the tested skins.
     min_agreement : float
-        Least `split_half_agreement` at which the graph replaces a rejected map.
+        Minimum `split_half_agreement` at which the graph replaces a rejected map.
     max_forced_share : float
-        Greatest share of forced links at which contact peaks are used: where the ends of a body are
+        Maximum share of forced links at which contact peaks are used: where the ends of a body are
         hardly touched, their sensors are linked arbitrarily. The share was at most 0.04 on
-        cylinders with bare ends, and at least 0.18 on those with sensors there.
+        cylinders without sensors on their ends, and at least 0.18 with sensors there.
     min_measured_share : float
-        Least share of the links for which contact peaks must give a length.
+        Minimum share of the links for which contact peaks must give a length.
     max_slope : float
-        Greatest `log_log_slope` of peak lengths over map distances at which an uneven map is
-        rejected. On 50 rolling cylinders the slope was at most 0.2 (0.31 with 200 sensors); on
-        skins touching themselves, whose maps are uneven but correct, at least 0.5.
+        Maximum `log_log_slope` of peak lengths over map distances at which an uneven map is
+        rejected. The slope was at most 0.2 on 50 rolling cylinders (0.31 with 200 sensors), and at
+        least 0.5 on skins that touch themselves, for which uneven maps are correct.
     smacof : SmacofOptions
         Stopping criteria of the scaling.
 
@@ -118,9 +119,9 @@ def fit_path_lengths(
     lengths : array_like of shape (N, N)
         Lengths of the links, typically 1; 0 where there is no link. Symmetric, connected.
     dimensions : int
-        Number of coordinates, k >= 1; that of the guide if there is one.
+        Number of coordinates, k >= 1; ignored if there is a guide.
     guide : array_like of shape (N, k), optional
-        A map in any unit, weighted by how evenly it spaces neighbours.
+        A map in any unit; the more evenly its neighbours are spaced, the greater its weight.
     options : GeodesicOptions, optional
 
     Returns
@@ -232,7 +233,7 @@ def refine_by_contact_peaks(
         the unit of the map. Applied only if all of these hold: the map exceeds
         `GeodesicOptions.max_unevenness`, few links are forced, both halves of the recording agree
         on the neighbours, most links have lengths, and these contradict the map (`log_log_slope`).
-        Otherwise the positions are returned bit for bit.
+        Otherwise the given positions are returned.
     """
     chosen = options or GeodesicOptions()
     given = np.asarray(positions, dtype=np.float64)

@@ -26,7 +26,7 @@ def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
         Component of each object; 0 is the largest, ties by the first object.
     """
     joined = np.isfinite(dissimilarity)
-    if joined.all():  # the usual case, for which a search would take long
+    if joined.all():  # the most frequent case, without a slow search
         return np.zeros(len(joined), dtype=np.intp)
     return labels_by_size(connected_components(joined, directed=False)[1])
 
@@ -49,15 +49,15 @@ def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
 
 
 def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool_]:
-    """Join every object to the most similar ones.
+    """Link every object to the most similar ones.
 
     Parameters
     ----------
     similarity : array_like of shape (N, N)
         The diagonal is ignored.
     n_neighbours : int
-        Number of objects that each is joined to, k >= 1. Objects that are neighbours of others
-        have more edges.
+        Number of neighbours of each object, k >= 1. An edge links two objects if either is a
+        neighbour of the other, so objects may have more edges.
 
     Returns
     -------

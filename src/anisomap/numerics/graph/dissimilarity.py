@@ -15,8 +15,8 @@ NUMERICAL_ZERO = 1e-12
 
 _ROUNDING = {np.float64: 1e-7, np.float32: 1e-5}  # relative asymmetry that is averaged out
 # Tuned on simulated skins, seeds 101-105.
-_INDIRECT_SHARE = 0.1
-_NOISE_FACTOR = 5.0
+_INDIRECT_SHARE = 0.1  # weight of the correlation relative to the partial correlation
+_NOISE_FACTOR = 5.0  # weight of the sampling variance
 
 
 def as_symmetric(matrix: ArrayLike, name: str, *, copy: bool = True) -> Reals:
@@ -40,7 +40,7 @@ def as_symmetric(matrix: ArrayLike, name: str, *, copy: bool = True) -> Reals:
     Raises
     ------
     InputError
-        If it is not square, holds NaN, or differs from its transpose by more than rounding.
+        If it is not square, contains NaN, or differs from its transpose by more than rounding.
     """
     values = as_reals(matrix, copy=copy)
     if values.ndim != 2 or values.shape[0] != values.shape[1] or not values.size:
@@ -125,9 +125,9 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> Reals:
     -----
     ``M = A^(-1/2) (1 + 5 s^2 / A^2)`` with ``A = (S (Q + S / 10))^(1/2)``, regularised by its
     smallest positive element. Q are the partial correlations of ``S + I`` (a ridge), which are
-    high only between neighbours. The second factor lengthens correlations within the noise, so
-    that shortest paths do not prefer pairs correlated by chance. Variances are at least the
-    typical one, since those of rarely touched sensors are underestimated.
+    high only between neighbours. The second factor lengthens pairs with correlations within the
+    noise, so that shortest paths do not prefer coincidental correlations. Each variance is at
+    least the median variance, since those of rarely touched sensors are underestimated.
     """
     values = as_symmetric(similarity, "similarity")
     variance = as_symmetric(noise, "noise")
@@ -156,7 +156,7 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> Reals:
 
 
 def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> Reals:
-    """Partial correlation of every pair of sensors given all others.
+    """Return the partial correlation of every pair of sensors given all others.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def _inverse(covariance: Reals) -> Reals:
 
 
 def information_distance(information: ArrayLike) -> Reals:
-    """Information distance of every pair of sensors.
+    """Return the information distance of every pair of sensors.
 
     Parameters
     ----------
@@ -226,7 +226,8 @@ def information_distance(information: ArrayLike) -> Reals:
 
     Notes
     -----
-    McGregor et al. (2011), section "Information Distance"; Crutchfield (1990).
+    McGregor et al. (2011), section "Information Distance"; Crutchfield (1990), Information and its
+    metric.
     """
     values = as_symmetric(information, "mutual information")
     entropy = np.diag(values).copy()

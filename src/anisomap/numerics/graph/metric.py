@@ -33,7 +33,7 @@ def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
     Raises
     ------
     InputError
-        If it is not symmetric, holds NaN or negative values, or its diagonal is not zero.
+        If it is not symmetric, contains NaN or negative values, or its diagonal is not zero.
     """
     lengths = as_symmetric(dissimilarity, "dissimilarity", copy=copy)
     if lengths.min() < 0:

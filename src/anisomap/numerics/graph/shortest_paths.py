@@ -51,7 +51,7 @@ def shortest_paths(lengths: Reals) -> Reals:
     Parameters
     ----------
     lengths : ndarray of shape (N, N)
-        **Exactly** symmetric, zero diagonal, non-negative; infinite where there is no edge.
+        Exactly symmetric, zero diagonal, non-negative; infinite where there is no edge.
 
     Returns
     -------
@@ -60,8 +60,8 @@ def shortest_paths(lengths: Reals) -> Reals:
 
     Notes
     -----
-    On skins few edges are shortest paths, and only these are followed. Should the check of the
-    result fail, it is computed by `through_all_nodes`.
+    On skins few edges are shortest paths, and only these are followed (`along_few_edges`). If the
+    result fails a check, all nodes are used (`through_all_nodes`).
     """
     found = along_few_edges(lengths)
     if found is not None:
@@ -130,6 +130,11 @@ def through_all_nodes(lengths: Reals, *, tile: int = TILE) -> Reals:
         See `shortest_paths`.
     tile : int
         Nodes per tile.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        Exactly symmetric.
 
     Notes
     -----

@@ -35,8 +35,8 @@ def blended_correlation(readings: ArrayLike) -> Reals:
     On tactile data a few deep contacts dominate Pearson's r, which makes it noisy in short
     recordings; ranks are less noisy but distort distances. Ranks are of depths beyond rest
     (`anisomap.numerics.similarity.rest.estimate_rest`), since ranks of readings at rest are noise.
-    With the reliabilities p of r and q of rho, ``1 - w = (1 - p^5) min(1, q / p)^10``: rho counts
-    where r is unreliable, unless rho is less reliable still.
+    With the reliabilities p of r and q of rho, ``1 - w = (1 - p^5) min(1, q / p)^10``: rho has
+    weight if r is unreliable, unless rho is even less reliable.
     """
     values = np.asarray(readings)
     ranks = rankdata(estimate_rest(values).depth(values), axis=0)

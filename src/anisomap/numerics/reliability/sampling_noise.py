@@ -15,7 +15,7 @@ _MAX_LAG = 4096  # frames; chosen by hand, longer than a contact
 _MIN_WINDOW = 10  # frames; chosen by hand
 _FADED = 0.1  # autocorrelation below which readings count as uncorrelated; chosen by hand
 _WINDOW_FACTOR = 2.0  # window / lag at which the autocorrelation has faded; chosen by hand
-_SENSORS_AT_ONCE = 64  # Fourier transforms of so many sensors are in memory
+_SENSORS_AT_ONCE = 64  # sensors transformed at a time; bounds the memory
 _MAX_SENSORS = 4000  # sampled sensors; their 8 million pairs determine the median
 
 
@@ -53,7 +53,7 @@ def sampling_variance(readings: ArrayLike) -> Reals:
     lag = int(faded[0]) if faded.size else len(autocorrelation)
     window = min(len(autocorrelation) - 1, max(_MIN_WINDOW, math.ceil(_WINDOW_FACTOR * lag)))
     taper = 2 * (1 - np.arange(window + 1) / (window + 1))
-    taper[0] = 1.0  # every other lag stands for itself and its negative
+    taper[0] = 1.0  # all other lags are doubled, for their negatives
     tapered = np.sqrt(taper / n_frames)[:, None] * autocorrelation[: window + 1]
     tapered = tapered.astype(float_type(values.shape[1]), copy=False)
     variance = tapered.T @ tapered  # the product of a matrix with itself is exactly symmetric
@@ -66,7 +66,11 @@ def typical_variance(variance: ArrayLike) -> float:
     Parameters
     ----------
     variance : array_like of shape (N, N)
-        The diagonal is ignored. Of more than 4,000 sensors, a regular sample is used.
+        The diagonal is ignored. For more than 4,000 sensors, a regular sample is used.
+
+    Returns
+    -------
+    float
     """
     values = np.asarray(variance)
     step = -(-len(values) // _MAX_SENSORS)

@@ -13,8 +13,7 @@ from anisomap.numerics.compiled.parallel import load_loops
 MIN_SHARED = 0.3
 """Minimum share of the neighbours that adjacent sensors have in common.
 
-On a line adjacent sensors share half of their neighbours, in a plane a third or more: the limit
-is just below.
+It is slightly below the geometric values: a half on a line, a third or more in a plane.
 """
 
 
@@ -24,7 +23,7 @@ def count_shared_neighbours(graph: csr_array[Any, tuple[int, int]]) -> NDArray[n
     Parameters
     ----------
     graph : csr_array of shape (N, N)
-        Symmetric, without loops; entries are edges, whatever their value.
+        Symmetric, without loops; every stored entry is an edge.
 
     Returns
     -------

@@ -17,28 +17,29 @@ from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.numerics.reliability.shared_neighbours import MIN_SHARED, count_shared_neighbours
 
 _MIN_BRIDGE = 1.2
-"""Minimum strength of a link that connects components, over the strongest of unrelated sensors.
+"""Minimum strength of a link between components, relative to the strongest unrelated link.
 
 Tuned on simulated skins, seeds 101-105: see `significant_components`.
 """
 
 MIN_FILTERED_SENSORS = 500
-"""Components of more sensors lose their insignificant links; chosen by hand."""
+"""Number of sensors above which insignificant links of a component are removed; by hand."""
 
 MIN_LINK = 1.5
-"""Minimum strength of a significant link, over the strongest of unrelated sensors; by hand."""
+"""Minimum strength of a significant link, relative to the strongest unrelated link; by hand."""
 
 MAX_ROUNDS = 4
-"""Maximum number of passes that remove links without shared neighbours; chosen by hand."""
+"""Maximum number of rounds that remove links without shared neighbours; chosen by hand."""
 
 MIN_COVERED, MIN_LINKS = 0.95, 8
-"""Share of the sensors that the significant links must connect, and their median per sensor.
+"""Minimum share of the sensors that significant links connect, and minimum median per sensor.
 
-With fewer, contacts are too small or the recording too short to tell links apart. Chosen by hand.
+With fewer, contacts are too small or the recording is too short to distinguish links. Chosen by
+hand.
 """
 
 MAX_PRODUCTS = 1e10
-"""Sum of squared numbers of links above which shared neighbours are not counted.
+"""Sum of the squared numbers of links per sensor above which shared neighbours are not counted.
 
 Contacts then cover so much of the skin that a few steps connect any two sensors.
 """
@@ -106,8 +107,8 @@ def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArra
     unrelated sensors is about ``sqrt(2 log m)``; a component of n sensors has m = n (N - n) links
     to the others. Links are significant from 1.2 times this strength on. On simulated and real
     skins of 500 frames and more, the weakest link needed to connect a skin was 1.22 times as
-    strong. Between two skins touched independently, the strongest was 0.8 to 1.1, or 1.0 to 1.4 if
-    few large contacts made many pairs coincide: such skins may be taken for one.
+    strong. Between two skins touched independently, the strongest was 0.8 to 1.1 times as strong,
+    or 1.0 to 1.4 times if a few large contacts made many pairs coincide: such skins may be merged.
     """
     links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
@@ -140,11 +141,12 @@ def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.
 
     Notes
     -----
-    Of a million pairs of sensors some hundreds are correlated by chance, and each shortens paths
-    across the skin. A link is significant if it is 1.5 times as strong as the strongest of P
+    Among a million pairs of sensors, some hundreds are correlated by coincidence, and each shortens
+    paths across the skin. A link is significant if it is 1.5 times as strong as the strongest of P
     unrelated pairs, ``sqrt(2 log P)`` standard deviations, and if its sensors have enough
-    neighbours in common (`MIN_SHARED`). Every sensor keeps its strongest link. If the remaining
-    links hardly connect the skin (`MIN_COVERED`), all links are kept.
+    neighbours in common (`MIN_SHARED`). The maximum spanning tree of the links is kept as far as
+    it joins components. If too few significant links remain (`MIN_COVERED`, `MIN_LINKS`), all
+    links are kept.
     """
     links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
@@ -170,19 +172,20 @@ def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.
 def links_with_shared_neighbours(
     links: NDArray[np.bool_], max_products: float = MAX_PRODUCTS
 ) -> NDArray[np.bool_]:
-    """Remove links whose sensors share too few other links, until none is left.
+    """Remove links between sensors with too few common neighbours, repeatedly.
 
     Parameters
     ----------
     links : ndarray of bool, shape (N, N)
         Symmetric, False on the diagonal.
     max_products : float
-        Sum of squared numbers of links above which nothing more is removed.
+        Sum of the squared numbers of links per sensor above which nothing is removed.
 
     Returns
     -------
     ndarray of bool, shape (N, N)
-        At most 4 passes are made, since removing links removes shared neighbours of others.
+        Removing links removes shared neighbours of others; after 4 rounds, the links are returned
+        as they are.
     """
     kept = links
     for _ in range(MAX_ROUNDS):
@@ -201,9 +204,10 @@ def links_with_shared_neighbours(
 
 
 def standardised_correlation(similarity: ArrayLike, variance: ArrayLike) -> Reals:
-    """Divide correlations by their standard deviations, which are at least the typical one.
+    """Divide correlations by their standard deviations, shape (N, N).
 
-    Sensors with few contacts have an underestimated variance.
+    Each variance is at least the median variance, since that of sensors with few contacts is
+    underestimated.
     """
     links, noise = as_reals(similarity), np.asarray(variance)
     least = typical_variance(noise)
@@ -213,7 +217,7 @@ def standardised_correlation(similarity: ArrayLike, variance: ArrayLike) -> Real
 
 
 def _expected_maximum(n_links: int) -> float:
-    """Return the asymptotic maximum of so many standard normal variables."""
+    """Return the asymptotic maximum of `n_links` independent standard normal variables."""
     return math.sqrt(2 * math.log(max(2, n_links)))
 
 

@@ -9,7 +9,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.similarity.correlation import pearson
 
 N_BLOCKS = 20
-"""Number of blocks of consecutive frames that are dealt to the two halves; chosen by hand."""
+"""Number of blocks of consecutive frames that form the two halves; chosen by hand."""
 
 MIN_FRAMES = 4
 """Minimum number of frames for a reliability: 2 per half."""
@@ -23,8 +23,8 @@ _MAX_SENSORS = 4000  # sampled sensors; their 8 million pairs determine the reli
 def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Split frames into two halves of alternating blocks of consecutive frames.
 
-    Consecutive frames overlap heavily, so halves of alternating frames would be nearly equal;
-    halves of alternating blocks are nearly independent.
+    Halves of alternating frames would be nearly equal, since contacts last several frames; halves
+    of alternating blocks are nearly independent.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def split_half_reliability(readings: ArrayLike) -> float:
-    """Correlate Pearson's r of one half of a recording with that of the other, over pairs.
+    """Correlate Pearson's r between the two halves of a recording, over pairs of sensors.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def split_half_reliability(readings: ArrayLike) -> float:
     -------
     float
         In [-1, 1]. 0 for fewer than 4 frames or 3 sensors, and if all pairs of a half are equal.
-        Of more than 4,000 sensors, a regular sample is used.
+        For more than 4,000 sensors, a regular sample is used.
     """
     values = np.asarray(readings)
     if len(values) < MIN_FRAMES or values.shape[1] < MIN_SENSORS:

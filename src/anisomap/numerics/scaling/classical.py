@@ -17,7 +17,7 @@ DENSE_LIMIT = 200
 
 
 def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
-    """Scale distances classically, by the leading eigenvectors of the inner products.
+    """Classical scaling: positions from the leading eigenvectors of the inner products.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If the distances are not such a matrix, or `dimensions` is less than 1.
+        If the distances are not finite, not symmetric or negative, or `dimensions` is less than 1.
 
     Notes
     -----
     Torgerson (1952), Psychometrika 17: 401-419; Borg & Groenen (2005), chapter 12. For many points
-    double centring is applied as an operator, and eigenvectors cost only products with the matrix.
+    double centring is applied as a linear operator, and eigenvectors are computed iteratively.
     """
     squares = np.square(check_semi_metric(distances, copy=False))
     if dimensions < 1:
@@ -73,7 +73,7 @@ def _leading_iterative(
     multiply = dsymv if double else ssymv
 
     def double_centred(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-        # symv reads one triangle, and reading the matrix takes most of the time.
+        # symv reads only one triangle; reading the matrix takes most of the time.
         product = multiply(1.0, squares.T, vector - vector.mean()).astype(np.float64, copy=False)
         return np.asarray((product - product.mean()) / -2)
 

@@ -1,10 +1,10 @@
 """L-BFGS with a diagonal first Hessian, for stress functions.
 
-scipy's L-BFGS-B, which fits covariograms and contacts, scales its first Hessian uniformly. Stress
-functions come with a better one: twice the weight of each point, with which the first steps are
-those of majorisation. On bent lattices of 64 to 256 points scipy took as many iterations with equal
-weights and up to 40 % more with unequal ones, and both reached the same minima; positions differed
-by 1e-6 to 1e-3 of the map's size, by the tolerance of the stress.
+scipy's L-BFGS-B, which fits covariograms and contacts, scales its first Hessian uniformly. For
+stress functions a better one is known: twice the weight of each point, with which the first steps
+equal those of majorisation. On bent lattices of 64 to 256 points, scipy took as many iterations
+with equal weights and up to 40 % more with unequal ones. Both found the same minima; positions
+differed by 1e-6 to 1e-3 of the map's size, as the tolerance of the stress permits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from anisomap.numerics.scaling.stress import Floats, Objective
 
 MEMORY = 10
-"""Number of past steps that approximate the Hessian; a usual value (Nocedal & Wright 2006, 7.2)."""
+"""Number of past steps that approximate the Hessian; see Nocedal & Wright (2006), section 7.2."""
 
 N_MAJORISATION_STEPS = 5
 """First steps without memory, which select the minimum as majorisation does; chosen by hand."""
@@ -77,7 +77,7 @@ def minimise_lbfgs(
     Parameters
     ----------
     stress : callable
-        Returns raw stress and gradient.
+        Returns the raw stress and its gradient, shape (N, k), at positions of shape (N, k).
     start : ndarray of shape (N, k)
     scale : ndarray of shape (N, 1)
         Diagonal of the first Hessian.
@@ -89,7 +89,7 @@ def minimise_lbfgs(
     Returns
     -------
     SolverResult
-        The trace never rises.
+        The trace never increases.
     """
     negligible = NEGLIGIBLE * squares
     updates: deque[_Update] = deque(maxlen=MEMORY)

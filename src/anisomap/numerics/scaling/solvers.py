@@ -12,7 +12,7 @@ from anisomap.numerics.scaling.lbfgs import NEGLIGIBLE, SolverResult, minimise_l
 from anisomap.numerics.scaling.stress import COINCIDENT, Floats, Problem, objective
 
 MAX_BOTH = 100
-"""Maximum number of points for which both solvers run: minima are many, and both are fast."""
+"""Maximum number of points for which both solvers run: both are fast, and minima are many."""
 
 FLOAT32_TOLERANCE = 1e-7
 """Minimum tolerance in float32, where sums over many pairs have a relative error of 1e-8."""
@@ -35,7 +35,7 @@ def minimise_auto(
     first = lbfgs(coarse, start, max(tolerance, FLOAT32_TOLERANCE), max_iterations, single=True)
     left = max_iterations + 1 - len(first.trace)
     second = lbfgs(problem, first.positions, tolerance, left)
-    # Stresses in float32 may be too low by 1e-6; the trace must not rise to the exact ones.
+    # Stresses in float32 may be too low by 1e-6; the trace must not increase to the exact ones.
     before = np.maximum(first.trace[:-1], second.trace[0]).tolist()
     return SolverResult(second.positions, before + second.trace, second.converged)
 
@@ -117,4 +117,4 @@ def _laplacian_solver(problem: Problem) -> Callable[[Floats], Floats]:
 
 
 SOLVERS = {"auto": minimise_auto, "lbfgs": lbfgs, "majorization": majorise}
-"""By name; each takes a problem, a start, the tolerance and the maximum number of iterations."""
+"""Solvers by name: functions of a problem, a start, a tolerance and a number of iterations."""

@@ -55,9 +55,10 @@ class Problem:
         return large if self.compiled is None else self.compiled
 
     def single(self) -> Problem | None:
-        """Convert to float32; None if its range does not suffice."""
-        of_points = float(self.weights.max(axis=1).min(initial=1))  # no point may lose all weight
-        extremes = [of_points, *(float(m.max(initial=0)) for m in (self.targets, self.weights))]
+        """Return the problem in float32; None if values are outside its range."""
+        # The smallest maximum weight of a point is included: no point may lose all its weight.
+        smallest = float(self.weights.max(axis=1).min(initial=1))
+        extremes = [smallest, *(float(m.max(initial=0)) for m in (self.targets, self.weights))]
         if not all(1 / FLOAT32_RANGE < extreme < FLOAT32_RANGE for extreme in extremes):
             return None
         return Problem(
@@ -73,7 +74,7 @@ class Problem:
         return np.asarray(self.weights.sum(axis=1, keepdims=True, dtype=np.float64))
 
     def weighted_squares(self, positions: Floats | None = None) -> float:
-        """Sum w_ij d_ij^2 over i < j, of distances between positions or else of the targets."""
+        """Sum w_ij d_ij^2 over i < j; d are distances of `positions`, by default the targets."""
         if positions is not None and self.equal_weights:  # Huygens' theorem
             centred = positions - positions.mean(axis=0)
             return len(positions) * float(np.vdot(centred, centred))
@@ -102,9 +103,14 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
         Compute in float32, which is twice as fast: stresses are accurate to about 1e-6, and
         their differences between near configurations to 1e-8. Compiled loops only.
 
+    Yields
+    ------
+    callable
+        See `Objective`.
+
     Notes
     -----
-    Borg & Groenen (2005), section 8.6: the gradient is ``2 (V X - B(X) X)``, of point i
+    Borg & Groenen (2005), section 8.6: the gradient is ``2 (V X - B(X) X)``, for point i
     ``2 sum_j w_ij (1 - D_ij / d_ij) (x_i - x_j)``.
     """
     if not problem.is_compiled:

@@ -33,8 +33,13 @@ class SmacofOptions:
         Maximum number of iterations.
     solver : {"auto", "lbfgs", "majorization"}
         ``"majorization"`` is SMACOF as published, which converges slowly where the stress is flat.
-        ``"lbfgs"`` takes about a tenth of the iterations. ``"auto"`` is L-BFGS, and for up to 100
-        points, where minima are many, the better result of both.
+        ``"lbfgs"`` takes about a tenth of the iterations. ``"auto"`` is L-BFGS; for up to 100
+        points, where minima are many, it is the better result of both.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range, or the solver is unknown.
     """
 
     tolerance: float = 1e-8
@@ -63,7 +68,7 @@ class Scaling:
     spread : float
         Sum over i < j of w_ij d_ij^2.
     trace : ndarray of shape (iterations + 1,)
-        Raw stress of the start and after each iteration; never rises.
+        Raw stress of the start and after each iteration; never increases.
     converged : bool
         Whether the tolerance was met within the maximum number of iterations.
     """
@@ -115,7 +120,7 @@ def smacof(
 
     Notes
     -----
-    De Leeuw (1977); Borg & Groenen (2005), chapter 8. No iteration of any solver raises the
+    De Leeuw (1977); Borg & Groenen (2005), chapter 8. No iteration of any solver increases the
     weighted stress. From 500 points on the stress is computed by compiled loops.
     """
     chosen = options or SmacofOptions()

@@ -1,4 +1,4 @@
-"""Statistics of readings that can be computed per chunk of frames and merged."""
+"""Statistics of readings that are computed per chunk of frames and merged."""
 
 from __future__ import annotations
 
@@ -187,12 +187,12 @@ def correlation_of_comoments(comoment: NDArray[np.float64]) -> Reals:
 def _float32_deviations(
     chunk: NDArray[Any],
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]] | None:
-    """Return means and float32 deviations from them; None if their squares leave float32."""
+    """Return means and float32 deviations from them; None if squares would overflow float32."""
     lowest, highest = (np.asarray(f(chunk, axis=0), np.float64) for f in (np.min, np.max))
-    reach = highest - lowest
-    if (reach > _FLOAT32_RANGE).any() or ((reach < 1 / _FLOAT32_RANGE) & (reach > 0)).any():
+    extent = highest - lowest
+    if (extent > _FLOAT32_RANGE).any() or ((extent < 1 / _FLOAT32_RANGE) & (extent > 0)).any():
         return None
-    mean = np.where(reach > 0, chunk.mean(axis=0, dtype=np.float64), lowest)
+    mean = np.where(extent > 0, chunk.mean(axis=0, dtype=np.float64), lowest)
     deviations = np.empty(chunk.shape, dtype=np.float32)
     # The subtraction is in float64: float32 would lose small deviations from a large mean.
     np.subtract(chunk, mean, out=deviations, dtype=np.float64, casting="same_kind")

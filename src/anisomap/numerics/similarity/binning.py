@@ -16,12 +16,12 @@ MAX_BINS = 1 << 16
 
 
 def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray[np.intp]:
-    """Assign m distinct values to bins that are as equally full as ties allow.
+    """Assign m distinct values to bins with counts as equal as ties permit.
 
     Parameters
     ----------
     counts : array_like of int, shape (m,)
-        How often each distinct value occurs, in increasing order of the values. All positive.
+        Number of occurrences of each distinct value, in increasing order of the values; positive.
     bins : int
         Maximum number of bins, b >= 2.
 
@@ -38,11 +38,11 @@ def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray
     Notes
     -----
     McGregor et al. (2011), section "Information Distance", bin by maximum entropy. Quantile edges
-    fail on tactile data, where rest holds most of the mass and every edge falls onto it. So an
-    atom, a value that holds more than its share 1/b, gets a bin of its own. The rest of the mass
-    is shared among the remaining bins, which may reveal further atoms. Other values are assigned
-    by the middle of their ranks. Consecutive middles are at most one bin width apart, so no bin
-    is empty.
+    fail on tactile data: most readings are at rest, and every edge coincides with the rest value.
+    Therefore an atom, a value with more than a share 1/b of the readings, is assigned a separate
+    bin. The remaining readings are divided among the remaining bins, which may produce further
+    atoms. Other values are assigned by the middle of their ranks. Consecutive middles are at most
+    one bin width apart, so no bin is empty.
     """
     if bins < 2:
         raise InputError(f"bins must be at least 2, got {bins}")

@@ -91,7 +91,7 @@ class Layout:
 
 
 def code_counts(codes: Codes, n_codes: int) -> NDArray[np.int64]:
-    """Count how often every sensor has every code, shape (N, b)."""
+    """Count the frames in which each sensor has each code, shape (N, b)."""
     if codes.shape[1] < MIN_COMPILED_SENSORS:
         found = [np.count_nonzero(codes == code, axis=0) for code in range(n_codes)]
         return np.column_stack(found).astype(np.int64)
@@ -114,7 +114,7 @@ def co_occurrences(codes: Codes, layout: Layout, counting: Counting = "auto") ->
     Returns
     -------
     ndarray of uint32, shape (M, M)
-        Symmetric; the diagonal holds the frames in which each series is on.
+        Symmetric; the diagonal contains the frames in which each series is on.
     """
     n_series = layout.n_series
     counts = np.zeros((n_series, n_series), dtype=np.uint32)
@@ -150,7 +150,7 @@ def joint_logarithms(
     Returns
     -------
     ndarray of shape (N, N)
-        Exactly symmetric. The diagonal holds the sums over the counts of each sensor's codes.
+        Exactly symmetric. The diagonal contains the sums over the counts of each sensor's codes.
     """
     n_frames, n_sensors = codes.shape
     counts = code_counts(codes, n_codes)
@@ -242,9 +242,10 @@ def _for_each_panel(
     counting: Counting,
     use: Callable[[int, int, NDArray[np.uint32]], None],
 ) -> None:
-    """Count the series of some sensors against all later ones, and pass the counts on.
+    """Count panels of series with all later series, and call `use` with each panel.
 
-    `use` is called with the first and last sensor and their panel, by several threads at once.
+    A panel consists of the series of consecutive sensors. The arguments of `use` are the first and
+    the last sensor (exclusive) and the counts; it is called by several threads at once.
     """
     first, n_series = layout.first, layout.n_series
     count = _panel_counter(codes, layout, counting)
@@ -265,7 +266,7 @@ def _for_each_panel(
 
 
 def _n_threads() -> int:
-    """Use as many threads as linear algebra, which worker processes limit to 1."""
+    """Return the number of threads of the linear algebra library, which worker processes limit."""
     return max((int(found["num_threads"]) for found in threadpool_info()), default=1)
 
 

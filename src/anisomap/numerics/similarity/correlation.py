@@ -16,11 +16,11 @@ from anisomap.numerics.similarity.co_occurrence import Counts, Layout, co_occurr
 from anisomap.numerics.similarity.rest import estimate_rest
 
 MAX_SQUARED = 1e100
-"""Readings of this magnitude, and down to its inverse, are squared without scaling."""
+"""Magnitude above which readings are scaled before squaring; likewise below its inverse."""
 
 
 def pearson(readings: ArrayLike) -> Reals:
-    """Pearson's r of every pair of sensors.
+    """Compute Pearson's r of every pair of sensors.
 
     Parameters
     ----------
@@ -38,15 +38,15 @@ def pearson(readings: ArrayLike) -> Reals:
 
 
 def spearman(readings: ArrayLike) -> Reals:
-    """Spearman's rho of every pair of sensors; see `pearson`.
+    """Compute Spearman's rho of every pair of sensors; see `pearson`.
 
-    Ties share their mean rank. Invariant under increasing transformations of a sensor.
+    Ties are assigned their mean rank. Invariant under increasing transformations of a sensor.
     """
     return pearson(rankdata(np.asarray(readings), axis=0))
 
 
 def co_activation(readings: ArrayLike) -> Reals:
-    """Phi coefficient of the activity (beyond rest or not) of every pair of sensors.
+    """Compute the phi coefficient of the activity (beyond rest or not) of every pair of sensors.
 
     See `pearson` for the shapes and `estimate_rest` for the definition of rest.
     """
@@ -55,7 +55,7 @@ def co_activation(readings: ArrayLike) -> Reals:
 
 
 def phi_from_counts(counts: Counts, n_frames: int) -> Reals:
-    """Phi coefficient of every pair of binary series, from their joint counts.
+    """Compute the phi coefficient of every pair of binary series from their joint counts.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def phi_from_counts(counts: Counts, n_frames: int) -> Reals:
 
 
 def squares_overflow(magnitude: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which sensors, by their greatest magnitude, have squares outside float64."""
+    """Return True for sensors with a greatest magnitude whose square leaves float64, shape (N,)."""
     return (magnitude > MAX_SQUARED) | ((magnitude < 1 / MAX_SQUARED) & (magnitude > 0))
 
 

@@ -18,7 +18,7 @@ _MAX_COMPILED_CODES = 64  # of a sensor; joint counts of more would take too muc
 
 
 def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
-    """Mutual information of the binned readings of every pair of sensors.
+    """Compute the mutual information of the binned readings of every pair of sensors.
 
     Parameters
     ----------
@@ -30,8 +30,8 @@ def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
     Returns
     -------
     ndarray of shape (N, N)
-        I(A; B) in nats, between 0 and min(H(A), H(B)), exactly symmetric. The diagonal holds the
-        entropies, I(A; A) = H(A).
+        I(A; B) in nats, between 0 and min(H(A), H(B)), exactly symmetric. The diagonal contains
+        the entropies, I(A; A) = H(A).
 
     Raises
     ------
@@ -47,7 +47,7 @@ def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
 
 
 def information_from_codes(codes: ArrayLike) -> Reals:
-    """Mutual information of every pair of discrete series.
+    """Compute the mutual information of every pair of discrete series.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def information_from_codes(codes: ArrayLike) -> Reals:
 
 
 def information_from_logarithms(joint: NDArray[np.float64], n_frames: int) -> Reals:
-    """Mutual information from the sums of n log n over joint counts.
+    """Compute the mutual information from the sums of n log n over joint counts.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def information_from_logarithms(joint: NDArray[np.float64], n_frames: int) -> Re
     ndarray of shape (N, N)
         See `mutual_information`.
     """
-    # On the diagonal both codes are equal, so it holds the marginal sums of n_a log n_a.
+    # On the diagonal both codes are equal, so its entries are the marginal sums of n_a log n_a.
     marginal = np.diag(joint)
     entropy = (np.log(n_frames) - marginal / n_frames).clip(0)
     information = np.empty(joint.shape, float_type(len(joint)))

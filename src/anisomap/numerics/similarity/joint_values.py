@@ -1,8 +1,8 @@
 """Joint counts of the values of every pair of sensors, in one pass over the frames.
 
-Bins, rest and ranks depend on all frames, so a single pass cannot apply them. If sensors have few
-distinct values, such as 0 and 1, joint counts of the values are stored instead and combined to
-bins, activity or ranks at the end. The result equals that of two passes.
+Bins, rest and ranks depend on all frames, so a single pass cannot apply them. Instead, joint counts
+of the distinct values are stored and converted to bins, activity or ranks at the end. The result
+equals that of two passes if sensors have few distinct values, such as 0 and 1.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from anisomap.numerics.similarity.value_counts import Recoding, ValueCounts
 MAX_SERIES = 8192
 """Maximum number of values of all sensors together: 256 MiB of joint counts."""
 
-_MIN_VALUES = 4  # limit per sensor, however many sensors there are
+_MIN_VALUES = 4  # minimum of the limit per sensor, for any number of sensors
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,9 @@ class JointValues:
     Attributes
     ----------
     single : ValueCounts
-        The values of each sensor, V in all; rounded if a sensor has too many.
+        The values of each sensor, V in total; rounded if a sensor has too many.
     counts : ndarray of uint32 or uint64, shape (V, V)
-        Frames with both values.
+        Number of frames with both values.
     """
 
     single: ValueCounts
@@ -69,7 +69,7 @@ class JointValues:
         return self.single.varying()
 
     def of_series(self, codes: list[NDArray[np.intp]], layout: Layout) -> CoOccurrences:
-        """Combine values to series.
+        """Convert counts of values to counts of series.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class JointValues:
         Returns
         -------
         CoOccurrences
-            As if the frames had been recoded before counting.
+            Equal to counts of the recoded frames.
         """
         series = np.concatenate([layout.position[i][code] for i, code in enumerate(codes)])
         exists = np.flatnonzero(series >= 0)
@@ -91,7 +91,7 @@ class JointValues:
         )
 
     def comoments(self, scores: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Compute the co-moments of scores that replace the values.
+        """Compute the co-moments of scores that are assigned to the values.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ def _first_value(single: ValueCounts) -> NDArray[np.int64]:
 
 
 def _places(part: ValueCounts, whole: ValueCounts) -> NDArray[np.int64]:
-    """Locate the values of some frames among those of all frames."""
+    """Return the indices of the values of a part among the values of all frames."""
     first = _first_value(whole)
     return np.concatenate(
         [

@@ -20,7 +20,7 @@ NOISE_QUANTILE = 0.99
 MIN_CONTACT_RATIO = 2.0
 """Minimum ratio of the deviations on the side of contact to noise; chosen by hand."""
 
-_CHUNK_FRAMES = 256  # intermediate arrays of so few frames stay in the processor's cache
+_CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +34,8 @@ class Rest:
     side : ndarray of shape (N,)
         1 where contact raises the reading, -1 where it lowers it, as in raw capacitive skins.
     threshold : ndarray of shape (N,)
-        Largest deviation from rest that noise explains. 0 without readings on the side of rest
-        opposite to contact, and for sensors without a rest value.
+        Largest deviation from rest that is attributed to noise. 0 without readings on the side of
+        rest opposite to contact, and for sensors without a rest value.
     """
 
     value: NDArray[np.float64]
@@ -43,12 +43,12 @@ class Rest:
     threshold: NDArray[np.float64]
 
     def depth(self, readings: ArrayLike) -> NDArray[np.float64]:
-        """Return how far readings of shape (T, N) exceed the threshold; 0 at rest."""
+        """Return the excess of readings over the threshold, shape (T, N); 0 at rest."""
         beyond = self.side * (np.asarray(readings, dtype=np.float64) - self.value) - self.threshold
         return np.asarray(np.maximum(beyond, 0))
 
     def active(self, readings: ArrayLike) -> NDArray[np.bool_]:
-        """Return which readings of shape (T, N) exceed the threshold."""
+        """Return True for readings that exceed the threshold, shape (T, N)."""
         values = np.asarray(readings)
         active = np.empty(values.shape, dtype=bool)
         for start in range(0, len(values), _CHUNK_FRAMES):
@@ -68,15 +68,15 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     Returns
     -------
     Rest
-        Its `active` does not change, and its `depth` only scales, with the unit and the zero of a
-        sensor's readings.
+        Under a change of the unit or the zero of a sensor's readings, `active` is invariant and
+        `depth` only scales.
 
     Notes
     -----
-    Noise deviates equally far to both sides of rest, contact only to one. So contact is on the
-    side of the mean, and deviations to the other side measure noise. Continuous readings with
-    about equal deviations to both sides, such as pixels of a camera, have no rest: readings above
-    the median count as active.
+    Noise deviates to both sides of rest, contact only to one. Contact is therefore on the side of
+    the mean, and deviations to the other side measure noise. Continuous readings with about equal
+    deviations to both sides, such as pixels of a camera, have no rest: readings above the median
+    count as active.
     """
     found = map(count_values, columns(np.asarray(readings)))
     return rest_from_counts((values.astype(np.float64), counts) for values, counts in found)
@@ -90,7 +90,7 @@ def rest_from_counts(
     Parameters
     ----------
     values_and_counts : iterable of (ndarray, ndarray of int)
-        Distinct values of each sensor in increasing order, and how often each occurs.
+        Distinct values of each sensor in increasing order, and their numbers of occurrences.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Search for the most similar sensors by inner products, block by block."""
+"""Search for the most similar sensors by inner products, in blocks."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def most_similar(
     groups: ArrayLike | None = None,
     sensors: ArrayLike | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Find the sensors whose rows have the greatest inner products with those of each sensor.
+    """Find, for each sensor, the sensors with the greatest inner products of rows.
 
     Parameters
     ----------
     rows : ndarray of float32, shape (N, s)
-        For example sketches of the readings.
+        One row per sensor, for example sketches of the readings.
     count : int
         Number of sensors to find.
     groups : array_like of int, shape (N,), optional

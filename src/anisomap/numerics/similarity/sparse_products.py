@@ -1,7 +1,7 @@
 """Co-moments of readings that mostly equal their rest value.
 
-A skin is touched in few places at a time. In a frame in which a of N sensors differ from rest,
-only a^2 products of deviations from rest are not 0.
+A skin is touched in few places at a time. If a of N sensors differ from rest in a frame, only a^2
+products of deviations from rest are not 0.
 """
 
 from __future__ import annotations

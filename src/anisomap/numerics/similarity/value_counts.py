@@ -1,8 +1,8 @@
-"""Counts of the distinct values of each sensor, from which bins, rest and ranks follow.
+"""Counts of the distinct values of each sensor, from which bins, rest and ranks are computed.
 
-Counts of chunks of frames merge in any order. A sensor with continuous readings has as many values
-as frames; above a limit, values are rounded by as many bits as needed, and the result still does
-not depend on the chunks or their order.
+Counts of chunks of frames can be merged in any order. A sensor with continuous readings has as many
+values as frames; above a limit, values are rounded by as many bits as needed. The result does not
+depend on the chunks or their order.
 """
 
 from __future__ import annotations
@@ -20,68 +20,69 @@ from anisomap.numerics.similarity.binning import maximum_entropy_bins
 MAX_VALUES = 1 << 24
 """Maximum number of values of all sensors together: 256 MiB of values and counts."""
 
-_CHUNK_FRAMES = 256  # intermediate arrays of so few frames stay in the processor's cache
-_MIN_VALUES = 256  # limit per sensor, however many sensors there are
-_MAGNITUDE = np.int64(np.iinfo(np.int64).max)
+_CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
+_MIN_VALUES = 256  # minimum of the limit per sensor, for any number of sensors
+_MAGNITUDE = np.int64(np.iinfo(np.int64).max)  # mask of all bits but the sign
 
 
 @dataclass(frozen=True, eq=False)
 class ValueCounts:
-    """Distinct values of each of N sensors, and how often each occurs.
+    """Distinct values of each of N sensors, and their numbers of occurrences.
 
     Attributes
     ----------
     n_frames : int
         T.
     values : tuple of ndarray
-        Distinct values of each sensor in increasing order; of values rounded to one, the least.
+        Distinct values of each sensor in increasing order; values rounded to the same number are
+        represented by the smallest of them.
     counts : tuple of ndarray of int
-        How often each value occurs.
-    grains : ndarray of int, shape (N,)
+        Number of occurrences of each value.
+    n_rounded_bits : ndarray of int, shape (N,)
         Number of bits rounded off the float64 values of each sensor; 0 if exact.
-    most : int
+    max_values : int
         Maximum number of values per sensor.
     """
 
     n_frames: int
     values: tuple[NDArray[np.float64], ...]
     counts: tuple[NDArray[np.int64], ...]
-    grains: NDArray[np.int64]
-    most: int
+    n_rounded_bits: NDArray[np.int64]
+    max_values: int
 
     @classmethod
-    def of(cls, readings: ArrayLike, most: int | None = None) -> ValueCounts:
+    def of(cls, readings: ArrayLike, max_values: int | None = None) -> ValueCounts:
         """Count the values in an array.
 
         Parameters
         ----------
         readings : array_like of shape (T, N)
             Finite readings, T >= 1.
-        most : int, optional
+        max_values : int, optional
             Maximum number of values per sensor, at least 2; by default an equal share of
             `MAX_VALUES`.
         """
         array = np.asarray(readings)
-        limit = most or max(_MIN_VALUES, MAX_VALUES // array.shape[1])
+        limit = max_values or max(_MIN_VALUES, MAX_VALUES // array.shape[1])
         found = [_round_to(*count_values(column), 0, limit) for column in columns(array)]
-        values, counts, grains = zip(*found, strict=True)
-        return cls(len(array), values, counts, np.array(grains), limit)
+        values, counts, n_rounded_bits = zip(*found, strict=True)
+        return cls(len(array), values, counts, np.array(n_rounded_bits), limit)
 
     def merged(self, other: ValueCounts) -> ValueCounts:
         """Merge with the counts of other frames of the same sensors, with the same limit.
 
         The order of merging does not affect the result.
         """
-        grains = np.maximum(self.grains, other.grains)
+        n_rounded_bits = np.maximum(self.n_rounded_bits, other.n_rounded_bits)
         found = [
-            _round_to(np.concatenate([a, b]), np.concatenate([m, n]), int(grain), self.most)
-            for a, b, m, n, grain in zip(
-                self.values, other.values, self.counts, other.counts, grains, strict=True
+            _round_to(np.concatenate([a, b]), np.concatenate([m, n]), int(n_bits), self.max_values)
+            for a, b, m, n, n_bits in zip(
+                self.values, other.values, self.counts, other.counts, n_rounded_bits, strict=True
             )
         ]
         values, counts, rounded = zip(*found, strict=True)
         return ValueCounts(
-            self.n_frames + other.n_frames, values, counts, np.array(rounded), self.most
+            self.n_frames + other.n_frames, values, counts, np.array(rounded), self.max_values
         )
 
     @property
@@ -92,18 +93,18 @@ class ValueCounts:
     @property
     def exact(self) -> bool:
         """Whether no value was rounded."""
-        return not self.grains.any()
+        return not self.n_rounded_bits.any()
 
     def varying(self) -> NDArray[np.bool_]:
         """Return which sensors vary, shape (N,)."""
         return np.array([values.size > 1 for values in self.values])
 
     def bins(self, bins: int) -> Recoding:
-        """Map every value to its maximum-entropy bin."""
+        """Return the maximum-entropy bin of every value."""
         return self._recode(lambda _, counts: maximum_entropy_bins(counts, bins), np.uint16)
 
     def ranks(self) -> Recoding:
-        """Map every value to the mean of its ranks, from 1 to T."""
+        """Return the mean rank of every value, from 1 to T."""
         return self._recode(lambda _, counts: np.cumsum(counts) - (counts - 1) / 2, np.float64)
 
     def _recode(
@@ -135,7 +136,7 @@ class Recoding:
         outcomes: Iterable[NDArray[Any]],
         dtype: type,
     ) -> Recoding:
-        """Map increasing values to outcomes; readings between two values go with the lower."""
+        """Assign outcomes to increasing values; readings between two values take the lower's."""
         starts, kept = [], []
         for levels, results in zip(values, outcomes, strict=True):
             changes = np.flatnonzero(np.diff(results)) + 1
@@ -173,18 +174,18 @@ def _is_byte(dtype: np.dtype[Any]) -> bool:
 
 
 def _round_to(
-    values: NDArray[Any], counts: NDArray[np.int64], grain: int, most: int
+    values: NDArray[Any], counts: NDArray[np.int64], n_bits: int, max_values: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], int]:
-    """Round values by at least `grain` bits, and by more until at most `most` are distinct."""
+    """Round values by `n_bits` or more bits, until at most `max_values` are distinct."""
     order = np.argsort(values, kind="stable")
     sorted_values, weights = values[order].astype(np.float64) + 0.0, counts[order]
-    keys = _ordered_integers(sorted_values) >> grain
+    keys = _ordered_integers(sorted_values) >> n_bits
     begins = _run_starts(keys)
-    while begins.size > most:
-        grain += 1
+    while begins.size > max_values:
+        n_bits += 1
         keys >>= 1
         begins = _run_starts(keys)
-    return sorted_values[begins], np.add.reduceat(weights, begins), grain
+    return sorted_values[begins], np.add.reduceat(weights, begins), n_bits
 
 
 def _run_starts(keys: NDArray[np.int64]) -> NDArray[np.intp]:
