@@ -459,6 +459,7 @@ def test_bins_of_continuous_readings_are_all_used(recordings_folder):
                         recording) > 0.88  # fmt: skip
 
 
+@pytest.mark.slow
 @uneven
 def test_copies_of_a_real_skin_side_by_side_are_one_large_skin(recordings_folder):
     # By chance 1,300 sensors make so many links that maps which follow them all reach only .66.
