@@ -50,6 +50,81 @@ def dome(n_sensors: int = 60) -> SensorMap:
     )
 
 
+def launch_text(value: str) -> str:
+    """Return the text of a value of a launch file that has no substitution.
+
+    Written from the grammar of the launch system: ``$(`` starts a substitution unless a backslash
+    precedes it, and a backslash makes the next character literal.
+    """
+    assert not re.search(r"(?<!\\)\$\(", value), "a substitution would be executed"
+    return re.sub(r"\\(.)", r"\1", value)
+
+
+HOSTILE = (
+    "$(command id)",
+    "\\$(command id)",
+    "\\\\$(env HOME)",
+    "$$(command id)",
+    "a'$(command id)'b",
+    '" $(command id) "',
+    "' --frame-id x '",
+    "${3*7*191}",
+    "$${3*7}",
+    "a$$b",
+    "$",
+    "tail\\",
+    "$$$(find x)$",
+    "${'${1+1}'}",
+    "<xacro:insert_block name='x'/>",
+)
+
+
+def hostile_skin() -> SensorMap:
+    skin = dome(len(HOSTILE) + 1)
+    notes = ("xacro:eval-comments", "xacro:eval-comments:on", "${undefined}")
+    names = ("plain", *HOSTILE)
+    return replace(skin, names=names, frame="f$(command id)${6*7}$$x", notes=notes)
+
+
+def test_a_launch_file_substitutes_nothing_in_names(tmp_path: Path) -> None:
+    skin, path = hostile_skin(), tmp_path / "skin.launch.xml"
+    io.write(skin, path)
+    found = []
+    for node in xml.fromstring(path.read_text(encoding="utf-8")).findall("node"):
+        assert not any("$" in node.get(key) for key in ("pkg", "exec", "name"))
+        words = shlex.split(launch_text(node.get("args")))
+        assert words[-4:-1] == ["--frame-id", skin.frame, "--child-frame-id"]
+        found.append(words[-1])
+    assert tuple(found) == skin.names
+
+
+def test_xacro_evaluates_nothing_in_names(tmp_path: Path) -> None:
+    xacro = pytest.importorskip("xacro", reason="the parser of xacro files")
+    skin, path = hostile_skin(), tmp_path / "skin.xacro"
+    io.write(skin, path)
+    robot = tmp_path / "robot.xacro"
+    robot.write_text(
+        f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="r"><xacro:include '
+        f'filename="{path}"/><link name="base"/><xacro:skin parent="base"/></robot>'
+    )
+    root = xml.fromstring(xacro.process_file(str(robot)).toxml())
+    assert [link.get("name") for link in root.iter("link")][1:] == list(skin.names)
+    assert [j.get("name") for j in root.iter("joint")] == [f"{name}_fixed" for name in skin.names]
+    assert root.find("sensor").get("name") == f"{skin.frame}_tactile"
+    # Processing the notes of the map would fail, because one of them has an undefined name.
+    xacro.process_file(str(path))
+
+
+@pytest.mark.parametrize("name", ["$(command id)", "${3*7*191}"])
+@pytest.mark.parametrize("where", ["sensor", "frame"])
+def test_a_urdf_has_no_expressions_of_xacro(name: str, where: str, tmp_path: Path) -> None:
+    skin = SensorMap(np.eye(3), names=["a", name, "c"] if where == "sensor" else (), units="m")
+    skin = replace(skin, frame=name) if where == "frame" else skin
+    with pytest.raises(FileError, match="which xacro would evaluate"):
+        io.write(skin, tmp_path / "skin.urdf")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("suffix", READ_BACK)
 @given(skin=skins())
 @settings(max_examples=25, deadline=None)
@@ -182,7 +257,7 @@ def test_arguments_of_static_transforms_survive_a_shell(
     found = []
     for node in root.findall("node"):
         assert (node.get("pkg"), node.get("exec")) == ("tf2_ros", "static_transform_publisher")
-        words = shlex.split(node.get("args"))
+        words = shlex.split(launch_text(node.get("args")))
         options = dict(zip(words[::2], words[1::2], strict=True))
         assert options["--frame-id"] == "skin"
         found.append((options["--child-frame-id"], [float(options[f"--{a}"]) for a in "xyz"]))

@@ -6,6 +6,7 @@ Each transform is a process, so this format suits tens of sensors. For hundreds,
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from anisomap.io.maps import xml_files
@@ -28,8 +29,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     ):
         pose = zip(("x", "y", "z", "qx", "qy", "qz", "qw"), (*position, *turn), strict=True)
         words = " ".join(f"--{key} {float(value)!r}" for key, value in pose)
-        # Quoted, because a name may contain blanks.
-        frames = f"--frame-id '{_escape(skin.frame)}' --child-frame-id '{_escape(name)}'"
+        frames = f"--frame-id {_quote(skin.frame)} --child-frame-id {_quote(name)}"
         node = {
             "pkg": "tf2_ros",
             "exec": "static_transform_publisher",
@@ -40,5 +40,9 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     path.write_text("\n".join([*lines, "</launch>", ""]), encoding="utf-8")
 
 
-def _escape(name: str) -> str:
-    return name.replace("'", "'\\''")
+def _quote(name: str) -> str:
+    r"""Quote a name for the launch system, which substitutes in `args` and then splits it.
+
+    Substitutions start with ``$(``; a backslash makes the next character literal.
+    """
+    return shlex.quote(name).replace("\\", "\\\\").replace("$", "\\$")

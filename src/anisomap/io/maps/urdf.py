@@ -7,12 +7,14 @@ a channel, and position and shape of each sensor. Lengths are in metres, frames 
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.io.maps import xml_files
 from anisomap.io.maps.xml_files import format_numbers, tag
+from anisomap.io.parsing.source import quote
 from anisomap.placement import Taxels
 from anisomap.sensor_map import SensorMap
 
@@ -42,6 +44,10 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
             stacklevel=2,
         )
     macro = path.suffix.lower() == ".xacro"
+    if macro:
+        skin = _without_expressions(skin)
+    else:
+        _check_expressions(skin)
     parent = "${parent}" if macro else skin.frame
     comments = xml_files.map_comments(sensor_map, "frame")
     body = [*_frames(skin, parent), *_tactile(skin, parent)]
@@ -71,6 +77,25 @@ def read_map(path: Path) -> SensorMap:
         for name, joint in joints.items()
     }
     return xml_files.map_from_positions(path, positions, "fixed frames")
+
+
+def _without_expressions(skin: Taxels) -> Taxels:
+    """Escape names, in which xacro evaluates ``${...}`` and ``$(...)``.
+
+    The escape ``$${`` is not enough: xacro drops the text after ``$$`` without a bracket.
+    """
+    frame, *names = (name.replace("$", "${'$'}") for name in (skin.frame, *skin.names))
+    return replace(skin, frame=frame, names=tuple(names))
+
+
+def _check_expressions(skin: Taxels) -> None:
+    """Reject expressions of xacro, because launch files often pass plain URDF through it."""
+    for name in (skin.frame, *skin.names):
+        if "${" in name or "$(" in name:
+            raise FileError(
+                f"URDF cannot represent the name {quote(name)}, which xacro would evaluate; rename "
+                "the sensor or frame"
+            )
 
 
 def _frames(skin: Taxels, parent: str) -> list[str]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.libraries import import_extra, library_errors
+from anisomap.io.parsing.source import quote
 from anisomap.placement import Taxels, to_taxels
 from anisomap.sensor_map import SensorMap
 
@@ -24,7 +25,7 @@ SENSOR_RADIUS = 0.002
 _MAX_BYTES = 64 * 1024 * 1024
 _ROOT = re.compile(rb"<\s*([A-Za-z_][\w.-]*)")
 # Characters that XML 1.0 cannot represent, not even escaped.
-_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 
 def root_is(head: bytes, name: str) -> bool:
@@ -47,7 +48,9 @@ def named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     skin = to_taxels(sensor_map, purpose)
     for name in (*skin.names, skin.frame):
         if _FORBIDDEN.search(name):
-            raise FileError(f"{purpose} cannot represent the name {name!r} with control characters")
+            raise FileError(
+                f"{purpose} cannot represent the name {quote(name)} with control characters"
+            )
     return skin
 
 
@@ -82,8 +85,10 @@ def map_comments(sensor_map: SensorMap, element: str) -> list[str]:
 def comment(text: str) -> str:
     """Format a comment; text that would end it, and characters that XML forbids, are replaced."""
     plain = _FORBIDDEN.sub("?", " ".join(text.split()))
-    # XML forbids two hyphens in a row inside a comment.
-    return f"<!-- {re.sub('-(?=-)', '- ', plain)} -->"
+    # XML forbids two hyphens in a row inside a comment, and "xacro:eval-comments" has xacro evaluate
+    # the comments after it.
+    plain = plain.replace("--", "- -").replace("--", "- -").replace("xacro:", "xacro ")
+    return f"<!-- {plain} -->"
 
 
 def format_numbers(values: Iterable[float]) -> str:
