@@ -14,7 +14,7 @@ from anisomap.sensor_map import SensorMap
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "in": 0.0254}
 """Length of each supported unit in metres."""
 
-_LENGTH = re.compile(r"\s*([0-9.eE+-]+)\s*([a-z\u00b5]+)\s*")
+_LENGTH = re.compile(r"\s*+([0-9.eE+-]++)\s*+([a-z\u00b5]++)\s*+")
 
 
 def parse_length(text: str) -> tuple[float, str]:

@@ -8,6 +8,7 @@ because one reader of these files drops it; lines do not start with blanks, whic
 from __future__ import annotations
 
 import re
+import string
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from anisomap.sensor_map import SensorMap
 
 _BOARD = 192  # values per board: 16 triangles of 12
 _MAX_VALUES = 100_000
-_NUMBERED = re.compile(r".*?(\d+)")
+_REPRESENTATIVES = re.compile(r"taxel2Repr\s*+\(")
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -66,10 +67,11 @@ def read_map(path: Path) -> SensorMap:
         raise FileError(f"{path} lacks the line [calibration] that precedes the positions")
     start = lines.index("[calibration]") + 1
     header = " ".join(lines[: start - 1])
-    listed = re.search(r"taxel2Repr\s*\(([^)]*)\)", header)
-    if listed is None:
+    opening = _REPRESENTATIVES.search(header)
+    listed, closing, _ = header[opening.end() :].partition(")") if opening else ("", "", "")
+    if not closing:
         raise FileError(f"{path}: taxel2Repr must be followed by numbers in brackets")
-    representatives = listed[1].split()
+    representatives = listed.split()
     positions = {}
     body = [(start + i + 1, line) for i, line in enumerate(lines[start:]) if line]
     for value, (number, line) in enumerate(body):
@@ -96,8 +98,8 @@ def _row(path: Path, number: int, line: str) -> list[float]:
 
 
 def _port_indices(names: tuple[str, ...]) -> NDArray[np.intp]:
-    found = [_NUMBERED.fullmatch(name) for name in names]
-    indices = [int(match[1]) for match in found if match and len(match[1]) < 10]
+    ends = [name[len(name.rstrip(string.digits)) :] for name in names]
+    indices = [int(digits) for digits in ends if 0 < len(digits) < 10]
     if len(indices) == len(names) == len(set(indices)):
         return np.array(indices, dtype=np.intp)
     return np.arange(len(names))

@@ -23,15 +23,25 @@ SENSOR_RADIUS = 0.002
 """Radius in metres of the spheres that represent sensors; for display only."""
 
 _MAX_BYTES = 64 * 1024 * 1024
-_ROOT = re.compile(rb"<\s*([A-Za-z_][\w.-]*)")
+_ROOT = re.compile(rb"<\s*+([A-Za-z_][\w.-]*+)")
+_BEFORE_ROOT = {b"<!--": b"-->", b"<?": b"?>", b"<!DOCTYPE": b">"}
 # Characters that XML 1.0 cannot represent, not even escaped.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 
 def root_is(head: bytes, name: str) -> bool:
     """Return whether the root element of a file, after declarations and comments, is `name`."""
-    text = re.sub(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", b"", head, flags=re.DOTALL).lstrip()
-    found = _ROOT.match(text.removeprefix(b"\xef\xbb\xbf"))
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    start = 0
+    while opening := next((mark for mark in _BEFORE_ROOT if text.startswith(mark, start)), b""):
+        closing = _BEFORE_ROOT[opening]
+        end = text.find(closing, start + len(opening))
+        if end < 0:
+            return False
+        start = end + len(closing)
+        while text[start : start + 1].isspace():
+            start += 1
+    found = _ROOT.match(text, start)
     return bool(found and found[1] == name.encode())
 
 
@@ -85,8 +95,8 @@ def map_comments(sensor_map: SensorMap, element: str) -> list[str]:
 def comment(text: str) -> str:
     """Format a comment; text that would end it, and characters that XML forbids, are replaced."""
     plain = _FORBIDDEN.sub("?", " ".join(text.split()))
-    # XML forbids two hyphens in a row inside a comment, and "xacro:eval-comments" has xacro evaluate
-    # the comments after it.
+    # XML forbids two hyphens in a row inside a comment, and with "xacro:eval-comments" xacro
+    # evaluates the comments after it.
     plain = plain.replace("--", "- -").replace("--", "- -").replace("xacro:", "xacro ")
     return f"<!-- {plain} -->"
 

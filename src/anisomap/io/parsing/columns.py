@@ -105,13 +105,15 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
     ]
     guessed = []
     if len(table) >= _MIN_FRAMES:
+        known = set(times)
         guessed = [
             i
             for i, name in enumerate(header)
-            if i not in times and _mentions_time(name) and _rises(table[:, i])
+            if i not in known and _mentions_time(name) and _rises(table[:, i])
         ]
         times += guessed
-        first = next((i for i in range(len(header)) if i not in {*times, *counters}), None)
+        known = {*times, *counters}
+        first = next((i for i in range(len(header)) if i not in known), None)
         if first is not None and _has_odd_name(header, first) and _is_clock(table[:, first]):
             guessed.append(first)
             (counters if _counts_by_one(table[:, first]) else times).append(first)

@@ -228,7 +228,8 @@ def _text_columns(
     candidates = _without_numbers(rows[1:], delimiter)
     if candidates:
         every = [fields for _, fields in _all_records(sample, delimiter)]
-        candidates = [i for i in candidates if i in _without_numbers(every[1:], delimiter)]
+        in_every = set(_without_numbers(every[1:], delimiter))
+        candidates = [i for i in candidates if i in in_every]
     # A file without a column of numbers gives an error about its first cell instead.
     return tuple(candidates) if rows and len(candidates) < len(rows[0]) else ()
 

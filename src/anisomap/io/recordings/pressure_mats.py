@@ -36,11 +36,15 @@ from anisomap.io.parsing.grids import UNITS, grid_names, grid_positions
 from anisomap.io.parsing.source import GZIP_ERRORS, Text, open_text_with_progress, quote
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 
-_FRAME = re.compile(r'^\s*"?frame"?[\s:,;#]*"?\d+"?[\s,;]*(of\s+\d+)?[\s,;]*$', re.IGNORECASE)
+# Possessive quantifiers keep the time linear in the length of a line.
+_FRAME = re.compile(r'\s*+"?frame"?[\s:,;#]*+"?\d++"?[\s,;]*+(of\s++\d++[\s,;]*+)?$', re.IGNORECASE)
 _ENTRY = re.compile(
-    r'^\s*"?([A-Za-z][A-Za-z _]*?)"?\s*[:,;=\t ]+\s*"?([-+]?\d[\d.,]*)"?\s*([A-Za-z]*)'
+    r'\s*+"?([A-Za-z](?:[A-Za-z_]| ++(?=[A-Za-z_]))*+)(?:"?[\s:,;=]++)++"?'
+    r'([-+]?\d[\d.,]*+)"?\s*+([A-Za-z]*+)'
 )
-_CLOCK = re.compile(r'^\s*"?time[^\d"]*"?[\s:,;]*"?(\d+):(\d+):(\d+(?:[.,]\d+)?)', re.IGNORECASE)
+_CLOCK = re.compile(
+    r'\s*+"?time[^\d"]*+"?[\s:,;]*+"?(\d{1,9}):(\d{1,9}):(\d++(?:[.,]\d++)?)', re.IGNORECASE
+)
 _SIZES = {"rows": "rows", "cols": "columns", "columns": "columns"}
 _OUTSIDE = re.compile(r"\b[Bb]\b")
 _LENGTHS = {"mm": "mm", "millimeters": "mm", "cm": "cm", "centimeters": "cm", "m": "m"}

@@ -28,8 +28,8 @@ from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
 _FILE, _INFO = "data.log", "info.log"
-_LINE = re.compile(rb"\s*(\d+)\s+(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s+[-+.(\dni]")
-_PORT = re.compile(r"\]\s*(/\S+)\s*\[connected\]")
+_LINE = re.compile(rb"\s*+(\d++)\s++(\d++(?:\.\d*+)?(?:[eE][+-]?\d++)?)\s++[-+.(\dni]")
+_CONNECTED = "[connected]"
 _INFO_CHARACTERS = 1 << 16
 _LINES_LOOKED_AT, _ROWS_LOOKED_AT = 3, 1000
 # Seconds since 1970: below the stamps of any recording, above any reading.
@@ -105,10 +105,15 @@ def _port(log: Path) -> str:
     """Read the name of the port from info.log; empty if it is not there."""
     try:
         with (log.parent / _INFO).open(encoding="utf-8", errors="replace") as stream:
-            found = _PORT.search(stream.read(_INFO_CHARACTERS))
+            lines = stream.read(_INFO_CHARACTERS).splitlines()
     except OSError:
         return ""
-    return found[1] if found else ""
+    for line in lines:
+        before, found, _ = line.partition(_CONNECTED)
+        port = before.rpartition("]")[2].strip()
+        if found and port.startswith("/"):
+            return port
+    return ""
 
 
 def _stream(log: Path) -> Stream:
