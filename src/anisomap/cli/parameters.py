@@ -99,7 +99,7 @@ class PlacingOptions:
     frame
         Name of the coordinate frame.
     split_components
-        Write each connected component of the map to a file of its own: map-1.csv, map-2.csv ...
+        Write each connected component of the map to a separate file: map-1.csv, map-2.csv ...
     """
 
     spacing: str = ""
