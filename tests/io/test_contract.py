@@ -161,6 +161,11 @@ def test_folder(tmp_path: Path) -> None:
         io.read(tmp_path)
 
 
+def test_a_selection_in_a_file_with_a_single_recording_is_rejected(put) -> None:
+    with pytest.raises(FileError, match=r"x\.csv .* single recording; leave out --select a/b"):
+        io.read(put("x.csv", "1,2\n3,4\n"), options=io.ReadOptions(select="a/b"))
+
+
 @pytest.mark.parametrize("name", ["x.csv", "x.npz", "x.json", "x.ply", "data.log", "x"])
 def test_empty_file(put, name: str) -> None:
     for reader in (io.read, io.read_map):

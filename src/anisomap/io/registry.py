@@ -342,6 +342,11 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
                     f"{file} ({chosen.summary}) holds no recording; "
                     f"recording formats: {_suffixes(f for f in FORMATS if f.open_recording)}"
                 )
+            if options.select and chosen.contents is None:
+                raise FileError(
+                    f"{file} ({chosen.summary}) holds a single recording; "
+                    f"leave out --select {options.select}"
+                )
             stream = stack.enter_context(chosen.open_recording(file, options))
         yield replace(stream, blocks=_with_file_errors(stream.blocks, file))
 

@@ -35,7 +35,8 @@ class ReadOptions:
     ----------
     select : str
         Recording to read from a file that holds several: a dataset, column, port, or topic with
-        field (``/skin:data``). Several ports or topics are separated by commas.
+        field (``/skin:data``). Several ports or topics are separated by commas. Must be empty for
+        formats that hold a single recording.
     grid : (int, int), optional
         Rows and columns of a rectangular array with sensors in row-major order; sets positions.
     definitions : tuple of pathlib.Path
