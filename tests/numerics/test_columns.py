@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
+from scipy.stats import rankdata
 
-from anisomap.numerics.columns import columns, count_values
+from anisomap.numerics.columns import columns, count_values, mean_ranks, rank_columns
 
 MOSTLY_ZERO = st.one_of(st.just(0.0), st.just(0.0), st.just(-0.0), st.floats(-9, 9))
 
@@ -24,6 +25,13 @@ def test_values_are_counted_as_by_numpy_unique(column):
     np.testing.assert_array_equal(found[0], expected[0])
     np.testing.assert_array_equal(found[1], expected[1])
     assert found[0].dtype == column.dtype
+
+
+@given(arrays(np.float64, st.integers(1, 200), elements=MOSTLY_ZERO))
+def test_ranks_are_those_of_scipy(column):
+    np.testing.assert_array_equal(mean_ranks(column), rankdata(column))
+    both = np.stack([column, -column], axis=1)
+    np.testing.assert_array_equal(rank_columns(both), rankdata(both, axis=0))
 
 
 @pytest.mark.parametrize("n_at_once", [1, 3, 64])

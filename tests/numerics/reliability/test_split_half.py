@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from anisomap.errors import InputError
 from anisomap.numerics.reliability.blending import blended_correlation
-from anisomap.numerics.reliability.split_half import split_blocks, split_half_reliability
+from anisomap.numerics.reliability.split_half import correlation_and_reliability, split_blocks
 from skins import flat_skin
 
 
@@ -20,8 +20,8 @@ def test_the_halves_partition_the_frames(n_frames):
 
 def test_short_recordings_have_no_reliability():
     readings = flat_skin(n_frames=300).readings
-    assert split_half_reliability(readings[:3]) == 0
-    assert split_half_reliability(readings[:, :2]) == 0
+    assert correlation_and_reliability(readings[:3])[1] == 0
+    assert correlation_and_reliability(readings[:, :2])[1] == 0
     assert blended_correlation(readings[:1]).shape == (42, 42)
     with pytest.raises(InputError, match="split-half needs at least 2 frames"):
         split_blocks(1)
@@ -29,6 +29,6 @@ def test_short_recordings_have_no_reliability():
 
 def test_a_long_recording_is_reliable_and_noise_is_not():
     noise = np.random.default_rng(0).standard_normal((2000, 30))
-    assert abs(split_half_reliability(noise)) < 0.2
-    assert split_half_reliability(flat_skin().readings) > 0.9
-    assert split_half_reliability(np.tile([[0.0], [1.0]], (50, 4))) == 0
+    assert abs(correlation_and_reliability(noise)[1]) < 0.2
+    assert correlation_and_reliability(flat_skin().readings)[1] > 0.9
+    assert correlation_and_reliability(np.tile([[0.0], [1.0]], (50, 4)))[1] == 0

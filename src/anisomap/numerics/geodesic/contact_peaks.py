@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import rankdata
 
 from anisomap.errors import InputError
+from anisomap.numerics.columns import mean_ranks
 from anisomap.numerics.similarity.rest import estimate_rest
 
 MIN_PEAKS = 8
@@ -35,11 +35,13 @@ def contact_peaks(raised: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.float
     """
     values = np.asarray(raised, dtype=np.float64)
     level = _CONTACT_THRESHOLD * max(float(np.quantile(values, _RANGE_QUANTILE)), 0.0)
-    touched = np.concatenate([[False], values > level, [False]])
-    turns = np.flatnonzero(touched[1:] != touched[:-1])
-    runs = zip(turns[::2].tolist(), turns[1::2].tolist(), strict=True)
-    frames = np.array([first + values[first:end].argmax() for first, end in runs], dtype=np.intp)
-    return frames, values[frames]
+    touched = np.flatnonzero(values > level)
+    begins = np.flatnonzero(np.diff(touched, prepend=-2) > 1)
+    heights = np.maximum.reduceat(values[touched], begins) if begins.size else np.empty(0)
+    contact = np.repeat(np.arange(begins.size), np.diff(begins, append=touched.size))
+    highest = np.flatnonzero(values[touched] == heights[contact])
+    first = np.searchsorted(contact[highest], np.arange(begins.size))
+    return touched[highest[first]], heights
 
 
 def peak_lengths(readings: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:
@@ -101,7 +103,7 @@ def _peak_difference(
     first, second = heights[mutual], other_heights[match[mutual]]
     if len(first) < MIN_PEAKS or np.ptp(first) == 0 or np.ptp(second) == 0:
         return np.nan
-    rho = np.corrcoef(rankdata(first), rankdata(second))[0, 1]
+    rho = np.corrcoef(mean_ranks(first), mean_ranks(second))[0, 1]
     return float(np.sqrt(max(1 - rho, _MIN_DIFFERENCE)))
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import rankdata
 
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.split_half import split_half_reliability
-from anisomap.numerics.similarity.correlation import pearson
+from anisomap.numerics.reliability.split_half import correlation_and_reliability
 from anisomap.numerics.similarity.rest import estimate_rest
 
 # Tuned on simulated skins, seeds 101-105; 3 to 10 in place of 5 give about equal maps.
@@ -39,12 +37,11 @@ def blended_correlation(readings: ArrayLike) -> Reals:
     weight if r is unreliable, unless rho is even less reliable.
     """
     values = np.asarray(readings)
-    ranks = rankdata(estimate_rest(values).depth(values), axis=0)
-    p = max(split_half_reliability(values), 0.0)
-    q = max(split_half_reliability(ranks), 0.0)
+    blended, reliability = correlation_and_reliability(values)
+    rho, reliability_of_rho = correlation_and_reliability(estimate_rest(values).depth_ranks(values))
+    p, q = max(reliability, 0.0), max(reliability_of_rho, 0.0)
     ratio = 1.0 if q >= p else q / p
     weight = 1 - (1 - p**_POWER_OF_RELIABILITY) * ratio**_POWER_OF_RATIO
-    blended, rho = pearson(values), pearson(ranks)
     blended *= weight
     rho *= 1 - weight
     blended += rho

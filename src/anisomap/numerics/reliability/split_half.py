@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
-from anisomap.numerics.similarity.correlation import pearson
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.similarity.correlation import moments, scale_extremes
 
 N_BLOCKS = 20
 """Number of blocks of consecutive frames that form the two halves; chosen by hand."""
@@ -47,8 +48,8 @@ def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
 
 
-def split_half_reliability(readings: ArrayLike) -> float:
-    """Correlate Pearson's r between the two halves of a recording, over pairs of sensors.
+def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
+    """Compute Pearson's r, and correlate it between the two halves, over pairs of sensors.
 
     Parameters
     ----------
@@ -57,16 +58,22 @@ def split_half_reliability(readings: ArrayLike) -> float:
 
     Returns
     -------
-    float
-        In [-1, 1]. 0 for fewer than 4 frames or 3 sensors, and if all pairs of a half are equal.
-        For more than 4,000 sensors, a regular sample is used.
+    correlation : ndarray of shape (N, N)
+        Of all frames: see `anisomap.numerics.similarity.correlation.pearson`.
+    reliability : float
+        Correlation between the halves, in [-1, 1]. 0 for fewer than 4 frames or 3 sensors, and if
+        all pairs of a half are equal. For more than 4,000 sensors, a regular sample is used.
     """
-    values = np.asarray(readings)
-    if len(values) < MIN_FRAMES or values.shape[1] < MIN_SENSORS:
-        return 0.0
-    values = values[:, :: -(-values.shape[1] // _MAX_SENSORS)]
-    pairs = np.triu_indices(values.shape[1], 1)
-    first, second = (pearson(values[half])[pairs] for half in split_blocks(len(values)))
+    values = scale_extremes(readings)
+    n_frames, n_sensors = values.shape
+    if n_frames < MIN_FRAMES or n_sensors < MIN_SENSORS:
+        return moments(values).correlation(), 0.0
+    step = -(-n_sensors // _MAX_SENSORS)
+    sampled = values[:, ::step]
+    pairs = np.triu(np.ones((sampled.shape[1],) * 2, dtype=bool), 1)
+    halves = (moments(sampled[half]) for half in split_blocks(n_frames))
+    first, second = (half.correlation()[pairs] for half in halves)
+    correlation = moments(values).correlation()
     if np.ptp(first) == 0 or np.ptp(second) == 0:
-        return 0.0
-    return float(np.corrcoef(first, second)[0, 1])
+        return correlation, 0.0
+    return correlation, float(np.corrcoef(first, second)[0, 1])

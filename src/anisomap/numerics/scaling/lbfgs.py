@@ -3,8 +3,9 @@
 scipy's L-BFGS-B, which fits covariograms and contacts, scales its first Hessian uniformly. For
 stress functions a better one is known: twice the weight of each point, with which the first steps
 equal those of majorisation. On bent lattices of 64 to 256 points, scipy took as many iterations
-with equal weights and up to 40 % more with unequal ones. Both found the same minima; positions
-differed by 1e-6 to 1e-3 of the map's size, as the tolerance of the stress permits.
+with equal weights and up to 40 % more with unequal ones. Where both found the same minimum,
+positions differed by 1e-6 to 1e-3 of the map's size, as the tolerance of the stress permits; where
+there are many minima, single runs may find different ones.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import rankdata
 
+from anisomap.numerics.columns import rank_columns
 from anisomap.numerics.precision import Reals, row_blocks
 from anisomap.numerics.similarity.accumulators import (
     MIN_FLOAT32_SENSORS,
@@ -33,8 +33,12 @@ def pearson(readings: ArrayLike) -> Reals:
         In [-1, 1], exactly symmetric, ones on the diagonal; 0 between a constant sensor and any
         other. From 512 sensors on, products are float32 and r is accurate to 1e-5.
     """
-    values = _scale_extremes(readings)
-    return Moments.of(values, single=values.shape[1] >= MIN_FLOAT32_SENSORS).correlation()
+    return moments(scale_extremes(readings)).correlation()
+
+
+def moments(readings: NDArray[np.generic]) -> Moments:
+    """Return the moments from which `pearson` is computed, after `scale_extremes`."""
+    return Moments.of(readings, single=readings.shape[1] >= MIN_FLOAT32_SENSORS)
 
 
 def spearman(readings: ArrayLike) -> Reals:
@@ -42,7 +46,7 @@ def spearman(readings: ArrayLike) -> Reals:
 
     Ties are assigned their mean rank. Invariant under increasing transformations of a sensor.
     """
-    return pearson(rankdata(np.asarray(readings), axis=0))
+    return pearson(rank_columns(np.asarray(readings)))
 
 
 def co_activation(readings: ArrayLike) -> Reals:
@@ -81,12 +85,13 @@ def squares_overflow(magnitude: NDArray[np.float64]) -> NDArray[np.bool_]:
     return (magnitude > MAX_SQUARED) | ((magnitude < 1 / MAX_SQUARED) & (magnitude > 0))
 
 
-def _scale_extremes(readings: ArrayLike) -> NDArray[np.generic]:
+def scale_extremes(readings: ArrayLike) -> NDArray[np.generic]:
     """Scale readings whose squares would overflow or underflow, exactly, by powers of 2."""
     values = np.asarray(readings)
     if values.dtype.kind != "f" or values.dtype.itemsize < np.dtype(np.float64).itemsize:
         return values
-    magnitude = np.abs(values).max(axis=0, initial=0).astype(np.float64)
+    lowest, highest = values.min(axis=0, initial=0), values.max(axis=0, initial=0)
+    magnitude = np.maximum(-lowest, highest).astype(np.float64)
     if not squares_overflow(magnitude).any():
         return values
     return np.asarray(np.ldexp(values.astype(np.float64), -np.frexp(magnitude)[1]))

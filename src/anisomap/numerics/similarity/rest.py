@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.columns import columns, count_values
+from anisomap.numerics.columns import columns, count_values, rank_columns
 
 MIN_REST_SHARE = 0.1
 """Minimum share of the frames at one value for this value to be the rest; chosen by hand."""
@@ -20,6 +20,7 @@ NOISE_QUANTILE = 0.99
 MIN_CONTACT_RATIO = 2.0
 """Minimum ratio of the deviations on the side of contact to noise; chosen by hand."""
 
+_CHUNK_SENSORS = 64  # sensors ranked at a time; bounds memory
 _CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
 
 
@@ -46,6 +47,16 @@ class Rest:
         """Return the excess of readings over the threshold, shape (T, N); 0 at rest."""
         beyond = self.side * (np.asarray(readings, dtype=np.float64) - self.value) - self.threshold
         return np.asarray(np.maximum(beyond, 0))
+
+    def depth_ranks(self, readings: ArrayLike) -> NDArray[np.float64]:
+        """Return the ranks of the `depth` of each sensor, shape (T, N); ties share their mean."""
+        values = np.asarray(readings)
+        ranks = np.empty(values.shape)
+        for start in range(0, values.shape[1], _CHUNK_SENSORS):
+            part = slice(start, start + _CHUNK_SENSORS)
+            rest = Rest(self.value[part], self.side[part], self.threshold[part])
+            ranks[:, part] = rank_columns(rest.depth(values[:, part]))
+        return ranks
 
     def active(self, readings: ArrayLike) -> NDArray[np.bool_]:
         """Return True for readings that exceed the threshold, shape (T, N)."""
@@ -104,13 +115,17 @@ def rest_from_counts(
 def quantile_from_counts(
     values: NDArray[np.float64], counts: NDArray[np.integer[Any]], level: float
 ) -> float:
-    """Return a quantile of repeated values, interpolated linearly as by `numpy.quantile`."""
-    order = np.argsort(values)
-    ends = np.cumsum(counts[order])
+    """Return a quantile of repeated values, interpolated linearly as by `numpy.quantile`.
+
+    The values are distinct, in increasing or decreasing order.
+    """
+    if values[0] > values[-1]:
+        values, counts = values[::-1], counts[::-1]
+    ends = np.cumsum(counts)
     place = level * (int(ends[-1]) - 1)
     below = int(place)
     at = np.searchsorted(ends, [below, min(below + 1, int(ends[-1]) - 1)], side="right")
-    low, high = values[order[at]]
+    low, high = values[at]
     return float(low + (place - below) * (high - low))
 
 
