@@ -352,7 +352,7 @@ def test_a_good_recording_is_not_doubted():
         assert diagnose(reconstruct(skin, dimensions=2), skin).notes == ()
 
 
-def test_a_map_survives_being_sent_to_another_process():
+def test_maps_can_be_pickled():
     sensor_map = reconstruct(flat_skin(), dimensions=2)
     again = pickle.loads(pickle.dumps(sensor_map))
     assert again.positions.tobytes() == sensor_map.positions.tobytes()
@@ -367,7 +367,7 @@ UNTOUCHED = Recording(-np.eye(50)[:, :4])
     [
         ({"recording": Recording(np.zeros((9, 5)))}, "got 0 of 5"),
         ({"recording": Recording(np.eye(9)[:, :2])}, "got 2 of 2"),
-        ({"recording": UNTOUCHED}, "no 3 sensors are related"),
+        ({"recording": UNTOUCHED}, "at least 3 related sensors"),
         ({"method": "pca"}, "choose from covariogram"),
         ({"dimensions": 0}, "dimensions must be at least 1, got 0"),
         ({"drop": ["nobody"]}, "no sensor 'nobody'"),
@@ -376,7 +376,7 @@ UNTOUCHED = Recording(-np.eye(50)[:, :4])
         ({"options": MethodOptions(n_neighbours=0), "method": "isomap"}, "at least 1, got 0"),
     ],
 )
-def test_what_cannot_be_mapped_is_refused_in_words(arguments, message):
+def test_invalid_arguments_are_refused(arguments, message):
     with pytest.raises(InputError, match=message):
         reconstruct(**{"recording": flat_skin(), **arguments})
 

@@ -39,7 +39,7 @@ def test_a_map_is_made_in_millimetres_and_mirrored_at_once(run, skin_npz, tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["skin.urdf"], "skin.urdf is in metres, but the map has no scale"),
+        (["skin.urdf"], "format is in metres, but the map has no scale"),
         (["skin.urdf", "--spacing", "6.5"], "'6.5' is not a length"),
         (["skin.xyz"], "unknown suffix '.xyz'"),
         (["map.csv"], "write the result to another file"),

@@ -67,7 +67,7 @@ def test_workers_and_checkpoints(run_map, parts):
         np.testing.assert_allclose(positions(name), positions("whole.csv"), atol=1e-8)
     other = run_map(parts[0], *options)
     assert other.code != 0
-    assert "checkpoint of something else" in other.err
+    assert "checkpoint of another computation" in other.err
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from anisomap import Recording, mantel, reconstruct
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Matches, behaviour
 from anisomap.large import reconstruct_approximately
-from anisomap.large.approximation import relate
+from anisomap.large.approximation import build_similarity_graph
 from anisomap.large.landmarks.options import ApproximateOptions
 from skins import lattice, rubbed
 
@@ -106,24 +106,24 @@ def test_missing_readings_are_dealt_with_as_everywhere():
         (np.zeros((50, 9), np.uint8), "got 0 of 9"),
         (
             np.random.default_rng(0).integers(0, 9, (300, 9)),
-            "no 3 sensors have statistically significant links",
+            "at least 3 sensors with statistically significant links",
         ),
         (READINGS[0], "frames x sensors"),
     ],
 )
-def test_where_there_is_nothing_to_map_it_says_so(readings, message):
+def test_unrelated_sensors_are_refused(readings, message):
     with pytest.raises(InputError, match=message):
         made(readings)
 
 
-def test_no_dimension_holds_no_map():
+def test_dimensions_must_be_positive():
     with pytest.raises(InputError, match="dimensions must be at least 1"):
         made(dimensions=0)
 
 
-def test_health_of_many_sensors_is_judged_from_an_excerpt(monkeypatch):
+def test_health_of_many_sensors_is_assessed_from_an_excerpt(monkeypatch):
     monkeypatch.setattr("anisomap.large.approximation.EXCERPT_READINGS", 1)
-    found = relate(lambda: np.array_split(READINGS, 40), options=FEW)
+    found = build_similarity_graph(lambda: np.array_split(READINGS, 40), options=FEW)
     whole = anisomap.assess(Recording(READINGS))
     assert 500 <= found.excerpt.n_frames < len(READINGS)
     assert {sensor.status for sensor in found.health} == {"ok"}

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from anisomap.errors import FileError
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.map_reduce import map_reduce
-from anisomap.large.streaming import gather_similarity
+from anisomap.large.streaming import stream_similarity
 from anisomap.methods import MethodOptions
 from anisomap.numerics.similarity.accumulators import Moments
 from skins import flat_skin
@@ -63,7 +63,7 @@ def failing(parts, n_chunks, passes=1):
 
 def similarity(parts, file=None, method="i-anisomap", options=OPTIONS, **more):
     chunks = parts if callable(parts) else lambda: iter(parts)
-    return gather_similarity(chunks, method, options, checkpoint=file, **more).similarity
+    return stream_similarity(chunks, method, options, checkpoint=file, **more).similarity
 
 
 def cut_off(file, n_chunks=4, passes=2, **more):
@@ -137,7 +137,7 @@ OTHERS = {
 def test_other_readings_are_refused(tmp_path, other):
     file = tmp_path / "counts.npz"
     cut_off(file)
-    with pytest.raises(FileError, match="something else"):
+    with pytest.raises(FileError, match="another computation"):
         similarity(OTHERS[other], file)
 
 
@@ -153,7 +153,7 @@ def test_other_readings_are_refused(tmp_path, other):
 def test_other_methods_and_sources_are_refused(tmp_path, other):
     file = tmp_path / "counts.npz"
     cut_off(file)
-    with pytest.raises(FileError, match="something else"):
+    with pytest.raises(FileError, match="another computation"):
         similarity(PARTS, file, **other)
 
 
@@ -161,7 +161,7 @@ def test_other_policies_on_missing_readings_are_refused(tmp_path):
     file, holed = tmp_path / "counts.npz", [part.copy() for part in PARTS]
     holed[0][10:20, 4] = np.nan
     similarity(holed, file, missing="interpolate")
-    with pytest.raises(FileError, match="something else"):
+    with pytest.raises(FileError, match="another computation"):
         similarity(holed, file, missing="drop-frames")
 
 

@@ -144,7 +144,7 @@ def test_what_was_cut_off_goes_on(tmp_path, passes):
         found = reconstruct_chunks(counted, **options)
         np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
     assert [f.name for f in tmp_path.iterdir()] == ["counts.npz"]
-    with pytest.raises(FileError, match="something else"):
+    with pytest.raises(FileError, match="another computation"):
         reconstruct_chunks(counted, "r-anisomap", 2, checkpoint=file)
     file.write_bytes(file.read_bytes()[:-200])
     with pytest.raises(FileError, match="damaged"):
@@ -268,7 +268,7 @@ def test_even_spacing_is_refused_before_all_frames_are_read():
 def test_readings_in_an_impossible_unit_are_refused(unit):
     readings = READINGS.astype(np.float64)
     readings[:, 3] *= unit
-    with pytest.raises(InputError, match=r"sensor 3 reads up to .* use another unit"):
+    with pytest.raises(InputError, match=r"sensor 3 is .* use another unit"):
         reconstruct_chunks(readings, "r-anisomap", 2)
 
 

@@ -285,7 +285,7 @@ def test_an_untouched_skin_has_no_contacts():
         (np.full((9, 5), np.nan), np.eye(5), "finite"),
         (np.zeros((9, 5)), np.full((5, 2), np.inf), "finite"),
         (np.zeros((9, 2)), np.eye(2), "at least 3 sensors"),
-        (np.eye(9)[:, :5], np.zeros((5, 2)), "same position"),
+        (np.eye(9)[:, :5], np.zeros((5, 2)), "distinct positions"),
     ],
 )
 def test_invalid_arguments_are_refused(readings, positions, message):

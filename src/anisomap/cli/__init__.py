@@ -1,3 +1,3 @@
-"""The command line: sees everything, and nothing sees it. One file a command."""
+"""The command line, with one module per command."""
 
 from anisomap.cli.app import main as main

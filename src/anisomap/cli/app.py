@@ -1,4 +1,4 @@
-"""The application: its commands, and how errors become messages and exit codes."""
+"""The application: its commands, and the conversion of errors to messages and exit codes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from cyclopts import App, CycloptsError
 
 from anisomap._version import __version__
-from anisomap.cli.console import complain, console, discard_stdout, warn
+from anisomap.cli.console import console, discard_stdout, print_error, print_warning
 from anisomap.errors import AnisomapError, AnisomapWarning
 
 BAD_INPUT = 2
@@ -79,13 +79,13 @@ def _exit_code(arguments: list[str] | None) -> int:
     except KeyboardInterrupt:
         return _failed("interrupted; no file was left half-written", INTERRUPTED)
     except BrokenPipeError:
-        discard_stdout()  # the reader of our output has left, which is no error
+        discard_stdout()  # the reader has closed the pipe, which is not an error
     except Exception as error:
         if os.environ.get("ANISOMAP_DEBUG"):
             raise
-        what = f"{type(error).__name__}: {error}"
+        description = f"{type(error).__name__}: {error}"
         return _failed(
-            f"a defect in anisomap ({what}); please report it with the traceback that "
+            f"a defect in anisomap ({description}); please report it with the traceback that "
             "ANISOMAP_DEBUG=1 in the environment prints",
             INTERNAL_ERROR,
         )
@@ -96,10 +96,10 @@ def _run(arguments: list[str] | None) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # users cannot act on warnings of other packages
         warnings.simplefilter("always", AnisomapWarning)
-        warnings.showwarning = lambda message, *_, **__: warn(str(message))
+        warnings.showwarning = lambda message, *_, **__: print_warning(str(message))
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
 
 
 def _failed(message: str, code: int) -> int:
-    complain(message)
+    print_error(message)
     return code

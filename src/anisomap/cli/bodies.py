@@ -1,4 +1,4 @@
-"""Bodies and parameters as they are given on the command line."""
+"""Conversion of command-line arguments to bodies and parameters of scenarios."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from anisomap.simulation.bodies.imported import MESH_SUFFIXES, MODEL_SUFFIXES
 
 
 def find(body: str, sensors: str | None) -> Body:
-    """Make the body that was asked for by name or file.
+    """Make a body from its name or file.
 
     Parameters
     ----------
     body : str
-        A name, or the path of a mesh, a MuJoCo model or positions.
+        Name of a body, or path of a mesh, a MuJoCo model or a file of positions.
     sensors : str or None
-        How many, or the path of their positions.
+        Number of sensors, or path of a file with their positions.
 
     Returns
     -------
@@ -29,15 +29,18 @@ def find(body: str, sensors: str | None) -> Body:
     Raises
     ------
     InputError
-        If there is no such body, or the sensors are not on it.
+        If there is no such body, or the sensors do not fit it.
     """
-    given = _sensors(sensors)
+    given = _parse_sensors(sensors)
     if body in BODIES:
         if given is None or isinstance(given, int):
             return find_body(body, given)
-        raise InputError(f"the body {body} has sensors of its own; --sensors takes their number")
+        raise InputError(
+            f"--sensors must be the number of sensors of the body {body}, which has predefined "
+            f"positions, got {sensors}"
+        )
     path = Path(body)
-    if path.suffix.lower() in (*MESH_SUFFIXES, *MODEL_SUFFIXES) and not _holds_only_points(path):
+    if path.suffix.lower() in (*MESH_SUFFIXES, *MODEL_SUFFIXES) and not _contains_only_points(path):
         if isinstance(given, Path):
             found = _positions(given)
             return load_body(path, found.positions, found.names)
@@ -53,14 +56,14 @@ def find(body: str, sensors: str | None) -> Body:
     )
 
 
-def _sensors(text: str | None) -> int | Path | None:
+def _parse_sensors(text: str | None) -> int | Path | None:
     if text is None:
         return None
     return int(text) if text.lstrip("-").isdecimal() else Path(text)
 
 
-def _holds_only_points(path: Path) -> bool:
-    """Tell a PLY file that anisomap wrote, which has no faces, from one of a mesh."""
+def _contains_only_points(path: Path) -> bool:
+    """Return whether a file is a PLY point cloud, without faces, as written for maps."""
     if path.suffix.lower() != ".ply" or not path.is_file():
         return False
     with path.open("rb") as file:
@@ -70,7 +73,7 @@ def _holds_only_points(path: Path) -> bool:
 def _positions(path: Path) -> SensorMap:
     found = io.read_map(path)
     if found.dimensions != 3:
-        raise InputError(f"{path} holds positions in {found.dimensions} dimensions; give them in 3")
+        raise InputError(f"{path} must contain positions in 3 dimensions, got {found.dimensions}")
     return found
 
 
@@ -80,7 +83,7 @@ def parse_parameters(parameters: list[str]) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If one is no such pair, or its value no number.
+        If a text is not such a pair, or its value is not a number.
     """
     parsed: dict[str, Any] = {}
     for text in parameters:
@@ -90,6 +93,6 @@ def parse_parameters(parameters: list[str]) -> dict[str, Any]:
                 int(value) if value.strip().lstrip("+-").isdecimal() else float(value)
             )
         except ValueError as error:
-            hint = f"{value!r} is no number" if equals else "write NAME=VALUE"
+            hint = f"{value!r} is not a number" if equals else "write NAME=VALUE"
             raise InputError(f"--parameter {text!r}: {hint}") from error
     return parsed

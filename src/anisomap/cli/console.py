@@ -31,7 +31,7 @@ _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
 
 class _Stdout(Console):
-    """Standard output whose reader may leave: the command then continues without output."""
+    """Standard output; if its reader closes the pipe, the command continues without output."""
 
     def on_broken_pipe(self) -> None:
         self.quiet = True
@@ -47,19 +47,19 @@ console = _Stdout(highlight=False, soft_wrap=False)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
-def complain(message: str) -> None:
+def print_error(message: str) -> None:
     """Print an error on stderr."""
     errors.print(f"[bold red]error:[/] {escape(message)}")
 
 
-def warn(message: str) -> None:
+def print_warning(message: str) -> None:
     """Print a warning on stderr."""
     errors.print(f"[bold yellow]warning:[/] {escape(message)}")
 
 
 @dataclass
 class Printer:
-    """Prints the results of a command: as text, as one JSON object, or not at all.
+    """Printer of the results of a command: as text, as one JSON object, or not at all.
 
     Parameters
     ----------
@@ -121,12 +121,12 @@ class Printer:
             self._emit(console.print, text, markup=False, soft_wrap=True)
 
     def finish(self) -> None:
-        """Print the JSON object, if it was asked for.
+        """Print the JSON object if `as_json`.
 
         Raises
         ------
         FileError
-            If anything could not be printed; the command has done all else by then.
+            If any output could not be printed; files have been written before.
         """
         if self.as_json and not self.quiet:
             text = json.dumps(plain(self.values), indent=2, ensure_ascii=False)
@@ -149,7 +149,7 @@ class Printer:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to what JSON can hold; NaN and infinities become None."""
+    """Convert a value to types of JSON; NaN and infinities become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -175,7 +175,7 @@ def progress(task: str) -> Iterator[Callable[[float], None]]:
     Yields
     ------
     callable
-        Takes the share done, from 0 to 1. Until it is called, only elapsed time is shown.
+        Takes the completed share, from 0 to 1. Until it is called, only elapsed time is shown.
     """
     columns = (
         SpinnerColumn(),
@@ -203,7 +203,7 @@ def progress(task: str) -> Iterator[Callable[[float], None]]:
 
 
 class _Description(logging.Handler):
-    """Passes log messages to a function."""
+    """Handler that passes log messages to a function."""
 
     def __init__(self, describe: Callable[[str], None]) -> None:
         super().__init__(logging.INFO)

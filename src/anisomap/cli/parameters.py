@@ -33,7 +33,7 @@ class ReadingOptions:
     Parameters
     ----------
     select
-        Recording to read from a file that holds several: a topic (optionally with its field, as
+        Recording to read from a file that contains several: a topic (optionally with its field, as
         in /skin:data), a dataset, a column or a port; anisomap info lists them. Several topics
         or ports are separated by commas.
     grid
@@ -56,12 +56,12 @@ class ReadingOptions:
         return ReadOptions(self.select, grid, tuple(self.msg), self.preset)
 
 
-AS_IT_COMES = ReadingOptions()
+DEFAULT_READING = ReadingOptions()
 
 
 @dataclass(frozen=True)
 class ReportingOptions:
-    """How results are printed.
+    """Format of the printed results.
 
     Parameters
     ----------
@@ -76,13 +76,13 @@ class ReportingOptions:
 
     @contextmanager
     def printer(self) -> Iterator[Printer]:
-        """Give a printer, and print the JSON object once the command has succeeded."""
+        """Provide a printer, and print the JSON object after the command has succeeded."""
         printer = Printer(self.quiet, self.json)
         yield printer
         printer.finish()
 
 
-AS_TEXT = ReportingOptions()
+DEFAULT_REPORTING = ReportingOptions()
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class PlacingOptions:
     split_components: Annotated[bool, Parameter(negative=())] = False
 
     def check(self, outputs: Iterable[Path], units: str = "") -> None:
-        """Check before the work that the outputs can be written.
+        """Check, before the map is computed, that the outputs can be written.
 
         Raises
         ------
@@ -121,8 +121,8 @@ class PlacingOptions:
         for path in outputs:
             if io.needs_scale(path) and units not in METRES:
                 raise InputError(
-                    f"{path} is in metres, but the map has no scale; give the distance between "
-                    "neighbouring sensors, such as --spacing 6.5mm"
+                    f"cannot write {path}: its format is in metres, but the map has no scale; give "
+                    "the distance between neighbouring sensors, such as --spacing 6.5mm"
                 )
 
     def applied(self, sensor_map: SensorMap) -> SensorMap:
@@ -143,7 +143,7 @@ class PlacingOptions:
         return (path,)
 
 
-AS_IT_IS = PlacingOptions()
+DEFAULT_PLACING = PlacingOptions()
 
 
 def _rows_and_columns(text: str) -> tuple[int, int]:

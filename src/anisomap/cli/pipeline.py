@@ -11,14 +11,14 @@ import numpy as np
 
 from anisomap import io
 from anisomap.cli.console import Printer, number, percent, progress
-from anisomap.cli.parameters import AS_IT_IS, PlacingOptions
+from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnostics import diagnose
 from anisomap.drawing import figures, report
 from anisomap.evaluation import Score, confidence_in_words, score
 from anisomap.files import check_distinct
 from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
-from anisomap.large.approximation import Related, approximate_map_of
-from anisomap.large.streaming import Gathered, map_of
+from anisomap.large.approximation import SimilarityGraph, map_similarity_graph
+from anisomap.large.streaming import StreamedSimilarity, map_streamed_similarity
 from anisomap.methods import MethodOptions
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
@@ -36,10 +36,10 @@ class Outputs:
     maps: tuple[Path, ...] = ()
     picture: Path | None = None
     report: Path | None = None
-    placing: PlacingOptions = AS_IT_IS
+    placing: PlacingOptions = DEFAULT_PLACING
 
     def check(self, *inputs: Path) -> None:
-        """Check before the work that all files can be written.
+        """Check, before the map is computed, that all files can be written.
 
         Raises
         ------
@@ -69,9 +69,9 @@ class Examined:
 
 
 def read(path: Path, how: io.ReadOptions | None = None) -> Recording:
-    """Read a recording, with progress. Its source is the file name unless the file tells it."""
-    with progress(f"reading {path.name}") as tell:
-        recording = io.read(path, options=how, progress=tell)
+    """Read a recording, with progress; the default of its source is the file name."""
+    with progress(f"reading {path.name}") as report_progress:
+        recording = io.read(path, options=how, progress=report_progress)
         return replace(recording, source=recording.source or path.name)
 
 
@@ -80,7 +80,7 @@ def read_runs(
 ) -> list[Recording]:
     """Read one recording, or several of one skin.
 
-    A preset leaves out channels that are silent in all runs, so it is applied to the joined runs.
+    A preset leaves out channels that are constant in all runs, so it is applied to the joined runs.
     """
     if len(paths) == 1 or not how.preset:
         return [read(path, how).complete(missing) for path in paths]
@@ -90,11 +90,11 @@ def read_runs(
 
 def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
     """Print the contents of a file that can hold several recordings."""
-    held = io.contents(path, options=how)
-    if held:
-        rows = [(c.name, c.summary, "yes" if c.usable else "no") for c in held]
+    contents = io.contents(path, options=how)
+    if contents:
+        rows = [(c.name, c.summary, "yes" if c.usable else "no") for c in contents]
         printer.table(f"Contents of {path.name}", ("name", "content", "a recording"), rows)
-        printer.record(contents=[asdict(content) for content in held])
+        printer.record(contents=[asdict(content) for content in contents])
 
 
 def examine(runs: Recording | Sequence[Recording]) -> Examined:
@@ -113,17 +113,17 @@ def make_map(
     options: MethodOptions | None = None,
     drop: Sequence[str] = (),
     with_confidence: bool = True,
-    gathered: Gathered | Related | None = None,
+    streamed: StreamedSimilarity | SimilarityGraph | None = None,
 ) -> SensorMap:
-    """Reconstruct and diagnose, with progress; notes appear as warnings."""
-    with progress("making the map") as tell:
-        if isinstance(gathered, Related):
-            return approximate_map_of(gathered, dimensions, options=options)
-        if gathered is not None:
-            return map_of(gathered, method, dimensions, options=options, drop=drop)
+    """Reconstruct and diagnose a map, with progress; its notes are issued as warnings."""
+    with progress("making the map") as report_progress:
+        if isinstance(streamed, SimilarityGraph):
+            return map_similarity_graph(streamed, dimensions, options=options)
+        if streamed is not None:
+            return map_streamed_similarity(streamed, method, dimensions, options=options, drop=drop)
         made = reconstruct(examined.runs, method, dimensions, options=options, drop=drop)
         if with_confidence:
-            tell(_SHARE_OF_MAP)
+            report_progress(_SHARE_OF_MAP)
         return diagnose(
             made,
             examined.runs,
@@ -131,7 +131,7 @@ def make_map(
             drop=drop,
             health=examined.health,
             with_confidence=with_confidence,
-            progress=lambda share: tell(_SHARE_OF_MAP + (1 - _SHARE_OF_MAP) * share),
+            progress=lambda share: report_progress(_SHARE_OF_MAP + (1 - _SHARE_OF_MAP) * share),
         )
 
 
@@ -168,7 +168,7 @@ def score_with_progress(
     exclude: Sequence[str] = (),
 ) -> Score:
     """Score a map against the positions of a recording or of another map, with progress."""
-    with progress(f"computing {permutations} permutations") as tell:
+    with progress(f"computing {permutations} permutations") as report_progress:
         return score(
             sensor_map,
             truth if isinstance(truth, SensorMap) else np.asarray(truth.positions),
@@ -176,7 +176,7 @@ def score_with_progress(
             units=truth.units,
             permutations=permutations,
             rng=np.random.default_rng(seed),
-            progress=tell,
+            progress=report_progress,
         )
 
 
@@ -209,15 +209,15 @@ def print_recording(printer: Printer, examined: Examined) -> None:
 
 
 def print_health(
-    printer: Printer, health: Sequence[SensorHealth], *, everyone: bool = False
+    printer: Printer, health: Sequence[SensorHealth], *, all_sensors: bool = False
 ) -> None:
     """Print the health of faulty sensors, or of all, and the number of sensors of each status."""
     faulty = [sensor for sensor in health if sensor.status != "ok"]
-    shown = faulty if everyone else faulty[:_MAX_SHOWN]
+    shown = faulty if all_sensors else faulty[:_MAX_SHOWN]
     healthy = [sensor for sensor in health if sensor.status == "ok"]
     counts = Counter(sensor.status for sensor in health)
     title = "Sensor health: " + ", ".join(f"{n} {status}" for status, n in counts.most_common())
-    printer.record(sensors=[asdict(sensor) for sensor in (health if everyone else faulty)])
+    printer.record(sensors=[asdict(sensor) for sensor in (health if all_sensors else faulty)])
     rows = [
         (
             sensor.name,
@@ -228,7 +228,7 @@ def print_health(
             str(sensor.contacts),
             number(sensor.best_match, 2),
         )
-        for sensor in (shown + healthy if everyone else shown)
+        for sensor in (shown + healthy if all_sensors else shown)
     ]
     if not rows:
         printer.facts(title, {})

@@ -1,4 +1,4 @@
-"""Recordings that are too large for memory: read in blocks."""
+"""Recordings that are too large for memory, which are read in blocks."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from anisomap.cli.pipeline import Examined
 from anisomap.errors import InputError
 from anisomap.health import summarise
 from anisomap.io.parsing.grids import with_grid
-from anisomap.large.approximation import APPROXIMATED, Related, relate
+from anisomap.large.approximation import APPROXIMATED, SimilarityGraph, build_similarity_graph
 from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.large.landmarks.options import ApproximateOptions
 from anisomap.large.map_reduce import WorkerPool
-from anisomap.large.streaming import Gathered, gather_similarity
+from anisomap.large.streaming import StreamedSimilarity, stream_similarity
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_even_spacing
 from anisomap.recording import MissingPolicy, Recording, default_names
 
@@ -34,7 +34,7 @@ LARGE_BYTES = 1 << 29
 """Size of the readings, as float32, above which a recording is read in blocks: 512 MiB."""
 
 PROBED_BYTES = 1 << 24
-"""Size of files below which the size of the recording is not estimated."""
+"""Total size of files below which the size of the readings is not estimated."""
 
 large_group = Group("Large recordings", sort_key=4)
 
@@ -46,11 +46,11 @@ class LargeOptions:
     Parameters
     ----------
     workers
-        Number of parallel threads; more than the number of cores gain nothing.
+        Number of parallel threads; more than the number of cores bring no gain.
     dask
-        Address of a Dask scheduler whose workers do the work, as in tcp://host:8786.
+        Address of a Dask scheduler, as in tcp://host:8786; its workers are used instead of threads.
     checkpoint
-        File for intermediate results, to resume from if it exists.
+        File for intermediate results; if it exists, the computation resumes from it.
     approximate
         Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
     """
@@ -61,16 +61,16 @@ class LargeOptions:
     approximate: Annotated[bool, Parameter(negative=())] = False
 
     @property
-    def asked_for(self) -> bool:
+    def is_requested(self) -> bool:
         """Whether any of the options was given."""
-        return self.approximate or self._shared
+        return self.approximate or self._in_chunks
 
     @property
-    def _shared(self) -> bool:
+    def _in_chunks(self) -> bool:
         return self.workers > 1 or bool(self.dask) or self.checkpoint is not None
 
-    def method(self, asked: str | None) -> str:
-        """Choose the method, given the one that the user asked for, if any.
+    def method(self, requested: str | None) -> str:
+        """Return the requested method, or the default one.
 
         Raises
         ------
@@ -78,20 +78,20 @@ class LargeOptions:
             If an approximate map does not support the method or another option.
         """
         if not self.approximate:
-            return asked or DEFAULT_METHOD
-        if asked not in (None, APPROXIMATED):
+            return requested or DEFAULT_METHOD
+        if requested not in (None, APPROXIMATED):
             raise InputError(
-                f"--approximate supports {APPROXIMATED} only, got {asked}; leave out --method or "
-                "--approximate"
+                f"--approximate supports {APPROXIMATED} only, got {requested}; leave out --method "
+                "or --approximate"
             )
-        if self._shared:
+        if self._in_chunks:
             raise InputError(
                 "--approximate does not support --workers, --dask and --checkpoint; leave them out"
             )
         return APPROXIMATED
 
 
-AS_EVER = LargeOptions()
+DEFAULT_LARGE = LargeOptions()
 
 
 def too_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
@@ -119,7 +119,7 @@ def examine(
     large: LargeOptions,
     drop: list[str] | None = None,
     seed: int = 0,
-) -> tuple[Examined, Gathered | Related]:
+) -> tuple[Examined, StreamedSimilarity | SimilarityGraph]:
     """Read recordings of the same sensors in blocks, with progress, for a map.
 
     Dropped sensors and the seed affect approximate maps only.
@@ -127,33 +127,33 @@ def examine(
     Raises
     ------
     InputError
-        If sensors are missing in some, or the preset does not fit.
+        If the recordings have different sensors, or the preset does not fit.
     """
     with progress("inspecting the files"):
-        like = _like(paths, how)
-    with progress("reading all frames") as tell:
-        files = _Files(tuple(paths), how, like.names, missing, tell)
+        like = _first_frame_of_all(paths, how)
+    with progress("reading all frames") as report_progress:
+        files = _Files(tuple(paths), how, like.names, missing, report_progress)
         if how.preset:
-            like, kept = _named(files, like, how.preset)
+            like, kept = _apply_preset(files, like, how.preset)
             files = replace(files, kept=kept)
-        found: Gathered | Related
+        found: StreamedSimilarity | SimilarityGraph
         if large.approximate:
             check_even_spacing(method, options, readings=False)
-            found = relate(
+            found = build_similarity_graph(
                 files,
                 like=like,
                 drop=sensors(drop, like.names),
                 options=ApproximateOptions(seed=seed),
             )
         else:
-            found = gather_similarity(
+            found = stream_similarity(
                 files,
                 method,
                 options,
                 like=like,
                 pool=WorkerPool(large.workers, large.dask),
                 checkpoint=large.checkpoint,
-                source=_described(paths, how, missing),
+                source=_describe(paths, how, missing),
             )
     summary = replace(
         summarise(found.excerpt, found.health),
@@ -164,8 +164,8 @@ def examine(
     return Examined(found.excerpt, found.health, summary), found
 
 
-def _like(paths: Sequence[Path], how: io.ReadOptions) -> Recording:
-    """Return the first frame of the recordings, with their metadata."""
+def _first_frame_of_all(paths: Sequence[Path], how: io.ReadOptions) -> Recording:
+    """Return the first frame of the first recording, with the metadata of all recordings."""
     known = [_first_frame(path, how) for path in paths]
     first = known[0]
     for path, other in zip(paths, known, strict=True):
@@ -183,7 +183,7 @@ def _first_frame(path: Path, how: io.ReadOptions) -> Recording:
         with io.open_stream(path, frames=1, options=how) as stream:
             readings = next((block.readings for block in stream.blocks), None)
             if readings is None:
-                raise InputError(f"{path} holds no frames")
+                raise InputError(f"{path} contains no frames")
             frame = Recording(
                 readings,
                 names=stream.names or default_names(stream.n_sensors),
@@ -200,17 +200,17 @@ def _first_frame(path: Path, how: io.ReadOptions) -> Recording:
 
 @dataclass(frozen=True, eq=False)
 class _Files:
-    """Recordings of the same sensors as one; a call opens their readings without gaps.
+    """Recordings of the same sensors; calling it yields their complete readings in chunks.
 
     Sensors that a preset leaves out are removed as in recordings that fit in memory: before gaps
-    are filled for one recording, after it for several.
+    are filled if there is one recording, afterwards if there are several.
     """
 
     paths: tuple[Path, ...]
     how: io.ReadOptions
     names: tuple[str, ...]
     missing: MissingPolicy
-    tell: Callable[[float], None]
+    report_progress: Callable[[float], None]
     kept: NDArray[np.intp] | None = None
 
     def __call__(self) -> Iterator[NDArray[Any]]:
@@ -232,11 +232,21 @@ class _Files:
             in_order = np.array_equal(order, np.arange(stream.n_sensors))
             for block in stream.blocks:
                 yield block.readings if in_order else block.readings[:, order]
-                self.tell((number + block.fraction) / len(self.paths))
+                self.report_progress((number + block.fraction) / len(self.paths))
 
 
-def _named(files: _Files, like: Recording, preset: str) -> tuple[Recording, NDArray[np.intp]]:
-    """Apply a preset, after a pass that finds the channels that vary."""
+def _apply_preset(
+    files: _Files, like: Recording, preset: str
+) -> tuple[Recording, NDArray[np.intp]]:
+    """Apply a preset, which requires a pass over all frames to find the channels that vary.
+
+    Returns
+    -------
+    Recording
+        With the names and positions of the preset.
+    ndarray of int
+        Channels that are kept.
+    """
     frames: list[NDArray[Any]] = []
     for chunk in files.raw(0) if len(files.paths) == 1 else files():
         known = np.isfinite(chunk)
@@ -249,15 +259,15 @@ def _named(files: _Files, like: Recording, preset: str) -> tuple[Recording, NDAr
     return io.apply_preset(probe, preset), kept
 
 
-def _described(paths: Sequence[Path], how: io.ReadOptions, missing: MissingPolicy) -> str:
-    """Describe files and options, so that checkpoints of others are refused."""
-    of = " + ".join(f"{path.name} ({_on_disk(path)} bytes)" for path in paths)
-    told = {
+def _describe(paths: Sequence[Path], how: io.ReadOptions, missing: MissingPolicy) -> str:
+    """Describe files and options; checkpoints with another description are refused."""
+    files = " + ".join(f"{path.name} ({_on_disk(path)} bytes)" for path in paths)
+    settings = {
         "select": how.select,
         "preset": how.preset,
         "missing": "" if missing == "error" else missing,
     }
-    return ", ".join([of, *(f"{option} {value}" for option, value in told.items() if value)])
+    return ", ".join([files, *(f"{name} {value}" for name, value in settings.items() if value)])
 
 
 def _on_disk(path: Path) -> int:

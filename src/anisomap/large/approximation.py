@@ -28,7 +28,7 @@ from anisomap.large.landmarks.sensor_graph import (
 )
 from anisomap.large.landmarks.sketch import Sketch, compute_sketch
 from anisomap.methods import MethodOptions
-from anisomap.numerics.similarity.search import most_similar
+from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 from anisomap.recording import MissingPolicy, Recording, Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
 
@@ -38,32 +38,33 @@ APPROXIMATED = "r-anisomap"
 """The method of approximate maps."""
 
 EXCERPT_READINGS = 1 << 27
-"""Readings from which sensor health is assessed; many sensors need many to be touched."""
+"""Number of readings from which sensor health is assessed; many sensors require many."""
 
 _N_NEAREST = 4  # most similar sensors, as in `anisomap.health.behaviour`
 _MIN_CONTACTS = 20  # in the excerpt, for its assessment to count; chosen by hand
 
 
 @dataclass(frozen=True, eq=False)
-class Related:
-    """The graph of the most similar sensors, with what else an approximate map needs.
+class SimilarityGraph:
+    """Graph of the most similar sensors, and other data of an approximate map.
 
     Attributes
     ----------
-    known : Sketch
+    sketch : Sketch
     links : SensorPairs
         All pairs whose r was computed.
     graph : SensorGraph
         The pairs that are edges.
     excerpt : Recording
-        Blocks of frames from the whole recording; all frames if they are few.
+        Segments of frames from the whole recording; all frames if they are few.
     health : tuple of SensorHealth
+        Assessed from the excerpt; numbers of contacts are those of all frames.
     dropped : ndarray of bool, shape (N,)
         Mask of the dropped sensors.
     options : ApproximateOptions
     """
 
-    known: Sketch
+    sketch: Sketch
     links: SensorPairs
     graph: SensorGraph
     excerpt: Recording
@@ -74,12 +75,12 @@ class Related:
     @property
     def n_frames(self) -> int:
         """Number of frames."""
-        return self.known.n_frames
+        return self.sketch.n_frames
 
     @property
     def varying(self) -> NDArray[np.bool_]:
         """Mask of the sensors that vary and were not dropped, shape (N,)."""
-        return self.known.varying
+        return self.sketch.varying
 
 
 def reconstruct_approximately(
@@ -92,7 +93,7 @@ def reconstruct_approximately(
     missing: MissingPolicy = "error",
     drop: Iterable[str | int] = (),
 ) -> SensorMap:
-    """Reconstruct an approximate r-ANISOMAP map of too many sensors to compare all pairs.
+    """Reconstruct an approximate r-ANISOMAP map, for too many sensors to compare all pairs.
 
     Parameters
     ----------
@@ -121,8 +122,8 @@ def reconstruct_approximately(
     Raises
     ------
     InputError
-        If too few sensors vary or are related, chunks have different shapes, or a sensor is
-        unknown.
+        If a reading is missing, too few sensors vary or are related, chunks differ in their number
+        of sensors, or a sensor is unknown.
 
     Warns
     -----
@@ -136,69 +137,78 @@ def reconstruct_approximately(
     whatever `mu` is.
     """
     chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
-    found = relate(chunks, like=names, missing=missing, drop=drop, options=approximate)
-    return approximate_map_of(found, dimensions, options=options)
+    graph = build_similarity_graph(
+        chunks, like=names, missing=missing, drop=drop, options=approximate
+    )
+    return map_similarity_graph(graph, dimensions, options=options)
 
 
-def relate(
+def build_similarity_graph(
     chunks: Chunks,
     *,
     like: Recording | Sequence[str] = (),
     missing: MissingPolicy = "error",
     drop: Iterable[str | int] = (),
     options: ApproximateOptions | None = None,
-) -> Related:
-    """Find the most similar sensors of each sensor, reading all frames twice or more.
+) -> SimilarityGraph:
+    """Link each sensor to the most similar sensors, reading all frames twice or more.
 
     Parameters
     ----------
     chunks, missing, drop, options
         As for `reconstruct_approximately`.
     like : Recording or sequence of str
-        A recording whose names, positions and metadata apply, or the names alone.
+        A recording with the names, positions and metadata, or the names alone.
 
     Returns
     -------
-    Related
+    SimilarityGraph
+
+    Raises
+    ------
+    InputError
+        See `reconstruct_approximately`.
     """
     chosen = options or ApproximateOptions()
-    pieces, whole = Excerpt(EXCERPT_READINGS), complete_chunks(chunks, missing)
+    segments, complete = Excerpt(EXCERPT_READINGS), complete_chunks(chunks, missing)
 
-    def opened() -> Iterator[NDArray[Any]]:
-        for chunk in whole():
+    def small_chunks() -> Iterator[NDArray[Any]]:
+        for chunk in complete():
             n_frames = max(1, CHUNK_READINGS // chunk.shape[1])
             yield from (chunk[i : i + n_frames] for i in range(0, len(chunk), n_frames))
 
-    def watched() -> Iterator[NDArray[Any]]:
-        for chunk in opened():
-            pieces.add(chunk)
+    def sampled_chunks() -> Iterator[NDArray[Any]]:
+        for chunk in small_chunks():
+            segments.add(chunk)
             yield chunk
 
     logger.info("computing sketches of all sensors")
-    known = compute_sketch(watched(), chosen.sketch_size, np.random.default_rng(chosen.seed))
-    excerpt = pieces.recording(like)
-    dropped = _mask(excerpt, drop)
-    known = _without(known, dropped)
-    logger.info("searching for the most similar sensors")
-    links = correlations(opened(), known, _candidates(known, chosen))
-    graph, further = bridge_components(
-        build_graph(links, known, chosen.n_neighbours), known, opened
+    sketch = compute_sketch(
+        sampled_chunks(), chosen.sketch_size, np.random.default_rng(chosen.seed)
     )
-    links = links.concatenate(further)
-    health = assess(excerpt, matches=_matches(links, len(known.mean)))
-    return Related(
-        known=known,
+    excerpt = segments.recording(like)
+    dropped = _mask(excerpt, drop)
+    sketch = _without(sketch, dropped)
+    logger.info("searching for the most similar sensors")
+    links = correlations(small_chunks(), sketch, _candidates(sketch, chosen))
+    graph, bridging = bridge_components(
+        build_graph(links, sketch, chosen.n_neighbours), sketch, small_chunks
+    )
+    links = links.concatenate(bridging)
+    health = assess(excerpt, matches=_matches(links, len(sketch.mean)))
+    return SimilarityGraph(
+        sketch=sketch,
         links=links,
         graph=graph,
         excerpt=excerpt,
-        health=tuple(_revised(health, known, graph, excerpt.n_frames)),
+        health=tuple(_extrapolated(health, sketch, graph, excerpt.n_frames)),
         dropped=dropped,
         options=chosen,
     )
 
 
-def approximate_map_of(
-    found: Related,
+def map_similarity_graph(
+    found: SimilarityGraph,
     dimensions: int = 3,
     *,
     options: MethodOptions | None = None,
@@ -207,13 +217,24 @@ def approximate_map_of(
 
     Parameters
     ----------
-    found : Related
+    found : SimilarityGraph
     dimensions, options
         As for `reconstruct_approximately`.
 
     Returns
     -------
     SensorMap
+        See `reconstruct_approximately`.
+
+    Raises
+    ------
+    InputError
+        If `dimensions` is less than 1, or too few sensors are related.
+
+    Warns
+    -----
+    AnisomapWarning
+        Once for each note of the map.
     """
     chosen = options or MethodOptions()
     if dimensions < 1:
@@ -225,8 +246,9 @@ def approximate_map_of(
     ]
     if np.count_nonzero(component == 0) < chosen.min_sensors:
         raise InputError(
-            f"no {chosen.min_sensors} sensors have statistically significant links, so there is "
-            "nothing to map; was the skin touched during the recording?"
+            f"a map requires at least {chosen.min_sensors} sensors with statistically significant "
+            f"links, but the largest group has {np.count_nonzero(component == 0)}; check that the "
+            "skin was touched during the recording"
         )
     lengths = edge_lengths(found.links, found.graph.edges, chosen.mu)
     graph = adjacency_matrix(found.graph.edges, lengths, n_sensors)
@@ -247,11 +269,12 @@ def approximate_map_of(
     kept = [sensor for sensor, out in zip(found.health, found.dropped, strict=True) if not out]
     notes = (
         *weaknesses(found.excerpt, kept),
-        *_notes(found, component, converged=all(piece.converged for piece in placed)),
+        *_notes(found, component, converged=all(part.converged for part in placed)),
     )
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
-    spread = sum(piece.spread for piece in placed)
+    raw_stress, spread = sum(part.raw_stress for part in placed), sum(p.spread for p in placed)
+    n_iterations = max(part.iterations for part in placed)
     return SensorMap(
         positions,
         names=found.excerpt.names,
@@ -259,11 +282,10 @@ def approximate_map_of(
         health=tuple(sensor.status for sensor in found.health),
         method=APPROXIMATED,
         approximate=True,
-        n_iterations=max(piece.iterations for piece in placed),
-        stress=np.sqrt(sum(piece.raw_stress for piece in placed) / spread) if spread > 0 else 0.0,
+        n_iterations=n_iterations,
+        stress=np.sqrt(raw_stress / spread) if spread > 0 else 0.0,
         notes=notes,
-        provenance=_provenance(found, chosen)
-        | {"iterations": max(piece.iterations for piece in placed)},
+        provenance=_provenance(found, chosen) | {"iterations": n_iterations},
     )
 
 
@@ -273,52 +295,54 @@ def _mask(recording: Recording, sensors: Iterable[str | int]) -> NDArray[np.bool
     return mask
 
 
-def _without(known: Sketch, dropped: NDArray[np.bool_]) -> Sketch:
-    """Mark sensors as constant."""
-    projections = np.where(dropped[:, None], np.float32(0), known.projections)
-    return replace(known, varying=known.varying & ~dropped, projections=projections)
+def _without(sketch: Sketch, dropped: NDArray[np.bool_]) -> Sketch:
+    """Mark dropped sensors as constant."""
+    projections = np.where(dropped[:, None], np.float32(0), sketch.projections)
+    return replace(sketch, varying=sketch.varying & ~dropped, projections=projections)
 
 
 def _candidates(
-    known: Sketch, options: ApproximateOptions
+    sketch: Sketch, options: ApproximateOptions
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    sensors = np.flatnonzero(known.varying)
+    """Return the pairs of sensors with the most similar sketches."""
+    sensors = np.flatnonzero(sketch.varying)
     if sensors.size < 2:
         raise InputError(
-            f"a map requires sensors that vary, got {sensors.size} of {len(known.mean)}"
+            "an approximate map requires at least 2 sensors that vary and are not dropped, got "
+            f"{sensors.size} of {len(sketch.mean)}"
         )
     count = min(options.n_candidates, len(sensors) - 1)
-    found, _ = most_similar(known.projections[sensors], count)
+    found, _ = most_similar(sketch.projections[sensors], count)
     firsts, seconds = pairs_of(found)
     return sensors[firsts], sensors[seconds]
 
 
 def _matches(links: SensorPairs, n_sensors: int) -> Matches:
     """Return the most similar sensors of each sensor, and its highest r."""
-    whose = np.concatenate([links.firsts, links.seconds])
+    sensors = np.concatenate([links.firsts, links.seconds])
     others = np.concatenate([links.seconds, links.firsts])
     r = np.tile(links.r, 2)
-    order = np.lexsort((-r, whose))
-    begins = np.searchsorted(whose[order], np.arange(n_sensors + 1))
+    order = np.lexsort((-r, sensors))
+    begins = np.searchsorted(sensors[order], np.arange(n_sensors + 1))
     places = begins[:-1, None] + np.arange(_N_NEAREST)
-    there = places < begins[1:, None]
+    exists = places < begins[1:, None]
     places = np.minimum(places, len(order) - 1)
-    best = np.where(there[:, 0], r[order][places[:, 0]], np.nan)
-    return Matches(nearest=np.where(there, others[order][places], -1), best=best)
+    best = np.where(exists[:, 0], r[order][places[:, 0]], np.nan)
+    return Matches(nearest=np.where(exists, others[order][places], NO_SENSOR), best=best)
 
 
-def _revised(
-    health: Sequence[SensorHealth], known: Sketch, graph: SensorGraph, n_assessed: int
+def _extrapolated(
+    health: Sequence[SensorHealth], sketch: Sketch, graph: SensorGraph, n_assessed: int
 ) -> Iterator[SensorHealth]:
     """Extend the assessment of the excerpt to all frames."""
     alone = np.bincount(graph.component)[graph.component] == 1
     for i, sensor in enumerate(health):
         revised = sensor
-        if n_assessed < known.n_frames:
-            revised = replace(sensor, contacts=int(known.contacts[i]))
-            if known.varying[i] and sensor.contacts < _MIN_CONTACTS:
+        if n_assessed < sketch.n_frames:
+            revised = replace(sensor, contacts=int(sketch.contacts[i]))
+            if sketch.varying[i] and sensor.contacts < _MIN_CONTACTS:
                 revised = replace(revised, status="ok", reason="")
-        if known.varying[i] and alone[i] and revised.status == "ok":
+        if sketch.varying[i] and alone[i] and revised.status == "ok":
             reason = "no significant correlation with another sensor"
             revised = replace(revised, status="isolated", reason=reason)
         yield revised
@@ -331,7 +355,9 @@ def _members(component: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return np.split(order, np.flatnonzero(np.diff(component[order])) + 1)
 
 
-def _notes(found: Related, component: NDArray[np.intp], *, converged: bool) -> Iterator[str]:
+def _notes(
+    found: SimilarityGraph, component: NDArray[np.intp], *, converged: bool
+) -> Iterator[str]:
     options = found.options
     yield (
         f"this map is approximate: r was computed for each sensor with {options.n_candidates} "
@@ -343,7 +369,7 @@ def _notes(found: Related, component: NDArray[np.intp], *, converged: bool) -> I
     yield from caveats(component, found.excerpt.names, converged=converged)
 
 
-def _provenance(found: Related, options: MethodOptions) -> dict[str, Scalar]:
+def _provenance(found: SimilarityGraph, options: MethodOptions) -> dict[str, Scalar]:
     return {
         "source": found.excerpt.source,
         "frames": found.n_frames,

@@ -20,9 +20,9 @@ from anisomap.numerics.similarity.value_counts import ValueCounts
 Accumulator: TypeAlias = Moments | CoOccurrences | StoredCodes | ValueCounts
 
 WRITE_SHARE = 0.1
-"""Greatest share of the running time that is spent on writing.
+"""Maximum share of the running time that is spent on writing checkpoints.
 
-A killed run loses one chunk, or the work of ten times the duration of a write if that is longer.
+A killed run loses the work on one chunk, or of ten times the duration of a write if that is longer.
 """
 
 _KINDS = {kind.__name__: kind for kind in (Moments, CoOccurrences, StoredCodes, ValueCounts)}
@@ -38,7 +38,7 @@ class _Stage(NamedTuple):
 
 
 class ChunkDigests:
-    """Digests by which chunks are recognised: each covers all chunks up to it.
+    """Cumulative digests that identify chunks: each covers all chunks up to it.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class ChunkDigests:
         self._digests = [""]
 
     def follow(self, chunks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-        """Yield the chunks, and digest each."""
+        """Yield the chunks, and record the digest after each."""
         for chunk in chunks:
             _update(self._hash, chunk)
             self._digests.append(self._hash.hexdigest())
@@ -65,14 +65,14 @@ class ChunkDigests:
 class Checkpoint:
     """A file with the accumulator of each stage, and the chunks that it covers.
 
-    joblib and Dask rerun lost tasks but persist no reduction in progress.
+    It is needed since joblib and Dask rerun lost tasks, but do not store a reduction in progress.
 
     Parameters
     ----------
     path : pathlib.Path
         The file, an NPZ archive. It is replaced atomically.
     subject : str
-        Description of the computation and its input; a checkpoint with another one is refused.
+        Description of the computation and its input; a checkpoint with another subject is refused.
 
     Raises
     ------
@@ -87,21 +87,21 @@ class Checkpoint:
 
     def progress(self, stage: str) -> tuple[int, Accumulator | None]:
         """Return the number of chunks that a stage has processed, and its accumulator."""
-        held = self._stages.get(stage)
-        return (held.n_chunks, held.total) if held else (0, None)
+        known = self._stages.get(stage)
+        return (known.n_chunks, known.total) if known else (0, None)
 
     def digest(self, stage: str) -> str:
         """Return the digest of the chunks that a stage has processed; see `ChunkDigests`."""
-        held = self._stages.get(stage)
-        return held.digest if held else ""
+        known = self._stages.get(stage)
+        return known.digest if known else ""
 
     def verify(self, stage: str, digest: str) -> None:
         """Raise `FileError` if the stage has processed chunks with another digest."""
         if stage in self._stages and digest != self._stages[stage].digest:
-            raise self._of_something_else("other readings")
+            raise self._mismatch("other readings")
 
     def update(self, stage: str, n_chunks: int, digest: str, total: Accumulator) -> None:
-        """Set the progress of a stage; write the file within `WRITE_SHARE`."""
+        """Set the progress of a stage; write the file if `WRITE_SHARE` permits."""
         self._stages[stage] = _Stage(n_chunks, digest, total)
         if time.monotonic() >= self._next_write:
             self.write()
@@ -124,31 +124,31 @@ class Checkpoint:
     def _read(self) -> dict[str, _Stage]:
         try:
             with self._path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                held = dict(archive)
-            intact = str(held.pop("checksum")) == _checksum(held)
-            subject = str(held.pop("subject"))
-            stages = {name.split("/")[0] for name in held}
-            found = {stage: _read_stage(held, stage) for stage in stages}
+                arrays = dict(archive)
+            intact = str(arrays.pop("checksum")) == _checksum(arrays)
+            subject = str(arrays.pop("subject"))
+            stages = {name.split("/")[0] for name in arrays}
+            found = {stage: _read_stage(arrays, stage) for stage in stages}
         except _DAMAGE as error:
             raise FileError(self._damaged()) from error
         if not intact:
             raise FileError(self._damaged())
         if subject != self._subject:
-            raise self._of_something_else(subject)
+            raise self._mismatch(subject)
         return found
 
     def _damaged(self) -> str:
         return f"{self._path} is damaged or not a checkpoint; delete it to start again"
 
-    def _of_something_else(self, subject: str) -> FileError:
+    def _mismatch(self, subject: str) -> FileError:
         return FileError(
-            f"{self._path} is a checkpoint of something else ({subject}); name another file, or "
-            "delete it to start again"
+            f"{self._path} is the checkpoint of another computation ({subject}); name another "
+            "file, or delete it to start again"
         )
 
 
 def _checksum(arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Digest all arrays: numpy does not verify an archive's CRC where a header is damaged."""
+    """Digest all arrays: numpy does not verify the CRC of an archive with a damaged header."""
     digest = blake2b(digest_size=16)
     for name in sorted(arrays):
         digest.update(name.encode())
@@ -188,7 +188,7 @@ def _unpack(kind: str, arrays: Mapping[str, NDArray[Any]]) -> Accumulator:
     return total
 
 
-def _read_stage(held: Mapping[str, NDArray[Any]], stage: str) -> _Stage:
-    own = {n.split("/")[1]: array for n, array in held.items() if n.startswith(f"{stage}/")}
+def _read_stage(arrays: Mapping[str, NDArray[Any]], stage: str) -> _Stage:
+    own = {n.split("/")[1]: array for n, array in arrays.items() if n.startswith(f"{stage}/")}
     n_chunks, digest = int(own.pop("chunks")), str(own.pop("digest"))
     return _Stage(n_chunks, digest, _unpack(str(own.pop("kind")), own))

@@ -1,8 +1,8 @@
 """Similarities computed chunk by chunk, for recordings larger than memory.
 
-Statistics that depend on the distribution of all readings take two passes over the frames: one for
-the values that occur, one for the statistic. Streams, which allow one pass, keep joint counts of
-values instead (`anisomap.numerics.similarity.joint_values`).
+Statistics that depend on the distribution of all readings take two passes over the frames: one to
+count distinct values, one to compute the statistic. Streams, which permit one pass, use joint
+counts of values instead (`anisomap.numerics.similarity.joint_values`).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from anisomap.numerics.similarity.value_counts import Recoding, ValueCounts
 Matrix: TypeAlias = Reals
 
 _BYTES_PER_COUNT = 3 * 4  # uint32: the total, the next result, and their sum
-_MAX_COUNT_BYTES = 1 << 28  # above which codes are stored if that takes less. Chosen by hand
+_MAX_COUNT_BYTES = 1 << 28  # of counts; above, codes are stored if smaller. Chosen by hand
 
 Mapper: TypeAlias = Callable[[NDArray[Any]], Any]
 """Makes an accumulator of a chunk of finite readings, shape (t, N)."""
@@ -51,13 +51,13 @@ class Chunked:
     Attributes
     ----------
     prepare : callable
-        Makes the mapper, given the values that occur (None unless `needs_values`) and the number of
-        bins.
+        ``prepare(values, bins)`` returns the mapper, given the counts of distinct values (None
+        unless `needs_values`) and the number of bins.
     finish : callable
         Converts the accumulator of all chunks to the (N, N) similarity.
     of_values : callable, optional
-        Converts `JointValues` and the number of bins to the same similarity. None if no pass for
-        the values is needed.
+        ``of_values(joint_values, bins)`` computes the same similarity from `JointValues`. None if
+        the similarity does not depend on the counts of values.
     """
 
     prepare: Callable[[ValueCounts | None, int], Mapper]
@@ -66,13 +66,13 @@ class Chunked:
 
     @property
     def needs_values(self) -> bool:
-        """Whether a first pass must collect the values that occur."""
+        """Whether a first pass must count distinct values."""
         return self.of_values is not None
 
 
 def _required(values: ValueCounts | None) -> ValueCounts:
     if values is None:
-        raise TypeError("this similarity needs the values that occur")
+        raise TypeError("this similarity requires counts of distinct values")
     return values
 
 
@@ -161,7 +161,7 @@ CHUNKED: Mapping[str, Chunked] = MappingProxyType(
             _phi_of_values,
         ),
         "mutual-information": Chunked(_prepare_codes, _information, _information_of_values),
-        # Blending weighs r by its reliability, which is nearly 1 in long recordings.
+        # Blending weights r by its reliability, which is nearly 1 in long recordings.
         "blended-correlation": Chunked(lambda *_: Moments.of, Moments.correlation),
     }
 )
@@ -169,5 +169,5 @@ CHUNKED: Mapping[str, Chunked] = MappingProxyType(
 
 
 def computed_similarity(name: str) -> str:
-    """Return the name of the similarity that is computed for a similarity in chunks."""
+    """Return the name of the similarity that is computed from chunks in place of the named one."""
     return "pearson" if name == "blended-correlation" else name

@@ -25,10 +25,10 @@ CHUNK_READINGS = 1 << 23
 """Number of readings per chunk, unless that is fewer than `CHUNK_FRAMES`; chosen by hand."""
 
 CHUNK_FRAMES = 4096
-"""Fewest frames per chunk: below, merging results costs more than computing them."""
+"""Minimum number of frames per chunk: below, merging results costs more than computing them."""
 
 MAX_CHUNK_READINGS = 1 << 27
-"""Greatest number of readings per chunk, even of many sensors; bounds the memory."""
+"""Maximum number of readings per chunk, for any number of sensors; bounds the memory."""
 
 EXCERPT_READINGS = 1 << 22
 """Number of readings from which sensor health is assessed; chosen by hand."""
@@ -41,7 +41,7 @@ Chunks: TypeAlias = Callable[[], Iterable[ArrayLike]]
 
 
 def chunk_frames(n_sensors: int) -> int:
-    """Return the number of frames per chunk for a number of sensors."""
+    """Return the number of frames per chunk for `n_sensors` sensors."""
     fewest = min(CHUNK_FRAMES, MAX_CHUNK_READINGS // n_sensors)
     return max(1, CHUNK_READINGS // n_sensors, fewest)
 
@@ -56,7 +56,8 @@ def split_array(readings: NDArray[Any]) -> Chunks:
     """
     if readings.ndim != 2 or 0 in readings.shape:
         raise InputError(
-            f"readings must be frames x sensors and not empty, got shape {readings.shape}"
+            f"readings must be of shape (T, N) (frames x sensors) and not empty, got shape "
+            f"{readings.shape}"
         )
     n_frames = chunk_frames(readings.shape[1])
     starts = range(0, len(readings), n_frames)
@@ -66,9 +67,9 @@ def split_array(readings: NDArray[Any]) -> Chunks:
 
 
 def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[Any]:
-    """Map some frames separately: the pages that one large map has read stay in memory.
+    """Map some frames separately, since pages read through one large map stay in memory.
 
-    A copy-on-write map is sliced, since its changes are not in the file.
+    A copy-on-write map is sliced instead, since its changes are not in the file.
     """
     if whole.mode == "c" or whole.filename is None or not whole.flags.c_contiguous:
         return whole[start : start + n_frames]
@@ -85,7 +86,7 @@ def complete_chunks(chunks: Chunks, missing: MissingPolicy = "error") -> Complet
     chunks : callable
         Returns an iterator over the frames of one recording.
     missing : {"error", "drop-frames", "interpolate"}
-        Policy on readings that are NaN or infinite. Interpolation holds two chunks in memory; it
+        Policy on readings that are NaN or infinite. Interpolation keeps two chunks in memory, and
         takes an additional pass if a gap is longer than a chunk or a sensor has no reading.
 
     Returns
@@ -136,8 +137,8 @@ class Excerpt:
         self._stride, self._seen = 1, 0
 
     def add(self, chunk: NDArray[Any]) -> None:
-        """Add the next frames, shape (t, N), of which some segments are kept."""
-        # A chunk of very many sensors is shorter than a segment.
+        """Add the next frames, shape (t, N); only some segments are stored."""
+        # With very many sensors, a chunk is shorter than a segment.
         max_frames = max(2 * SEGMENT_FRAMES, self._n_readings // chunk.shape[1])
         for start in range(0, len(chunk), SEGMENT_FRAMES):
             if self._seen % self._stride == 0:

@@ -19,7 +19,7 @@ from anisomap.large.checkpoints import Checkpoint, ChunkDigests
 
 Mapper: TypeAlias = Callable[[NDArray[Any]], Any]
 
-_CHUNKS_PER_WORKER = 2  # one in work and one waiting; bounds the memory of chunks and results
+_CHUNKS_PER_WORKER = 2  # one in progress and one queued; bounds the memory of chunks and results
 
 
 @dataclass(frozen=True)
@@ -29,17 +29,17 @@ class WorkerPool:
     Parameters
     ----------
     n_workers : int
-        Number of threads of this process, as `n_jobs` of joblib; 1 to use the calling one alone.
+        Number of threads, as `n_jobs` of joblib; 1 runs in the calling thread.
     scheduler : str
-        Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers are used instead.
+        Address of a Dask scheduler, such as ``tcp://host:8786``. Its workers are used instead.
 
     Notes
     -----
-    With another `n_workers` than 1, a joblib backend chosen around the call is used, for example
-    ``joblib.parallel_config("loky")`` for processes. Threads are the default: the costly operations
-    release the interpreter's lock, and no data are copied.
+    If `n_workers` is not 1, a joblib backend in effect around the call is used, for example
+    ``joblib.parallel_config("loky")`` for processes. Threads are the default: the expensive
+    operations release the global interpreter lock, and data are not copied.
 
-    Dask reruns the chunks of a worker that dies. Ray does so if it is asked to:
+    Dask reruns the chunks of a worker that dies. Ray does so if configured by
     ``joblib.parallel_config("ray", ray_remote_args={"max_restarts": 3, "max_task_retries": 3})``.
     """
 
@@ -66,29 +66,29 @@ def map_reduce(
     chunks : callable
         Returns an iterator over all chunks, from the first.
     mapper : callable
-        Makes an accumulator of a chunk, an object with a method `merged`. It must be picklable if
-        other processes are used.
+        Returns the accumulator of a chunk, an object with a method `merged`. It must be picklable
+        if other processes are used.
     pool : WorkerPool
     checkpoint : Checkpoint, optional
         Progress to resume from and to update.
     stage : str
         Name of this reduction in the checkpoint.
     after : str
-        Stage whose result `mapper` depends on, if any: progress made after another result of that
-        stage is refused.
+        Stage with the result on which `mapper` depends, if any. A checkpoint that was made after
+        another result of this stage is refused.
 
     Returns
     -------
     object
-        The merged accumulator. Results are merged in the order of the chunks, so it is bitwise the
-        same for any pool.
+        The merged accumulator. Results are merged in the order of the chunks, so the accumulator
+        is bitwise equal for any pool.
 
     Raises
     ------
     InputError
         If there is no chunk, a worker process dies, or there is no scheduler at the address.
     FileError
-        If the checkpoint is of other chunks.
+        If the checkpoint was made from other chunks.
     MissingExtraError
         If a scheduler is given and Dask is not installed.
     """
@@ -116,7 +116,7 @@ def map_reduce(
 
 
 def _results(chunks: Iterable[NDArray[Any]], mapper: Mapper, pool: WorkerPool) -> Iterator[Any]:
-    """Yield what `mapper` makes of each chunk, in their order."""
+    """Yield the accumulator of each chunk, in the order of the chunks."""
     if pool.scheduler:
         return _on_dask(chunks, mapper, pool.scheduler)
     if pool.n_workers != 1:
@@ -127,7 +127,7 @@ def _results(chunks: Iterable[NDArray[Any]], mapper: Mapper, pool: WorkerPool) -
 def _on_joblib(chunks: Iterable[NDArray[Any]], mapper: Mapper, n_workers: int) -> Iterator[Any]:
     joblib: Any = import_module("joblib")
     calls = (joblib.delayed(_call)(mapper, chunk, os.getpid()) for chunk in chunks)
-    # The limit is per process, so threads that set and lifted it would undo one another's.
+    # The limit is per process: threads that set and lifted it separately would interfere.
     with threadpool_limits(1), joblib.Parallel(n_workers, prefer="threads", batch_size=1) as pool:
         # Batches, not return_as="generator": joblib runs ahead of a merge that is slower than the
         # workers, and the results fill memory.
@@ -147,12 +147,12 @@ def _on_dask(chunks: Iterable[NDArray[Any]], mapper: Mapper, address: str) -> It
         dask: Any = import_module("dask")
         distributed: Any = import_module("distributed")
     except ImportError as error:
-        raise MissingExtraError("work on a Dask cluster", "cluster") from error
+        raise MissingExtraError("using a Dask cluster", "cluster") from error
     try:
         client = distributed.Client(address, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(f"no Dask scheduler at {address}: {error}") from error
-    # Chunks are part of the task, not scattered: so the scheduler can rerun it when a worker dies.
+    # Chunks are part of the task, not scattered, so the scheduler can rerun it if a worker dies.
     unlimited = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
     with unlimited, client:
         pending: deque[Any] = deque()
@@ -171,7 +171,7 @@ def _on_dask(chunks: Iterable[NDArray[Any]], mapper: Mapper, address: str) -> It
 
 
 def _call(mapper: Mapper, chunk: NDArray[Any], caller: int) -> Any:
-    """Apply `mapper`, with single-threaded BLAS in other processes than the caller's."""
+    """Apply `mapper`, with single-threaded BLAS outside the caller's process."""
     if os.getpid() == caller:
         return mapper(chunk)
     with threadpool_limits(1):

@@ -35,18 +35,19 @@ _MAX_EXAMINED = 2000  # sensors; finding the neighbours of more takes longer tha
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
-    """The similarity of all sensors over all frames, with what else a map needs.
+class StreamedSimilarity:
+    """Similarity of all pairs of sensors over all frames, and other data of a map.
 
     Attributes
     ----------
     similarity : ndarray of shape (N, N)
+        Symmetric.
     varying : ndarray of bool, shape (N,)
         Mask of the sensors that vary.
     n_frames : int
         Number of frames.
     excerpt : Recording
-        Blocks of frames from the whole recording; all frames if they are few.
+        Segments of frames from the whole recording; all frames if they are few.
     health : tuple of SensorHealth
         Assessed from the excerpt; numbers of contacts are extrapolated to all frames.
     notes : tuple of str
@@ -89,8 +90,8 @@ def reconstruct_chunks(
     pool : WorkerPool
         Workers that share the computation.
     checkpoint : pathlib.Path, optional
-        File for intermediate results, to resume from if it exists. Checkpoints of other readings
-        or another method are refused.
+        File for intermediate results; if it exists, the computation resumes from it. Checkpoints of
+        other readings or another method are refused.
 
     Returns
     -------
@@ -103,7 +104,9 @@ def reconstruct_chunks(
     Raises
     ------
     InputError
-        As `anisomap.reconstruct`, and if chunks differ in their number of sensors.
+        See `anisomap.reconstruct`; or if chunks differ in their number of sensors.
+    FileError
+        If the checkpoint is damaged, or was made from other readings or by another method.
 
     Warns
     -----
@@ -112,7 +115,7 @@ def reconstruct_chunks(
     """
     chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
     chosen = options or MethodOptions()
-    found = gather_similarity(
+    found = stream_similarity(
         chunks,
         method,
         chosen,
@@ -121,10 +124,10 @@ def reconstruct_chunks(
         pool=pool,
         checkpoint=checkpoint,
     )
-    return map_of(found, method, dimensions, options=chosen, drop=drop)
+    return map_streamed_similarity(found, method, dimensions, options=chosen, drop=drop)
 
 
-def gather_similarity(
+def stream_similarity(
     chunks: Chunks,
     method: str,
     options: MethodOptions,
@@ -134,90 +137,103 @@ def gather_similarity(
     pool: WorkerPool = SERIAL,
     checkpoint: Path | None = None,
     source: str = "",
-) -> Gathered:
-    """Compute the similarity of a method over all frames, in one or two passes.
+) -> StreamedSimilarity:
+    """Compute the similarity that a method uses over all frames, in one or two passes.
 
     Parameters
     ----------
     chunks, method, options, missing, pool, checkpoint
         As for `reconstruct_chunks`.
     like : Recording or sequence of str
-        A recording whose names, positions and metadata apply, or the names alone.
+        A recording with the names, positions and metadata, or the names alone.
     source : str
-        Identifies the frames, so that checkpoints of other frames are refused.
+        Description of the frames; checkpoints with another description are refused.
 
     Returns
     -------
-    Gathered
+    StreamedSimilarity
+
+    Raises
+    ------
+    InputError, FileError
+        See `reconstruct_chunks`.
     """
     check_even_spacing(method, options, readings=False)
-    made_by = find_method(method)
-    name, refined = made_by.similarity, made_by.refine is not None
-    recipe, pieces, whole = CHUNKED[name], Excerpt(), complete_chunks(chunks, missing)
-    of = f"{name} of {source or 'frames'}, {options.bins} bins"
-    held = Checkpoint(checkpoint, of) if checkpoint else None
+    recipe = find_method(method)
+    name, refined = recipe.similarity, recipe.refine is not None
+    chunked, segments, complete = CHUNKED[name], Excerpt(), complete_chunks(chunks, missing)
+    subject = f"{name} of {source or 'frames'}, {options.bins} bins"
+    saved = Checkpoint(checkpoint, subject) if checkpoint else None
 
-    def watched() -> Iterator[NDArray[Any]]:
+    def checked_chunks() -> Iterator[NDArray[Any]]:
         """Yield all chunks; the first pass collects the excerpt."""
-        watching = not pieces.complete
-        if watching:
-            pieces.reset()
-        for chunk in whole():
+        first_pass = not segments.complete
+        if first_pass:
+            segments.reset()
+        for chunk in complete():
             check_pair_memory(chunk.shape[1], refined=refined)
             check_worker_memory(chunk.shape[1], pool.n_workers)
             _check_unit(chunk)
-            if watching:
-                pieces.add(chunk)
+            if first_pass:
+                segments.add(chunk)
             yield chunk
-        pieces.complete = True
+        segments.complete = True
 
     values: ValueCounts | None = None
-    if recipe.needs_values:
+    if chunked.needs_values:
         logger.info("counting distinct values")
-        values = map_reduce(watched, ValueCounts.of, pool=pool, checkpoint=held, stage="values")
+        values = map_reduce(
+            checked_chunks, ValueCounts.of, pool=pool, checkpoint=saved, stage="values"
+        )
     logger.info("comparing all pairs of sensors (%s)", name)
-    take = recipe.prepare(values, options.bins)
-    before = "" if values is None else "values"
-    total = map_reduce(watched, take, pool=pool, checkpoint=held, stage="pairs", after=before)
+    total = map_reduce(
+        checked_chunks,
+        chunked.prepare(values, options.bins),
+        pool=pool,
+        checkpoint=saved,
+        stage="pairs",
+        after="" if values is None else "values",
+    )
     varying = total.varying() if values is None else values.varying()
-    excerpt = pieces.recording(like)
+    excerpt = segments.recording(like)
     notes = [] if values is None else list(_rounding(values, excerpt.names))
     if excerpt.n_frames < total.n_frames:
         notes.append(
             f"sensor health was assessed from {excerpt.n_frames} of {total.n_frames} frames"
         )
-    return Gathered(
-        similarity=recipe.finish(total),
+    return StreamedSimilarity(
+        similarity=chunked.finish(total),
         varying=varying,
         n_frames=total.n_frames,
         excerpt=excerpt,
         health=tuple(
-            _revised(sensor, bool(varies), total.n_frames / excerpt.n_frames)
+            _extrapolated(sensor, bool(varies), total.n_frames / excerpt.n_frames)
             for sensor, varies in zip(assess(excerpt), varying, strict=True)
         ),
         notes=tuple(notes),
     )
 
 
-def map_of(
-    found: Gathered,
+def map_streamed_similarity(
+    found: StreamedSimilarity,
     method: str = DEFAULT_METHOD,
     dimensions: int = 3,
     *,
     options: MethodOptions | None = None,
     drop: Iterable[str | int] = (),
 ) -> SensorMap:
-    """Reconstruct positions from a gathered similarity.
+    """Reconstruct positions from the similarity of a recording that was read in chunks.
 
     Parameters
     ----------
-    found : Gathered
+    found : StreamedSimilarity
     method, dimensions, options, drop
-        As for `anisomap.reconstruct`; the method must use the similarity that was gathered.
+        As for `anisomap.reconstruct`; the method must use the similarity that was computed.
 
     Returns
     -------
     SensorMap
+        See `reconstruct_chunks`.
     """
     dropped = set(found.excerpt.indices(drop).tolist())
     noise = None
@@ -247,13 +263,13 @@ def map_of(
     )
 
 
-def _provenance(found: Gathered, made: SensorMap, method: str) -> dict[str, Scalar]:
+def _provenance(found: StreamedSimilarity, made: SensorMap, method: str) -> dict[str, Scalar]:
     facts = {"source": found.excerpt.source, "frames": found.n_frames, **made.provenance}
-    del facts["precomputed"]  # by this module, not by the user
+    del facts["precomputed"]  # the similarity was computed by this module, not by the user
     return facts | {"similarity": computed_similarity(find_method(method).similarity)}
 
 
-def _limitations(found: Gathered, made: SensorMap) -> Iterator[str]:
+def _limitations(found: StreamedSimilarity, made: SensorMap) -> Iterator[str]:
     """Describe differences from the same method on a recording in memory."""
     recipe = find_method(made.method)
     if computed_similarity(recipe.similarity) != recipe.similarity:
@@ -278,12 +294,12 @@ def _check_unit(chunk: NDArray[Any]) -> None:
     """Check that the squares of readings fit in float64; chunks cannot be rescaled."""
     if chunk.dtype != np.float64:
         return
-    reach = np.abs(chunk).max(axis=0)
-    beyond = np.flatnonzero(squares_overflow(reach))
+    magnitude = np.abs(chunk).max(axis=0)
+    beyond = np.flatnonzero(squares_overflow(magnitude))
     if beyond.size:
         raise InputError(
-            f"readings in chunks must be 0 or between {1 / MAX_SQUARED:g} and "
-            f"{MAX_SQUARED:g}, but sensor {beyond[0]} reads up to {reach[beyond[0]]:g}: use "
+            f"the magnitude of readings in chunks must be 0 or between {1 / MAX_SQUARED:g} and "
+            f"{MAX_SQUARED:g}, but that of sensor {beyond[0]} is {magnitude[beyond[0]]:g}; use "
             "another unit"
         )
 
@@ -297,9 +313,9 @@ def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:
         )
 
 
-def _revised(sensor: SensorHealth, varies: bool, whole: float) -> SensorHealth:
-    """Extrapolate an assessment of the excerpt to all frames."""
-    judged = replace(sensor, contacts=round(sensor.contacts * whole))
+def _extrapolated(sensor: SensorHealth, varies: bool, ratio: float) -> SensorHealth:
+    """Extend an assessment of the excerpt to all frames, `ratio` times as many."""
+    revised = replace(sensor, contacts=round(sensor.contacts * ratio))
     if varies and sensor.status in ("dead", "stuck"):
-        return replace(judged, status="ok", reason="")
-    return judged
+        return replace(revised, status="ok", reason="")
+    return revised

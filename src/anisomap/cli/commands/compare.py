@@ -34,9 +34,9 @@ def compare(
         Parameter(alias="-d", group=options.method_group, negative=(), validator=Number(gte=1)),
     ] = None,
     missing: options.Missing = "error",
-    reading: options.Reading = options.AS_IT_COMES,
+    reading: options.Reading = options.DEFAULT_READING,
     output: Annotated[Path | None, Parameter(alias="-o", group=options.outputs_group)] = None,
-    reporting: options.Reporting = options.AS_TEXT,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Score several methods on recordings with known positions: a table of Mantel r.
 
@@ -60,7 +60,9 @@ def compare(
         recording = pipeline.read(path, reading.checked()).complete(missing)
         truth = recording.positions
         if truth is None:
-            raise InputError(f"{path} holds no true positions to score maps against")
+            raise InputError(
+                f"{path} contains no true positions; compare requires recordings with positions"
+            )
         for k in dimensions or (2, 3):
             with progress(f"{path.name} in {k} dimensions"):
                 scores = {name: _mantel_r(recording, truth, name, k) for name in methods}

@@ -18,8 +18,8 @@ def convert(
     output: Annotated[Path, Parameter(help="File to write; its suffix chooses the format.")],
     /,
     *,
-    placing: options.Placing = options.AS_IT_IS,
-    reporting: options.Reporting = options.AS_TEXT,
+    placing: options.Placing = options.DEFAULT_PLACING,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Write a map in another format: for robot software, a viewer or a spreadsheet.
 

@@ -36,7 +36,7 @@ def coverage(
     dimensions: Annotated[int, Parameter(alias="-d", validator=Number(gte=1))] = 3,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     picture: Path | None = None,
-    reporting: options.Reporting = options.AS_TEXT,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Estimate how long a skin must be stimulated: coverage as a function of recording length.
 

@@ -25,7 +25,7 @@ def demo(
     method: Annotated[str, Parameter(alias="-m")] = DEFAULT_METHOD,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 1,
-    reporting: options.Reporting = options.AS_TEXT,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Simulate a skin, map it, and score the map.
 
@@ -50,8 +50,10 @@ def demo(
         report=output_dir / "report.html",
     )
     outputs.check()
-    with progress(f"simulating {frames} frames of a bombarded sphere") as tell:
-        recording = simulate("sphere", "bombardment", n_frames=frames, seed=seed, progress=tell)
+    with progress(f"simulating {frames} frames of a bombarded sphere") as report_progress:
+        recording = simulate(
+            "sphere", "bombardment", n_frames=frames, seed=seed, progress=report_progress
+        )
         io.write(recording, output_dir / "recording.npz")
     examined = pipeline.examine(recording)
     with reporting.printer() as printer:

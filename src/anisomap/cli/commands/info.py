@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline
-from anisomap.cli.console import warn
+from anisomap.cli.console import print_warning
 from anisomap.io import ChoiceError
 
 
@@ -17,8 +17,8 @@ def info(
     /,
     *,
     sensors: Annotated[bool, Parameter(negative=())] = False,
-    reading: options.Reading = options.AS_IT_COMES,
-    reporting: options.Reporting = options.AS_TEXT,
+    reading: options.Reading = options.DEFAULT_READING,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Summarise a recording and flag faulty sensors.
 
@@ -33,15 +33,15 @@ def info(
         try:
             found = pipeline.read(recording, how)
         except ChoiceError as error:
-            warn(str(error))  # listing the choices was all that could be done
+            print_warning(str(error))  # the contents are listed; the user must select one
             return
         examined = pipeline.examine(found)
         pipeline.print_recording(printer, examined)
-        pipeline.print_health(printer, examined.health, everyone=sensors)
+        pipeline.print_health(printer, examined.health, all_sensors=sensors)
         for weakness in examined.summary.warnings:
-            warn(weakness)
+            print_warning(weakness)
         if examined.summary.missing:
-            warn(
+            print_warning(
                 f"{examined.summary.missing} readings are NaN or infinite: "
                 "map them with --missing drop-frames or --missing interpolate"
             )

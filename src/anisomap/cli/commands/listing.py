@@ -18,7 +18,7 @@ from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS, find_sc
 from anisomap.stages.pairs import SIMILARITIES
 
 
-def methods(*, reporting: options.Reporting = options.AS_TEXT) -> None:
+def methods(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
     """List the methods and the similarities."""
     with reporting.printer() as printer:
         _print_rows(
@@ -38,7 +38,7 @@ def methods(*, reporting: options.Reporting = options.AS_TEXT) -> None:
         )
 
 
-def formats(*, reporting: options.Reporting = options.AS_TEXT) -> None:
+def formats(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
     """List the file formats, what each can read and write, and the extra that it needs."""
     rows = [
         (
@@ -56,7 +56,7 @@ def formats(*, reporting: options.Reporting = options.AS_TEXT) -> None:
         _print_rows(printer, "Formats", columns, rows)
 
 
-def bodies(*, reporting: options.Reporting = options.AS_TEXT) -> None:
+def bodies(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
     """List the bodies that can be simulated."""
     rows = []
     for name, make in BODIES.items():
@@ -71,7 +71,7 @@ def bodies(*, reporting: options.Reporting = options.AS_TEXT) -> None:
 
 
 def scenarios(
-    scenario: str | None = None, /, *, reporting: options.Reporting = options.AS_TEXT
+    scenario: str | None = None, /, *, reporting: options.Reporting = options.DEFAULT_REPORTING
 ) -> None:
     """List the scenarios, or the parameters of one scenario.
 
@@ -92,7 +92,7 @@ def scenarios(
             printer.line(textwrap.indent(textwrap.fill(one.summary, 96), "  "))
 
 
-def faults(*, reporting: options.Reporting = options.AS_TEXT) -> None:
+def faults(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
     """List the faults that `anisomap spoil` can inject."""
     rows = []
     for name, function in {**FAULTS, **FRAME_FAULTS}.items():

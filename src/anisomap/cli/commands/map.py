@@ -42,22 +42,22 @@ def map_recording(
     max_iterations: Annotated[
         int, Parameter(group=options.method_group)
     ] = SmacofOptions.max_iterations,
-    reading: options.Reading = options.AS_IT_COMES,
+    reading: options.Reading = options.DEFAULT_READING,
     confidence: Annotated[bool, Parameter(group=options.method_group)] = True,
-    placing: options.Placing = options.AS_IT_IS,
+    placing: options.Placing = options.DEFAULT_PLACING,
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
-    reporting: options.Reporting = options.AS_TEXT,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
     large: Annotated[
         streams.LargeOptions, Parameter(name="*", group=streams.large_group)
-    ] = streams.AS_EVER,
+    ] = streams.DEFAULT_LARGE,
 ) -> None:
     """Make a map from one or several recordings of a skin.
 
     Sensors of several recordings are matched by name; recordings may lack some sensors. Recordings
-    above 512 MiB are read in blocks, and must then all have the same sensors; the map notes how it
-    differs.
+    above 512 MiB are read in blocks, and must then all have the same sensors; notes on the map list
+    the differences.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def map_recording(
     n_neighbours
         Neighbours per sensor in ISOMAP's graph. Default: the smallest number that connects all.
     even_spacing
-        Declare that neighbouring sensors are evenly spaced; the map notes it.
+        Declare that neighbouring sensors are evenly spaced; recorded as a note on the map.
     tolerance
         Stop scaling when an iteration lowers the stress by less than this share.
     max_iterations
@@ -106,7 +106,7 @@ def map_recording(
     )
     by = large.method(method)
     found = None
-    if large.asked_for or streams.too_large(recordings, how):
+    if large.is_requested or streams.too_large(recordings, how):
         examined, found = streams.examine(
             recordings,
             how,
@@ -122,7 +122,7 @@ def map_recording(
     names = examined.recording.names
     left_out = options.sensors(exclude, names)
     dropped = options.sensors(drop, names, examined.recording.metadata)
-    examined.recording.indices(left_out)  # unknown names are reported before the work
+    examined.recording.indices(left_out)  # report unknown names before the map is computed
     with reporting.printer() as printer:
         pipeline.print_recording(printer, examined)
         sensor_map = pipeline.make_map(
@@ -132,7 +132,7 @@ def map_recording(
             options=chosen,
             drop=dropped,
             with_confidence=confidence,
-            gathered=found,
+            streamed=found,
         )
         pipeline.finish(
             printer,

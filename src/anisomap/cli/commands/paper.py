@@ -25,7 +25,7 @@ def paper(
     workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
     recordings: Path | None = None,
     only: Annotated[list[str] | None, Parameter(negative=())] = None,
-    reporting: options.Reporting = options.AS_TEXT,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Reproduce the figures, tables and claims of the paper, with a page of all results.
 

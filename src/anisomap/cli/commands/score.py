@@ -29,7 +29,7 @@ def score_map(
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
-    reporting: options.Reporting = options.AS_TEXT,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Score a map against reference positions of its sensors.
 
@@ -38,7 +38,7 @@ def score_map(
     Parameters
     ----------
     units
-        Unit of the reference positions, if the file does not tell it.
+        Unit of the reference positions, if the file does not state it.
     """
     sensor_map, reference = io.read_map(map_file), io.read_map(reference_file)
     if units is None:

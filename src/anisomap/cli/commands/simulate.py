@@ -11,7 +11,7 @@ from cyclopts.validators import Number
 from anisomap import io
 from anisomap.cli import bodies, pipeline
 from anisomap.cli import parameters as options
-from anisomap.cli.console import Printer, number, percent, progress, warn
+from anisomap.cli.console import Printer, number, percent, print_warning, progress
 from anisomap.drawing import figures
 from anisomap.drawing.figures import scenes
 from anisomap.errors import InputError
@@ -37,7 +37,7 @@ def simulate_body(
     video: Annotated[Path | None, Parameter(group=_looks)] = None,
     renderer: Annotated[Literal["drawing", "mujoco"], Parameter(group=_looks)] = "drawing",
     view: Annotated[bool, Parameter(group=_looks, negative=())] = False,
-    reporting: options.Reporting = options.AS_TEXT,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Simulate a recording with known sensor positions.
 
@@ -77,13 +77,13 @@ def simulate_body(
     settings = {"n_frames": frames, **bodies.parse_parameters(parameter or [])}
     if runs > 1:
         if picture or video or view:
-            raise InputError("--picture, --video and --view show one run: leave out --runs")
+            raise InputError("--picture, --video and --view show one run; leave out --runs")
         files = _simulate_many(skin, scenario, range(seed, seed + runs), target, settings)
         with reporting.printer() as printer:
             pipeline.print_files(printer, files)
         return
-    with progress(f"simulating {frames} frames of {scenario} of {skin.name}") as tell:
-        simulation = run_simulation(skin, scenario, seed=seed, progress=tell, **settings)
+    with progress(f"simulating {frames} frames of {scenario} of {skin.name}") as report_progress:
+        simulation = run_simulation(skin, scenario, seed=seed, progress=report_progress, **settings)
         io.write(simulation.recording, target)
     files = [("recording", target), *_show(simulation.scene, picture, video, renderer)]
     with reporting.printer() as printer:
@@ -150,17 +150,15 @@ def _print(printer: Printer, simulation: Simulation, skin: Body) -> None:
 def _show(
     scene: Scene, picture: Path | None, video: Path | None, renderer: str
 ) -> list[tuple[str, Path]]:
-    if renderer == "mujoco" and (picture or video) and _rendered(scene, picture, video):
-        pass
-    else:
-        if picture:
-            with progress("drawing the scene"):
-                figures.save_figure(scenes.scene_figure(scene), picture)
-        if video:
-            with progress("drawing the animation") as tell:
-                scenes.save_animation(scene, video, progress=tell)
+    rendered = renderer == "mujoco" and (picture or video) and _rendered(scene, picture, video)
+    if picture and not rendered:
+        with progress("drawing the scene"):
+            figures.save_figure(scenes.scene_figure(scene), picture)
+    if video and not rendered:
+        with progress("drawing the animation") as report:
+            scenes.save_animation(scene, video, progress=report)
     named = (("picture", picture), ("video", video))
-    return [(what, path) for what, path in named if path is not None]
+    return [(content, path) for content, path in named if path is not None]
 
 
 def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
@@ -170,7 +168,7 @@ def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
         with progress("rendering the scene"):
             images = mujoco_viewer.render(scene, [scenes.busiest_frame(scene), *frames])
     except mujoco_viewer.NoScreenError as error:
-        warn(f"{error}; using the drawing instead")
+        print_warning(f"{error}; using the drawing instead")
         return False
     if picture:
         scenes.save_pixels(picture, images[:1])
@@ -183,4 +181,4 @@ def _view(scene: Scene) -> None:
     try:
         mujoco_viewer.show(scene)
     except mujoco_viewer.NoScreenError as error:
-        warn(f"{error}; --picture and --video work without one")
+        print_warning(f"{error}; --picture and --video work without one")

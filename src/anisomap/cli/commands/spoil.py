@@ -26,7 +26,7 @@ def spoil(
     fault: Annotated[list[str], Parameter(alias="-f", negative=())],
     output: Annotated[Path, Parameter(alias="-o")],
     seed: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
-    reporting: options.Reporting = options.AS_TEXT,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Inject documented faults into a recording.
 

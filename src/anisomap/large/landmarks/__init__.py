@@ -1,4 +1,4 @@
-"""Approximate maps of so many sensors that not all pairs can be stored.
+"""Approximate maps of too many sensors to store all pairs.
 
 Frames are read at least twice. The first pass projects the readings of each sensor onto a few
 hundred numbers (`sketch`), from which candidates for its nearest sensors are chosen. The second

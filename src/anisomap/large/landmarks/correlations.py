@@ -14,7 +14,7 @@ from anisomap.numerics.compiled.parallel import parallel_map
 from anisomap.numerics.similarity.search import NO_SENSOR
 
 N_TASKS = 64
-"""Number of parallel tasks; more than any common number of cores, for an even load."""
+"""Number of parallel tasks; more than the usual number of cores, for an even load."""
 
 
 class SensorPairs(NamedTuple):
@@ -72,7 +72,7 @@ def correlations(
     Parameters
     ----------
     chunks : iterable of ndarray, shape (t, N)
-        The frames that were sketched.
+        The frames from which the sketch was computed.
     sketch : Sketch
         Moments of all frames.
     pairs : tuple of ndarray of int, shape (P,)

@@ -1,7 +1,7 @@
 """Compiled inner loops of approximate maps.
 
-Imported on first use, as the modules of `anisomap.numerics.compiled`. Arguments are not
-checked. All loops release the interpreter's lock.
+The module is imported on first use, like those of `anisomap.numerics.compiled`. Loops do not check
+their arguments, and release the global interpreter lock.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ def add_products(
 ) -> None:
     """Add to `totals` the inner products of pairs of rows of `series`.
 
-    Rows that are `still` are constant, as those of most sensors are for a while.
+    Rows marked by `still` are constant, as are most sensors within a chunk; they are not multiplied
+    frame by frame.
     """
     firsts, seconds = pairs
     n_frames = series.shape[1]

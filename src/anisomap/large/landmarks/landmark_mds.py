@@ -62,11 +62,12 @@ def place_component(
     graph : csr_array of shape (n, n)
         Lengths of edges, above 0; symmetric and connected.
     dimensions : int
+        Number of coordinates, k.
     n_landmarks : int
         Number of sensors drawn as landmarks; all if there are no more.
     options : SmacofOptions
     rng : numpy.random.Generator
-        Draws the landmarks.
+        Generator of the choice of landmarks.
 
     Returns
     -------
@@ -122,7 +123,7 @@ def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> 
         graph.data.astype(np.float32),
     )
     found = np.empty((graph.shape[0], len(sources)), dtype=np.float32)
-    # Landmarks adjacent in the order are near, so that their sweeps converge together.
+    # Landmarks that are adjacent in this order are close, so their sweeps converge together.
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
     ranked = np.argsort(rank[sources], kind="stable")

@@ -56,5 +56,5 @@ class ApproximateOptions:
 
 
 def loops() -> Any:
-    """Import the compiled loops of this package; only the first call takes time."""
+    """Import the compiled loops of this package on first use."""
     return import_module("anisomap.large.landmarks.landmark_kernels")

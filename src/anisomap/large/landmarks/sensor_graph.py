@@ -22,19 +22,19 @@ logger = logging.getLogger(__name__)
 
 # Chosen by hand on simulated skins and the recordings of docs/explanation/large-recordings.md.
 MIN_RELATIVE_R = 0.4
-"""Links with a smaller share of the highest r of either sensor are rejected."""
+"""Minimum r of a link, as a share of the smaller of its sensors' highest r."""
 
 STRONG_RELATIVE_R = 0.7
-"""Links with at least this share are kept even if they are not significant."""
+"""Share of the highest r from which links need only nearly be significant."""
 
-CHANCE_MEETINGS = 3.0
-"""Coincident contacts allowed for beyond their expected number, which is unreliable if small."""
+EXTRA_COINCIDENCES = 3.0
+"""Coincident contacts beyond their expected number, which is unreliable if small."""
 
 N_OUTSIDE = 8
-"""Sensors outside its component with which each sensor is compared."""
+"""Number of sensors outside its component with which each sensor is compared."""
 
 MAX_BRIDGE_PASSES = 3
-"""Greatest number of passes over the frames in search of links between components."""
+"""Maximum number of passes over the frames in search of links between components."""
 
 _SENSOR_OVER_ALL = 0.75  # expected maximum r of one sensor's pairs over that of all pairs
 
@@ -46,8 +46,7 @@ class SensorGraph(NamedTuple):
     ----------
     edges : SensorPairs
     component : ndarray of int, shape (N,)
-        Connected component of each sensor, by decreasing size; of equal ones, that with the first
-        sensor comes first.
+        Connected component of each sensor, by decreasing size, ties by the first sensor.
     """
 
     edges: SensorPairs
@@ -60,7 +59,7 @@ def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> Sensor
     Parameters
     ----------
     pairs : SensorPairs
-        All pairs whose r is known.
+        All pairs with known r.
     sketch : Sketch
     n_neighbours : int
         Number of sensors to which each is linked; it may be linked to more as their neighbour.
@@ -71,12 +70,11 @@ def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> Sensor
 
     Notes
     -----
-    A coincidental link is a shortcut across the skin, and thousands of sensors form so many pairs
-    that some are similar by coincidence. Links are rejected if r is much lower than the highest of
+    Among the many pairs of thousands of sensors, some are similar by coincidence; as links they
+    would be shortcuts across the skin. A link is rejected if r is much lower than the highest r of
     either sensor, since a path over nearer sensors is as short; if r is not significant
-    (`largest_null_r`), unless it is close to the highest of a rarely touched sensor; or if the
-    sensors share too few neighbours (on a line they share half of them, in a plane a third or
-    more).
+    (`largest_null_r`), unless it is close to the highest r of a rarely touched sensor; or if the
+    sensors share too few neighbours (`MIN_SHARED`).
     """
     n_sensors = len(sketch.mean)
     best = np.zeros(n_sensors)
@@ -84,8 +82,8 @@ def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> Sensor
     np.maximum.at(best, pairs.seconds, pairs.r)
     share = pairs.r / np.maximum(np.minimum(best[pairs.firsts], best[pairs.seconds]), 1e-300)
     usable = (pairs.r >= NUMERICAL_ZERO) & (share >= MIN_RELATIVE_R)
-    chance = largest_null_r(pairs, sketch, meetings=0)
-    usable &= ((share >= STRONG_RELATIVE_R) & (pairs.r >= _SENSOR_OVER_ALL * chance)) | (
+    null = largest_null_r(pairs, sketch, coincidences=0)
+    usable &= ((share >= STRONG_RELATIVE_R) & (pairs.r >= _SENSOR_OVER_ALL * null)) | (
         pairs.r >= largest_null_r(pairs, sketch)
     )
     near = pairs.select(usable)
@@ -121,13 +119,14 @@ def bridge_components(
     Returns
     -------
     graph : SensorGraph
-        Between its components the sketches suggest no significant r.
+        The sketches suggest no significant r between its components.
     pairs : SensorPairs
-        All pairs whose r was computed.
+        All pairs for which r was computed.
 
     Notes
     -----
-    The sensors of a rigid plate are so similar that the nearest sensors of each are all on it.
+    Links between components may be missing from the graph, since the sensors of a rigid plate are
+    more similar to each other than to any sensor beside it.
     """
     compared = graph.edges.select(np.zeros(len(graph.edges.r), dtype=bool))
     for _ in range(MAX_BRIDGE_PASSES):
@@ -149,17 +148,17 @@ def bridge_components(
 
 
 def largest_null_r(
-    pairs: SensorPairs, sketch: Sketch, meetings: float = CHANCE_MEETINGS
+    pairs: SensorPairs, sketch: Sketch, coincidences: float = EXTRA_COINCIDENCES
 ) -> NDArray[np.float64]:
-    """Return the expected maximum r of all unrelated pairs of sensors like each given one.
+    """Return, for each pair, the expected maximum r if no sensors were related.
 
     Parameters
     ----------
     pairs : SensorPairs
     sketch : Sketch
         Number and duration of the contacts of each sensor.
-    meetings : float
-        Number of additional coincident contacts to allow for.
+    coincidences : float
+        Number of additional coincident contacts.
 
     Returns
     -------
@@ -178,7 +177,7 @@ def largest_null_r(
     deviations = np.sqrt(2 * np.log(max(n_sensors * (n_sensors - 1) / 2, 2)))
     together = (duration[pairs.firsts] + duration[pairs.seconds]) / sketch.n_frames
     contacts = np.sqrt(touched[pairs.firsts] * touched[pairs.seconds])
-    return np.asarray(deviations * np.sqrt(together) + meetings / contacts)
+    return np.asarray(deviations * np.sqrt(together) + coincidences / contacts)
 
 
 def edge_lengths(pairs: SensorPairs, edges: SensorPairs, mu: float) -> NDArray[np.float64]:
@@ -187,7 +186,7 @@ def edge_lengths(pairs: SensorPairs, edges: SensorPairs, mu: float) -> NDArray[n
     Parameters
     ----------
     pairs : SensorPairs
-        All pairs whose r is known; they determine the smallest positive r.
+        All pairs with known r; they determine the smallest positive r.
     edges : SensorPairs
     mu : float
         See `anisomap.numerics.graph.dissimilarity.regularised_reciprocal`.

@@ -25,12 +25,12 @@ class Sketch:
     varying : ndarray of bool, shape (N,)
         Whether each sensor ever varies.
     contacts : ndarray of int, shape (N,)
-        Number of separate excursions from the first reading, on the side with more of them.
+        Number of excursions from the first reading, on the side with more of them.
     active_frames : ndarray of int, shape (N,)
-        Number of frames on that side or of the others, whichever is smaller.
+        Number of frames on that side, or of all others if these are fewer.
     projections : ndarray of float32, shape (N, s)
-        Rows whose inner products are r in expectation over the random signs. 0 where a sensor never
-        varies.
+        Sketches: the expected inner product of two rows, over random signs, is r. 0 for constant
+        sensors.
     """
 
     n_frames: int
@@ -52,7 +52,7 @@ def compute_sketch(chunks: Iterable[NDArray[Any]], size: int, rng: np.random.Gen
     size : int
         Length s of a sketch.
     rng : numpy.random.Generator
-        Draws a component and a sign for every frame.
+        Generator of a component and a sign for every frame.
 
     Returns
     -------
