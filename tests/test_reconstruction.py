@@ -491,6 +491,6 @@ def test_what_stands_at_unknown_pairs_does_not_matter(method, nonsense):
 
 
 @pytest.mark.parametrize("matrix", [[["a", "b"], ["c", "d"]], [[1, 2], [3]], np.eye(3) * 1j])
-def test_what_is_no_matrix_is_refused(matrix):
-    with pytest.raises(InputError, match="must be a real matrix"):
+def test_a_precomputed_stage_must_be_a_matrix(matrix):
+    with pytest.raises(InputError, match="must be a matrix of real numbers"):
         reconstruct_from(similarity=matrix)
