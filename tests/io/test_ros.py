@@ -92,7 +92,7 @@ def test_one_message_per_skin_cell(bag: Bag, tmp_path: Path) -> None:
     for i, row in enumerate(READINGS):
         for cell, part in cells.items():
             if (i, cell) in {(0, 2), (31, 7)}:
-                continue  # one cell starts late, another misses a message
+                continue  # one cell starts late, and another loses a message
             message = bag.make(
                 "tum_ics_skin_msgs/SkinCellData",
                 cellId=cell,

@@ -137,7 +137,7 @@ SLOW = {"skin.csv.gz", "data.log", "skin.asf", "float64.npz"}
     "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in LARGE]
 )
 def test_memory(tmp_path: Path, name: str) -> None:
-    few = 3000 if name.endswith(("mcap", "asf")) else 12_000  # slow formats
+    few = 3000 if name.endswith(("mcap", "asf")) else 12_000  # these formats are slow
     readings = np.random.default_rng(0).integers(0, 10, (few, 200)).astype(np.float32)
     path = tmp_path / name
     LARGE[name](readings, path)

@@ -1,4 +1,4 @@
-"""Bodies and a bombardment that many tests share."""
+"""Bodies and a bombardment shared by tests."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

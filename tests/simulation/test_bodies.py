@@ -21,7 +21,8 @@ def test_sensors_are_on_the_surface_and_normals_point_outwards(name: str) -> Non
     step = 1e-3 * body.reach
     above = body.distance(body.positions + step * body.normals)
     below = body.distance(body.positions - step * body.normals)
-    # Nothing can be nearer to the surface than along the normal, except near an edge.
+    # The distance from the surface is at most the step along the normal, and equal to it except
+    # near edges.
     assert (above > 0).all()
     assert (below < 0).all()
     assert max(above.max(), -below.min()) <= step * (1 + 1e-9)
@@ -36,8 +37,8 @@ def test_the_papers_sphere_has_60_sensors() -> None:
 @given(st.integers(min_value=12, max_value=800))
 def test_sensors_are_spread_evenly_over_the_sphere(n_sensors: int) -> None:
     positions = sphere(n_sensors).positions
-    # On a triangular lattice each of n points has an area of sqrt(3)/2 spacing^2; no n points on a
-    # sphere can all be further from their neighbours than that.
+    # Upper bound of the spacing of n points: a triangular lattice, with an area of sqrt(3)/2
+    # spacing^2 per point.
     densest = np.sqrt(4 * np.pi / n_sensors * 2 / np.sqrt(3))
     nearest = KDTree(positions).query(positions, k=2)[0][:, 1]
     assert nearest.min() > 0.8 * densest

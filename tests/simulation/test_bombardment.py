@@ -53,8 +53,7 @@ def test_energy_is_conserved(bombarded: Any) -> None:
     assert flight.energies[0] == pytest.approx(start, rel=1e-12)
     relative = flight.energies / start - 1
     assert np.abs(relative).max() < 0.02
-    # Over ten times as many frames, errors that add up at random grow by the root of ten, and
-    # must still be below 2 %.
+    # Random errors grow by a factor of sqrt(10) over 20,000 frames, and must stay below 2 % there.
     free = flight.overlaps == 0
     assert free.mean() > 0.1
     assert np.abs(relative[free]).max() < 0.02 / np.sqrt(10)
@@ -82,8 +81,8 @@ def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other(seed: int
     n_balls = 40
     flight = every_step(n_balls, seed, 4000)
     options = BombardmentOptions(n_balls=n_balls)
-    # Depth grows with the root of speed, and no speed can exceed that of one ball (or of two that
-    # meet) with the energy of all.
+    # Depth is proportional to the square root of the speed, which is bounded by that of one ball
+    # (or two colliding balls) with all the energy.
     deepest = options.softness * n_balls**0.25
     assert wall_gaps(flight.centres, options).min() > -deepest
     assert body_gaps(flight.centres, options).min() > -deepest
@@ -94,12 +93,12 @@ def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other(seed: int
 
 def test_overlaps_agree_with_positions(bombarded: Any) -> None:
     centres, options = bombarded.flight.centres, bombarded.options
-    least = [
+    min_gaps = [
         gaps(centres, options).reshape(len(centres), -1).min(axis=1)
         for gaps in (wall_gaps, body_gaps, ball_gaps)
     ]
     np.testing.assert_allclose(
-        bombarded.flight.overlaps, np.maximum(0, -np.min(least, axis=0)), atol=1e-9
+        bombarded.flight.overlaps, np.maximum(0, -np.min(min_gaps, axis=0)), atol=1e-9
     )
 
 
@@ -138,9 +137,9 @@ def test_a_contact_with_a_wall_is_elastic_and_has_the_expected_depth_and_duratio
                 contact = ElasticContact(options.softness, options.speed)
                 depth = options.softness * np.sqrt(before / options.speed)
                 assert after == pytest.approx(before, rel=2e-3)
-                # MuJoCo's impedance cannot rise from exactly 0: the spring is a little stiffer.
+                # MuJoCo's impedance does not start at 0, so the spring is slightly stiffer.
                 assert -gap[bounce].min() == pytest.approx(depth, rel=0.05)
-                # As depth / speed, so as speed to the power of -1/2; two steps are not seen whole.
+                # Proportional to depth / speed, so to speed^(-1/2); resolved to two steps.
                 duration = contact.duration * np.sqrt(options.speed / before)
                 assert bounce.size * STEP == pytest.approx(duration, abs=2 * STEP)
                 bounces += 1
@@ -152,7 +151,7 @@ def test_the_density_of_balls_is_uniform(bombarded: Any) -> None:
     options, centres = bombarded.options, bombarded.flight.centres
     sensing, excluded = options.detection_radius + options.ball_radius, 1 + options.ball_radius
     free = (2 * (options.box_half_width - options.ball_radius)) ** 3 - 4 / 3 * np.pi * excluded**3
-    # Two balls of radius `sensing` and `excluded`, their middles 1 m apart: volume of their lens.
+    # Volume of the intersection of two balls of radius `sensing` and `excluded`, 1 m apart.
     lens = (
         np.pi
         * (sensing + excluded - 1) ** 2
@@ -167,8 +166,8 @@ def test_the_density_of_balls_is_uniform(bombarded: Any) -> None:
             for balls in centres
         ]
     )
-    # The balls' own volume presses some per cent more of them against surfaces, and 2,000 frames
-    # tell the mean to 5 % only.
+    # Excluded volume increases the density near surfaces by a few per cent, and 2,000 frames
+    # determine the mean to 5 %.
     assert in_range.mean() == pytest.approx(expected, rel=0.25)
 
 
@@ -177,7 +176,7 @@ def test_velocities_follow_the_maxwell_distribution() -> None:
     velocities = np.diff(flight.centres, axis=0)[::100].reshape(-1, 3) / STEP
     mean_square = np.mean(velocities**2, axis=0)
     np.testing.assert_allclose(mean_square, 3.0, rtol=0.25)
-    # Of a normal distribution the fourth moment is three times the square of the second.
+    # The fourth moment of a normal distribution is three times the square of the second.
     kurtosis = np.mean(velocities**4) / np.mean(velocities**2) ** 2
     assert kurtosis == pytest.approx(3, rel=0.2)
 
@@ -187,10 +186,10 @@ def test_readings_on_the_sphere_are_isotropic(bombarded: Any) -> None:
     readings = read_balls(
         body.positions, bombarded.flight.centres, options.ball_radius, options.detection_radius
     )
-    felt = readings.mean(axis=0)
-    assert np.linalg.norm(felt @ body.normals) / felt.sum() < 0.1
-    assert felt.std() < 0.25 * felt.mean()
-    quadrupole = body.normals.T @ (body.normals * felt[:, None]) / felt.sum()
+    mean_reading = readings.mean(axis=0)
+    assert np.linalg.norm(mean_reading @ body.normals) / mean_reading.sum() < 0.1
+    assert mean_reading.std() < 0.25 * mean_reading.mean()
+    quadrupole = body.normals.T @ (body.normals * mean_reading[:, None]) / mean_reading.sum()
     np.testing.assert_allclose(quadrupole, np.eye(3) / 3, atol=0.06)
 
 
@@ -210,10 +209,10 @@ def test_readings_are_stationary(bombarded: Any) -> None:
 
 
 def test_the_frame_interval_does_not_change_the_physics() -> None:
-    seldom = BombardmentOptions(timestep=STEP, frame_interval=0.1)
-    often = BombardmentOptions(timestep=STEP, frame_interval=0.02)
-    a = simulate_flight(sphere(), 6, seldom, np.random.default_rng(1)).centres
-    b = simulate_flight(sphere(), 26, often, np.random.default_rng(1)).centres
+    coarse = BombardmentOptions(timestep=STEP, frame_interval=0.1)
+    fine = BombardmentOptions(timestep=STEP, frame_interval=0.02)
+    a = simulate_flight(sphere(), 6, coarse, np.random.default_rng(1)).centres
+    b = simulate_flight(sphere(), 26, fine, np.random.default_rng(1)).centres
     np.testing.assert_allclose(b[::5], a, atol=1e-6)
 
 
@@ -268,7 +267,7 @@ def test_invalid_options_raise_an_error_with_the_valid_range(parameters: Any, me
         BombardmentOptions(**parameters)
 
 
-def test_the_longest_step_that_an_error_names_is_accepted() -> None:
+def test_the_maximum_timestep_given_by_the_error_is_accepted() -> None:
     assert BombardmentOptions(timestep=0.0017).step <= 0.0017
 
 

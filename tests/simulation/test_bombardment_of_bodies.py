@@ -25,7 +25,7 @@ def test_energy_and_autocorrelation_are_stationary_over_20_000_frames() -> None:
     early, late = (np.asarray(part) for part in np.array_split(recording.readings, 2))
     assert mean_lag_correlation(late) == pytest.approx(mean_lag_correlation(early), abs=0.02)
     assert late.mean() == pytest.approx(early.mean(), rel=0.05)
-    # All sensors of a sphere are alike in the long run.
+    # All sensors on a sphere are equally likely to be touched.
     touched = (recording.readings > 0).mean(axis=0)
     assert touched.std() < 0.15 * touched.mean()
 
@@ -40,7 +40,7 @@ def test_contacts_with_every_body_conserve_energy(name: str) -> None:
     centres = flight.centres.reshape(-1, 3)
     near = np.linalg.norm(centres, axis=1) < 1 + options.ball_radius
     assert near.sum() > 20
-    # Softness is the depth at the usual speed; the fastest balls press in some times as deep.
+    # Softness is the depth at the mean speed; the fastest balls penetrate a few times deeper.
     assert unit.distance(centres[near]).min() > options.ball_radius - 4 * options.softness
     assert (flight.overlaps > 0).any()
 
@@ -52,7 +52,7 @@ def test_energy_is_equipartitioned_among_balls_of_different_sizes() -> None:
     flight = simulate_flight(body, 1500, options, np.random.default_rng(2))
     assert flight.energy_drift < 0.02
     velocities = np.diff(flight.centres, axis=0) / options.frame_interval
-    # Whoever bounced within a frame seems slower than it is; of the others the median tells.
+    # A ball that bounced within a frame appears slower, which the median ignores.
     speeds = np.median(np.linalg.norm(velocities, axis=2), axis=0)
     kinetic = options.masses * speeds**2
     small, large = np.array_split(kinetic, 2)

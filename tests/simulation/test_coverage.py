@@ -39,9 +39,9 @@ def test_coverage_agrees_with_direct_counts(curve: CoverageCurve) -> None:
     recording = simulate("sphere", "rubbing", n_frames=1000, seed=2)
     assert recording.positions is not None
     on = recording.readings[:250] > 0
-    anew = [sum(now and not was for was, now in zip([False, *s], s, strict=False)) for s in on.T]
+    onsets = [sum(now and not was for was, now in zip([False, *s], s, strict=False)) for s in on.T]
     assert curve.touched[1, 1] == on.any(axis=0).mean()
-    np.testing.assert_array_equal(curve.contacts[1, 1], np.quantile(anew, QUANTILES))
+    np.testing.assert_array_equal(curve.contacts[1, 1], np.quantile(onsets, QUANTILES))
     pairs = neighbouring_pairs(recording)
     assert curve.n_pairs == len(pairs)
     assert curve.pairs[1, 1] == sum((on[:, i] & on[:, j]).any() for i, j in pairs)

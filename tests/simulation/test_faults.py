@@ -43,54 +43,54 @@ def random_touches(seed: int, n_frames: int = 400, n_sensors: int = 6) -> Record
     depth = rng.exponential(size=(n_frames, n_sensors))
     readings = np.where(rng.random((n_frames, n_sensors)) < 0.25, depth, 0).astype(np.float32)
     places = np.column_stack([np.arange(n_sensors), np.zeros(n_sensors)])
-    return Recording(readings, rate_hz=20, positions=places, metadata={"scenario": "made up"})
+    return Recording(readings, rate_hz=20, positions=places, metadata={"scenario": "random"})
 
 
 @pytest.mark.parametrize("kind", FAULTS)
 @given(seed=seeds, chosen=st.sets(st.integers(0, 5), max_size=5))
 def test_a_fault_changes_only_logged_readings(kind: str, seed: int, chosen: set[int]) -> None:
     sensors = sorted(chosen)[: len(chosen) // 2 * 2] if kind == "swapped" else sorted(chosen)
-    whole = random_touches(seed)
-    before = whole.readings.copy()
-    spoilt = FAULTS[kind](whole, sensors, rng=seed)
-    mask = fault_mask(spoilt)
-    np.testing.assert_array_equal(whole.readings, before)
-    np.testing.assert_array_equal(spoilt.readings[~mask], before[~mask])
-    assert spoilt.readings.dtype == before.dtype
+    clean = random_touches(seed)
+    before = clean.readings.copy()
+    faulty = FAULTS[kind](clean, sensors, rng=seed)
+    mask = fault_mask(faulty)
+    np.testing.assert_array_equal(clean.readings, before)
+    np.testing.assert_array_equal(faulty.readings[~mask], before[~mask])
+    assert faulty.readings.dtype == before.dtype
     assert not mask[:, [i for i in range(6) if i not in sensors]].any()
-    done = injected_faults(spoilt)
+    done = injected_faults(faulty)
     named = [f"s{i}" for i in sensors]
     if kind == "mirrored" and len(sensors) % 2:
-        del named[len(sensors) // 2]  # the middle one stays what it was
+        del named[len(sensors) // 2]  # the middle sensor is not affected
     assert [fault.sensor for fault in done] == named
     assert {fault.kind for fault in done} <= {kind}
     assert mask.sum() == sum(stop - start for fault in done for start, stop in fault.spans)
-    assert spoilt.metadata["scenario"] == "made up"
-    assert (spoilt.names, spoilt.rate_hz) == (whole.names, whole.rate_hz)
-    assert injected_faults(whole) == ()
-    assert not fault_mask(whole).any()
+    assert faulty.metadata["scenario"] == "random"
+    assert (faulty.names, faulty.rate_hz) == (clean.names, clean.rate_hz)
+    assert injected_faults(clean) == ()
+    assert not fault_mask(clean).any()
 
 
 @pytest.mark.parametrize("kind", FRAME_FAULTS)
 @given(seed=seeds, share=st.floats(0.01, 0.9))
 def test_a_frame_fault_changes_only_logged_frames(kind: str, seed: int, share: float) -> None:
     strength = {"level" if kind == "clock-jitter" else "share": share}
-    whole = random_touches(seed, n_frames=80)
+    clean = random_touches(seed, n_frames=80)
     times = np.arange(80) / 20 + np.linspace(0, 0.01, 80)
-    whole = replace(whole, times=times)
-    spoilt = FRAME_FAULTS[kind](whole, rng=seed, **strength)
-    (fault,) = injected_faults(spoilt)
+    clean = replace(clean, times=times)
+    faulty = FRAME_FAULTS[kind](clean, rng=seed, **strength)
+    (fault,) = injected_faults(faulty)
     assert fault.kind == kind
-    assert spoilt.times is not None
-    assert (np.diff(spoilt.times) > 0).all()
-    mask = fault_mask(spoilt)
+    assert faulty.times is not None
+    assert (np.diff(faulty.times) > 0).all()
+    mask = fault_mask(faulty)
     if kind == "clock-jitter":
         assert not mask.any()
-        np.testing.assert_array_equal(spoilt.readings, whole.readings)
-        assert np.abs(spoilt.times - times).max() < 0.06
+        np.testing.assert_array_equal(faulty.readings, clean.readings)
+        assert np.abs(faulty.times - times).max() < 0.06
         return
-    frames = np.searchsorted(times, spoilt.times)  # where each frame was before
-    np.testing.assert_array_equal(spoilt.readings[~mask], whole.readings[frames][~mask])
+    frames = np.searchsorted(times, faulty.times)  # original index of each frame
+    np.testing.assert_array_equal(faulty.readings[~mask], clean.readings[frames][~mask])
     starts = [start for start, _ in fault.spans]
     if kind == "dropped-frames":
         assert not mask.any()
@@ -98,13 +98,13 @@ def test_a_frame_fault_changes_only_logged_frames(kind: str, seed: int, share: f
     else:
         stale = np.flatnonzero(mask.all(axis=1))
         np.testing.assert_array_equal(starts, stale)
-        np.testing.assert_array_equal(spoilt.readings[stale], spoilt.readings[stale - 1])
+        np.testing.assert_array_equal(faulty.readings[stale], faulty.readings[stale - 1])
 
 
 @given(seed=seeds, share=st.floats(0.05, 0.8))
 def test_dropping_frames_renumbers_earlier_spans(seed: int, share: float) -> None:
-    whole = replace(random_touches(seed), times=np.arange(400) / 20)
-    broken = saturating(nan_bursts(whole, ["s1"], rng=seed, mean_gap=30), ["s2"], rng=seed)
+    clean = replace(random_touches(seed), times=np.arange(400) / 20)
+    broken = saturating(nan_bursts(clean, ["s1"], rng=seed, mean_gap=30), ["s2"], rng=seed)
     shorter = dropped_frames(broken, rng=seed, share=share)
     assert shorter.times is not None
     frames = np.round(20 * shorter.times).astype(int)
@@ -113,13 +113,13 @@ def test_dropping_frames_renumbers_earlier_spans(seed: int, share: float) -> Non
 
 @given(seed=seeds, kinds=st.lists(st.sampled_from(sorted(FAULTS)), min_size=2, max_size=5))
 def test_several_faults_change_only_logged_readings(seed: int, kinds: list[str]) -> None:
-    whole = random_touches(seed)
-    spoilt, rng = whole, np.random.default_rng(seed)
+    clean = random_touches(seed)
+    faulty, rng = clean, np.random.default_rng(seed)
     for kind in kinds:
         sensors = rng.choice(6, size=2, replace=False)
-        spoilt = FAULTS[kind](spoilt, sensors, rng=rng)
-    mask = fault_mask(spoilt)
-    np.testing.assert_array_equal(spoilt.readings[~mask], whole.readings[~mask])
+        faulty = FAULTS[kind](faulty, sensors, rng=rng)
+    mask = fault_mask(faulty)
+    np.testing.assert_array_equal(faulty.readings[~mask], clean.readings[~mask])
 
 
 @pytest.mark.parametrize("kind", FAULTS)
@@ -136,16 +136,16 @@ def test_several_faults_change_only_logged_readings(seed: int, kinds: list[str])
 def test_faults_apply_to_degenerate_recordings(kind: str, readings: Any) -> None:
     recording = Recording(readings, positions=np.eye(4)[:, :3])
     parameters = {"n_neighbours": 2} if kind == "crosstalk" else {}
-    spoilt = FAULTS[kind](recording, [0, 2], rng=1, **parameters)
-    assert spoilt.readings.shape == recording.readings.shape
-    mask = fault_mask(spoilt)
-    np.testing.assert_array_equal(spoilt.readings[~mask], recording.readings[~mask])
+    faulty = FAULTS[kind](recording, [0, 2], rng=1, **parameters)
+    assert faulty.readings.shape == recording.readings.shape
+    mask = fault_mask(faulty)
+    np.testing.assert_array_equal(faulty.readings[~mask], recording.readings[~mask])
 
 
 @pytest.mark.parametrize("kind", FAULTS)
 def test_the_same_seed_gives_the_same_fault(kind: str) -> None:
-    whole = random_touches(0, n_frames=2000)
-    first, again, other = (FAULTS[kind](whole, ["s1", "s4"], rng=seed) for seed in (3, 3, 4))
+    clean = random_touches(0, n_frames=2000)
+    first, again, other = (FAULTS[kind](clean, ["s1", "s4"], rng=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.readings, again.readings)
     assert dict(first.metadata) == dict(again.metadata)
     if kind in ("stuck", "saturating", "noisy", "drifting", "gain-spread", "nan-bursts"):
@@ -155,8 +155,8 @@ def test_the_same_seed_gives_the_same_fault(kind: str) -> None:
 
 @given(seeds)
 def test_dead_sensors_read_their_rest_value(seed: int) -> None:
-    spoilt = dead(random_touches(seed), ["s2"])
-    assert (spoilt.readings[:, 2] == 0).all()
+    faulty = dead(random_touches(seed), ["s2"])
+    assert (faulty.readings[:, 2] == 0).all()
     raised = random_touches(seed)
     raised = Recording(7 - 2 * raised.readings)
     assert (dead(raised, [0]).readings[:, 0] == 7).all()
@@ -170,40 +170,40 @@ def test_a_dead_sensor_with_missing_readings_reads_its_rest_value() -> None:
 
 @given(seeds)
 def test_saturating_sensors_read_full_scale_in_their_spans(seed: int) -> None:
-    whole = random_touches(seed)
-    spoilt = saturating(whole, [0, 5], rng=seed)
-    assert (spoilt.readings[fault_mask(spoilt)] == whole.readings.max()).all()
-    for fault in injected_faults(spoilt):
+    clean = random_touches(seed)
+    faulty = saturating(clean, [0, 5], rng=seed)
+    assert (faulty.readings[fault_mask(faulty)] == clean.readings.max()).all()
+    for fault in injected_faults(faulty):
         edges = np.array(fault.spans).ravel()
         assert (np.diff(edges) > 0).all()
-        assert ((edges >= 0) & (edges <= whole.n_frames)).all()
+        assert ((edges >= 0) & (edges <= clean.n_frames)).all()
 
 
 def test_saturated_spans_have_geometric_lengths_with_the_given_means() -> None:
-    whole = Recording(np.zeros((200_000, 1)))
-    spoilt = saturating(whole, [0], rng=1, level=5.0, mean_gap=60, mean_span=15)
-    (fault,) = injected_faults(spoilt)
+    clean = Recording(np.zeros((200_000, 1)))
+    faulty = saturating(clean, [0], rng=1, level=5.0, mean_gap=60, mean_span=15)
+    (fault,) = injected_faults(faulty)
     starts, stops = np.array(fault.spans).T
     spans, gaps = stops - starts, starts[1:] - stops[:-1]
-    # Of geometric lengths, mean and standard deviation are nearly the same.
+    # The mean and the standard deviation of a geometric distribution are nearly equal.
     for lengths, mean in ((spans, 15), (gaps, 60)):
         assert lengths.mean() == pytest.approx(mean, rel=0.06)
         assert lengths.std() == pytest.approx(mean, rel=0.1)
-    assert spoilt.readings.mean() == pytest.approx(5 * 15 / 75, rel=0.06)
+    assert faulty.readings.mean() == pytest.approx(5 * 15 / 75, rel=0.06)
 
 
 def test_saturation_is_independent_of_touch() -> None:
-    whole = random_touches(2, n_frames=50_000)
-    mask = fault_mask(saturating(whole, [0], rng=2))[:, 0]
-    active = whole.readings[:, 0] > 0
+    clean = random_touches(2, n_frames=50_000)
+    mask = fault_mask(saturating(clean, [0], rng=2))[:, 0]
+    active = clean.readings[:, 0] > 0
     assert active[mask].mean() == pytest.approx(active[~mask].mean(), abs=0.02)
 
 
 @pytest.mark.parametrize("level", [0.05, 0.5])
 def test_noise_is_white_and_normal_with_the_given_level(level: float) -> None:
-    whole = random_touches(3, n_frames=20_000)
-    spoilt = noisy(whole, ["s0", "s3"], rng=1, level=level)
-    noise = (spoilt.readings - whole.readings)[:, [0, 3]] / np.ptp(whole.readings)
+    clean = random_touches(3, n_frames=20_000)
+    faulty = noisy(clean, ["s0", "s3"], rng=1, level=level)
+    noise = (faulty.readings - clean.readings)[:, [0, 3]] / np.ptp(clean.readings)
     assert noise.std() == pytest.approx(level, rel=0.03)
     assert abs(noise.mean()) < 0.02 * level
     assert np.mean(np.abs(noise) < level) == pytest.approx(0.683, abs=0.01)
@@ -212,27 +212,27 @@ def test_noise_is_white_and_normal_with_the_given_level(level: float) -> None:
 
 
 def test_several_faults_are_logged_in_order() -> None:
-    whole = random_touches(4, n_frames=3000)
-    spoilt = noisy(saturating(dead(whole, [1]), [2, 3], rng=1), [3], rng=1)
-    assert [(fault.kind, fault.sensor) for fault in injected_faults(spoilt)] == [
+    clean = random_touches(4, n_frames=3000)
+    faulty = noisy(saturating(dead(clean, [1]), [2, 3], rng=1), [3], rng=1)
+    assert [(fault.kind, fault.sensor) for fault in injected_faults(faulty)] == [
         ("dead", "s1"),
         ("saturating", "s2"),
         ("saturating", "s3"),
         ("noisy", "s3"),
     ]
     np.testing.assert_array_equal(
-        fault_mask(spoilt),
-        fault_mask(spoilt, ["dead", "noisy"]) | fault_mask(spoilt, ["saturating"]),
+        fault_mask(faulty),
+        fault_mask(faulty, ["dead", "noisy"]) | fault_mask(faulty, ["saturating"]),
     )
-    assert fault_mask(spoilt, ["dead"]).sum() == 3000
-    some = spoilt.select([3, 0])
-    np.testing.assert_array_equal(fault_mask(some), fault_mask(spoilt)[:, [3, 0]])
+    assert fault_mask(faulty, ["dead"]).sum() == 3000
+    some = faulty.select([3, 0])
+    np.testing.assert_array_equal(fault_mask(some), fault_mask(faulty)[:, [3, 0]])
 
 
 def test_names_with_special_characters_are_logged() -> None:
     names = ('a "quoted" one', "commas, ; and\nbreaks", "Ω")
-    spoilt = dead(Recording(np.eye(3), names=names), names)
-    assert injected_faults(spoilt) == tuple(
+    faulty = dead(Recording(np.eye(3), names=names), names)
+    assert injected_faults(faulty) == tuple(
         sorted(
             (Fault("dead", name, ((0, 3),)) for name in names), key=lambda f: names.index(f.sensor)
         )
@@ -254,55 +254,55 @@ def test_an_unknown_sensor_raises_an_error(kind: str) -> None:
 
 @given(seeds)
 def test_faults_have_the_documented_effect(seed: int) -> None:
-    whole = random_touches(seed)
-    before, top = whole.readings, float(whole.readings.max())
-    held = stuck(whole, [1], rng=seed).readings[:, 1]
+    clean = random_touches(seed)
+    before, top = clean.readings, float(clean.readings.max())
+    held = stuck(clean, [1], rng=seed).readings[:, 1]
     assert len(set(held.tolist())) == 1
     assert top / 2 <= held[0] <= top
-    walk = drifting(whole, [1], rng=seed, level=0.4).readings[:, 1] - before[:, 1]
+    walk = drifting(clean, [1], rng=seed, level=0.4).readings[:, 1] - before[:, 1]
     assert np.abs(walk).max() == pytest.approx(0.4 * top, rel=1e-4)
     assert np.abs(np.diff(walk)).max() < 0.4 * np.ptp(walk)
-    gains = gain_spread(whole, range(6), rng=seed, factor=5).readings.max(0) / before.max(0)
+    gains = gain_spread(clean, range(6), rng=seed, factor=5).readings.max(0) / before.max(0)
     assert (gains * (1 + 1e-6) >= 5**-0.5).all()
     assert (gains <= 5**0.5 * (1 + 1e-6)).all()
-    slow = hysteresis(whole, [1], recovery=10).readings[:, 1]
+    slow = hysteresis(clean, [1], recovery=10).readings[:, 1]
     assert (slow >= before[:, 1]).all()
     assert (slow[1:] >= slow[:-1] * np.exp(-0.1) - 1e-6).all()
-    few = quantised(whole, range(6), levels=4).readings
+    few = quantised(clean, range(6), levels=4).readings
     assert len(np.unique(few)) <= 4
     assert np.abs(few - before).max() <= top / 6 + 1e-6
-    assert set(np.unique(thresholded(whole, [1]).readings[:, 1])) <= {0, 1}
+    assert set(np.unique(thresholded(clean, [1]).readings[:, 1])) <= {0, 1}
 
 
 def test_wiring_faults_move_readings_and_keep_names() -> None:
-    whole = random_touches(1)
-    before = whole.readings
-    traded = swapped(whole, ["s4", "s1", "s0", "s5"]).readings
+    clean = random_touches(1)
+    before = clean.readings
+    traded = swapped(clean, ["s4", "s1", "s0", "s5"]).readings
     np.testing.assert_array_equal(traded[:, [4, 1, 0, 5]], before[:, [0, 5, 4, 1]])
-    turned = mirrored(whole, ["s0", "s1", "s2"]).readings
+    turned = mirrored(clean, ["s0", "s1", "s2"]).readings
     np.testing.assert_array_equal(turned[:, :3], before[:, 2::-1])
-    copied = duplicated(whole, ["s2", "s3"], source="s5").readings
+    copied = duplicated(clean, ["s2", "s3"], source="s5").readings
     np.testing.assert_array_equal(copied[:, [2, 3]], before[:, [5, 5]])
-    leaking = crosstalk(whole, ["s2"], share=0.5, n_neighbours=2).readings[:, 2]
+    leaking = crosstalk(clean, ["s2"], share=0.5, n_neighbours=2).readings[:, 2]
     np.testing.assert_allclose(
         leaking, 0.5 * before[:, 2] + 0.25 * (before[:, 1] + before[:, 3]), rtol=1e-6
     )
 
 
 def test_faults_are_parsed_from_text() -> None:
-    whole = random_touches(2)
+    clean = random_touches(2)
     requests = [
         parse_fault(text)
         for text in ("dead:s0", "stuck: 1 , level=7", "noisy:50%,level=0.3", "dropped-frames")
     ]
-    spoilt = inject(whole, requests, 5)
-    kinds = [fault.kind for fault in injected_faults(spoilt)]
+    faulty = inject(clean, requests, 5)
+    kinds = [fault.kind for fault in injected_faults(faulty)]
     assert kinds == ["dead", "stuck", "noisy", "noisy", "noisy", "dropped-frames"]
-    assert spoilt.n_frames < whole.n_frames
-    everyone = parse_fault("thresholded:*").inject(whole, 0)
+    assert faulty.n_frames < clean.n_frames
+    everyone = parse_fault("thresholded:*").inject(clean, 0)
     assert len(injected_faults(everyone)) == 6
-    again = inject(whole, requests, 5)
-    np.testing.assert_array_equal(again.readings, spoilt.readings)
+    again = inject(clean, requests, 5)
+    np.testing.assert_array_equal(again.readings, faulty.readings)
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_sensors_are_spread_over_a_mesh_of_any_format(folder: Path, suffix: str)
 
 
 def test_contacts_reach_into_the_hole_of_a_mesh(folder: Path) -> None:
-    # MuJoCo takes a mesh for its convex hull: then nothing could come into the hole.
+    # MuJoCo replaces a mesh geom by its convex hull, which would close the hole.
     body = load_body(folder / "part.stl", 150)
     recording = simulate(body, n_frames=1500, seed=3, ball_radius=0.2)
     inner = np.linalg.norm(body.positions[:, :2], axis=1) < 0.51
@@ -71,7 +71,10 @@ def test_sites_of_a_model_become_sensors(folder: Path) -> None:
     places = body.positions + body.origin
     np.testing.assert_allclose(places, [[0, 0, 1.1], [0, 0.2, 1.1], [-0.1, 0.2, 1]], atol=1e-9)
     np.testing.assert_allclose(body.normals, [[0, 0, 1], [0, 0, 1], [-1, 0, 0]], atol=1e-4)
-    assert {solid.kind for solid in body.solids} == {"capsule", "mesh"}  # no floor, no visual box
+    assert {solid.kind for solid in body.solids} == {
+        "capsule",
+        "mesh",
+    }  # without the floor and the visual box
     assert body.units == "m"
     spread_out = load_body(folder / "bare.xml", 30)
     assert spread_out.n_sensors == 30
@@ -93,7 +96,9 @@ def test_given_sensors_near_the_surface_are_projected_onto_it() -> None:
         body_from_mesh(outline.vertices, outline.faces, exact[:, :2])
 
 
-def pebbled(positions: NDArray[np.float64], normals: NDArray[np.float64] | None = None) -> None:
+def check_body_from_points(
+    positions: NDArray[np.float64], normals: NDArray[np.float64] | None = None
+) -> None:
     body = body_from_points(positions, normals)
     np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-9)
     np.testing.assert_allclose(body.positions + body.origin, positions, atol=1e-12)
@@ -101,7 +106,7 @@ def pebbled(positions: NDArray[np.float64], normals: NDArray[np.float64] | None 
 
 def test_a_body_from_points_leaves_all_sensors_exposed() -> None:
     for body in (sphere(), hand()):
-        pebbled(body.positions + np.array([3, 2, 1]))
+        check_body_from_points(body.positions + np.array([3, 2, 1]))
     ball = sphere(200)
     estimated = body_from_points(ball.positions).normals
     assert (np.einsum("nd,nd->n", estimated, ball.normals) > np.cos(np.radians(12))).all()
@@ -123,7 +128,7 @@ def test_normals_are_used_unless_they_contradict_the_positions() -> None:
 def test_a_robot_leg_is_simulated_from_positions(recordings_folder: Path) -> None:
     path = recordings_folder.parent / "geometry" / "icub_left_leg_upper.npz"
     if not path.exists():
-        pytest.skip("the robot's geometry is not here")
+        pytest.skip("needs the geometry of the robot")
     with np.load(path, allow_pickle=False) as part:
         positions, normals = part["positions"], part["normals"]
     with pytest.warns(AnisomapWarning, match="the normals of leg contradict"):

@@ -39,7 +39,7 @@ def test_the_body_keeps_moving_and_stays_within_the_ground(journey: Any) -> None
     "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))]
 )
 def test_cylinders_stay_within_the_ground_and_lie_flat(seed: int) -> None:
-    # Its turns are wider than the ground; and one that begins inside a bump is thrown up.
+    # A small ground: the turning circle exceeds it. A body that starts inside a bump is thrown up.
     body = BODIES["cylinder"]()
     body = body.scaled(1 / body.reach)
     options = LocomotionOptions(half_width=5.0)
@@ -57,8 +57,8 @@ def test_the_body_rolls_without_sliding(journey: Any) -> None:
     slips = travelled.slips[np.isfinite(travelled.slips)]
     assert len(slips) > 0.5 * FRAMES
     assert np.median(slips) < 0.05
-    # From the path alone: a body of radius R turns by distance / R. On bumps the way along the
-    # ground is a little longer than that of the middle.
+    # A rolling body of radius R turns by distance / R. On bumps, the path along the ground is
+    # slightly longer than that of the centre.
     turned = np.einsum("tij,tkj->tik", travelled.rotations[1:], travelled.rotations[:-1])
     angles = np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1))
     distance = np.linalg.norm(np.diff(travelled.centres, axis=0), axis=1)
@@ -73,7 +73,7 @@ def test_the_body_does_not_sink_into_the_ground(journey: Any) -> None:
     for frame in range(0, FRAMES, 70):
         surface = outline @ travelled.rotations[frame].T + travelled.centres[frame]
         lowest = travelled.terrain.distance(surface).min()
-        assert -0.03 < lowest < 0.1  # it may be in the air for a moment
+        assert -0.03 < lowest < 0.1  # the body may briefly lose contact
 
 
 @pytest.mark.slow
@@ -102,9 +102,9 @@ def test_readings_agree_with_the_distance_from_the_ground(journey: Any) -> None:
 def test_the_sphere_rolls_about_every_axis() -> None:
     body = sphere()
     journey = simulate_journey(body, 2000, LocomotionOptions(), np.random.default_rng(3))
-    down = -journey.rotations[:, 2]  # the direction of the ground, as the body sees it
+    down = -journey.rotations[:, 2]  # direction of the ground in the frame of the body
     spread = down.T @ down / len(down)
-    assert np.linalg.eigvalsh(spread).min() > 0.15  # 1/3 if all directions were alike
+    assert np.linalg.eigvalsh(spread).min() > 0.15  # 1/3 for uniform directions
 
 
 @short_runs

@@ -45,7 +45,7 @@ def test_a_path_stays_on_the_skin_and_reaches_all_sensors(name: str) -> None:
     assert np.abs(np.einsum("td,td->t", path.normals, path.headings)).max() < 1e-9
     away = KDTree(path.points).query(body.positions)[0]
     assert np.max(away) < body.spacing
-    # Not over the bare parts: the back of a plate, the ends of a cylinder.
+    # The path avoids parts without sensors: the back of a plate, the ends of a cylinder.
     from_sensors = KDTree(body.positions).query(path.points)[0]
     assert np.max(from_sensors) < 2.5 * body.spacing
 
@@ -73,8 +73,8 @@ def test_strokes_are_lines_or_circles_in_all_directions() -> None:
         turns.append(np.abs((np.diff(angle) + np.pi) % (2 * np.pi) - np.pi))
     assert np.median(turns[0]) < 1e-9
     assert np.median(turns[1]) > 0.1
-    everywhere = np.histogram(np.arctan2(*lines.headings[:, :2].T), bins=8, range=(-np.pi, np.pi))
-    assert everywhere[0].min() > 0.03 * len(lines.points)
+    histogram = np.histogram(np.arctan2(*lines.headings[:, :2].T), bins=8, range=(-np.pi, np.pi))
+    assert histogram[0].min() > 0.03 * len(lines.points)
     assert (lines.lifts == 0).mean() > 0.9
     assert lines.n_strokes > 50
 
@@ -93,7 +93,7 @@ def test_a_path_over_one_sensor_is_finite() -> None:
 
 def test_a_stroke_is_truncated_at_the_last_frame() -> None:
     path = path_on("sphere", n_frames=50, stroke_length=1e9, circle_share=0.0, lift_share=0.0)
-    # A great circle: three points of it and the middle are in one plane.
+    # Three points of a great circle and the centre lie in one plane.
     assert abs(np.linalg.det(path.points[[0, 10, 20]])) < 0.02
     assert path.n_strokes == 1
 
@@ -106,7 +106,7 @@ def test_smooth_random_values_are_bounded_and_smooth(
     assert values.shape == (n_frames,)
     assert values.min() >= 0
     assert values.max() <= 1
-    # The steepest cosine from 0 to 1.
+    # Maximum slope of a half cosine from 0 to 1.
     assert np.abs(np.diff(values)).max(initial=0) <= np.pi / 2 / change + 1e-12
 
 
@@ -121,8 +121,8 @@ def test_a_settled_ball_has_the_given_depth(name: str) -> None:
     cluster = Cluster(np.zeros((150, 1, 3)), np.array([radius]))
     centres = cluster.placed(path, settle(body, skin, path, cluster, depths))[:, 0]
     error = (radius - body.distance(centres) - depths) / body.reach
-    assert error.min() > -1e-3  # as deep as it is pressed ...
-    assert error.max() < 1e-2  # ... and no deeper, save in the hand's crotches
+    assert error.min() > -1e-3
+    assert error.max() < 1e-2  # reached between the fingers of the hand only
     assert np.median(np.abs(error)) < 1e-6
 
 
@@ -148,7 +148,7 @@ def test_a_cluster_on_a_plate_rests_on_its_lowest_ball() -> None:
     cluster = Cluster(offsets, np.array([0.2, 0.1]))
     centres = cluster.placed(path, settle(body, skin, path, cluster, np.zeros(200)))
     lowest = (centres[..., 2] - cluster.radii).min(axis=1) - 0.1
-    # Where the lower ball stands between samples, it sinks in by their gaps' sagitta.
+    # Between samples of the surface, the lower ball sinks in by the sagitta of the gap.
     assert np.abs(lowest[inside]).max() < 0.02
     assert inside.sum() > 30
 
@@ -165,7 +165,7 @@ def test_the_support_is_the_furthest_point_of_the_surface(seed: int, name: str) 
     drawn = np.vstack([solid.outline.vertices for solid in turned])
     furthest = (directions @ drawn.T).max(axis=1)
     found = support(turned, directions)
-    # What is drawn of round things lies inside them, within what one can see.
+    # The outline of a round solid lies slightly inside it.
     assert (found >= furthest - 1e-9).all()
     assert (found <= furthest + 5e-3 * body.reach).all()
     moved = [replace(solid, centre=solid.centre + 1.0) for solid in turned]

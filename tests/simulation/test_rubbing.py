@@ -33,7 +33,7 @@ from anisomap.simulation.options import options_for
 from anisomap.simulation.sensing import read_balls, read_capsules, read_half_spaces
 
 KINEMATIC = ("rubbing", "roller", "pressing", "self-touch", "pulses")
-OF_TOUCH = KINEMATIC[:4]
+CONTACT = KINEMATIC[:4]
 seeds = st.integers(0, 2**32 - 1)
 
 Surface = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -45,10 +45,10 @@ def nearest_by_sampling(surface: Surface, point: NDArray[np.float64], n_shape: i
     grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 13)] * n_shape), axis=-1).reshape(-1, n_shape)
     for _ in range(24):
         tried = middle + width * grid
-        away = np.linalg.norm(surface(tried) - point, axis=1)
-        middle = tried[away.argmin()]
+        distance = np.linalg.norm(surface(tried) - point, axis=1)
+        middle = tried[distance.argmin()]
         width *= 0.6
-    return float(away.min())
+    return float(distance.min())
 
 
 def on_ball(shape: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -102,9 +102,9 @@ def test_pulses_add_up_and_halve_at_the_half_distance(seed: int) -> None:
     found = read_pulses(sensors, places, strengths, 0.4)
     for t in range(3):
         for i, sensor in enumerate(sensors):
-            away = [sum((a - b) ** 2 for a, b in zip(sensor, p, strict=True)) for p in places[t]]
-            told = sum(s / (1 + d / 0.16) for s, d in zip(strengths[t], away, strict=True))
-            assert found[t, i] == pytest.approx(told, rel=1e-6)
+            squared = [sum((a - b) ** 2 for a, b in zip(sensor, p, strict=True)) for p in places[t]]
+            expected = sum(s / (1 + d / 0.16) for s, d in zip(strengths[t], squared, strict=True))
+            assert found[t, i] == pytest.approx(expected, rel=1e-6)
     at = read_pulses([[0, 0, 0], [0.4, 0, 0]], [[[0, 0, 0]]], [[0.8]], 0.4)
     np.testing.assert_allclose(at, [[0.8, 0.4]], rtol=1e-6)
 
@@ -118,7 +118,7 @@ def test_recordings_are_reproducible_by_seed(body: str, scenario: str) -> None:
     assert not np.array_equal(first.readings, other.readings)
 
 
-@pytest.mark.parametrize("scenario", OF_TOUCH)
+@pytest.mark.parametrize("scenario", CONTACT)
 @pytest.mark.parametrize("body", ["cylinder", pytest.param("y-shape", marks=pytest.mark.slow)])
 def test_a_default_run_touches_all_sensors_with_sparse_readings(body: str, scenario: str) -> None:
     options = options_for(SCENARIOS[scenario].options, BODIES[body]())
@@ -127,7 +127,7 @@ def test_a_default_run_touches_all_sensors_with_sparse_readings(body: str, scena
     touched = run.readings > 0
     assert touched.any(axis=0).all()
     assert 0.2 < 1 - touched.mean() < 0.98
-    assert 0 < (~touched.any(axis=1)).mean() < 0.5  # now and then, nothing is in range
+    assert 0 < (~touched.any(axis=1)).mean() < 0.5  # some frames have no contact
     assert len(run.readings) == 2000
 
 
@@ -155,7 +155,7 @@ def test_pressing_deeper_never_lowers_a_reading(
     for depth in depths:
         options = options_for(SCENARIOS[scenario].options, made, {"press_depth": depth})
         runs.append(SCENARIOS[scenario].run(made, 200, options, np.random.default_rng(4)).readings)
-    # Among the arms of the Y, a thing that is pressed harder may settle elsewhere.
+    # Between the arms of the Y, a stimulus that is pressed harder may settle at another place.
     share = 0.97 if body == "y-shape" else 1.0
     for lighter, harder in pairwise(runs):
         assert (harder >= lighter - 1e-6).mean() >= share
@@ -179,7 +179,7 @@ def test_palms_are_rigid_irregular_and_random() -> None:
     apart = np.linalg.norm(hand.centres[:, :, None] - hand.centres[:, None], axis=-1)
     np.testing.assert_allclose(apart, np.broadcast_to(apart[0], apart.shape), atol=1e-9)
     assert len(np.unique(apart[0].round(6))) > len(hand.radii)
-    # No deeper than it is pressed, wherever its pads stand.
+    # No pad is deeper than the press depth.
     assert (hand.radii + 1 - np.linalg.norm(hand.centres, axis=2)).max() < 0.1 + 1e-9
 
 
@@ -224,18 +224,20 @@ def test_presses_have_the_given_depth_and_uniform_directions() -> None:
 def test_sources_are_uniform_outside_the_body() -> None:
     body, options = sphere(), PulsesOptions()
     places, strengths = draw_pulses(body, 8000, options, np.random.default_rng(9))
-    away = np.linalg.norm(places, axis=-1)
-    assert away.min() > 1
-    assert away.max() <= options.field_radius
-    # Uniform in the shell: the share within half of its volume is a half.
+    distance = np.linalg.norm(places, axis=-1)
+    assert distance.min() > 1
+    assert distance.max() <= options.field_radius
+    # For a uniform distribution, half of the sources lie in the inner half of the volume.
     half = ((1 + options.field_radius**3) / 2) ** (1 / 3)
-    assert (away < half).mean() == pytest.approx(0.5, abs=0.03)
-    assert np.linalg.norm((places / away[..., None]).mean(axis=(0, 1))) < 0.05
+    assert (distance < half).mean() == pytest.approx(0.5, abs=0.03)
+    assert np.linalg.norm((places / distance[..., None]).mean(axis=(0, 1))) < 0.05
     assert strengths.min() >= 0
     assert strengths.max() <= options.strength
-    told = read_pulses(body.positions, places, strengths, options.half_distance)
-    assert told.mean(axis=0).std() < 0.05 * told.mean()
-    moments = np.array([(told > level).mean(axis=0) for level in np.quantile(told, (0.5, 0.9))])
+    readings = read_pulses(body.positions, places, strengths, options.half_distance)
+    assert readings.mean(axis=0).std() < 0.05 * readings.mean()
+    moments = np.array(
+        [(readings > level).mean(axis=0) for level in np.quantile(readings, (0.5, 0.9))]
+    )
     assert np.abs(moments - [[0.5], [0.1]]).max() < 0.05
 
 
@@ -254,10 +256,10 @@ def test_fingertip_and_body_respond_to_the_same_contact() -> None:
     assert np.isinf(apart[:n, n:]).all()
     assert np.isfinite(apart[:n, :n]).all()
     assert np.isfinite(apart[n:, n:]).all()
-    felt, feels = recording.readings[:, :n] > 0, recording.readings[:, n:] > 0
-    assert feels.any(axis=0).all()
-    # What the tip touches, touches the tip: sensors stand less than its range apart.
-    assert felt[feels.any(axis=1)].any(axis=1).all()
+    body_active, tip_active = recording.readings[:, :n] > 0, recording.readings[:, n:] > 0
+    assert tip_active.any(axis=0).all()
+    # When the fingertip senses a contact, so does the body: its sensor spacing is below the range.
+    assert body_active[tip_active.any(axis=1)].any(axis=1).all()
 
 
 def test_self_touch_agrees_with_the_closed_form() -> None:
@@ -266,14 +268,14 @@ def test_self_touch_agrees_with_the_closed_form() -> None:
     centres, turns = move_fingertip(body, 100, options, np.random.default_rng(11))
     tip = options.finger_radius * fingertip_directions(options)
     for t in range(100):
-        away = np.linalg.norm(body.positions - centres[t, 0], axis=1) - options.finger_radius
+        distance = np.linalg.norm(body.positions - centres[t, 0], axis=1) - options.finger_radius
         moved = centres[t] + tip @ turns[t].T
         own = np.linalg.norm(moved, axis=1) - 1
         np.testing.assert_allclose(
             run.readings[t],
             np.maximum(
                 np.concatenate(
-                    [options.detection_radius - away, options.finger_detection_radius - own]
+                    [options.detection_radius - distance, options.finger_detection_radius - own]
                 ),
                 0,
             ),
@@ -285,7 +287,7 @@ def test_self_touch_agrees_with_the_closed_form() -> None:
     )
 
 
-def test_a_body_with_a_fingertip_is_a_body() -> None:
+def test_a_body_with_a_fingertip_has_all_sensors_on_its_surface() -> None:
     body = with_fingertip(y_shape(), SelfTouchOptions())
     assert body.n_sensors == 105 + 16
     assert np.abs(body.distance(body.positions)).max() < 1e-9
@@ -332,23 +334,25 @@ def test_invalid_arguments_raise_an_error(
 def test_props_and_facts_of_a_run_are_complete(scenario: str) -> None:
     body = sphere()
     chosen = SCENARIOS[scenario]
-    told: list[float] = []
-    run = chosen.run(body, 30, chosen.options(), np.random.default_rng(12), told.append)
-    assert told[-1] == 1
+    shares: list[float] = []
+    run = chosen.run(body, 30, chosen.options(), np.random.default_rng(12), shares.append)
+    assert shares[-1] == 1
     assert {field.name for field in fields(chosen.options)} <= set(run.facts)
     for prop in run.props:
         assert len(prop.centres) in (1, 30)
         for corners in prop.surfaces(17):
             assert np.isfinite(corners).all()
     if scenario in ("rubbing", "roller", "self-touch"):
-        # Drawn where it touches: in the body by the press depth at most, or lifted off.
-        nearest = min(np.linalg.norm(drawn(run.props[-1], t), axis=1).min() for t in range(30))
+        # The stimulus is drawn in contact, with at most the press depth, or lifted off.
+        nearest = min(
+            np.linalg.norm(edge_points(run.props[-1], t), axis=1).min() for t in range(30)
+        )
         assert nearest > 1 - chosen.options().press_depth - 0.01
         assert nearest < 1.01
 
 
-def drawn(prop: Prop, frame: int) -> NDArray[np.float64]:
-    """Sample what is drawn: corners and edges of its triangles."""
+def edge_points(prop: Prop, frame: int) -> NDArray[np.float64]:
+    """Sample the edges of the triangles of a prop in a frame."""
     corners = np.array(prop.surfaces(frame))[:, prop.mesh.faces].reshape(-1, 3, 3)
     along = np.linspace(0, 1, 9)[:, None, None, None]
     edges = along * corners + (1 - along) * np.roll(corners, 1, axis=1)

@@ -33,7 +33,7 @@ def same_bytes(a: Recording, b: Recording) -> bool:
     return a.readings.tobytes() == b.readings.tobytes() and dict(a.metadata) == dict(b.metadata)
 
 
-# Each body and each scenario has a pair that is not slow.
+# The fast tests cover each body and each scenario at least once.
 PAIRS = [
     pytest.param(
         body,
@@ -56,9 +56,9 @@ def test_every_scenario_of_every_body_gives_a_documented_recording(
             simulate(made, scenario, n_frames=40)
         return
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)  # so short a run may miss sensors
+        warnings.simplefilter("ignore", AnisomapWarning)  # a short run may not touch all sensors
         recording = simulate(made, scenario, n_frames=40, seed=3)
-    own = slice(made.n_sensors)  # a scenario may add sensors: those of a fingertip
+    own = slice(made.n_sensors)  # self-touch adds the sensors of a fingertip
     assert len(recording.readings) == 40
     assert recording.positions is not None
     np.testing.assert_array_equal(recording.positions[own], made.positions)
@@ -72,14 +72,14 @@ def test_every_scenario_of_every_body_gives_a_documented_recording(
     assert recording.rate_hz is not None
     assert body in recording.source
     assert scenario in recording.source
-    told = recording.metadata
-    assert (told["body"], told["scenario"], told["seed"]) == (body, scenario, 3)
-    assert told["anisomap"] == __version__
+    metadata = recording.metadata
+    assert (metadata["body"], metadata["scenario"], metadata["seed"]) == (body, scenario, 3)
+    assert metadata["anisomap"] == __version__
     if SCENARIOS[scenario].uses_mujoco:
-        assert told["mujoco"] == sys.modules["mujoco"].__version__
-    assert all(type(value) in (str, int, float, bool) for value in told.values())
+        assert metadata["mujoco"] == sys.modules["mujoco"].__version__
+    assert all(type(value) in (str, int, float, bool) for value in metadata.values())
     for name, default in vars(SCENARIOS[scenario].options()).items():
-        assert name in told or default is None
+        assert name in metadata or default is None
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
@@ -147,12 +147,12 @@ def test_sensors_do_not_affect_the_dynamics() -> None:
 
 def test_progress_increases_from_0_to_1() -> None:
     needs_mujoco()
-    told: list[float] = []
-    simulate(n_frames=250, progress=told.append)
-    assert told[0] == 0
-    assert told[-1] == 1
-    assert (np.diff(told) > 0).all()
-    assert len(told) > 20
+    shares: list[float] = []
+    simulate(n_frames=250, progress=shares.append)
+    assert shares[0] == 0
+    assert shares[-1] == 1
+    assert (np.diff(shares) > 0).all()
+    assert len(shares) > 20
 
 
 def test_one_frame_is_a_recording() -> None:
@@ -193,7 +193,7 @@ def test_invalid_arguments_raise_an_error(arguments: dict[str, Any], message: st
 def test_without_mujoco_only_simulations_fail() -> None:
     code = """
 import sys
-sys.modules["mujoco"] = None  # as if it were not installed
+sys.modules["mujoco"] = None  # simulates a missing package
 import anisomap.simulation as simulation
 assert simulation.BODIES["sphere"](12).positions.shape == (12, 3)
 try:

@@ -38,10 +38,10 @@ def test_distance_is_at_most_that_to_any_point_of_the_surface(kind: str, seed: i
     rng = np.random.default_rng(seed)
     moved = solid.moved(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
     points = rng.uniform(-2, 2, size=(30, 3))
-    shown = surface(moved)
-    nearest = np.linalg.norm(points[:, None] - shown, axis=2).min(axis=1)
+    sampled = surface(moved)
+    nearest = np.linalg.norm(points[:, None] - sampled, axis=2).min(axis=1)
     distance = np.abs(moved.distance(points))
-    coarse = 0.01  # the outline of what is round lies that far inside
+    coarse = 0.01  # maximum depth of the outline below the surface of a round solid
     assert (distance <= nearest + coarse).all()
     assert (distance >= nearest - 0.2).all()
 

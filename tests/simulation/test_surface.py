@@ -25,7 +25,7 @@ def test_points_are_uniform_on_the_exposed_surface() -> None:
     np.testing.assert_allclose(distances.min(axis=0), 0, atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
     on_ball = np.abs(distances[1]) < 1e-9
-    # Half of the ball is hidden in the box, and hides a disc of one of its faces.
+    # Half of the ball lies inside the box and covers a disc of one face.
     ball, box = 2 * np.pi * 0.8**2, 24 - np.pi * 0.8**2
     assert on_ball.mean() == pytest.approx(ball / (ball + box), abs=0.01)
     upper = ~on_ball & (points[:, 2] > 1 - 1e-9)
@@ -38,7 +38,7 @@ def test_spread_sensors_keep_their_distance_and_leave_no_gap() -> None:
     nearest = KDTree(points).query(points, k=2)[0][:, 1].min()
     everywhere, _ = sample_surface(parts, 20_000, np.random.default_rng(2))
     widest = KDTree(points).query(everywhere)[0].max()
-    # Maximal Poisson-disc: no two nearer than the radius that covers all, up to the sampling.
+    # Maximal Poisson disc: the minimum spacing is at least the covering radius, up to sampling.
     assert widest <= nearest * 1.1
 
 
@@ -46,7 +46,7 @@ def test_sensors_have_the_given_density() -> None:
     body = uneven_sphere(800)
     height = body.positions[:, 2]
     upper, lower = np.sum(height > 0), np.sum(height < 0)
-    # The density grows linearly with height, and so its means over the halves are:
+    # The density increases linearly with height; ratio of its means over the two halves.
     expected = (1 + (MAX_DENSITY - 1) * 0.75) / (1 + (MAX_DENSITY - 1) * 0.25)
     assert upper / lower == pytest.approx(expected, rel=0.1)
 
@@ -70,7 +70,7 @@ def test_surface_distances_are_a_metric_no_shorter_than_straight_lines(
     assert (np.diag(found) == 0).all()
     assert np.isfinite(found).all()
     assert (found >= straight * (1 - 1e-3)).all()
-    # Shortest paths obey the triangle inequality.
+    # Triangle inequality.
     assert (found[:, :, None] + found[None] >= found[:, None] * (1 - 1e-6) - 1e-9).all()
 
 
@@ -86,7 +86,7 @@ def test_shortest_paths_agree_with_closed_forms() -> None:
     side = np.hypot(0.5 * turn, z[:, None] - z)
     found = surface_distances(tube)
     assert found is not None
-    # Over an end the way can be shorter: not between sensors of the two middle rows.
+    # Paths over an end of the cylinder can be shorter, except between the two middle rows.
     middle = np.abs(z) < 0.5
     near = np.ix_(middle, middle)
     np.testing.assert_allclose(found[near], side[near], rtol=0.02, atol=1e-12)
@@ -103,4 +103,4 @@ def test_surface_distances_go_around_a_hole(bodies: Mapping[str, Body]) -> None:
     ratio = found / np.maximum(squareform(pdist(body.positions)), 1e-9)
     far = squareform(pdist(body.positions)) > 0.85
     assert ratio.max() > 1.3
-    assert ratio[far].min() < 1.03  # beside the hole the straight line is the way
+    assert ratio[far].min() < 1.03  # beside the hole, the shortest path is straight

@@ -1,4 +1,4 @@
-"""The ground: heights, distances and readings against brute force and against the engine."""
+"""Terrain: heights, distances and readings against brute force and MuJoCo."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,7 @@ def test_cells_have_the_diagonal_of_mujoco() -> None:
         hit = np.zeros(1, dtype=np.int32)
         seen.append(5 - mujoco.mj_ray(model, state, start, [0, 0, -1.0], None, 1, -1, hit, None))
     np.testing.assert_allclose(terrain.height(places), seen, atol=1e-6)
-    # With the other diagonal the heights would be others, and this test would tell.
+    # The other diagonal gives different heights, so the comparison above is sensitive to it.
     flipped = Terrain(terrain.heights[:, ::-1], terrain.cell)
     mirrored = flipped.height(places * [-1, 1])
     assert np.abs(mirrored - seen).max() > 1e-3
