@@ -110,9 +110,10 @@ class Block:
         self._known = problem.known[inside]
         self._similarity = np.where(self._known, problem.similarity[inside], 0.0).astype(np.float64)
         self._whitening = _whitening(self._similarity, problem.options.ridge)
-        self._pairs = ~np.eye(len(sensors), dtype=bool)
+        self._offset = self._known.astype(np.float64)
         metric = problem.metric[inside].astype(np.float64)
-        self._inverse_metric = np.divide(1.0, metric, out=np.zeros_like(metric), where=self._pairs)
+        pairs = ~np.eye(len(sensors), dtype=bool)
+        self._inverse_metric = np.divide(1.0, metric, out=np.zeros_like(metric), where=pairs)
         self._noise = problem.noise / 2  # each pair occurs twice in a matrix
 
     @cached_property
@@ -123,7 +124,7 @@ class Block:
     @cached_property
     def whitened_offset(self) -> Matrix:
         """W O W, with the offset O: 1 where a pair is known, else 0."""
-        return self._whitened(self._known.astype(np.float64))
+        return self._whitened(self._offset)
 
     @cached_property
     def _fixed_products(self) -> tuple[float, float, float]:
@@ -134,11 +135,16 @@ class Block:
     def terms(self, positions: Matrix, log_exponent: float) -> BlockTerms:
         """Evaluate the block at positions of all sensors, shape (N, k)."""
         points = positions[self.sensors]
-        distances = np.maximum(cdist(points, points), _MIN_DISTANCE)
+        # Matrices are overwritten where possible: new ones take longer than the arithmetic.
+        distances = cdist(points, points)
+        np.maximum(distances, _MIN_DISTANCE, out=distances)
         np.fill_diagonal(distances, 1.0)
         logarithms = np.log(distances)
-        powers = np.exp(np.exp(log_exponent) * logarithms)
-        shape = np.where(self._known, np.exp(-powers), 0.0)
+        powers = np.exp(log_exponent) * logarithms
+        np.exp(powers, out=powers)
+        shape = np.negative(powers)
+        np.exp(shape, out=shape)
+        shape *= self._offset
         whitened = self._whitened(shape)
         products = np.array(
             [
@@ -154,16 +160,19 @@ class Block:
         self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float, offset: float
     ) -> tuple[float, Matrix, float]:
         """Return the priors, and the gradient by the positions and by the log exponent."""
-        residual = (
-            amplitude * terms.whitened_shape
-            + offset * self.whitened_offset
-            - self.whitened_similarity
-        )
-        slope = -amplitude * exponent * residual * terms.shape * terms.powers
+        slope = amplitude * terms.whitened_shape
+        slope += offset * self.whitened_offset
+        slope -= self.whitened_similarity
+        slope *= -amplitude * exponent
+        slope *= terms.shape
+        slope *= terms.powers
         by_exponent = float(np.vdot(slope, terms.logarithms))
         value, slope_of_priors = self._priors(terms)
         # Divided by the distance twice: in the derivatives of the distance and of its power.
-        force = (slope / terms.distances + slope_of_priors) / terms.distances
+        force = slope
+        force /= terms.distances
+        force += slope_of_priors
+        force /= terms.distances
         np.fill_diagonal(force, 0.0)
         points = positions[self.sensors]
         by_positions = 2 * (force.sum(axis=1)[:, None] * points - force @ points)
@@ -171,16 +180,19 @@ class Block:
 
     def _priors(self, terms: BlockTerms) -> tuple[float, Matrix]:
         options = self._options
-        ratios = terms.distances * self._inverse_metric
-        deviations = np.where(self._pairs, ratios - ratios.sum() / self._pairs.sum(), 0.0)
+        deviations = terms.distances * self._inverse_metric
+        n_sensors = len(deviations)
+        deviations -= deviations.sum() / (n_sensors * (n_sensors - 1))
+        np.fill_diagonal(deviations, 0.0)
         value = options.prior_weight * np.vdot(deviations, deviations) - options.repulsion * np.sum(
             terms.logarithms
         )
-        slope_of_priors = (
-            2 * options.prior_weight * deviations * self._inverse_metric
-            - options.repulsion / terms.distances
-        )
-        return float(self._noise * value), self._noise * slope_of_priors
+        slope = deviations
+        slope *= 2 * options.prior_weight
+        slope *= self._inverse_metric
+        slope -= options.repulsion / terms.distances
+        slope *= self._noise
+        return float(self._noise * value), slope
 
     def _whitened(self, matrix: Matrix) -> Matrix:
         return np.asarray(self._whitening @ matrix @ self._whitening)
