@@ -82,8 +82,8 @@ def robots(tmp_path):
         readings[40:44, 3] = np.nan
         readings[:200, 5] = readings[-9:, 8] = np.nan
         readings[300:900, 11] = np.inf
-        readings[50, 6] = np.nan  # of what is no sensor
-        readings[:, 30] = np.nan  # of what is not there
+        readings[50, 6] = np.nan  # a thermal pad, not a sensor
+        readings[:, 30] = np.nan  # in an absent triangle
         paths.append(tmp_path / f"robot{i}.npz")
         anisomap.write(anisomap.Recording(readings), paths[-1])
     return paths

@@ -34,12 +34,12 @@ def test_blocks_of_any_size_make_the_same_recording(recording_file: Path, frames
 
 
 def test_progress_increases_to_one(recording_file: Path) -> None:
-    told: list[float] = []
-    io.read(recording_file, progress=told.append)
-    assert told
-    assert all(a <= b for a, b in itertools.pairwise(told))
-    assert all(0 <= fraction <= 1 for fraction in told)
-    assert told[-1] == pytest.approx(1, abs=0.01)
+    shares: list[float] = []
+    io.read(recording_file, progress=shares.append)
+    assert shares
+    assert all(a <= b for a, b in itertools.pairwise(shares))
+    assert all(0 <= fraction <= 1 for fraction in shares)
+    assert shares[-1] == pytest.approx(1, abs=0.01)
 
 
 def test_blocks_need_at_least_one_frame(recording_file: Path) -> None:
@@ -54,9 +54,9 @@ def test_errors_of_the_caller_are_not_converted(recording_file: Path) -> None:
     def use() -> None:
         with io.open_stream(recording_file) as stream:
             for _ in stream.blocks:
-                raise OSError("mine")
+                raise OSError("of the caller")
 
-    with pytest.raises(OSError, match=r"^mine$"):
+    with pytest.raises(OSError, match=r"^of the caller$"):
         use()
 
 
@@ -137,8 +137,8 @@ SLOW = {"skin.csv.gz", "data.log", "skin.asf", "float64.npz"}
     "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in LARGE]
 )
 def test_memory(tmp_path: Path, name: str) -> None:
-    few = 3000 if name.endswith(("mcap", "asf")) else 12_000  # these formats are slow
-    readings = np.random.default_rng(0).integers(0, 10, (few, 200)).astype(np.float32)
+    n_frames = 3000 if name.endswith(("mcap", "asf")) else 12_000  # these formats are slow
+    readings = np.random.default_rng(0).integers(0, 10, (n_frames, 200)).astype(np.float32)
     path = tmp_path / name
     LARGE[name](readings, path)
     result = io.read(path).readings.nbytes

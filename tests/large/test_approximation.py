@@ -155,7 +155,7 @@ def test_known_matches_are_believed():
     np.testing.assert_array_equal(known.shifted_match, -1)
     active = readings > 0
     expected = (active & ~active[:, [1]]).sum(axis=0) / active.sum(axis=0)
-    expected[5] = 0  # there is nobody to ask
+    expected[5] = 0  # the sensor has no match
     np.testing.assert_allclose(known.unexplained, expected)
     among = Matches(kin, np.full(6, 0.4)).among(np.array([True, False, True, True, False, False]))
     np.testing.assert_array_equal(among.nearest, np.full((3, 2), -1))

@@ -30,6 +30,7 @@ from anisomap.io.ros.messages import Kind, kind_of
 from anisomap.io.ros.repair import EXTRA
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
+from anisomap.wording import join_items
 
 _METADATA = "metadata.yaml"
 _BLOCK_BYTES, _BLOCK_MESSAGES = 1 << 22, 1024
@@ -112,7 +113,7 @@ class _Bag:
 
     def _usable(self, info: Any, tactile: bool) -> bool:
         name = info.msgtype or ""
-        fits = messages.is_tactile(name) if tactile else bool(self._fields(name))
+        fits = messages.is_tactile(name) if tactile else bool(self.array_fields(name))
         return bool(fits and info.msgcount)
 
     def select(self, select: str) -> list[tuple[str, str]]:
@@ -130,7 +131,7 @@ class _Bag:
     def stream(self, topic: str, field: str) -> Stream:
         """Create a stream of a topic."""
         message_type = str(self.reader.topics[topic].msgtype)
-        fields = self._fields(message_type)
+        fields = self.array_fields(message_type)
         if message_type not in self.reader.typestore.fielddefs:
             raise FileError(
                 f"{self.path} lacks the definition of message type {message_type} of {topic}; "
@@ -143,7 +144,7 @@ class _Bag:
                 raise FileError(f"{self.path}: {topic} ({message_type}) has no array of numbers")
             raise FileError(
                 f"{self.path}: choose a field of {topic} ({message_type}) with --select "
-                f"TOPIC:FIELD; fields: {', '.join(fields)}"
+                f"TOPIC:FIELD; fields: {join_items(fields)}"
             )
         rows = _CellRows if kind.cell else _Rows
         return rows(self, topic, field, kind).stream()
@@ -156,7 +157,7 @@ class _Bag:
                 message = self.reader.deserialize(raw, connection.msgtype)
             yield message, stamp
 
-    def _fields(self, message_type: str, depth: int = 0) -> list[str]:
+    def array_fields(self, message_type: str, depth: int = 0) -> list[str]:
         """List the paths of all arrays of numbers in a message type."""
         if depth > _MAX_DEPTH or message_type not in self.reader.typestore.fielddefs:
             return []
@@ -165,7 +166,7 @@ class _Bag:
             listed = node.name in ("ARRAY", "SEQUENCE")
             inner, what = description[0] if listed else (node, description)
             if inner.name == "NAME":
-                found += [f"{name}.{rest}" for rest in self._fields(str(what), depth + 1)]
+                found += [f"{name}.{rest}" for rest in self.array_fields(str(what), depth + 1)]
             elif listed and what[0] in _NUMBERS:
                 found.append(name)
         return found
@@ -214,7 +215,13 @@ class _Rows:
     def _values(self, message: Any) -> NDArray[Any]:
         try:
             values = self.kind.values(message, self.field)
-        except (AttributeError, ValueError) as error:
+        except AttributeError as error:
+            fields = self.bag.array_fields(str(self.bag.reader.topics[self.topic].msgtype))
+            raise FileError(
+                f"{self.bag.path}: {self.topic} has no field {self.field!r}; "
+                f"fields with arrays of numbers: {join_items(fields)}"
+            ) from error
+        except ValueError as error:
             raise FileError(f"{self.bag.path}: {self.topic}: {error}") from error
         if values.dtype.kind not in "biuf":
             raise FileError(
