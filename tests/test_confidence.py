@@ -1,4 +1,4 @@
-"""How far a map can be trusted where nobody knows the truth."""
+"""Confidence of maps: calibration, and the cases without one."""
 
 import math
 import warnings
@@ -23,12 +23,12 @@ quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1))
-def test_the_more_halves_agree_the_more_is_expected(one, other):
+def test_expected_mantel_r_increases_with_the_agreement_of_halves(one, other):
     low, high = sorted((one, other))
     assert 0 <= expected_mantel_r(low) <= expected_mantel_r(high) <= 1
 
 
-def test_halves_share_no_frame_and_agreement_is_their_mantel_r():
+def test_halves_are_disjoint_and_their_agreement_is_a_mantel_r():
     frames = np.arange(400.0)[:, None] * np.ones(6)
     seen = []
 
@@ -45,7 +45,7 @@ def test_halves_share_no_frame_and_agreement_is_their_mantel_r():
     assert abs(at_random) < 0.3
 
 
-def test_what_halves_cannot_place_is_left_out_and_no_map_is_no_agreement():
+def test_unplaced_sensors_are_ignored_and_failed_maps_have_no_agreement():
     frames = np.ones((100, 8))
 
     def half_blind(half):
@@ -63,7 +63,7 @@ def test_what_halves_cannot_place_is_left_out_and_no_map_is_no_agreement():
 
 
 @quiet
-def test_short_recordings_are_trusted_less_and_the_confidence_is_about_right():
+def test_confidence_is_calibrated_and_lower_for_short_recordings():
     short, long = [], []
     for seed in range(4):
         for n_frames, found in ((120, short), (1500, long)):
@@ -77,7 +77,7 @@ def test_short_recordings_are_trusted_less_and_the_confidence_is_about_right():
         assert abs(expected - r) < 0.05
 
 
-def test_too_little_evidence_is_said():
+def test_insufficient_evidence_is_noted():
     rng = np.random.default_rng(0)
     noisy = flat_skin(n_frames=400).readings + rng.normal(0, 2.5, (400, 42))
     unparted = MethodOptions(split_unrelated=False)
@@ -90,14 +90,14 @@ def test_too_little_evidence_is_said():
     assert "insufficient evidence" in confidence_in_words(made.confidence)
 
 
-def test_halves_that_share_nothing_leave_no_confidence():
+def test_unrelated_halves_have_no_confidence():
     assert expected_mantel_r(0.0) < 0.1
     assert expected_mantel_r(-0.5) <= expected_mantel_r(0.0)
     assert expected_mantel_r(1.0) == pytest.approx(0.99)
 
 
 @quiet
-def test_a_map_of_noise_is_not_trusted():
+def test_noise_has_low_confidence():
     found = []
     for seed in range(4):
         noise = np.random.default_rng(seed).normal(size=(600, 30))
@@ -108,7 +108,7 @@ def test_a_map_of_noise_is_not_trusted():
 
 
 @quiet
-def test_what_cannot_be_judged_has_no_confidence():
+def test_confidence_is_unknown_for_few_sensors_and_unequal_runs():
     skin = flat_skin()
     few = Recording(skin.readings[:, :8])
     assert math.isnan(confidence(reconstruct(few, dimensions=2), few))
@@ -117,7 +117,7 @@ def test_what_cannot_be_judged_has_no_confidence():
 
 
 @quiet
-def test_nobody_is_asked_where_nothing_can_be_told():
+def test_confidence_is_unknown_without_readings_or_refinement():
     skin = flat_skin(n_frames=300)
     assert math.isnan(reconstruct(skin).confidence)
     assert math.isnan(confidence(reconstruct(skin, "r-anisomap"), skin))
@@ -126,7 +126,7 @@ def test_nobody_is_asked_where_nothing_can_be_told():
     assert "unknown" in confidence_in_words(math.nan)
 
 
-def test_diagnosis_is_of_the_sensors_of_the_map():
+def test_diagnosis_requires_the_sensors_of_the_map():
     skin = flat_skin(n_frames=300)
     made = reconstruct(skin, "r-anisomap", 2)
     with pytest.raises(InputError, match="must have the sensors of the map"):

@@ -1,4 +1,4 @@
-"""The scikit-learn faces: the contract, and what they promise beyond it."""
+"""The scikit-learn estimators: the contract of scikit-learn, and equality with the functions."""
 
 import numpy as np
 import pandas as pd
@@ -34,14 +34,14 @@ def test_scikit_learn_contract(estimator, check):
 
 
 @pytest.mark.parametrize("method", [DEFAULT_METHOD, "r-anisomap", "isomap"])
-def test_a_mapper_makes_the_map_that_reconstruct_makes(method):
+def test_mapper_equals_reconstruct(method):
     mapper = SensorMapper(n_components=2, method=method).fit(SKIN.readings)
     expected = reconstruct(SKIN, method, 2)
     np.testing.assert_allclose(mapper.positions_, expected.positions, atol=1e-9)
     assert mapper.map_.stress == pytest.approx(expected.stress)
 
 
-def test_frames_may_come_in_parts(monkeypatch):
+def test_partial_fit_equals_fit(monkeypatch):
     monkeypatch.setattr("anisomap.estimators.mapper.SAMPLE_FRAMES", 200)
     whole = SensorMapper(n_components=2, method="r-anisomap").fit(SKIN.readings)
     parts = SensorMapper(n_components=2, method="r-anisomap")
@@ -56,19 +56,19 @@ def test_frames_may_come_in_parts(monkeypatch):
     np.testing.assert_allclose(parts.transform(SKIN.readings), whole.transform(SKIN.readings))
 
 
-def test_mappers_and_reconstruct_have_one_default():
+def test_mapper_and_reconstruct_have_the_same_default_method():
     assert SensorMapper().method == DEFAULT_METHOD
     assert reconstruct(Recording(SKIN.readings), dimensions=2).method == DEFAULT_METHOD
 
 
-def test_parts_say_what_the_default_method_cannot_do_with_them():
+def test_partial_fit_notes_limitations_of_the_default_method():
     with pytest.warns(AnisomapWarning, match="Pearson's r alone"):
         parts = SensorMapper(n_components=2).partial_fit(SKIN.readings)
     assert any("Pearson's r alone" in note for note in parts.map_.notes)
     assert SensorMapper(n_components=2).fit(SKIN.readings).map_.notes == ()
 
 
-def test_too_many_values_for_parts_are_rounded_and_that_is_told(monkeypatch):
+def test_partial_fit_warns_of_rounded_values(monkeypatch):
     monkeypatch.setattr("anisomap.numerics.similarity.joint_values.MAX_SERIES", 42 * 50)
     mapper = SensorMapper(n_components=2, method="i-anisomap")
     with pytest.warns(AnisomapWarning, match="more than 50 distinct values"):

@@ -30,7 +30,7 @@ def test_mantel_r_is_pearson_r_of_the_pairs():
     assert mantel(a, b, permutations=0).r == pytest.approx(expected, abs=1e-12)
 
 
-def test_the_null_is_that_of_relabelling_sensors():
+def test_the_null_distribution_relabels_sensors():
     a, b = cloud(6), cloud(6, seed=1)
     found = mantel(a, b, permutations=200, rng=3)
     rng = np.random.default_rng(3)
@@ -39,7 +39,7 @@ def test_the_null_is_that_of_relabelling_sensors():
         assert r == pytest.approx(pearsonr(pdist(a[order]), pdist(b)).statistic, abs=1e-5)
 
 
-def test_p_counts_the_labelling_itself():
+def test_the_p_value_includes_the_identity():
     a = cloud(30)
     assert mantel(a, a, permutations=99).p_value == pytest.approx(0.01)
     ps = [mantel(cloud(10, seed=s), cloud(10, seed=s + 100), permutations=99).p_value
@@ -55,7 +55,7 @@ def test_the_median_of_the_null_is_near_zero():
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
-def test_scores_do_not_see_similarity_transforms(seed):
+def test_scores_are_invariant_under_similarity_transforms(seed):
     truth = cloud(12)
     moved = similar(truth + cloud(12, seed=1) / 4, seed)
     still = truth + cloud(12, seed=1) / 4
@@ -68,7 +68,7 @@ def test_scores_do_not_see_similarity_transforms(seed):
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
-def test_alignment_undoes_a_similarity_and_reports_the_mirror(seed):
+def test_alignment_inverts_a_similarity_transform_and_reports_reflection(seed):
     truth = cloud()
     found = align(similar(truth, seed), truth)
     assert found.rms < 1e-9
@@ -117,7 +117,7 @@ def noisy_map(seed=0, **fields):
     return SensorMap(positions, **fields)
 
 
-def test_a_score_says_what_it_left_out():
+def test_a_score_notes_sensors_that_are_not_compared():
     positions = np.array(noisy_map().positions)
     component = np.zeros(42, int)
     positions[0], component[0] = np.nan, -1
@@ -166,24 +166,24 @@ def test_maps_are_matched_by_name_and_else_by_order():
         (np.zeros(5), cloud(5), "expected positions"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(first, second, message):
+def test_incomparable_configurations_are_refused(first, second, message):
     with pytest.raises(InputError, match=message):
         mantel(first, second)
 
 
-def test_distances_and_positions_say_the_same():
+def test_mantel_of_distances_equals_mantel_of_positions():
     a, b = cloud(9), cloud(9, seed=1)
     from_distances = mantel(squareform(pdist(a)), squareform(pdist(b)), permutations=0)
     assert from_distances.r == pytest.approx(mantel(a, b, permutations=0).r)
 
 
-def test_as_many_dimensions_as_sensors_are_no_distances():
+def test_small_square_arrays_are_positions():
     truth = cloud(4, 4)
     assert score(SensorMap(truth), truth, permutations=0).mantel.r == pytest.approx(1)
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_with_few_sensors_the_true_labelling_is_drawn_again_and_counted(seed):
+def test_identical_permutations_count_in_the_p_value(seed):
     points = cloud(5, seed=seed)
     found = mantel(points + cloud(5, seed=seed + 50) / 100, points, permutations=5000)
     # One labelling in 5! = 120 is the true one, and none is better; its r is rounded differently.

@@ -26,11 +26,11 @@ def machine_with(monkeypatch):
     return set_memory
 
 
-def test_the_memory_of_this_machine_is_known():
+def test_physical_memory_is_plausible():
     assert physical_memory() > 1 << 26
 
 
-def test_nothing_is_refused_where_memory_is_unknown(monkeypatch):
+def test_nothing_is_refused_if_memory_is_unknown(monkeypatch):
     monkeypatch.delattr(os, "sysconf")
     assert physical_memory() is None
     check_pair_memory(10**9, refined=True)
@@ -55,7 +55,7 @@ def test_maps_too_large_for_memory_are_refused(machine_with):
         reconstruct_from(similarity=np.corrcoef(readings.T))
 
 
-def test_workers_whose_results_exceed_memory_are_refused(machine_with):
+def test_worker_results_too_large_for_memory_are_refused(machine_with):
     readings = np.random.default_rng(0).uniform(size=(50, 60))
     machine_with(11 * 8 * 60**2)
     with pytest.raises(InputError, match=r"5 workers .* 60 sensors .* use fewer workers"):

@@ -1,4 +1,4 @@
-"""From a recording to a map: quality, stages that are given, pieces, and doubts that are told."""
+"""Reconstruction from a recording or a precomputed stage: quality, components, notes, refusals."""
 
 import contextlib
 import pickle
@@ -32,7 +32,7 @@ def mantel_r(sensor_map, recording):
 
 
 @pytest.mark.parametrize("method", ["r-anisomap", "spearman-anisomap", "co-activation-anisomap"])
-def test_a_rubbed_flat_skin_is_found_again(method):
+def test_a_rubbed_flat_skin_is_reconstructed(method):
     found = [mantel_r(reconstruct(skin, method, 2), skin)
              for skin in (flat_skin(seed=seed) for seed in range(4))]  # fmt: skip
     assert min(found) > 0.95
@@ -94,7 +94,7 @@ def test_the_same_recording_gives_the_same_bytes():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_stage_can_be_entered_with_something_precomputed(method):
+def test_reconstruction_can_start_from_every_stage(method):
     skin = flat_skin()
     # Contacts are in readings only: without them, the map is that which they would refine.
     whole = reconstruct(skin, "covariogram" if method == "contact-fit" else method, 2)
@@ -117,7 +117,7 @@ def test_every_stage_can_be_entered_with_something_precomputed(method):
             np.testing.assert_allclose(entered.positions, whole.positions, atol=1e-9)
 
 
-def test_exactly_one_stage_is_given():
+def test_exactly_one_stage_is_required():
     with pytest.raises(InputError, match="exactly one of similarity, dissimilarity, metric"):
         reconstruct_from()
     with pytest.raises(InputError, match="got similarity, metric"):
@@ -133,12 +133,12 @@ def test_arrays_and_lists_of_frames_are_recordings():
 
 
 @pytest.mark.parametrize("nonsense", [None, "skin.csv", 3, np.zeros(7), np.zeros((2, 2, 2)), {}])
-def test_what_is_no_recording_is_refused(nonsense):
+def test_invalid_recordings_are_refused(nonsense):
     with pytest.raises(InputError, match=r"shape \(T, N\) \(frames x sensors\)"):
         reconstruct(nonsense)
 
 
-def test_a_start_is_where_scaling_sets_out_from():
+def test_scaling_starts_from_the_given_positions():
     skin = flat_skin()
     stay = MethodOptions(smacof=SmacofOptions(max_iterations=0))
     with pytest.warns(AnisomapWarning, match="converged"):
@@ -152,7 +152,7 @@ def test_a_start_is_where_scaling_sets_out_from():
     np.testing.assert_allclose(started.positions, lattice() - lattice().mean(axis=0))
 
 
-def test_weights_of_zero_are_not_looked_at():
+def test_distances_with_zero_weight_are_ignored():
     skin = flat_skin()
     metric = np.array(stages(skin.readings, "r-anisomap").metric)
     how = {"method": "r-anisomap", "dimensions": 2}
@@ -167,7 +167,7 @@ def test_weights_of_zero_are_not_looked_at():
     assert anisomap.mantel(misled, truth, permutations=0).r < close
 
 
-def test_a_map_says_how_many_contacts_it_rests_on():
+def test_the_number_of_contacts_is_in_the_provenance():
     skin = flat_skin()
     refined = reconstruct(skin, "contact-fit", 2)
     assert refined.provenance["n_contacts"] > 100
@@ -175,7 +175,7 @@ def test_a_map_says_how_many_contacts_it_rests_on():
     assert mantel_r(refined, skin) > mantel_r(reconstruct(skin, "covariogram", 2), skin)
 
 
-def test_where_contacts_cannot_be_told_the_covariogram_map_stays_and_a_note_says_why():
+def test_rejected_contact_fits_keep_the_covariogram_map_with_a_note():
     skin = seeing_patch()
     with pytest.warns(AnisomapWarning, match="contacts did not refine the map") as told:
         found = reconstruct(skin, "contact-fit", 2)
@@ -185,7 +185,7 @@ def test_where_contacts_cannot_be_told_the_covariogram_map_stays_and_a_note_says
 
 
 @pytest.mark.parametrize("fact", ["contact_peaks", "uneven", "even_spacing"])
-def test_compact_contacts_do_not_bend_a_map_whose_contacts_are_long(fact):
+def test_contact_fits_are_rejected_for_elongated_contacts(fact):
     skin = flat_skin()
     alike = np.eye(42)
     pairs = PairStatistics.from_similarity(alike, noise=0.01, readings=skin.readings)
@@ -209,7 +209,7 @@ def test_dead_sensors_are_left_out_and_listed():
     assert sensor_map.notes
 
 
-def test_excluded_sensors_stay_and_dropped_ones_go():
+def test_excluded_sensors_are_mapped_and_dropped_ones_are_not():
     skin = flat_skin()
     scored = score(
         reconstruct(skin, dimensions=2), skin.positions, exclude=["s3", 5], permutations=0
@@ -231,7 +231,7 @@ def two_skins():
     return Recording(np.hstack([first, second]), positions=positions)
 
 
-def test_without_regularisation_separate_pieces_are_separate_maps():
+def test_components_without_regularisation_are_separate_maps():
     skin = two_skins()
     with pytest.warns(AnisomapWarning, match="2 separate components"):
         sensor_map = reconstruct(skin, "r-anisomap", 2, options=MethodOptions(mu=0))
@@ -276,7 +276,7 @@ def test_many_unknown_pairs_are_bridged(known):
     assert np.mean(found["covariogram"]) > np.mean(found["r-anisomap"]) - 0.01
 
 
-def test_pieces_come_in_one_unit():
+def test_components_have_the_same_unit():
     skin, patch = flat_skin(n_frames=4000), flat_skin(seed=9, n_frames=4000)
     for size in (6, 9, 12, 30):
         both = Recording(np.hstack([skin.readings, patch.readings[:, :size]]))
@@ -288,7 +288,7 @@ def test_pieces_come_in_one_unit():
 
 
 @pytest.mark.parametrize("similarity", [np.full((10, 10), 2.0), 5 * np.eye(10) + 1])
-def test_the_covariogram_is_of_correlations(similarity):
+def test_the_covariogram_requires_correlations(similarity):
     with pytest.raises(InputError, match="from -1 to 1"):
         reconstruct_from(similarity=similarity)
 
@@ -305,14 +305,14 @@ def test_the_covariogram_is_of_correlations(similarity):
         ({"weights": np.full((42, 42), np.nan)}, "weights must be"),
     ],
 )
-def test_nonsense_beside_a_similarity_is_named(given, message):
+def test_invalid_companions_of_a_similarity_are_refused(given, message):
     similarity = np.corrcoef(flat_skin().readings.T)
     with pytest.raises(InputError, match=message):
         reconstruct_from(similarity=similarity, **given)
 
 
 @pytest.mark.parametrize("unit", [1e-200, 1e-165, 1e152, 1e200])
-def test_no_unit_of_readings_is_too_large_or_small(unit):
+def test_readings_of_extreme_magnitude_are_mapped(unit):
     skin = flat_skin(n_frames=600)
     usual, extreme = (
         reconstruct(Recording(readings), dimensions=2)
@@ -321,7 +321,7 @@ def test_no_unit_of_readings_is_too_large_or_small(unit):
     assert anisomap.mantel(usual, extreme, permutations=0).r > 0.999
 
 
-def test_what_was_changed_of_the_fit_is_in_the_provenance():
+def test_changed_options_of_the_fit_are_in_the_provenance():
     options = MethodOptions(covariogram=CovariogramOptions(repulsion=0.2))
     made = reconstruct(flat_skin(), dimensions=2, options=options)
     assert made.provenance["covariogram_repulsion"] == 0.2
@@ -329,7 +329,7 @@ def test_what_was_changed_of_the_fit_is_in_the_provenance():
     assert not any(key.startswith("covariogram_") for key in usual.provenance)
 
 
-def test_short_recordings_are_doubted():
+def test_short_recordings_carry_a_note():
     skin = flat_skin(n_frames=300)
     with pytest.warns(AnisomapWarning) as caught:
         sensor_map = diagnose(reconstruct(skin, dimensions=2), skin)
@@ -337,7 +337,7 @@ def test_short_recordings_are_doubted():
     assert any("only 300 frames" in note for note in sensor_map.notes)
 
 
-def test_a_sensor_related_to_no_other_is_doubted():
+def test_isolated_sensors_carry_a_note():
     readings = np.array(flat_skin().readings)
     readings[:, 8] = np.random.default_rng(0).uniform(size=len(readings)) < 0.02
     with pytest.warns(AnisomapWarning, match="s8"):
@@ -345,7 +345,7 @@ def test_a_sensor_related_to_no_other_is_doubted():
     assert sensor_map.health[8] != "ok"
 
 
-def test_a_good_recording_is_not_doubted():
+def test_good_recordings_carry_no_note():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         skin = flat_skin()
@@ -391,12 +391,12 @@ def test_invalid_arguments_are_refused(arguments, message):
         ({"metric": 1 - np.eye(9), "names": ["a"]}, "9 sensors need 9 names, got 1"),
     ],
 )
-def test_precomputed_stages_that_do_not_fit_are_refused(given, message):
+def test_invalid_precomputed_stages_are_refused(given, message):
     with pytest.raises(InputError, match=message):
         reconstruct_from(**given)
 
 
-def test_missing_readings_have_to_be_settled_first():
+def test_missing_readings_are_refused():
     readings = np.array(flat_skin().readings)
     readings[7, 3] = np.nan
     with pytest.raises(InputError, match="sensor s3, frame 7"):
@@ -405,7 +405,7 @@ def test_missing_readings_have_to_be_settled_first():
     assert reconstruct(filled, dimensions=2).placed.all()
 
 
-def test_registries_name_what_exists():
+def test_registries_are_consistent():
     assert set(PAPER_METHODS) <= set(METHODS)
     assert {method.similarity for method in METHODS.values()} == set(SIMILARITIES)
     for entry in [*METHODS.values(), *SIMILARITIES.values()]:
@@ -430,7 +430,9 @@ def test_real_skins(recordings_folder, name, dimensions, least):
 @uneven
 @pytest.mark.parametrize("name", ["icub_hexagon", "icub_palm", "plantar"])
 @pytest.mark.parametrize("dimensions", [2, 3])
-def test_the_rivals_fall_behind_on_real_skins(recordings_folder, name, dimensions):
+def test_isomap_and_information_distance_are_worse_on_real_skins(
+    recordings_folder, name, dimensions
+):
     recording = anisomap.read(recordings_folder / f"{name}.npz")
     best = mantel_r(reconstruct(recording, dimensions=dimensions), recording)
     for rival in ("information-distance", "isomap"):
@@ -438,7 +440,7 @@ def test_the_rivals_fall_behind_on_real_skins(recordings_folder, name, dimension
 
 
 @pytest.mark.parametrize("name", ["icub_hexagon", "icub_palm"])
-def test_thresholded_skins_have_two_bins_however_many_are_asked_for(recordings_folder, name):
+def test_thresholded_skins_have_two_bins(recordings_folder, name):
     recording = anisomap.read(recordings_folder / f"{name}.npz")
     few, many = (
         stages(recording.readings, "i-anisomap", MethodOptions(bins=bins)).similarity
@@ -474,7 +476,7 @@ def test_copies_of_a_real_skin_side_by_side_are_one_large_skin(recordings_folder
 
 @pytest.mark.parametrize("method", ["covariogram", "r-anisomap", "isomap"])
 @pytest.mark.parametrize("nonsense", [1.0, np.nan])
-def test_what_stands_at_unknown_pairs_does_not_matter(method, nonsense):
+def test_values_of_unknown_pairs_are_ignored(method, nonsense):
     skin = flat_skin()
     how = "i-anisomap" if method == "isomap" else "r-anisomap"
     similarity = np.array(stages(skin.readings, how).similarity)

@@ -17,14 +17,14 @@ from anisomap.errors import InputError
     [(bool, np.float32), (np.uint8, np.float32), (np.int16, np.float32), (np.float32, np.float32),
      (np.int32, np.float64), (np.int64, np.float64), (np.float64, np.float64)],
 )  # fmt: skip
-def test_readings_are_kept_without_loss_in_as_few_bytes_as_that_takes(dtype, kept):
+def test_readings_are_stored_losslessly_in_the_smallest_float_type(dtype, kept):
     readings = np.array([[0, 1], [1, 0]], dtype=dtype)
     recording = Recording(readings)
     assert recording.readings.dtype == kept
     np.testing.assert_array_equal(recording.readings, readings)
 
 
-def test_nothing_of_a_recording_can_be_changed():
+def test_recordings_are_immutable():
     given = np.zeros((3, 2))
     recording = Recording(given, positions=np.zeros((2, 2)), times=[0, 1, 2])
     given[:] = 9
@@ -74,7 +74,7 @@ def test_sensors_are_found_by_name_first_and_then_by_index():
             recording.indices([missing])
 
 
-def test_selecting_keeps_what_belongs_to_the_sensors():
+def test_selection_applies_to_all_fields():
     recording = Recording(np.arange(6).reshape(2, 3), positions=np.eye(3), names="abc")
     part = recording.select([2, 0])
     assert part.names == ("c", "a")
@@ -119,14 +119,14 @@ def test_missing_readings_are_named():
         Recording(readings).complete()
 
 
-def test_a_sensor_that_never_reads_anything_does_not_vary():
+def test_sensors_without_finite_readings_do_not_vary():
     readings = np.random.default_rng(0).normal(size=(5, 3))
     readings[:, 1] = np.nan
     readings[0, 2] = np.inf
     np.testing.assert_array_equal(Recording(readings).varying(), [True, False, True])
 
 
-def test_a_recording_survives_being_sent_to_another_process():
+def test_recordings_can_be_pickled():
     recording = Recording(np.eye(3), names="abc", metadata={"seed": 1})
     again = pickle.loads(pickle.dumps(recording))
     assert again.names == recording.names

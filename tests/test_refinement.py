@@ -1,4 +1,4 @@
-"""Where correlations say little of one direction: contact passes, declared spacing, and doubts."""
+"""Refinement of uneven maps by contact peaks and by declared even spacing."""
 
 import warnings
 from dataclasses import replace
@@ -57,13 +57,13 @@ def test_a_rolling_cylinder_keeps_its_length(seed, rolling):
     assert any("declared, not measured" in note for note in declared.notes)
 
 
-def test_units_of_readings_do_not_matter_to_passes(rolling):
+def test_contact_peaks_do_not_depend_on_units(rolling):
     gains = 2.0 ** np.random.default_rng(0).integers(-3, 4, rolling.n_sensors)
     first, second = mapped(rolling), mapped(Recording(rolling.readings * gains - 3))
     assert anisomap.mantel(first, second, permutations=0).r == pytest.approx(1, abs=1e-6)
 
 
-def test_without_heights_the_map_is_told_to_be_squeezed(rolling):
+def test_without_peak_heights_the_map_is_marked_as_uneven(rolling):
     touched = replace(rolling, readings=(rolling.readings > 0).astype(np.uint8))
     found = mapped(touched)
     assert "contact_peaks" not in found.provenance
@@ -86,23 +86,23 @@ def left_alone(readings, dimensions):
     )
 
 
-def test_the_gate_leaves_a_bombarded_sphere_as_it_is_to_the_bit():
+def test_contact_peaks_do_not_change_a_bombarded_sphere():
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     assert left_alone(anisomap.simulate("sphere", n_frames=2000, seed=1).readings, 3)
 
 
 @pytest.mark.parametrize("skin", [flat_skin, seeing_patch])
 @pytest.mark.parametrize("seed", range(4))
-def test_the_gate_leaves_flat_skins_as_they_are_to_the_bit(skin, seed):
+def test_contact_peaks_do_not_change_flat_skins(skin, seed):
     assert left_alone(skin(seed=seed).readings, 2)
 
 
-def test_the_gate_opens_for_a_rolling_cylinder_alone(rolling):
+def test_contact_peaks_are_used_for_a_rolling_cylinder(rolling):
     assert not left_alone(rolling.readings, 3)
 
 
 @pytest.mark.parametrize("seed", [304, 305])
-def test_skins_that_touch_themselves_are_uneven_but_passes_confirm_them(seed):
+def test_contact_peaks_confirm_uneven_maps_of_self_touching_skins(seed):
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     touched = anisomap.simulate("plane", "self-touch", n_frames=2000, seed=seed)
     found = mapped(touched)
@@ -111,7 +111,7 @@ def test_skins_that_touch_themselves_are_uneven_but_passes_confirm_them(seed):
     assert mantel_r(found, touched) > 0.85
 
 
-def test_declared_spacing_helps_where_it_is_true():
+def test_declared_even_spacing_improves_evenly_spaced_skins():
     gained = []
     for seed in range(4):
         skin = flat_skin(seed=seed, n_frames=400)
@@ -121,7 +121,7 @@ def test_declared_spacing_helps_where_it_is_true():
 
 
 @pytest.mark.parametrize("method", [name for name in METHODS if name != "covariogram"])
-def test_methods_that_make_no_use_of_even_spacing_refuse_it(method):
+def test_methods_without_even_spacing_refuse_it(method):
     with pytest.raises(
         InputError, match=f"{method} does not support even spacing; use covariogram"
     ):
@@ -140,7 +140,7 @@ def test_even_spacing_needs_readings_of_all_sensors():
             call()
 
 
-def test_runs_that_have_all_sensors_can_be_declared_even():
+def test_runs_with_all_sensors_accept_even_spacing():
     skin = flat_skin()
     runs = [replace(skin, readings=part) for part in np.split(skin.readings, [600])]
     with pytest.warns(AnisomapWarning, match="declared, not measured"):
@@ -153,14 +153,14 @@ def test_runs_that_have_all_sensors_can_be_declared_even():
 @pytest.mark.parametrize(
     ("n_frames", "n_sensors"), [(30, 42), (1500, 6)], ids=["few frames", "few sensors"]
 )
-def test_spacing_that_was_declared_in_vain_is_told(n_frames, n_sensors):
+def test_unused_even_spacing_is_noted(n_frames, n_sensors):
     skin = flat_skin(n_frames=1500).select(range(n_sensors))
     found = mapped(replace(skin, readings=skin.readings[:n_frames]), dimensions=2, options=EVEN)
     assert found.provenance["even_spacing"] is False
     assert any("too few sensors or frames" in note for note in found.notes)
 
 
-def test_what_is_squeezed_has_no_confidence(rolling):
+def test_uneven_maps_have_no_confidence(rolling):
     touched = replace(rolling, readings=(rolling.readings > 0).astype(np.uint8))
     assert np.isnan(confidence(mapped(touched), touched))
     assert confidence(mapped(rolling), rolling) > 0.9

@@ -1,4 +1,4 @@
-"""Several recordings of one skin are one map: what they share is compared, the rest follows."""
+"""Several recordings of one skin: matching of sensors, pairs and positions."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def frames(start: int, stop: int, sensors=slice(None), recording: Recording = NA
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_cut_into_runs_it_is_the_same_map(method: str) -> None:
+def test_a_recording_split_into_runs_gives_the_same_map(method: str) -> None:
     order = np.random.default_rng(0).permutation(42)
     runs = [frames(0, 700), frames(700, 1900, order), frames(1900, 3000)]
     quick = MethodOptions(contacts=ContactOptions(max_readings=6000))
@@ -50,7 +50,7 @@ def test_sensors_may_be_missing_in_a_run(method: str) -> None:
     assert found.provenance["runs"] == 2
 
 
-def test_pairs_that_met_are_compared_over_all_frames_in_which_they_did() -> None:
+def test_pairs_are_compared_over_the_runs_that_contain_both() -> None:
     """Dropping what was missing anywhere leaves the map of the sensors that never were."""
     runs = [frames(0, 1500, slice(0, 36)), frames(1500, 3000, slice(6, 42))]
     found = reconstruct(runs, "r-anisomap", 2, drop=[*range(6), *range(36, 42)])
@@ -72,12 +72,12 @@ def test_pairs_are_correlated_as_pandas_does_where_readings_are_missing() -> Non
     np.testing.assert_allclose(found.positions, expected.positions, atol=1e-6)
 
 
-def test_parts_that_share_no_sensor_are_refused() -> None:
+def test_runs_without_common_sensors_are_refused() -> None:
     with pytest.raises(InputError, match="shares no sensor name"):
         join_runs([frames(0, 900, slice(0, 20)), frames(0, 900, slice(20, 42))])
 
 
-def test_sensors_without_names_must_be_as_many() -> None:
+def test_unnamed_runs_must_have_the_same_size() -> None:
     same = [Recording(SKIN.readings[:900]), Recording(SKIN.readings[900:])]
     np.testing.assert_array_equal(join_runs(same).readings, SKIN.readings)
     with pytest.raises(InputError, match=r"a\.csv has 42, b\.csv has 30; give names"):
@@ -89,7 +89,7 @@ def test_sensors_without_names_must_be_as_many() -> None:
         )
 
 
-def test_missing_readings_are_an_error_in_a_run_too() -> None:
+def test_missing_readings_of_a_run_are_refused() -> None:
     readings = NAMED.readings[:900].copy()
     readings[7, 3] = np.nan
     runs = [Recording(readings, names=NAMED.names), frames(0, 900, slice(0, 40))]
@@ -97,13 +97,13 @@ def test_missing_readings_are_an_error_in_a_run_too() -> None:
         reconstruct(runs, "r-anisomap", 2)
 
 
-def test_positions_that_contradict_each_other_are_no_truth() -> None:
+def test_contradictory_positions_are_discarded() -> None:
     moved = Recording(NAMED.readings[:900], names=NAMED.names, positions=SKIN.positions + 1)
     assert join_runs([frames(0, 900), moved]).positions is None
     assert join_runs([frames(0, 900), frames(0, 900)]).units == "mm"
 
 
-def test_a_sensor_is_judged_by_the_run_in_which_it_was_touched() -> None:
+def test_sensors_are_assessed_in_the_run_with_most_contacts() -> None:
     silent = np.array(NAMED.readings[:1500])
     silent[:, 5] = 0
     runs = [

@@ -1,4 +1,4 @@
-"""From a map to what a robot's software reads."""
+"""``anisomap convert``: maps for robot software."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ def map_csv(run, skin_npz, tmp_path):
     return tmp_path / "map.csv"
 
 
-def test_a_map_becomes_a_robots_in_metres(run, map_csv, tmp_path):
+def test_maps_are_converted_to_robot_formats_in_metres(run, map_csv, tmp_path):
     outcome = run("convert", map_csv, "skin.urdf", "--spacing", "6.5mm", "--frame", "l_forearm")
     assert outcome.code == 0, outcome.err
     assert "6.5 mm" in outcome.out
@@ -46,7 +46,9 @@ def test_a_map_is_made_in_millimetres_and_mirrored_at_once(run, skin_npz, tmp_pa
         (["nowhere/skin.urdf", "--spacing", "6.5mm"], "nowhere"),
     ],
 )
-def test_what_cannot_be_written_is_told_in_one_sentence(run, map_csv, tmp_path, arguments, message):
+def test_invalid_conversions_are_refused_with_one_message(
+    run, map_csv, tmp_path, arguments, message
+):
     before = sorted(tmp_path.iterdir())
     outcome = run("convert", map_csv, *arguments)
     assert outcome.code == 2
@@ -54,7 +56,7 @@ def test_what_cannot_be_written_is_told_in_one_sentence(run, map_csv, tmp_path, 
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_scale_that_is_missing_is_missed_before_the_work(run, skin_npz, tmp_path):
+def test_a_missing_scale_is_reported_before_the_computation(run, skin_npz, tmp_path):
     outcome = run("map", skin_npz, "-o", "skin.mjcf")
     assert outcome.code == 2
     assert "--spacing 6.5mm" in outcome.err

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 
-def test_a_coverage_curve_is_told_written_and_drawn(run, tmp_path):
+def test_a_coverage_curve_is_printed_written_and_drawn(run, tmp_path):
     outcome = run(
         *("coverage", "sphere", "--sensors", "20", "--runs", "2"),
         *("--frames", "100", "--frames", "1600", "-o", "curve.csv", "--picture", "curve.png"),
@@ -29,7 +29,7 @@ def test_a_coverage_curve_is_told_written_and_drawn(run, tmp_path):
         (["sphere", "-p", "pace=1"], "has no parameter 'pace'"),
     ],
 )
-def test_nonsense_gets_one_sentence(run, tmp_path, arguments, message):
+def test_invalid_arguments_are_refused_with_one_message(run, tmp_path, arguments, message):
     outcome = run("coverage", *arguments)
     assert outcome.code == 2
     assert message in " ".join(outcome.err.split())

@@ -1,4 +1,4 @@
-"""Recordings read in blocks from the command line: the same maps as of whole ones."""
+"""Recordings read in blocks from the command line: equality with whole recordings."""
 
 from contextlib import suppress
 from importlib import import_module
@@ -119,7 +119,7 @@ def test_gaps_and_robots_are_treated_as_in_whole_recordings(run, robots, nan, ca
 
 
 @pytest.mark.usefixtures("all_is_large")
-def test_what_blocks_do_not_allow_is_refused(run, parts, robots, monkeypatch):
+def test_unsupported_options_of_large_recordings_are_refused(run, parts, robots, monkeypatch):
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT", "1s")
     with suppress(ImportError):
         import_module("dask").config.refresh()
@@ -143,7 +143,7 @@ def test_large_recordings_must_have_the_same_sensors(run, parts):
     assert "have different sensors" in made.err
 
 
-def test_an_approximate_map_is_labelled_in_all_that_is_written(run_map, parts):
+def test_approximate_maps_are_labelled_in_every_output(run_map, parts):
     outputs = [f"map.{suffix}" for suffix in ("csv", "json", "npz")]
     written = [word for name in outputs for word in ("-o", name)]
     made = run_map(*parts, "--approximate", "-d", 2, *written, "--report", "map.html")
@@ -180,7 +180,7 @@ def test_a_seed_repeats_an_approximate_map(run_map, parts):
         (["--even-spacing"], "even spacing"),
     ],
 )
-def test_what_is_not_approximate_is_refused(run, parts, arguments, message):
+def test_unsupported_options_of_approximate_maps_are_refused(run, parts, arguments, message):
     made = run("map", *parts, "--approximate", *arguments)
     assert made.code != 0
     assert message in made.err

@@ -1,4 +1,4 @@
-"""--quiet and --json: every command that reports has them, and they mean the same."""
+"""Options --quiet and --json of all reporting commands."""
 
 import json
 import subprocess
@@ -89,7 +89,7 @@ MAP = [sys.executable, "-c", "from anisomap.cli import main; main()", "map", "sk
 
 @pytest.mark.usefixtures("_files")
 @pytest.mark.parametrize("option", ["--no-confidence", "--json"])
-def test_a_reader_that_leaves_does_not_cost_the_map(tmp_path, option):
+def test_the_map_is_written_if_the_reader_closes_the_pipe(tmp_path, option):
     started = subprocess.Popen(
         [*MAP, "-o", "piped.csv", "--permutations", "0", option],
         cwd=tmp_path,

@@ -1,4 +1,4 @@
-"""From a body to a recording, its pictures and its map, as a user goes about it."""
+"""Commands of simulation: recordings, pictures, faults and lists."""
 
 import os
 from pathlib import Path
@@ -48,7 +48,7 @@ def test_without_an_output_the_recording_is_named_after_body_and_scenario(run, t
     assert anisomap.read(tmp_path / "plane-bombardment.npz").n_sensors == 25
 
 
-def test_several_runs_are_those_of_the_seeds_that_follow(run, tmp_path):
+def test_several_runs_have_consecutive_seeds(run, tmp_path):
     outcome = run("simulate", "sphere", "--frames", "30", "--seed", "5", "--runs", "2")
     assert outcome.code == 0, outcome.err
     for seed in (5, 6):
@@ -79,7 +79,7 @@ def test_a_robot_part_with_its_sensors_becomes_a_recording(run, tmp_path):
             np.testing.assert_allclose(recording.positions, places, atol=1e-5)
 
 
-def test_mujoco_makes_the_pictures_or_says_that_it_cannot(run, tmp_path):
+def test_mujoco_renders_or_warns(run, tmp_path):
     arguments = ("simulate", "sphere", "--frames", "3", "-o", "run.npz", "--renderer", "mujoco")
     outcome = run(*arguments, "--picture", "run.png", "--video", "run.gif")
     assert outcome.code == 0, outcome.err
@@ -91,7 +91,7 @@ def test_mujoco_makes_the_pictures_or_says_that_it_cannot(run, tmp_path):
 @pytest.mark.skipif(
     bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")), reason="a window opens"
 )
-def test_without_a_screen_the_view_says_so_and_the_recording_is_there(run, tmp_path):
+def test_without_a_screen_the_view_warns_and_the_recording_is_written(run, tmp_path):
     outcome = run("simulate", "sphere", "--frames", "3", "-o", "run.npz", "--view")
     assert outcome.code == 0
     assert "needs a display" in outcome.err
@@ -122,7 +122,7 @@ def test_without_a_screen_the_view_says_so_and_the_recording_is_there(run, tmp_p
         (["missing.stl"], "there is no file missing.stl"),
     ],
 )
-def test_nonsense_gets_one_sentence_and_writes_nothing(run, tmp_path, arguments, message):
+def test_invalid_arguments_are_refused_without_output(run, tmp_path, arguments, message):
     outcome = run("simulate", *arguments)
     assert outcome.code == 2
     assert message in " ".join(outcome.err.split())
@@ -158,7 +158,7 @@ def test_injected_faults_are_documented_in_the_file(run, tmp_path, skin_npz):
         (["-f", "dead:s1", "-o", "out.csv"], "csv"),
     ],
 )
-def test_faults_that_cannot_be_are_refused(run, tmp_path, skin_npz, arguments, message):
+def test_invalid_faults_are_refused(run, tmp_path, skin_npz, arguments, message):
     before = skin_npz.read_bytes()
     outcome = run("spoil", skin_npz, *arguments)
     assert outcome.code == 2
@@ -167,7 +167,7 @@ def test_faults_that_cannot_be_are_refused(run, tmp_path, skin_npz, arguments, m
     assert [path.name for path in tmp_path.iterdir()] == ["skin.npz"]
 
 
-def test_what_there_is_is_listed(run):
+def test_lists_are_complete(run):
     bodies = run("bodies").out
     assert all(name in bodies for name in BODIES)
     scenarios = run("scenarios").out
@@ -178,14 +178,14 @@ def test_what_there_is_is_listed(run):
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_every_parameter_of_a_scenario_is_told_with_its_default(run, name):
+def test_scenario_parameters_are_listed_with_defaults(run, name):
     told = run("scenarios", name)
     assert told.code == 0
     for parameter, default in vars(SCENARIOS[name].options()).items():
         assert f"{parameter} = {default}" in told.out
 
 
-def test_a_path_to_a_point_cloud_is_no_mesh(run, tmp_path):
+def test_point_clouds_are_not_meshes(run, tmp_path):
     sensor_map = anisomap.SensorMap(np.random.default_rng(0).normal(size=(20, 3)))
     anisomap.write(sensor_map, tmp_path / "points.ply")
     outcome = run("simulate", Path("points.ply"), "--frames", "20", "-o", "out.npz")

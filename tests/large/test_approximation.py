@@ -1,4 +1,4 @@
-"""Approximate maps as users make them: like the exact ones, repeatable, and labelled."""
+"""Approximate maps: agreement with exact maps, reproducibility and labels."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def found():
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
-def test_it_is_much_like_the_exact_map(dimensions):
+def test_approximate_maps_resemble_exact_maps(dimensions):
     exact = reconstruct(Recording(READINGS), "r-anisomap", dimensions)
     approximate = made(dimensions=dimensions)
     assert mantel(approximate, exact, permutations=0).r > 0.995
@@ -38,7 +38,7 @@ def test_it_is_much_like_the_exact_map(dimensions):
     assert truth[0] > truth[1] - 0.005
 
 
-def test_it_says_what_it_is(found):
+def test_approximate_maps_are_labelled(found):
     assert found.method == "r-anisomap"
     facts = dict(found.provenance)
     assert found.approximate
@@ -47,25 +47,25 @@ def test_it_says_what_it_is(found):
     assert any("this map is approximate" in note and "60 landmarks" in note for note in found.notes)
 
 
-def test_the_same_seed_makes_the_same_map_and_another_seed_another(found):
+def test_the_seed_determines_the_map(found):
     np.testing.assert_array_equal(made().positions, found.positions)
     other = made(approximate=ApproximateOptions(n_candidates=30, n_landmarks=60, seed=1))
     assert not np.allclose(other.positions, found.positions)
     assert mantel(other, found, permutations=0).r > 0.999
 
 
-def test_how_frames_are_cut_does_not_matter(found):
+def test_chunk_boundaries_do_not_matter(found):
     parts = made(lambda: np.array_split(READINGS, [5, 700, 701, 4000]))
     assert mantel(parts, found, permutations=0).r > 0.9999
 
 
-def test_in_which_order_sensors_are_does_not_matter(found):
+def test_the_order_of_sensors_does_not_matter(found):
     order = np.random.default_rng(0).permutation(len(PLACES))
     shuffled = made(READINGS[:, order])
     assert mantel(shuffled.positions, found.positions[order], permutations=0).r > 0.999
 
 
-def test_skins_that_were_touched_apart_are_pieces():
+def test_skins_touched_independently_are_components():
     pause = np.zeros_like(READINGS)
     both = np.vstack([np.hstack([READINGS, pause]), np.hstack([pause, READINGS])])
     with pytest.warns(AnisomapWarning, match="2 separate components"):
@@ -75,7 +75,7 @@ def test_skins_that_were_touched_apart_are_pieces():
         assert mantel(piece, PLACES, permutations=0).r > 0.99
 
 
-def test_what_is_dead_or_dropped_has_no_place_and_a_broken_wire_none_with_the_others(monkeypatch):
+def test_dead_and_dropped_sensors_are_unplaced_and_broken_wires_separate(monkeypatch):
     monkeypatch.setattr("anisomap.large.approximation.EXCERPT_READINGS", 1)
     readings = READINGS.copy()
     readings[:, 7] = 3
@@ -91,7 +91,7 @@ def test_what_is_dead_or_dropped_has_no_place_and_a_broken_wire_none_with_the_ot
     assert skin.names == tuple(names)
 
 
-def test_missing_readings_are_dealt_with_as_everywhere():
+def test_missing_readings_follow_the_policy():
     readings = READINGS.astype(np.float32)
     readings[100, 3] = np.nan
     with pytest.raises(InputError, match="sensor 3 in frame 100"):
@@ -132,7 +132,7 @@ def test_health_of_many_sensors_is_assessed_from_an_excerpt(monkeypatch):
     np.testing.assert_array_equal(*np.array(contacts)[:, at_rest])
 
 
-def test_behaviour_in_blocks_is_the_same(monkeypatch):
+def test_behaviour_does_not_depend_on_blocks(monkeypatch):
     readings = READINGS[:, :40].astype(float)
     readings[:, 5] = np.random.default_rng(0).normal(size=len(readings))
     whole = behaviour.observe(readings)
@@ -147,7 +147,7 @@ def test_behaviour_in_blocks_is_the_same(monkeypatch):
     assert many.shifted_match[5] >= many.best_match[5]
 
 
-def test_known_matches_are_believed():
+def test_known_matches_are_used():
     readings = READINGS[:, :6].astype(float)
     kin = np.array([[1, -1]] * 5 + [[-1, -1]])
     known = behaviour.observe(readings, Matches(kin, np.full(6, 0.4)))
@@ -162,7 +162,7 @@ def test_known_matches_are_believed():
     np.testing.assert_array_equal(Matches(kin, kin[:, 0]).among(np.arange(6) < 2).nearest[:, 0], 1)
 
 
-def test_of_very_many_sensors_mantel_r_is_of_a_sample(found, monkeypatch):
+def test_mantel_r_of_very_many_sensors_uses_a_sample(found, monkeypatch):
     everyone = anisomap.score(found, PLACES, permutations=0)
     monkeypatch.setattr("anisomap.evaluation.scoring.MAX_ALL_PAIRS", 100)
     monkeypatch.setattr("anisomap.evaluation.scoring.SAMPLED", 90)

@@ -1,4 +1,4 @@
-"""Recordings in chunks: the same map as of one array, whoever does the work, cut off or not."""
+"""Recordings in chunks: equality with the map of one array, for all workers and interruptions."""
 
 import importlib
 
@@ -35,7 +35,7 @@ def cut_at(*cuts):
 
 @pytest.mark.parametrize("method", EXACT)
 @pytest.mark.parametrize("cuts", [(), (7, 400, 401, 1100), range(50, 2500, 50)])
-def test_chunks_make_the_map_of_one_array(method, cuts):
+def test_chunks_give_the_map_of_one_array(method, cuts):
     expected = diagnose(reconstruct(SKIN, method, 2), SKIN)
     found = reconstruct_chunks(cut_at(*cuts), method, 2)
     np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
@@ -47,7 +47,7 @@ def test_chunks_make_the_map_of_one_array(method, cuts):
 @pytest.mark.parametrize("method", EXACT)
 @pytest.mark.parametrize("cuts", [[3, 900, 901], [2, *range(3, 23)]], ids=["few", "frame by frame"])
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
-def test_a_live_stream_makes_the_map_of_one_array(method, cuts):
+def test_partial_fit_gives_the_map_of_one_array(method, cuts):
     parts, whole = (SensorMapper(n_components=2, method=method) for _ in range(2))
     for part in np.split(READINGS, cuts):
         parts.partial_fit(part)
@@ -60,7 +60,7 @@ def test_a_live_stream_makes_the_map_of_one_array(method, cuts):
 
 @pytest.mark.parametrize("method", sorted(set(METHODS) - set(EXACT)))
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
-def test_a_live_stream_makes_refined_maps_of_correlations_however_it_comes(method):
+def test_partial_fit_of_refined_maps_does_not_depend_on_parts(method):
     made = []
     for cuts in ([3, 900, 901], [2000]):
         parts = SensorMapper(n_components=2, method=method)
@@ -79,7 +79,7 @@ def test_what_the_default_method_cannot_do_with_chunks_is_noted():
 
 
 @pytest.mark.filterwarnings("ignore:the recording was read in blocks")
-def test_how_chunks_are_cut_does_not_matter_to_the_covariogram():
+def test_the_covariogram_does_not_depend_on_chunk_boundaries():
     whole = reconstruct(SKIN, "covariogram", 2)
     found = [reconstruct_chunks(cut_at(*cuts), "covariogram", 2) for cuts in ((), (7, 400, 1100))]
     np.testing.assert_allclose(found[0].positions, found[1].positions, atol=1e-6)
@@ -88,7 +88,7 @@ def test_how_chunks_are_cut_does_not_matter_to_the_covariogram():
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.uint8])
-def test_an_array_on_disk_is_gone_through_in_chunks(tmp_path, monkeypatch, dtype):
+def test_memory_mapped_arrays_are_read_in_chunks(tmp_path, monkeypatch, dtype):
     np.save(tmp_path / "skin.npy", READINGS.astype(dtype))
     monkeypatch.setattr(chunks, "CHUNK_READINGS", 300 * 42)
     monkeypatch.setattr(chunks, "CHUNK_FRAMES", 1)
@@ -99,7 +99,7 @@ def test_an_array_on_disk_is_gone_through_in_chunks(tmp_path, monkeypatch, dtype
         np.testing.assert_allclose(found.positions, expected.positions, atol=1e-10)
 
 
-def test_an_array_on_disk_may_lie_column_after_column(tmp_path, monkeypatch):
+def test_memory_mapped_arrays_may_be_in_fortran_order(tmp_path, monkeypatch):
     np.save(tmp_path / "skin.npy", np.asfortranarray(READINGS))
     monkeypatch.setattr(chunks, "CHUNK_READINGS", 300 * 42)
     monkeypatch.setattr(chunks, "CHUNK_FRAMES", 1)
@@ -127,7 +127,7 @@ def failing_at(n_chunks, passes):
 
 
 @pytest.mark.parametrize("passes", [1, 2])
-def test_what_was_cut_off_goes_on(tmp_path, passes):
+def test_interrupted_reconstructions_resume(tmp_path, passes):
     expected = reconstruct(SKIN, "i-anisomap", 2)
     file = tmp_path / "counts.npz"
     options = {"method": "i-anisomap", "dimensions": 2, "checkpoint": file}
@@ -152,21 +152,21 @@ def test_what_was_cut_off_goes_on(tmp_path, passes):
 
 
 @pytest.mark.parametrize("method", ["r-anisomap", "i-anisomap"])
-def test_workers_make_the_same_map_to_the_last_bit(method):
+def test_threads_give_bitwise_the_same_map(method):
     alone = reconstruct_chunks(cut_at(700, 1500), method, 2)
     many = reconstruct_chunks(cut_at(700, 1500), method, 2, pool=WorkerPool(2))
     np.testing.assert_array_equal(many.positions, alone.positions)
 
 
 @pytest.mark.parametrize("backend", ["threading", "loky", "multiprocessing"])
-def test_any_backend_of_joblib_makes_the_same_map_to_the_last_bit(backend):
+def test_joblib_backends_give_bitwise_the_same_map(backend):
     alone = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2)
     with joblib.parallel_config(backend):
         many = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2, pool=WorkerPool(2))
     np.testing.assert_array_equal(many.positions, alone.positions)
 
 
-def test_ray_makes_the_same_map_to_the_last_bit():
+def test_ray_gives_bitwise_the_same_map():
     ray = pytest.importorskip("ray")
     importlib.import_module("ray.util.joblib").register_ray()
     alone = reconstruct_chunks(cut_at(700, 1500), "i-anisomap", 2)
@@ -180,7 +180,7 @@ def test_ray_makes_the_same_map_to_the_last_bit():
 
 
 @pytest.mark.parametrize("backend", ["threading", "loky"])
-def test_workers_do_not_fight_over_cores(backend):
+def test_workers_use_single_threaded_blas(backend):
     with threadpool_limits(3), joblib.parallel_config(backend):
         found = map_reduce(cut_at(*range(100, 2500, 100)), ThreadLimits.of, pool=WorkerPool(2))
         assert found.limits == {1}
@@ -198,7 +198,7 @@ def test_after_a_worker_process_died_the_next_run_resumes(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dask_cluster_makes_the_same(tmp_path):
+def test_a_dask_cluster_gives_the_same_map(tmp_path):
     distributed = pytest.importorskip("distributed")
     chunks = cut_at(*range(250, 2500, 250))
     expected = map_reduce(chunks, Moments.of)
@@ -233,12 +233,12 @@ def test_missing_readings():
         ([READINGS[0]], r"\(frames, sensors\)"),
     ],
 )
-def test_chunks_of_something_else_are_refused(chunks, message):
+def test_invalid_chunks_are_refused(chunks, message):
     with pytest.raises(InputError, match=message):
         reconstruct_chunks(lambda: chunks)
 
 
-def test_health_is_judged_from_an_excerpt_of_bounded_size(monkeypatch):
+def test_health_is_assessed_from_an_excerpt_of_bounded_size(monkeypatch):
     monkeypatch.setattr(chunks, "EXCERPT_READINGS", 42 * 800)
     monkeypatch.setattr(chunks, "SEGMENT_FRAMES", 50)
     late = READINGS.copy()
@@ -250,7 +250,7 @@ def test_health_is_judged_from_an_excerpt_of_bounded_size(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:the recording was read in blocks")
-def test_a_squeezed_map_of_chunks_says_so():
+def test_uneven_maps_of_chunks_carry_a_note():
     doubled = np.hstack([READINGS, READINGS + np.arange(42, dtype=np.uint8) % 2])
     with pytest.warns(AnisomapWarning, match="peak heights of contacts.* were not examined"):
         reconstruct_chunks(lambda: iter(np.split(doubled, 5)), dimensions=2)
@@ -265,7 +265,7 @@ def test_even_spacing_is_refused_before_all_frames_are_read():
 
 
 @pytest.mark.parametrize("unit", [1e200, 1e-200])
-def test_readings_in_an_impossible_unit_are_refused(unit):
+def test_readings_of_extreme_magnitude_are_refused(unit):
     readings = READINGS.astype(np.float64)
     readings[:, 3] *= unit
     with pytest.raises(InputError, match=r"sensor 3 is .* use another unit"):
@@ -278,7 +278,7 @@ def test_long_doubles_are_read_as_doubles():
     np.testing.assert_allclose(found.positions, expected.positions, atol=1e-9)
 
 
-def test_what_was_changed_in_memory_counts(tmp_path):
+def test_changes_of_copy_on_write_maps_are_used(tmp_path):
     np.save(tmp_path / "skin.npy", READINGS)
     mapped = np.load(tmp_path / "skin.npy", mmap_mode="c")
     mapped[:, 3] = 0
