@@ -18,7 +18,7 @@ def skin(n_boards: int = 2, *, rest: float = 0.0, source: str = "") -> Recording
     return Recording(readings, source=source)
 
 
-def test_names_say_board_triangle_and_pad() -> None:
+def test_names_state_board_triangle_and_pad() -> None:
     recording = skin()
     found = apply_preset(recording, "icub")
     assert found.n_sensors == (2 * 16 - 1) * 10

@@ -31,13 +31,13 @@ SCALARS = WORDS | st.booleans() | st.integers(-(10**30), 10**30) | FLOATS
 
 
 @st.composite
-def maps(draw: st.DrawFn, least: int = 1, most: int = 4) -> SensorMap:
-    n_sensors, k = draw(st.integers(1, 6)), draw(st.integers(least, most))
+def maps(draw: st.DrawFn, min_k: int = 1, max_k: int = 4) -> SensorMap:
+    n_sensors, k = draw(st.integers(1, 6)), draw(st.integers(min_k, max_k))
     positions = draw(hnp.arrays(np.float64, (n_sensors, k), elements=FLOATS))
     placed = np.isfinite(positions).all(axis=1)
-    pieces = draw(hnp.arrays(np.intp, int(placed.sum()), elements=st.integers(0, 3)))
+    labels = draw(hnp.arrays(np.intp, int(placed.sum()), elements=st.integers(0, 3)))
     component = np.full(n_sensors, -1)
-    component[placed] = np.unique(pieces, return_inverse=True)[1]
+    component[placed] = np.unique(labels, return_inverse=True)[1]
     return SensorMap(
         positions,
         names=draw(st.lists(WORDS, min_size=n_sensors, max_size=n_sensors, unique=True)),
@@ -168,7 +168,7 @@ def test_json_is_strict(folder: Path, sensor_map: SensorMap) -> None:
     io.write(sensor_map, path)
 
     def refuse(constant: str) -> float:
-        raise AssertionError(f"{constant} is no JSON")
+        raise AssertionError(f"{constant} is not JSON")
 
     document = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
     unknown = [None in sensor["position"] for sensor in document["sensors"]]
@@ -228,12 +228,12 @@ def test_the_reference_frame_is_always_written(
         io.write(written, path)
         if suffix == ".npz":
             with np.load(path, allow_pickle=False) as stored:
-                said = {key: str(stored[key]) for key in ("scale", "handedness", "frame")}
+                stated = {key: str(stored[key]) for key in ("scale", "handedness", "frame")}
         else:
             lines = [line.strip('# ,"') for line in path.read_text().splitlines()]
             pairs = (line.removeprefix("comment ").partition(":") for line in lines)
-            said = {key.strip('"'): value.strip(' "') for key, _, value in pairs}
-        assert said["scale"] == scale
-        assert said["frame"] == written.frame
-        assert said["handedness"].startswith("right-handed")
+            stated = {key.strip('"'): value.strip(' "') for key, _, value in pairs}
+        assert stated["scale"] == scale
+        assert stated["frame"] == written.frame
+        assert stated["handedness"].startswith("right-handed")
     assert "scale" not in placed.known_up_to

@@ -55,8 +55,8 @@ def test_dialects(put: Put, header: str, dialect: tuple[str, str], end: str, enc
     assert found.source == "skin.csv"
 
 
-@pytest.mark.parametrize("suffix", ["csv", "tsv", "txt", "dat", "log", "CSV", "unheard-of", ""])
-def test_suffix_does_not_matter(put: Put, suffix: str) -> None:
+@pytest.mark.parametrize("suffix", ["csv", "tsv", "txt", "dat", "log", "CSV", "unknown", ""])
+def test_text_is_read_with_any_suffix(put: Put, suffix: str) -> None:
     found = io.read(put(f"skin.{suffix}", table(READINGS)))
     np.testing.assert_array_equal(found.readings, READINGS)
 
@@ -224,7 +224,7 @@ def test_times_as_text_and_missing_labels(put: Put) -> None:
     assert found.times is None
 
 
-def test_single_cells_of_text_stay_errors(put: Put) -> None:
+def test_single_cells_of_text_are_rejected(put: Put) -> None:
     rows = ["1,2,x"] * 20
     rows[9] = "1,oops,x"
     with pytest.warns(AnisomapWarning, match="skipped text"):
@@ -286,8 +286,8 @@ def test_an_unsteady_first_column_is_a_sensor(put: Put, first: np.ndarray) -> No
 def test_ramps_are_not_time(put: Put) -> None:
     ramps = np.arange(120.0).reshape(30, 4)
     np.testing.assert_array_equal(io.read(put("x.csv", table(ramps))).readings, ramps)
-    few = np.column_stack([np.arange(5) / 10, READINGS[:5]])
-    np.testing.assert_array_equal(io.read(put("x.csv", table(few))).readings, few)
+    short = np.column_stack([np.arange(5) / 10, READINGS[:5]])
+    np.testing.assert_array_equal(io.read(put("x.csv", table(short))).readings, short)
 
 
 @given(hnp.arrays(np.float64, (20, 3), elements=st.sampled_from([0.0, 1.0, 2.5])))
@@ -359,28 +359,28 @@ def test_long_text_is_shortened_in_messages(put: Put) -> None:
     assert len(message) < 400
 
 
-def test_header_only(put: Put) -> None:
+def test_a_file_with_only_a_header_is_rejected(put: Put) -> None:
     assert "holds only a header" in read_error(put("x.csv", "a,b,c\n"))
     assert "no line of numbers" in read_error(put("x.csv", "# a comment\n\n"))
 
 
-def test_time_only(put: Put) -> None:
+def test_a_file_with_only_times_is_rejected(put: Put) -> None:
     assert "no sensor" in read_error(put("x.csv", "time\n1\n2\n3\n"))
 
 
-def test_header_of_another_width(put: Put) -> None:
+def test_a_header_of_another_width_is_rejected(put: Put) -> None:
     assert "line 2 has 3 fields, but the header names 2" in read_error(put("x.csv", "a,b\n1,2,3\n"))
     assert "line 2 has 2 fields, but the header names 3" in read_error(put("x.csv", "a,b,c\n1,2\n"))
 
 
-def test_duplicated_names(put: Put) -> None:
+def test_duplicate_names_are_rejected(put: Put) -> None:
     message = read_error(put("x.csv", "a,b,a\n1,2,3\n"))
     assert "x.csv" in message
     assert "unique" in message
     assert "name a" in message
 
 
-def test_other_encodings(put: Put) -> None:
+def test_encodings_other_than_utf_8_are_rejected(put: Put) -> None:
     message = read_error(put("x.csv", "a,b\n1,2\n3,4\n# \u00b5\n".encode("latin-1")))
     assert "x.csv is not UTF-8 text (line 4, byte 0xb5)" in message
     assert "is UTF-16 text" in read_error(put("x.csv", "a,b\n1,2\n".encode("utf-16")))
