@@ -289,7 +289,7 @@ def test_components_have_the_same_unit():
 
 @pytest.mark.parametrize("similarity", [np.full((10, 10), 2.0), 5 * np.eye(10) + 1])
 def test_the_covariogram_requires_correlations(similarity):
-    with pytest.raises(InputError, match="from -1 to 1"):
+    with pytest.raises(InputError, match=r"in \[-1, 1\]"):
         reconstruct_from(similarity=similarity)
 
 

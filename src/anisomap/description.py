@@ -24,7 +24,7 @@ def caveats(component: NDArray[np.intp], names: Sequence[str], *, converged: boo
         outside = [names[i] for i in np.flatnonzero(component > 0).tolist()]
         yield (
             f"the sensors form {sizes.size} separate components (of {join_items(sizes.tolist())} "
-            "sensors), whose positions relative to one another are unknown; outside the largest: "
+            "sensors) with unknown positions relative to one another; outside the largest: "
             f"{join_items(outside)}"
         )
     if not converged:

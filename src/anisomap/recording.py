@@ -150,7 +150,7 @@ class Recording:
         Returns
         -------
         ndarray of bool, shape (N,)
-            False for a sensor whose finite readings are all equal, or that has none.
+            False for sensors with equal finite readings, or without any.
         """
         lowest, highest = self.readings.min(axis=0), self.readings.max(axis=0)
         known = np.isfinite(lowest) & np.isfinite(highest)

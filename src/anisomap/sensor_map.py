@@ -18,7 +18,7 @@ UNPLACED = -1
 """The component label of a sensor without a position."""
 
 UNSCALED = ("", "arbitrary")
-"""Units of positions whose scale is unknown."""
+"""Units of positions with unknown scale."""
 
 DEFAULT_FRAME = "skin"
 

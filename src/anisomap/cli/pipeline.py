@@ -89,7 +89,7 @@ def read_runs(
 
 
 def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
-    """Print the contents of a file that can hold several recordings."""
+    """Print the contents of a file that may contain several recordings."""
     contents = io.contents(path, options=how)
     if contents:
         rows = [(c.name, c.summary, "yes" if c.usable else "no") for c in contents]

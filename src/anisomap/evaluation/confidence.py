@@ -88,7 +88,7 @@ def expected_mantel_r(agreement: float) -> float:
     Notes
     -----
     ``1 - r = 0.01 + 0.2 d - 0.1 d^2 + 0.8 d^8`` with the disagreement ``d = 1 - agreement``,
-    clipped at 1. The curve was fitted to simulated skins whose halves agree to 0.4 or more; the
+    clipped at 1. The curve was fitted to simulated skins with an agreement of 0.4 or more; the
     last term lets the confidence vanish as the halves become unrelated. For other seeds see
     ``docs/explanation/results.md``.
     """

@@ -47,7 +47,7 @@ class Mantel:
     def p_value(self) -> float:
         """Share of permutations with at least this r, the identity included; NaN without a null.
 
-        Permutations whose r differs by rounding only count as equal.
+        Values of r that differ only by rounding count as equal.
         """
         if not self.null.size:
             return float("nan")

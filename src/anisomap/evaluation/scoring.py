@@ -84,7 +84,7 @@ def score(
     ----------
     sensor_map : SensorMap
         Sensors without a position are not compared, nor are those outside the largest connected
-        component, whose relative position is unknown.
+        component, since their relative position is unknown.
     truth : SensorMap or array_like of shape (N, 2) or (N, 3)
         True positions. An array is in the order of the map, with NaN for unknown positions. A map
         is matched by sensor names and gives the units; if no name is shared and the numbers of

@@ -52,7 +52,7 @@ class SimilarityGraph:
     ----------
     sketch : Sketch
     links : SensorPairs
-        All pairs whose r was computed.
+        All pairs for which r was computed.
     graph : SensorGraph
         The pairs that are edges.
     excerpt : Recording

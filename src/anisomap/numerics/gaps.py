@@ -228,16 +228,16 @@ def _missing(readings: Readings) -> NDArray[np.bool_]:
 
 def _rechunk(chunks: Iterable[Readings], window: int) -> Iterator[Readings]:
     """Concatenate consecutive chunks to at least `window` readings each."""
-    held: list[Readings] = []
+    pending: list[Readings] = []
     size = 0
     for chunk in chunks:
-        held.append(chunk)
+        pending.append(chunk)
         size += chunk.size
         if size >= window:
-            yield held[0] if len(held) == 1 else np.concatenate(held)
-            held, size = [], 0
-    if held:
-        yield np.concatenate(held)
+            yield pending[0] if len(pending) == 1 else np.concatenate(pending)
+            pending, size = [], 0
+    if pending:
+        yield np.concatenate(pending)
 
 
 def _last_known(readings: Readings, start: int, before: Neighbours) -> Neighbours:

@@ -157,7 +157,7 @@ def refine_by_covariogram(
 def unexamined_unevenness(
     readings: NDArray[np.generic], positions: Reals, similarity: Reals
 ) -> tuple[str, ...]:
-    """Return a caveat if a map has uneven neighbours whose contact peaks were not examined.
+    """Return a caveat if a map has uneven neighbours, and contact peaks were not examined.
 
     Parameters
     ----------

@@ -78,7 +78,7 @@ def scenarios(
     Parameters
     ----------
     scenario
-        Scenario whose parameters to list, with their defaults for the paper's sphere.
+        Scenario for which to list the parameters, with their defaults for the paper's sphere.
     """
     with reporting.printer() as printer:
         if scenario is None:

@@ -21,7 +21,7 @@ MIN_TOLERANCE = 1e-7
 """Smallest tolerance of the refinement: path lengths are stored in float32."""
 
 SOURCES_PER_TASK = 64
-"""Landmarks whose paths are computed together; chosen by hand."""
+"""Number of landmarks from which paths are computed together; chosen by hand."""
 
 ROWS_PER_BLOCK = 4096
 """Sensors that are triangulated together; bounds the memory of float64 copies."""

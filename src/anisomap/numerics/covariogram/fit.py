@@ -1,7 +1,7 @@
 """Joint fit of a covariogram and of the sensor positions to correlations.
 
 A covariogram is the covariance of two points as a function of their distance (geostatistics). It is
-fitted together with the positions, to correlations whose errors are themselves correlated.
+fitted together with the positions, to correlations with correlated errors.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ def _parallel_blocks(n_sensors: int) -> Iterator[MapFunction]:
 
 
 def _estimate_range(similarity: Matrix, positions: Matrix, known: NDArray[np.bool_]) -> float:
-    """Return the median distance of pairs whose correlation is about 1 / e."""
+    """Return the median distance of pairs with a correlation of about 1 / e."""
     step = -(-len(positions) // _MAX_RANGE_SENSORS)
     similarity, known = similarity[::step, ::step], known[::step, ::step]
     distances = cdist(positions[::step], positions[::step])

@@ -45,7 +45,7 @@ class CovariogramOptions:
     max_iterations : int
         Maximum number of L-BFGS iterations.
     block : int
-        Maximum number of sensors whose correlations are whitened together, at least 3. More are
+        Maximum number of sensors that are whitened together, at least 3. More are
         fitted in overlapping blocks of half this size, since whitening takes cubic time. For 1,200
         and 2,000 sensors, blocks of 150 to 500 gave equally good maps.
 

@@ -24,7 +24,7 @@ N_MAJORISATION_STEPS = 5
 """First steps without memory, which select the minimum as majorisation does; chosen by hand."""
 
 CONVERGENCE_STEPS = 3
-"""Steps whose total decrease is compared with the tolerance: single steps may be short."""
+"""Number of steps over which the decrease is tested, since single steps may be short."""
 
 MAX_TRIALS = 10
 """Maximum number of step lengths per line search; chosen by hand, the first usually succeeds."""

@@ -22,7 +22,7 @@ from anisomap.numerics.similarity.sparse_products import is_sparse, sparse_comom
 MIN_FLOAT32_SENSORS = 512
 """Minimum number of sensors for which products in float32 save more time than they cost."""
 
-_FLOAT32_RANGE = 1e15  # of readings whose squares, summed over frames, stay within float32
+_FLOAT32_RANGE = 1e15  # of readings; sums of their squares over frames stay within float32
 
 
 @dataclass(frozen=True, eq=False)

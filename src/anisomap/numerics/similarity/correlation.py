@@ -81,12 +81,12 @@ def phi_from_counts(counts: Counts, n_frames: int) -> Reals:
 
 
 def squares_overflow(magnitude: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return True for sensors with a greatest magnitude whose square leaves float64, shape (N,)."""
+    """Return True for sensors with squares outside float64, given greatest magnitudes, (N,)."""
     return (magnitude > MAX_SQUARED) | ((magnitude < 1 / MAX_SQUARED) & (magnitude > 0))
 
 
 def scale_extremes(readings: ArrayLike) -> NDArray[np.generic]:
-    """Scale readings whose squares would overflow or underflow, exactly, by powers of 2."""
+    """Scale readings exactly, by powers of 2, if their squares would overflow or underflow."""
     values = np.asarray(readings)
     if values.dtype.kind != "f" or values.dtype.itemsize < np.dtype(np.float64).itemsize:
         return values
