@@ -94,7 +94,7 @@ def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = N
     for name in values:
         if name not in known:
             raise InputError(
-                f"{kind.__name__} has no parameter {name!r}; choose from {', '.join(known)}"
+                f"the scenario has no parameter {name!r}; choose from {', '.join(known)}"
             )
     reference = sphere()
     for name, entry in known.items():
