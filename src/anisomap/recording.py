@@ -91,7 +91,7 @@ class Recording:
         for name, shapes in truth.items():
             if getattr(self, name) is not None:
                 array = _frozen(np.array(getattr(self, name), dtype=np.float64))
-                _check_shape(name, array, shapes, n_sensors)
+                _check_shape(name, array, shapes)
                 object.__setattr__(self, name, array)
         for name, value in {
             "readings": readings,
@@ -320,7 +320,7 @@ def _frozen(array: _Array) -> _Array:
 
 
 def _check_shape(
-    name: str, array: NDArray[np.float64], shapes: tuple[tuple[int, int], ...], n_sensors: int
+    name: str, array: NDArray[np.float64], shapes: tuple[tuple[int, int], ...]
 ) -> None:
     if array.shape not in shapes:
         raise InputError(

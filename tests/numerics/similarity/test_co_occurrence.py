@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.special import xlogy
 from sklearn.metrics import mutual_info_score
 
-from anisomap.numerics.similarity.accumulators import MIN_FLOAT32_SENSORS
+from anisomap.numerics.similarity.accumulators import MIN_FAST_PRODUCT_SENSORS
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.co_occurrence import (
     MIN_COMPILED_SENSORS,
@@ -114,7 +114,7 @@ def test_co_activation_of_many_sensors_is_the_correlation_of_activity():
 @pytest.mark.parametrize("unit", [1, 1e-30])
 def test_correlations_of_many_sensors_are_accurate_to_1e_5(offset, unit):
     rng = np.random.default_rng(5)
-    n_sensors = MIN_FLOAT32_SENSORS + 8
+    n_sensors = MIN_FAST_PRODUCT_SENSORS + 8
     common = rng.standard_t(2, (3000, 40))[:, rng.integers(0, 40, n_sensors)]
     readings = (np.maximum(0, common + rng.normal(0, 0.3, common.shape)) ** 3 + offset) * unit
     readings[:, 11] = 0.1

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
-from anisomap.numerics.similarity.accumulators import MIN_FLOAT32_SENSORS, Moments
+from anisomap.numerics.similarity.accumulators import MIN_FAST_PRODUCT_SENSORS, Moments
 from anisomap.numerics.similarity.sparse_products import is_sparse, sparse_comoments
 
 MOSTLY_FIVE = st.one_of(st.just(5.0), st.just(5.0), st.floats(-9, 9, width=32))
@@ -52,7 +52,7 @@ def test_sparse_products_are_chosen_only_for_sparse_readings():
 
 
 def test_moments_of_many_sparse_sensors_are_accurate_to_float64():
-    readings = sparse_readings(500, MIN_FLOAT32_SENSORS, 0.05)
+    readings = sparse_readings(500, MIN_FAST_PRODUCT_SENSORS, 0.05)
     found = Moments.of(readings, single=True).correlation()
     # Products in float32 would differ by 1e-7.
     np.testing.assert_allclose(found, np.corrcoef(readings.T), atol=1e-12)

@@ -19,8 +19,8 @@ from anisomap.numerics.similarity.co_occurrence import (
 )
 from anisomap.numerics.similarity.sparse_products import is_sparse, sparse_comoments
 
-MIN_FLOAT32_SENSORS = 512
-"""Minimum number of sensors for which products in float32 save more time than they cost."""
+MIN_FAST_PRODUCT_SENSORS = 512
+"""Minimum number of sensors for float32 or sparse products; below, they save no time."""
 
 _FLOAT32_RANGE = 1e15  # of readings; sums of their squares over frames stay within float32
 
@@ -64,7 +64,7 @@ class Moments:
 
     @classmethod
     def _of_chunk(cls, chunk: NDArray[np.generic], single: bool) -> Moments:
-        if chunk.shape[1] >= MIN_FLOAT32_SENSORS and is_sparse(chunk):
+        if chunk.shape[1] >= MIN_FAST_PRODUCT_SENSORS and is_sparse(chunk):
             return cls(len(chunk), *sparse_comoments(chunk))
         if single and (found := _float32_deviations(chunk)) is not None:
             mean, small = found

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.numerics.columns import rank_columns
 from anisomap.numerics.precision import Reals, row_blocks
 from anisomap.numerics.similarity.accumulators import (
-    MIN_FLOAT32_SENSORS,
+    MIN_FAST_PRODUCT_SENSORS,
     Moments,
     correlation_of_comoments,
 )
@@ -38,7 +38,7 @@ def pearson(readings: ArrayLike) -> Reals:
 
 def moments(readings: NDArray[np.generic]) -> Moments:
     """Return the moments from which `pearson` is computed, after `scale_extremes`."""
-    return Moments.of(readings, single=readings.shape[1] >= MIN_FLOAT32_SENSORS)
+    return Moments.of(readings, single=readings.shape[1] >= MIN_FAST_PRODUCT_SENSORS)
 
 
 def spearman(readings: ArrayLike) -> Reals:
