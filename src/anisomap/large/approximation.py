@@ -134,7 +134,7 @@ def reconstruct_approximately(
     -----
     See `anisomap.large.landmarks` for the steps, and ``docs/explanation/large-recordings.md`` for
     the accuracy. Components without statistically significant links are mapped separately,
-    whatever `mu` is.
+    for any `mu`.
     """
     chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
     graph = build_similarity_graph(

@@ -39,7 +39,7 @@ def methods(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None
 
 
 def formats(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
-    """List the file formats, what each can read and write, and the extra that it needs."""
+    """List the file formats, their abilities to read and write, and the extras that they need."""
     rows = [
         (
             form.name,
@@ -138,4 +138,4 @@ def _first_line(thing: object) -> str:
 
 
 def _abilities(**abilities: object) -> str:
-    return ", ".join(f"{what}s" for what, ability in abilities.items() if ability) or "-"
+    return ", ".join(f"{kind}s" for kind, ability in abilities.items() if ability) or "-"

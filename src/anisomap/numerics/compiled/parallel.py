@@ -68,10 +68,10 @@ def parallel_map(n_rows: int) -> Iterator[MapFunction]:
 
 @contextmanager
 def limited_blas(n_rows: int) -> Iterator[None]:
-    """Run BLAS on one thread while matrices have too few rows for threads; then restore it.
+    """Limit BLAS to one thread within the block if matrices have too few rows for threads.
 
-    Threads of BLAS wait for each other actively. On a busy machine, small products take ten times
-    the CPU time with them.
+    BLAS threads busy-wait for each other: on a loaded machine, small products take ten times the
+    CPU time with several threads.
     """
     with threadpool_limits(1 if n_rows < MIN_PARALLEL_ROWS else None, user_api="blas"):
         yield
