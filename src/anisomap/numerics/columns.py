@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -56,10 +57,11 @@ def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]
         found = np.flatnonzero(table)
         return (found + lowest).astype(column.dtype), table[found].astype(np.int64)
     usual = _usual(column)
-    unusual = np.sort(column[column != usual])
+    unusual = column[column != usual]
+    unusual.sort()
     begins, counts = _ties(unusual)
     values = unusual[begins]
-    place = np.searchsorted(values, usual)
+    place = values.searchsorted(usual)
     return (
         np.concatenate([values[:place], [usual], values[place:]]),
         np.concatenate([counts[:place], [column.size - unusual.size], counts[place:]]),
@@ -84,8 +86,8 @@ def mean_ranks(column: NDArray[Any]) -> NDArray[np.float64]:
     Equal to ``scipy.stats.rankdata(column)``, but faster, as `count_values`.
     """
     usual = _usual(column)
-    at = np.flatnonzero(column != usual)
-    at = at[np.argsort(column[at])]
+    at = (column != usual).nonzero()[0]
+    at = at[column[at].argsort()]
     unusual = column[at]
     begins, counts = _ties(unusual)
     n_usual, n_below = column.size - at.size, np.count_nonzero(unusual < usual)
@@ -95,18 +97,33 @@ def mean_ranks(column: NDArray[Any]) -> NDArray[np.float64]:
     return ranks
 
 
-def rank_columns(readings: NDArray[Any]) -> NDArray[np.float64]:
-    """Rank the readings of each sensor, shape (T, N), by `mean_ranks`."""
-    ranks = np.empty(readings.shape)
-    for begin in range(0, readings.shape[1], _SENSORS_AT_ONCE):
-        part = slice(begin, begin + _SENSORS_AT_ONCE)
-        ranks[:, part] = np.array([mean_ranks(column) for column in columns(readings[:, part])]).T
+def rank_columns(sensors: Iterable[NDArray[Any]], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Rank the readings of each sensor by `mean_ranks`.
+
+    Parameters
+    ----------
+    sensors : iterable of ndarray of shape (T,)
+        N sensors, as from `columns`.
+    shape : tuple of int
+        (T, N).
+
+    Returns
+    -------
+    ndarray of shape (T, N)
+    """
+    ranks = np.empty(shape)
+    ranked = map(mean_ranks, sensors)
+    for begin in range(0, shape[1], _SENSORS_AT_ONCE):
+        ranks[:, begin : begin + _SENSORS_AT_ONCE] = np.array(
+            list(islice(ranked, _SENSORS_AT_ONCE))
+        ).T
     return ranks
 
 
 def _usual(column: NDArray[Any]) -> Any:
     """Estimate the most frequent reading by the median of some frames."""
-    sample = np.sort(column[:: max(1, column.size // _SAMPLE_FRAMES)])
+    sample = column[:: max(1, column.size // _SAMPLE_FRAMES)].copy()
+    sample.sort()
     return sample[sample.size // 2]
 
 
@@ -114,5 +131,5 @@ def _ties(ordered: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
     """Return where each distinct value of a sorted array begins, and how often it occurs."""
     new = np.ones(ordered.size + 1, dtype=bool)
     np.not_equal(ordered[1:], ordered[:-1], out=new[1:-1])
-    bounds = np.flatnonzero(new)
-    return bounds[:-1], np.diff(bounds)
+    bounds = new.nonzero()[0]
+    return bounds[:-1], bounds[1:] - bounds[:-1]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
-from anisomap.numerics.columns import mean_ranks
+from anisomap.numerics.columns import columns, mean_ranks
 from anisomap.numerics.similarity.rest import estimate_rest
 
 MIN_PEAKS = 8
@@ -83,7 +83,10 @@ def peak_lengths(readings: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float6
             f"{values.shape}"
         )
     rest = estimate_rest(values)
-    peaks = [contact_peaks(column) for column in (rest.side * (values - rest.value)).T]
+    peaks = [
+        contact_peaks(side * (column - value))
+        for column, value, side in zip(columns(values), rest.value, rest.side, strict=True)
+    ]
     lengths = np.full(mask.shape, np.nan)
     for i, j in np.argwhere(np.triu(mask, 1)):
         lengths[i, j] = lengths[j, i] = _peak_difference(*peaks[i], *peaks[j])

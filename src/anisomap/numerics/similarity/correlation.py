@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.columns import rank_columns
+from anisomap.numerics.columns import columns, rank_columns
 from anisomap.numerics.precision import Reals, row_blocks
 from anisomap.numerics.similarity.accumulators import (
     MIN_FAST_PRODUCT_SENSORS,
@@ -46,7 +46,8 @@ def spearman(readings: ArrayLike) -> Reals:
 
     Ties are assigned their mean rank. Invariant under increasing transformations of a sensor.
     """
-    return pearson(rank_columns(np.asarray(readings)))
+    values = np.asarray(readings)
+    return pearson(rank_columns(columns(values), values.shape))
 
 
 def co_activation(readings: ArrayLike) -> Reals:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,6 @@ NOISE_QUANTILE = 0.99
 MIN_CONTACT_RATIO = 2.0
 """Minimum ratio of the deviations on the side of contact to noise; chosen by hand."""
 
-_CHUNK_SENSORS = 64  # sensors ranked at a time; bounds memory
 _CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
 
 
@@ -51,12 +50,14 @@ class Rest:
     def depth_ranks(self, readings: ArrayLike) -> NDArray[np.float64]:
         """Return the ranks of the `depth` of each sensor, shape (T, N); ties share their mean."""
         values = np.asarray(readings)
-        ranks = np.empty(values.shape)
-        for start in range(0, values.shape[1], _CHUNK_SENSORS):
-            part = slice(start, start + _CHUNK_SENSORS)
-            rest = Rest(self.value[part], self.side[part], self.threshold[part])
-            ranks[:, part] = rank_columns(rest.depth(values[:, part]))
-        return ranks
+        return rank_columns(self._depths(values), values.shape)
+
+    def _depths(self, readings: NDArray[np.generic]) -> Iterator[NDArray[np.float64]]:
+        """Iterate over the `depth` of each sensor, shape (T,)."""
+        own = zip(self.value, self.side, self.threshold, strict=True)
+        for column, (value, side, threshold) in zip(columns(readings), own, strict=True):
+            beyond = side * (column.astype(np.float64) - value) - threshold
+            yield np.maximum(beyond, 0)
 
     def active(self, readings: ArrayLike) -> NDArray[np.bool_]:
         """Return True for readings that exceed the threshold, shape (T, N)."""
@@ -121,10 +122,10 @@ def quantile_from_counts(
     """
     if values[0] > values[-1]:
         values, counts = values[::-1], counts[::-1]
-    ends = np.cumsum(counts)
+    ends = counts.cumsum()
     place = level * (int(ends[-1]) - 1)
     below = int(place)
-    at = np.searchsorted(ends, [below, min(below + 1, int(ends[-1]) - 1)], side="right")
+    at = ends.searchsorted([below, min(below + 1, int(ends[-1]) - 1)], side="right")
     low, high = values[at]
     return float(low + (place - below) * (high - low))
 
