@@ -8,8 +8,8 @@ from scipy.spatial import procrustes
 from scipy.spatial.distance import pdist, squareform
 from scipy.stats import ortho_group, pearsonr
 
-from anisomap import SensorMap
-from anisomap.errors import InputError
+from anisomap import Recording, SensorMap
+from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import align, mantel, median_spacing, neighbour_agreement, score
 from skins import lattice
 
@@ -148,7 +148,8 @@ def test_maps_are_matched_by_name_and_else_by_order():
     by_name = score(noisy_map(names=names), truth, permutations=0)
     assert by_name.mantel.r == pytest.approx(1)
     assert by_name.units == "mm"
-    by_order = score(noisy_map(), truth, permutations=0)
+    with pytest.warns(AnisomapWarning, match="matched by order"):
+        by_order = score(noisy_map(), truth, permutations=0)
     assert by_order.mantel.r < 0.5
     assert "by order" in by_order.notes[0]
     with pytest.raises(InputError, match="share no sensor name"):
@@ -188,3 +189,26 @@ def test_identical_permutations_count_in_the_p_value(seed):
     found = mantel(points + cloud(5, seed=seed + 50) / 100, points, permutations=5000)
     # One labelling in 5! = 120 is the true one, and none is better; its r is rounded differently.
     assert found.p_value == pytest.approx(1 / 120, rel=0.5)
+
+
+def test_a_recording_with_positions_is_a_truth():
+    truth = cloud(12, 2)
+    names = [f"t{i}" for i in range(12)]
+    recording = Recording(np.eye(12), positions=truth, units="mm", names=names)
+    order = np.random.default_rng(0).permutation(12)
+    made = SensorMap(truth[order], names=[recording.names[i] for i in order])
+    found = score(made, recording, permutations=9)
+    assert found.mantel.r == pytest.approx(1)
+    assert found.units == "mm"
+    assert len(repr(found)) < 150
+    assert len(repr(found.mantel)) < 80
+    with pytest.raises(InputError, match="no true positions"):
+        score(made, Recording(np.eye(12)))
+    with pytest.raises(InputError, match="SensorMap first, got ndarray"):
+        score(truth, truth)
+
+
+def test_matching_by_order_is_warned_of():
+    made, other = SensorMap(cloud(9, 2)), SensorMap(cloud(9, 2), names=list("abcdefghi"))
+    with pytest.warns(AnisomapWarning, match="matched by order"):
+        assert score(made, other, permutations=0).mantel.r == pytest.approx(1)

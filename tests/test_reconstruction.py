@@ -6,6 +6,7 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from benchmarks.inputs import tiled_places, tiled_torso
 
@@ -132,7 +133,14 @@ def test_arrays_and_lists_of_frames_are_recordings():
         np.testing.assert_allclose(made.positions, expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("nonsense", [None, "skin.csv", 3, np.zeros(7), np.zeros((2, 2, 2)), {}])
+def test_columns_of_a_data_frame_name_the_sensors():
+    frame = pd.DataFrame(flat_skin().readings, columns=[f"taxel {i}" for i in range(42)])
+    made = reconstruct(frame, "r-anisomap", 2, drop="taxel 3")
+    assert made.names == tuple(frame.columns)
+    np.testing.assert_array_equal(np.flatnonzero(~made.placed), [3])
+
+
+@pytest.mark.parametrize("nonsense", [None, 3, np.zeros(7), np.zeros((2, 2, 2)), {}])
 def test_invalid_recordings_are_refused(nonsense):
     with pytest.raises(InputError, match=r"shape \(T, N\) \(frames x sensors\)"):
         reconstruct(nonsense)
@@ -369,11 +377,12 @@ UNTOUCHED = Recording(-np.eye(50)[:, :4])
         ({"recording": Recording(np.eye(9)[:, :2])}, "got 2 of 2"),
         ({"recording": UNTOUCHED}, "at least 3 related sensors"),
         ({"method": "pca"}, "choose from covariogram"),
-        ({"dimensions": 0}, "dimensions must be at least 1, got 0"),
+        ({"dimensions": 0}, "dimensions must be a whole number of at least 1, got 0"),
+        ({"dimensions": 2.5}, "whole number of at least 1, got 2.5"),
+        ({"recording": "skin.csv"}, r"read the file first: anisomap.read\('skin.csv'\)"),
+        ({"drop": "s99"}, "no sensor 's99'"),
         ({"drop": ["nobody"]}, "no sensor 'nobody'"),
         ({"recording": Recording(np.full((9, 5), np.nan))}, "got 0 of 5"),
-        ({"options": MethodOptions(bins=1), "method": "isomap"}, "bins must be at least 2, got 1"),
-        ({"options": MethodOptions(n_neighbours=0), "method": "isomap"}, "at least 1, got 0"),
     ],
 )
 def test_invalid_arguments_are_refused(arguments, message):
@@ -394,6 +403,23 @@ def test_invalid_arguments_are_refused(arguments, message):
 def test_invalid_precomputed_stages_are_refused(given, message):
     with pytest.raises(InputError, match=message):
         reconstruct_from(**given)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("bins", 1, "at least 2, got 1"),
+        ("bins", 2.5, "whole number"),
+        ("n_neighbours", 0, "at least 1, got 0"),
+        ("min_sensors", 0, "at least 1"),
+        ("mu", -1, "mu must be"),
+        ("mu", "1", "mu must be"),
+        ("independent_frames", 0, "above 0"),
+    ],
+)
+def test_options_out_of_range_are_refused(option, value, message):
+    with pytest.raises(InputError, match=message):
+        MethodOptions(**{option: value})
 
 
 def test_missing_readings_are_refused():

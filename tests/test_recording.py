@@ -115,7 +115,7 @@ def test_dropping_frames_keeps_whole_frames_only(readings):
 def test_missing_readings_are_named():
     readings = np.zeros((4, 3))
     readings[2, 1] = readings[3, 1] = np.nan
-    with pytest.raises(InputError, match=r"2 readings .* sensor s1, frames 2, 3; .*missing"):
+    with pytest.raises(InputError, match=r"2 readings .* sensor s1, frames 2, 3; .*drop-frames"):
         Recording(readings).complete()
 
 

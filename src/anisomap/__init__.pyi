@@ -1,11 +1,13 @@
 from . import drawing as drawing
 from . import errors as errors
+from . import estimators as estimators
 from . import evaluation as evaluation
 from . import health as health
 from . import io as io
 from . import large as large
 from . import methods as methods
 from . import numerics as numerics
+from . import placement as placement
 from . import simulation as simulation
 from ._version import __version__ as __version__
 from .diagnostics import confidence as confidence

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from anisomap._version import __version__
 from anisomap.methods import MethodOptions, find_method
-from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNPLACED
 from anisomap.stages.refinement import RefinementFacts
@@ -23,8 +22,8 @@ def caveats(component: NDArray[np.intp], names: Sequence[str], *, converged: boo
     if sizes.size > 1:
         outside = [names[i] for i in np.flatnonzero(component > 0).tolist()]
         yield (
-            f"the sensors form {sizes.size} separate components (of {join_items(sizes.tolist())} "
-            "sensors) with unknown positions relative to one another; outside the largest: "
+            f"the sensors form {sizes.size} separate components with unknown positions relative to "
+            f"one another; sizes: {join_items(sizes.tolist())}; outside the largest: "
             f"{join_items(outside)}"
         )
     if not converged:
@@ -53,12 +52,13 @@ def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]
     if options.n_neighbours is not None:
         facts["n_neighbours"] = options.n_neighbours
     if recipe.refine is not None:
-        unchanged = asdict(CovariogramOptions())
-        changed = {k: v for k, v in asdict(options.covariogram).items() if v != unchanged[k]}
-        facts |= {f"covariogram_{name}": value for name, value in changed.items()}
-        for name in ("split_unrelated", "independent_frames"):
-            if getattr(options, name) != getattr(defaults, name):
-                facts[name] = getattr(options, name)
+        for kind in ("covariogram", "contacts"):
+            usual = asdict(getattr(defaults, kind))
+            changed = {k: v for k, v in asdict(getattr(options, kind)).items() if v != usual[k]}
+            facts |= {f"{kind}_{name}": value for name, value in changed.items()}
+    for name in ("split_unrelated", "independent_frames", "even_spacing", "min_sensors"):
+        if getattr(options, name) != getattr(defaults, name):
+            facts[name] = getattr(options, name)
     return facts | asdict(options.smacof)
 
 

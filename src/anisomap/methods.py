@@ -92,7 +92,13 @@ class MethodOptions:
     min_sensors: int = 3
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.mu) and self.mu >= 0):
+        for name, least in (("bins", 2), ("n_neighbours", 1), ("min_sensors", 1)):
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, int | np.integer) and value >= least):
+                raise InputError(
+                    f"{name} must be a whole number of at least {least}, got {value!r}"
+                )
+        if not (isinstance(self.mu, int | float) and np.isfinite(self.mu) and self.mu >= 0):
             raise InputError(f"mu must be a finite number of at least 0, got {self.mu}")
         if not (np.isfinite(self.independent_frames) and self.independent_frames > 0):
             raise InputError(

@@ -62,7 +62,9 @@ def reconstruct(
         Complete readings (see `Recording.complete`). Several recordings of one skin make one map:
         sensors are matched by name, and each pair is compared over the runs that contain both.
     method : str
-        A key of `METHODS`.
+        A key of `anisomap.METHODS`: ``"covariogram"`` (the default), ``"contact-fit"``, a variant,
+        or one of the paper's: ``"r-anisomap"``, ``"i-anisomap"``, ``"information-distance"`` and
+        ``"isomap"``.
     dimensions : int
         Number of coordinates: 2 for flat skins, 3 for bodies.
     options : MethodOptions, optional
@@ -91,6 +93,17 @@ def reconstruct(
     Notes
     -----
     McGregor et al. (2011), section "Methods", doi:10.1371/journal.pone.0026561.
+
+    Examples
+    --------
+    Twelve sensors in a line, pressed at random places:
+
+    >>> import numpy as np
+    >>> places, touches = np.arange(12), np.random.default_rng(0).uniform(0, 11, (2000, 1))
+    >>> readings = np.maximum(0, 2 - abs(touches - places))
+    >>> sensor_map = reconstruct(readings, dimensions=1)
+    >>> bool(abs(np.corrcoef(sensor_map.positions[:, 0], places)[0, 1]) > 0.99)
+    True
     """
     recipe, options = find_method(method), options or MethodOptions()
     runs = as_runs(recording)
@@ -197,14 +210,13 @@ def reconstruct_from(
     with limited_blas(len(matrix)):
         if pairs is not None:
             matrix = dissimilarities(pairs, method, options)
-        else:
-            matrix = check_semi_metric(matrix)
-        lengths = matrix if stage == "metric" else recipe.metric(matrix)
+        semi_metric = check_semi_metric(matrix)
+        computed = semi_metric if stage == "metric" else recipe.metric(semi_metric)
         configuration = scale(
-            lengths, dimensions, start=initial, weights=pair_weights, options=options.smacof
+            computed, dimensions, start=initial, weights=pair_weights, options=options.smacof
         )
         if recipe.refine is not None and pairs is not None:
-            configuration = refine(recipe.refine, pairs, lengths, configuration, options)
+            configuration = refine(recipe.refine, pairs, computed, configuration, options)
     notes: Iterable[str] = ()
     if recipe.refine is not None and pairs is None:
         notes = (
@@ -244,8 +256,8 @@ def dissimilarities(
 def _check_size(
     mapped: NDArray[np.bool_], dimensions: int, recipe: Method, options: MethodOptions
 ) -> None:
-    if dimensions < 1:
-        raise InputError(f"dimensions must be at least 1, got {dimensions}")
+    if not isinstance(dimensions, int | np.integer) or dimensions < 1:
+        raise InputError(f"dimensions must be a whole number of at least 1, got {dimensions!r}")
     n_mapped = np.count_nonzero(mapped)
     if n_mapped < options.min_sensors:
         raise InputError(

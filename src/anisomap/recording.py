@@ -251,7 +251,7 @@ class Recording:
         return (
             f"{int(absent.sum())} readings are NaN or infinite: "
             f"{noun_and_items('sensor', sensors)}, {noun_and_items('frame', frames.tolist())}; "
-            "set missing to drop-frames or interpolate"
+            "handle them first, by Recording.complete with drop-frames or interpolate"
         )
 
 
@@ -279,6 +279,8 @@ def check_names(names: Sequence[str], n_sensors: int) -> None:
 
 def find_sensors(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.intp]:
     """Look sensors up by name or index; see `Recording.indices`."""
+    if isinstance(sensors, str | int):
+        sensors = [sensors]
     by_name = {name: i for i, name in enumerate(names)}
     found = set()
     for sensor in sensors:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,7 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
     Parameters
     ----------
     recording : Recording, array_like of shape (T, N), or sequence of Recording
+        Columns of a DataFrame give the names of the sensors.
 
     Returns
     -------
@@ -38,6 +40,8 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
         if not all(isinstance(run, Recording) for run in runs):
             raise InputError("a sequence of runs must consist of Recording objects only")
         return runs if sensors_differ(runs) else (join_runs(runs),)
+    if isinstance(recording, str | Path):
+        raise InputError(f"read the file first: anisomap.read({str(recording)!r})")
     try:
         readings = np.asarray(recording)
     except ValueError:
@@ -48,7 +52,8 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
             f"sequence of Recording; got {type(recording).__name__}"
             + (f" of shape {readings.shape}" if isinstance(recording, np.ndarray) else "")
         )
-    return (Recording(readings),)
+    columns = getattr(recording, "columns", ())  # of a DataFrame
+    return (Recording(readings, names=tuple(map(str, columns))),)
 
 
 def join_runs(runs: Sequence[Recording]) -> Recording:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -170,8 +171,12 @@ class SensorMap:
         details.append(f"method={self.method!r}")
         details.append(f"units={self.units!r}")
         details.append(f"Stress-1={self.stress:.3f}")
-        details.append(f"confidence={self.confidence:.2f}")
+        details.append(f"confidence {self._confidence}")
         return f"<SensorMap: {', '.join(details)}>"
+
+    @property
+    def _confidence(self) -> str:
+        return "unknown" if math.isnan(self.confidence) else f"{self.confidence:.2f}"
 
     def _repr_html_(self) -> str:
         rows = {
@@ -181,7 +186,7 @@ class SensorMap:
             "method": self.method,
             "units": self.units,
             "Stress-1": f"{self.stress:.3f}",
-            "confidence": f"{self.confidence:.2f}",
+            "confidence": self._confidence,
             "known up to": self.known_up_to,
         } | {f"note {i}": note for i, note in enumerate(self.notes, 1)}
         return html_table("SensorMap", rows)

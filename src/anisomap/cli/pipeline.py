@@ -14,6 +14,7 @@ from anisomap.cli.console import Printer, number, percent, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnostics import diagnose
 from anisomap.drawing import figures, report
+from anisomap.errors import InputError
 from anisomap.evaluation import Score, confidence_in_words, score
 from anisomap.files import check_distinct
 from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
@@ -83,9 +84,20 @@ def read_runs(
     A preset leaves out channels that are constant in all runs, so it is applied to the joined runs.
     """
     if len(paths) == 1 or not how.preset:
-        return [read(path, how).complete(missing) for path in paths]
-    runs = [read(path, replace(how, preset="")).complete(missing) for path in paths]
+        return [complete(read(path, how), missing) for path in paths]
+    runs = [complete(read(path, replace(how, preset="")), missing) for path in paths]
     return [io.apply_preset(join_runs(runs), how.preset)]
+
+
+def complete(recording: Recording, missing: MissingPolicy) -> Recording:
+    """Handle missing readings; an error names the option that does."""
+    try:
+        return recording.complete(missing)
+    except InputError as error:
+        if missing != "error":
+            raise
+        hint = "use --missing drop-frames or --missing interpolate"
+        raise InputError(f"{str(error).partition(';')[0]}; {hint}") from error
 
 
 def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
@@ -144,6 +156,7 @@ def finish(
     permutations: int,
     seed: int,
     exclude: Sequence[str] = (),
+    already_written: Sequence[tuple[str, Path]] = (),
 ) -> None:
     """Score a map if the truth is known, write all files, and print the results."""
     result = None
@@ -156,7 +169,7 @@ def finish(
     _print_map(printer, sensor_map)
     if result is not None:
         print_score(printer, result, "Score against the true positions")
-    print_files(printer, files)
+    print_files(printer, [*already_written, *files])
 
 
 def score_with_progress(

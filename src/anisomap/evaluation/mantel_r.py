@@ -25,7 +25,7 @@ MIN_SENSORS_COMPARED = 4
 """Minimum number of sensors: three would give a correlation over three distances only."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mantel:
     """Mantel r of two distance matrices, and its null distribution.
 
@@ -42,6 +42,10 @@ class Mantel:
     r: float
     null: NDArray[np.float64]
     n_sensors: int
+
+    def __repr__(self) -> str:
+        null = f", p={self.p_value:.2g}" if self.null.size else ""
+        return f"<Mantel: r={self.r:.4f}{null}, {self.n_sensors} sensors>"
 
     @property
     def p_value(self) -> float:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.errors import InputError
+from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.alignment import Alignment, align
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, PERMUTATIONS, Mantel, mantel
 from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreement
+from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
 MAX_ALL_PAIRS = 4000
@@ -21,7 +23,7 @@ SAMPLED = 2000
 """Number of sensors sampled from a larger map."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Score:
     """Comparison of a map with the truth.
 
@@ -57,6 +59,13 @@ class Score:
     units: str
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        units = f" {self.units}" if self.units else ""
+        return (
+            f"<Score: Mantel r={self.mantel.r:.4f}, RMS error {self.rms:.4g}{units} "
+            f"({self.rms_in_spacings:.3g} spacings), {len(self.sensors)} sensors compared>"
+        )
+
     @property
     def rms(self) -> float:
         """RMS error after alignment, in units of the truth."""
@@ -70,7 +79,7 @@ class Score:
 
 def score(
     sensor_map: SensorMap,
-    truth: SensorMap | ArrayLike,
+    truth: SensorMap | Recording | ArrayLike,
     *,
     exclude: Iterable[str | int] = (),
     units: str = "",
@@ -85,10 +94,10 @@ def score(
     sensor_map : SensorMap
         Sensors without a position are not compared, nor are those outside the largest connected
         component, since their relative position is unknown.
-    truth : SensorMap or array_like of shape (N, 2) or (N, 3)
+    truth : SensorMap, Recording or array_like of shape (N, 2) or (N, 3)
         True positions. An array is in the order of the map, with NaN for unknown positions. A map
-        is matched by sensor names and gives the units; if no name is shared and the numbers of
-        sensors agree, it is matched by order, with a note.
+        or recording is matched by sensor names and gives the units; if no name is shared and the
+        numbers of sensors agree, it is matched by order, with a note and a warning.
     exclude : iterable of str or int
         Sensors to leave out of the comparison, by name or index; the paper excludes a failed one.
     units : str
@@ -108,11 +117,20 @@ def score(
         than 4 sensors can be compared.
     """
     notes = []
+    if not isinstance(sensor_map, SensorMap):
+        raise InputError(
+            f"score takes a SensorMap first, got {type(sensor_map).__name__}; mantel and align "
+            "compare arrays"
+        )
+    if isinstance(truth, Recording):
+        truth = _as_map(truth)
     if isinstance(truth, SensorMap):
         units = truth.units
         true_positions, by_order = _matched(sensor_map, truth)
         if by_order:
-            notes.append("map and truth share no sensor name: matched by order")
+            note = "map and truth share no sensor name: matched by order"
+            warnings.warn(note, AnisomapWarning, stacklevel=2)
+            notes.append(note)
     else:
         true_positions = np.asarray(truth, dtype=np.float64)
     if true_positions.ndim != 2 or len(true_positions) != sensor_map.n_sensors:
@@ -165,6 +183,12 @@ def score(
         units=units,
         notes=tuple(notes),
     )
+
+
+def _as_map(recording: Recording) -> SensorMap:
+    if recording.positions is None:
+        raise InputError("the recording has no true positions to score against")
+    return SensorMap(recording.positions, names=recording.names, units=recording.units)
 
 
 def _sample(n_sensors: int, rng: np.random.Generator) -> NDArray[np.intp]:

@@ -57,7 +57,7 @@ def compare(
         check_distinct([output], recordings)
     rows, values = [], []
     for path in recordings:
-        recording = pipeline.read(path, reading.checked()).complete(missing)
+        recording = pipeline.complete(pipeline.read(path, reading.checked()), missing)
         truth = recording.positions
         if truth is None:
             raise InputError(

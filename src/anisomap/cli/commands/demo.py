@@ -60,7 +60,13 @@ def demo(
         pipeline.print_recording(printer, examined)
         sensor_map = pipeline.make_map(examined, method, dimensions=3)
         pipeline.finish(
-            printer, outputs, sensor_map, examined, permutations=permutations, seed=seed
+            printer,
+            outputs,
+            sensor_map,
+            examined,
+            permutations=permutations,
+            seed=seed,
+            already_written=[("recording", output_dir / "recording.npz")],
         )
         printer.line("\nMap the recording from its file:")
         printer.line(f"  anisomap map {output_dir / 'recording.npz'} -o map.csv")

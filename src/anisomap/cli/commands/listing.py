@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from docstring_parser import parse as parse_docstring
@@ -116,14 +116,18 @@ class _ScenarioParameter:
 
 
 def _parameters(scenario: str) -> Iterator[_ScenarioParameter]:
-    """Yield the parameters of a scenario, inherited ones included, from their docstrings."""
+    """Yield the parameters of a scenario, inherited ones included, documented ones first."""
     options_class = find_scenario(scenario).options
     defaults = options_class()
-    for kind in reversed(options_class.__mro__):
-        for entry in parse_docstring(inspect.cleandoc(kind.__doc__ or "")).params:
-            if hasattr(defaults, entry.arg_name):
-                summary = " ".join((entry.description or "").split())
-                yield _ScenarioParameter(entry.arg_name, getattr(defaults, entry.arg_name), summary)
+    summaries = {
+        entry.arg_name: " ".join((entry.description or "").split())
+        for kind in reversed(options_class.__mro__)
+        for entry in parse_docstring(inspect.cleandoc(kind.__doc__ or "")).params
+    }
+    undocumented = {field.name: "" for field in fields(defaults) if field.name not in summaries}
+    for name, summary in (summaries | undocumented).items():
+        if hasattr(defaults, name):
+            yield _ScenarioParameter(name, getattr(defaults, name), summary)
 
 
 def _print_rows(

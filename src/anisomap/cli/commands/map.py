@@ -10,6 +10,7 @@ from cyclopts.validators import Number
 
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, streams
+from anisomap.cli.console import print_warning
 from anisomap.evaluation import PERMUTATIONS
 from anisomap.methods import DEFAULT_METHOD, MethodOptions
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
@@ -123,6 +124,10 @@ def map_recording(
     left_out = options.sensors(exclude, names)
     dropped = options.sensors(drop, names, examined.recording.metadata)
     examined.recording.indices(left_out)  # report unknown names before the map is computed
+    if left_out and examined.recording.positions is None:
+        print_warning(
+            "--exclude has no effect: the recording has no true positions to score against"
+        )
     with reporting.printer() as printer:
         pipeline.print_recording(printer, examined)
         sensor_map = pipeline.make_map(
