@@ -1,7 +1,8 @@
-"""Formatting of lists in messages, and of tables in notebooks."""
+"""Formatting of names and lists in messages, and of tables in notebooks."""
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Mapping, Sequence
 from html import escape
 
@@ -21,6 +22,22 @@ def join_items(items: Sequence[object], max_items: int = 8) -> str:
     """
     more = f" and {len(items) - max_items} more" if len(items) > max_items else ""
     return ", ".join(map(str, items[:max_items])) + more
+
+
+def printable(text: str) -> str:
+    r"""Escape characters that a terminal would act on or cannot show, such as ``\x1b``.
+
+    These are control characters, line ends, characters that reverse or hide text, unassigned ones
+    and lone surrogates, which also stand for the bytes of file names that are not UTF-8.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        character
+        if character.isprintable() or unicodedata.category(character) == "Zs"
+        else character.encode("unicode_escape").decode()
+        for character in text
+    )
 
 
 def noun_and_items(noun: str, items: Sequence[object], max_items: int = 5) -> str:

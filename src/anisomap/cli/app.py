@@ -10,7 +10,13 @@ from collections.abc import Iterable
 from cyclopts import App, CycloptsError
 
 from anisomap._version import __version__
-from anisomap.cli.console import console, discard_stdout, print_error, print_warning
+from anisomap.cli.console import (
+    console,
+    discard_stdout,
+    escape_unencodable_output,
+    print_error,
+    print_warning,
+)
 from anisomap.errors import AnisomapError, AnisomapWarning
 
 BAD_INPUT = 2
@@ -64,6 +70,7 @@ def main(arguments: Iterable[str] | None = None) -> None:
     SystemExit
         Always: 0 on success, 2 for bad input, 70 for a defect in anisomap, 130 if interrupted.
     """
+    escape_unencodable_output()
     sys.exit(_exit_code(None if arguments is None else list(arguments)))
 
 

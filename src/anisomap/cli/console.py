@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import math
@@ -14,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import (
     BarColumn,
     Progress,
@@ -24,8 +24,10 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
 from anisomap.errors import FileError
+from anisomap.wording import printable
 
 _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
@@ -49,12 +51,27 @@ errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 def print_error(message: str) -> None:
     """Print an error on stderr."""
-    errors.print(f"[bold red]error:[/] {escape(message)}")
+    errors.print(Text.assemble(("error:", "bold red"), " ", _one_line(message)))
 
 
 def print_warning(message: str) -> None:
     """Print a warning on stderr."""
-    errors.print(f"[bold yellow]warning:[/] {escape(message)}")
+    errors.print(Text.assemble(("warning:", "bold yellow"), " ", _one_line(message)))
+
+
+def escape_unencodable_output() -> None:
+    """Write characters that the encoding of standard output lacks as escapes, not as an error."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _one_line(message: str) -> str:
+    return printable(" ".join(message.splitlines()))
+
+
+def _lines(text: str) -> str:
+    return "\n".join(map(printable, text.split("\n")))
 
 
 @dataclass
@@ -86,39 +103,35 @@ class Printer:
         """Print names and values, one per line."""
         if not self._prints_text:
             return
-        table = Table(
-            title=title, title_justify="left", title_style="bold", box=None, show_header=False
-        )
+        table = Table(title=_title(title), title_justify="left", box=None, show_header=False)
         table.add_column(style="dim")
         table.add_column(overflow="fold")
         for name, value in facts.items():
-            table.add_row(escape(name), escape(value))
+            table.add_row(_cell(name), _cell(value))
         self._emit(console.print, table)
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Print rows; columns of numbers are aligned to the right."""
         if not self._prints_text:
             return
-        table = Table(
-            title=title, title_justify="left", title_style="bold", box=None, header_style="dim"
-        )
+        table = Table(title=_title(title), title_justify="left", box=None, header_style="dim")
         for i, column in enumerate(columns):
             numeric = all(_is_number(row[i]) for row in rows)
             widest = max(len(text) for text in (column, *(r[i] for r in rows)))
             table.add_column(
-                escape(column),
+                _cell(column),
                 justify="right" if numeric else "left",
                 overflow="fold",
                 min_width=min(_MIN_WIDTH, widest),
             )
         for row in rows:
-            table.add_row(*map(escape, row))
+            table.add_row(*map(_cell, row))
         self._emit(console.print, table)
 
     def line(self, text: str) -> None:
         """Print a line of plain text."""
         if self._prints_text:
-            self._emit(console.print, text, markup=False, soft_wrap=True)
+            self._emit(console.print, Text(_lines(text)), soft_wrap=True)
 
     def finish(self) -> None:
         """Print the JSON object if `as_json`.
@@ -129,7 +142,10 @@ class Printer:
             If any output could not be printed; files have been written before.
         """
         if self.as_json and not self.quiet:
-            text = json.dumps(plain(self.values), indent=2, ensure_ascii=False)
+            values = plain(self.values)
+            text = json.dumps(values, indent=2, ensure_ascii=False)
+            if _lines(text) != text or not console.encoding.startswith("utf"):
+                text = json.dumps(values, indent=2)
             self._emit(console.out, text)
         if self.failure is not None:
             raise FileError(f"cannot write to standard output: {self.failure.strerror}")
@@ -146,6 +162,14 @@ class Printer:
         except OSError as error:
             self.failure = error
             discard_stdout()
+
+
+def _cell(text: str) -> Text:
+    return Text(printable(text))
+
+
+def _title(text: str) -> Text:
+    return Text(printable(text), style="bold")
 
 
 def plain(value: Any) -> Any:
@@ -179,7 +203,7 @@ def progress(task: str) -> Iterator[Callable[[float], None]]:
     """
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(pulse_style="dim"),
         TimeElapsedColumn(),
         TextColumn("elapsed,"),
@@ -190,8 +214,8 @@ def progress(task: str) -> Iterator[Callable[[float], None]]:
     with Progress(
         *columns, console=errors, transient=True, disable=not errors.is_terminal
     ) as display:
-        shown = display.add_task(escape(task), total=None)
-        handler = _Description(lambda text: display.update(shown, description=escape(text)))
+        shown = display.add_task(printable(task), total=None)
+        handler = _Description(lambda text: display.update(shown, description=printable(text)))
         level = library.level
         library.addHandler(handler)
         library.setLevel(logging.INFO)

@@ -16,7 +16,7 @@ from anisomap.io.choice import Content
 from anisomap.io.format import Format
 from anisomap.io.maps import csv, icub_positions, json, launch, mjcf, pcd, ply, urdf, xml_files
 from anisomap.io.parsing.grids import with_grid
-from anisomap.io.parsing.source import file_errors, read_head
+from anisomap.io.parsing.source import file_errors, quote, read_head
 from anisomap.io.recordings import arrow, hdf5, images, mat, npy, pressure_mats, text, yarp
 from anisomap.io.recordings.presets import apply_preset
 from anisomap.io.ros import bags, repair
@@ -28,7 +28,7 @@ from anisomap.io.stream import (
     assemble,
     rechunk,
 )
-from anisomap.recording import Recording
+from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
 
@@ -247,12 +247,14 @@ def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     """
     file = Path(path)
     if isinstance(data, SensorMap):
-        _check_encodable((*data.names, *data.health), file)
+        facts = (data.frame, data.method, data.units, *data.notes, *_texts(data.provenance))
+        _check_encodable((*data.names, *data.health, *facts), file)
         write_map = _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
         with atomic_write(file) as temporary:
             write_map(data, temporary)
     elif isinstance(data, Recording):
-        _check_encodable(data.names, file)
+        facts = (data.source, data.units, *_texts(data.metadata))
+        _check_encodable((*data.names, *facts), file)
         write_recording = _by_suffix(
             file, {s: f.write_recording for f in FORMATS for s in f.suffixes}
         )
@@ -348,7 +350,9 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
                     f"leave out --select {options.select}"
                 )
             stream = stack.enter_context(chosen.open_recording(file, options))
-        yield replace(stream, blocks=_with_file_errors(stream.blocks, file))
+        # The name of a file may contain bytes that are not UTF-8.
+        source = stream.source.encode("utf-8", "backslashreplace").decode()
+        yield replace(stream, source=source, blocks=_with_file_errors(stream.blocks, file))
 
 
 def _with_file_errors(blocks: Iterator[Block], file: Path) -> Iterator[Block]:
@@ -402,10 +406,15 @@ def _by_suffix(file: Path, writers: Mapping[str, Writer | None]) -> Writer:
     return writer
 
 
+def _texts(mapping: Mapping[str, Scalar]) -> Iterator[str]:
+    yield from mapping
+    yield from (value for value in mapping.values() if isinstance(value, str))
+
+
 def _check_encodable(words: Iterable[str], file: Path) -> None:
     """Reject null characters and unpaired surrogates before anything is written."""
     for word in words:
         if "\0" in word or any("\ud800" <= character <= "\udfff" for character in word):
             raise FileError(
-                f"cannot write {file}: {word!r} contains a character that is not valid text"
+                f"cannot write {file}: {quote(word)} contains a character that is not valid text"
             )

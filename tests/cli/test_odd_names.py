@@ -1,0 +1,139 @@
+"""Names from files and of files appear as text: no terminal escapes, no markup, no exit code 70."""
+
+import io
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap.cli.app import main
+from anisomap.wording import printable
+
+HOSTILE = "\x1b[31m\x9b2J\x07\u202egnp.\u2066[/bold][red]\r\n"
+ALLOWED = set("\n")
+
+
+def unsafe(text: str) -> set[str]:
+    """Return the characters of an output that a terminal would act on."""
+    return {c for c in text if not c.isprintable()} - ALLOWED
+
+
+@pytest.fixture
+def hostile(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(3)
+    readings = rng.random((50, 4)).round(3)
+    readings[:, 0] = 0.5  # faulty, so that warnings name it
+    names = [f"a{HOSTILE}", "b[/x]", "=cmd|' /C calc'!A0", "c"]
+    path = tmp_path / "d[" / "x].npz"
+    path.parent.mkdir()
+    np.savez(path, readings=readings, names=np.array(names))
+    return path
+
+
+@pytest.mark.parametrize("options", [[], ["--sensors"], ["--json"]])
+def test_information_shows_names_as_text(run, hostile: Path, options: list[str]) -> None:
+    shown = run("info", hostile, *options)
+    assert shown.code == 0
+    assert not unsafe(shown.out + shown.err)
+    if options == ["--sensors"]:
+        assert "b[/x]" in shown.out
+        assert r"\x1b[31m" in shown.out
+        assert r"\u202e" in shown.out
+
+
+def strings(value: object) -> set[str]:
+    if isinstance(value, dict):
+        return strings([*value, *value.values()])
+    if isinstance(value, list):
+        return set().union(*map(strings, value))
+    return {value} if isinstance(value, str) else set()
+
+
+def test_names_survive_json(run, hostile: Path) -> None:
+    values = json.loads(run("info", hostile, "--sensors", "--json").out)
+    assert f"a{HOSTILE}" in strings(values)
+
+
+def test_errors_show_names_as_text(run, tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text('"a\x1b[31m[/x]\u202e",b\n1,2\n"\x1b]0;t\x07",4\n5,6\n')
+    shown = run("info", path)
+    assert shown.code == 2
+    assert not unsafe(shown.err)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz"])
+def test_files_with_markup_in_their_names(run_map, skin_npz: Path, suffix: str) -> None:
+    folder = skin_npz.parent / "d["
+    folder.mkdir()
+    done = run_map(skin_npz.rename(folder / "x].npz"), "-o", folder / f"y]{suffix}")
+    assert done.code == 0
+    assert f"d[/y]{suffix}" in done.out
+    assert (folder / f"y]{suffix}").exists()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".ply", ".html"])
+def test_file_names_that_are_not_utf_8(run_map, skin_npz: Path, suffix: str) -> None:
+    odd = skin_npz.with_name(os.fsdecode(b"sk\xffin.csv"))
+    recording = anisomap.read(skin_npz)
+    try:
+        np.savetxt(odd, recording.readings, delimiter=",")
+    except OSError:
+        pytest.skip("the file system stores no such names")
+    target = skin_npz.with_name(os.fsdecode(b"m\xfeap" + suffix.encode()))
+    done = run_map(odd, *(["--report", target] if suffix == ".html" else ["-o", target]))
+    assert done.code == 0
+    assert target.exists()
+    assert not unsafe(done.out + done.err)
+    done.out.encode()
+    if suffix in (".csv", ".json", ".npz"):
+        assert r"sk\udcffin.csv" in str(anisomap.io.read_map(target).provenance["source"])
+    missing = run_map(skin_npz.with_name(os.fsdecode(b"n\xff.csv")), "-o", "m.csv")
+    assert missing.code == 2
+    assert not unsafe(missing.err)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".ply"])
+def test_lone_surrogates_are_refused_before_anything_is_written(
+    run, tmp_path: Path, suffix: str
+) -> None:
+    path = tmp_path / "map.json"
+    anisomap.io.write(anisomap.SensorMap(np.eye(3), names=["a", "b", "c"], units="m"), path)
+    path.write_text(path.read_text().replace('"b"', r'"b\ud800"'))
+    target = tmp_path / f"out{suffix}"
+    done = run("convert", path, "-o", target)
+    assert done.code == 2
+    assert not unsafe(done.err)
+    assert not target.exists()
+
+
+def test_an_encoding_without_the_character_shows_an_escape(
+    skin_npz: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = skin_npz.rename(skin_npz.with_name("gr\u00fcn.npz"))
+    output = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", output)
+    with pytest.raises(SystemExit) as end:
+        main(["info", str(path)])
+    assert not end.value.code
+    output.flush()
+    assert rb"gr\xfcn.npz" in output.buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("plain \u00e9 \u4e2d\u00a0x", "plain \u00e9 \u4e2d\u00a0x"),
+        ("a\x1b[2J", r"a\x1b[2J"),
+        ("a\nb\t", r"a\nb\t"),
+        ("\u202e\u2028\u200b", r"\u202e\u2028\u200b"),
+        ("\udcff", r"\udcff"),
+        ("\U000e0041", r"\U000e0041"),
+    ],
+)
+def test_printable(text: str, shown: str) -> None:
+    assert printable(text) == shown
