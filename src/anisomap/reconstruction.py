@@ -92,7 +92,10 @@ def reconstruct(
 
     Notes
     -----
-    McGregor et al. (2011), section "Methods", doi:10.1371/journal.pone.0026561.
+    McGregor et al. (2011), section "Methods", doi:10.1371/journal.pone.0026561: the similarity S is
+    converted to a dissimilarity M (step 1 of ANISOMAP), M to the metric D of shortest path lengths
+    (step 2), and D is scaled to positions (step 3). Some methods, the default included, then refine
+    the positions by S, which is not part of the paper.
 
     Examples
     --------
@@ -245,6 +248,15 @@ def dissimilarities(
     -------
     ndarray of shape (n, n)
         A semi-metric, infinite for unknown and unrelated pairs.
+
+    Raises
+    ------
+    InputError
+        If there is no such method, or it requires correlations and the similarity is not one.
+
+    Notes
+    -----
+    McGregor et al. (2011), section "ANISOMAP", step 1, doi:10.1371/journal.pone.0026561.
     """
     dissimilarity = find_method(method).dissimilarity(pairs, options or MethodOptions())
     if not pairs.known.all():
