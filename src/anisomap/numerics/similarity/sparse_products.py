@@ -46,9 +46,10 @@ def sparse_comoments(readings: NDArray[Any]) -> tuple[Floats, Floats]:
     n_frames, n_sensors = readings.shape
     rest = _rest(readings)
     active = readings != rest
-    sensors = np.nonzero(active)[1].astype(np.uint32)
-    depths = readings[active].astype(np.float64) - rest[sensors]
     per_frame = np.count_nonzero(active, axis=1)
+    found = np.flatnonzero(active)  # faster than a search in two dimensions
+    sensors = (found - np.repeat(np.arange(n_frames) * n_sensors, per_frame)).astype(np.uint32)
+    depths = readings.ravel()[found].astype(np.float64) - rest[sensors]
     begins = np.concatenate([[0], np.cumsum(per_frame)]).astype(np.int64)
     sums = np.bincount(sensors, weights=depths, minlength=n_sensors)
     products = np.empty((n_sensors, n_sensors))
