@@ -1,5 +1,6 @@
 """Maps and recordings are read back bit for bit, with any names and notes."""
 
+import csv
 import json
 import re
 from collections.abc import Mapping
@@ -237,3 +238,34 @@ def test_the_reference_frame_is_always_written(
         assert stated["frame"] == written.frame
         assert stated["handedness"].startswith("right-handed")
     assert "scale" not in placed.known_up_to
+
+
+FORMULAS = ("=cmd|' /C calc'!A0", "'=1", "''+2", "-3", "@sum", "\t=4", "'plain", "\uff1d5")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv"])
+def test_names_are_no_formulas_in_spreadsheets(suffix: str, tmp_path: Path) -> None:
+    notes = ("a,=1+1", "b;@sum,+x", "plain, -3 dB")
+    facts = {"key,=2": "x,=3"}
+    count = len(FORMULAS)
+    skin = SensorMap(
+        np.eye(count, 3), names=FORMULAS, health=FORMULAS, notes=notes, provenance=facts
+    )
+    recording = Recording(np.eye(count), names=FORMULAS, metadata=facts)
+    for data, read in ((skin, io.read_map), (recording, io.read)):
+        path = tmp_path / f"skin{suffix}"
+        io.write(data, path)
+        found = read(path)
+        assert found.names == FORMULAS
+        with path.open(encoding="utf-8", newline="") as stream:
+            mark = "\t" if suffix == ".tsv" else ","
+            cells = [cell for row in csv.reader(stream, delimiter=mark) for cell in row]
+        starts = ("=", "+", "-", "@", "\t", "\r", "\uff1d")
+        texts = [cell for cell in cells if not cell.lstrip("-").replace(".", "").isdigit()]
+        assert not [cell for cell in texts if cell.startswith(starts)]
+        if isinstance(found, SensorMap):
+            assert found.health == FORMULAS
+            assert found.notes == notes
+            assert found.provenance == facts
+        else:
+            assert found.metadata == facts

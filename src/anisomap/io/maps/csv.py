@@ -77,19 +77,23 @@ def read_map(path: Path) -> SensorMap:
     read = functools.partial(_column, path, body)
     others = columns.others
     is_map = all(column in others for column in _EXTRA_COLUMNS)
-    parse_name = str if is_map else str.strip
+    parse_name: Callable[[str], str] = str if is_map else str.strip
+    if lines[0].startswith(f"# {MAP_TITLE}"):
+        parse_name = delimited.unguard_formula
     component = read(others["component"], int, "an integer") if is_map else ()
     return SensorMap(
         np.array([read(column, number, "a number") for column in columns.axes]).T,
         names=read(others["name"], parse_name) if "name" in others else (),
         component=np.array(component, np.intp),
-        health=read(others["health"], str) if is_map else (),
+        health=read(others["health"], parse_name) if is_map else (),
         **_map_properties(lines, columns.units),
     )
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
     """Write a map as comments and one line per sensor; every field is read back equal.
+
+    Names that a spreadsheet would run as formulas are preceded by an apostrophe in the file.
 
     The suffix ``.tsv`` selects tabs, all others commas.
     """
@@ -119,7 +123,8 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
             sensor_map.health,
             strict=True,
         ):
-            table.writerow((name, *position, component, health))
+            guarded = delimited.guard_formula(name), delimited.guard_formula(health)
+            table.writerow((guarded[0], *position, component, guarded[1]))
 
 
 def _without_trailing_columns(rows: list[delimited.Record]) -> list[delimited.Record]:

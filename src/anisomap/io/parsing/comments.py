@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -12,6 +13,8 @@ from anisomap.recording import Scalar
 
 # Spreadsheets pad comment lines with empty cells when they save a file.
 _PADDING = ",;\t "
+# Spreadsheets split comment lines at delimiters and run cells that start like this.
+_FORMULA = re.compile(r"(?<=[,;])[=+\-@]")
 
 
 def write_comments(
@@ -81,7 +84,8 @@ def format_value(value: Scalar) -> str:
     """Format a value as JSON, or text verbatim if it reads back as the same text."""
     if isinstance(value, str):
         plain = value and value.isprintable() and value == value.strip(_PADDING)
-        return value if plain and _parse_value(value) == value else json.dumps(value)
+        plain = plain and not _FORMULA.search(value)
+        return value if plain and _parse_value(value) == value else _quoted(value)
     return json.dumps(to_python_scalar(value))
 
 
@@ -104,7 +108,12 @@ def to_python_scalar(value: object) -> Scalar:
 
 def _format_key(key: str) -> str:
     plain = key and key.isprintable() and key == key.strip() and key[0] not in '"#'
-    return key if plain and ":" not in key else json.dumps(key)
+    plain = plain and ":" not in key and not _FORMULA.search(key)
+    return key if plain else _quoted(key)
+
+
+def _quoted(text: str) -> str:
+    return _FORMULA.sub(lambda match: f"\\u{ord(match[0]):04x}", json.dumps(text))
 
 
 def _split_entry(line: str) -> tuple[str, str, str]:

@@ -17,6 +17,9 @@ from anisomap.io.parsing.table import is_number, is_skipped
 Record = tuple[int, list[str]]
 """First line of a record, from 1, and its fields."""
 
+FORMULA_STARTS = (*"=+-@\t\r", *"\uff1d\uff0b\uff0d\uff20")
+"""First characters of a cell that spreadsheets take for a formula, some in full width."""
+
 _SAMPLE_LINES, _SAMPLE_CHARACTERS = 1000, 1 << 22
 _SAMPLE_RECORDS = 50
 # In order of reliability: numbers and names rarely contain semicolons and tabs; commas may be
@@ -63,6 +66,20 @@ class Layout:
         for _ in range(self.trailing):
             line = line.rstrip(" \r\n").removesuffix(self.delimiter or "")
         return line
+
+
+def guard_formula(name: str) -> str:
+    """Precede a name that a spreadsheet would run as a formula with an apostrophe.
+
+    `unguard_formula` restores every name; names of apostrophes before a formula get one more.
+    """
+    return f"'{name}" if name.lstrip("'").startswith(FORMULA_STARTS) else name
+
+
+def unguard_formula(field: str) -> str:
+    """Restore a name from `guard_formula`."""
+    guarded = field.startswith("'") and field.lstrip("'").startswith(FORMULA_STARTS)
+    return field[1:] if guarded else field
 
 
 def read_sample(stream: TextIO) -> list[str]:

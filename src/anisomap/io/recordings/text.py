@@ -69,7 +69,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         content = "only a header" if layout.header else "no line of numbers"
         raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")
     table = _table(path, layout, sample, preamble)
-    names = layout.header if known else tuple(name.strip() for name in layout.header)
+    parse_name = delimited.unguard_formula if known else str.strip
+    names = tuple(map(parse_name, layout.header))
     _warn_of_text(table)
     roles = _own_roles(known) if known else _detected_roles(table, names)
     if len(roles.non_sensors) == layout.n_columns:
@@ -114,7 +115,7 @@ def write_recording(recording: Recording, path: Path) -> None:
         stream.write(comments.write_comments(TITLE, entries, "metadata", recording.metadata))
         csv.writer(
             stream, delimiter=delimiter, quoting=csv.QUOTE_ALL, lineterminator="\n"
-        ).writerow(names)
+        ).writerow(map(delimited.guard_formula, names))
         for frame, readings in enumerate(recording.readings):
             values = readings.tolist()
             if recording.times is not None:
