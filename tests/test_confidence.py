@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -131,3 +132,46 @@ def test_diagnosis_requires_the_sensors_of_the_map():
     made = reconstruct(skin, "r-anisomap", 2)
     with pytest.raises(InputError, match="must have the sensors of the map"):
         diagnose(made, skin.select(range(40)))
+
+
+@quiet
+def test_maps_that_do_not_follow_from_the_recording_are_not_trusted():
+    skin = flat_skin()
+    rng = np.random.default_rng(0)
+    noise = rng.uniform(1, 2, (42, 42))
+    precomputed = {"similarity": np.corrcoef(skin.readings.T), "dissimilarity": noise + noise.T}
+    for stage, matrix in precomputed.items():
+        np.fill_diagonal(matrix, 1 if stage == "similarity" else 0)
+        made = reconstruct_from(dimensions=2, **{stage: matrix})
+        assert math.isnan(confidence(made, skin))
+    chunked = anisomap.large.reconstruct_chunks(skin.readings, dimensions=2)
+    assert math.isnan(confidence(chunked, skin))
+    made = reconstruct(skin, dimensions=2)
+    assert confidence(made, skin) > 0.9
+    shuffled = replace(made, positions=made.positions[rng.permutation(42)])
+    assert confidence(shuffled, skin) < 0.5
+
+
+def test_a_confidence_needs_complete_readings():
+    skin = flat_skin(n_frames=300)
+    readings = np.array(skin.readings)
+    readings[7, 3] = np.nan
+    with pytest.raises(InputError, match="sensor s3, frame 7"):
+        confidence(reconstruct(skin, dimensions=2), readings)
+
+
+@quiet
+def test_diagnosis_can_be_repeated_and_knows_dropped_sensors():
+    readings = np.array(flat_skin(n_frames=300).readings)
+    readings[:, 8] = np.random.default_rng(0).uniform(size=300)
+    made = reconstruct(readings, "r-anisomap", 2, drop=[8])
+    once = diagnose(made, readings)
+    assert not any("s8" in note for note in once.notes)
+    assert diagnose(once, readings).notes == once.notes
+
+
+def test_sensors_are_unassessed_before_a_diagnosis():
+    skin = flat_skin(n_frames=600)
+    made = reconstruct(skin, "r-anisomap", 2)
+    assert set(made.health) == {"unassessed"}
+    assert set(diagnose(made, skin).health) == {"ok"}

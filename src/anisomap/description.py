@@ -45,7 +45,6 @@ def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]
     recipe, defaults = find_method(method), MethodOptions()
     facts: dict[str, Scalar] = {
         "anisomap": __version__,
-        "similarity": recipe.similarity,
         "mu": options.mu,
         "bins": options.bins,
     }

@@ -21,6 +21,7 @@ from anisomap.evaluation.confidence import (
     N_HALVES,
     agreement_of_halves,
     expected_mantel_r,
+    map_agreement,
 )
 from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions
@@ -84,13 +85,15 @@ def diagnose(
             f"{sensor_map.names[0]!r} on, got {joined.n_sensors} from {joined.names[0]!r} on"
         )
     assessed = assess(runs) if health is None else tuple(health)
-    dropped = set(joined.indices(drop).tolist())
+    unused = joined.varying() & ~sensor_map.placed  # sensors that were dropped from the map
+    dropped = {*joined.indices(drop).tolist(), *np.flatnonzero(unused).tolist()}
     kept = [sensor for i, sensor in enumerate(assessed) if i not in dropped]
     notes = list(weaknesses(joined, kept))
     expected = math.nan
     if with_confidence:
         expected = confidence(sensor_map, runs, options=options, progress=progress)
     notes += _insufficient(expected)
+    notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
     return replace(
@@ -119,8 +122,14 @@ def confidence(
     -------
     float
         Confidence of the largest component, in [0, 1]. NaN for methods without refinement,
-        approximate maps, runs with different sensors, fewer than 12 sensors or 80 frames, and for
-        uneven maps if the halves agree, since both share the same distortion.
+        precomputed stages, maps of chunks and approximate maps, runs with different sensors, fewer
+        than 12 sensors or 80 frames, and for uneven maps if the halves agree, since both share the
+        same distortion.
+
+    Raises
+    ------
+    InputError
+        If a reading is missing.
 
     Notes
     -----
@@ -133,26 +142,31 @@ def confidence(
     if (
         method is None
         or method.refine is None
-        or sensor_map.approximate
+        or sensor_map.similarity != method.similarity
         or len(runs) > 1
         or np.count_nonzero(largest) < MIN_SENSORS
     ):
         return math.nan
     report = progress or (lambda _share: None)
-    n_done = 0
+    halves: list[NDArray[np.float64]] = []
     half_options = replace(options or MethodOptions(), split_unrelated=False)
 
     def map_half(half: NDArray[np.floating]) -> NDArray[np.float64]:
-        nonlocal n_done
         made = reconstruct(half, DEFAULT_METHOD, sensor_map.dimensions, options=half_options)
-        n_done += 1
-        report(n_done / N_HALVES)
+        halves.append(made.positions)
+        report(len(halves) / N_HALVES)
         return made.positions
 
+    readings = runs[0].complete().readings[:, largest]
     logger.info("mapping halves of the recording to estimate the confidence")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # halves are short by design
-        agreement = agreement_of_halves(runs[0].readings[:, largest], map_half)
+        agreement = agreement_of_halves(readings, map_half)
+    if halves:
+        # The map itself must agree with the halves, or it is not the map of this recording.
+        positions = sensor_map.positions[largest]
+        with_map = float(np.mean([map_agreement(half, positions) for half in halves]))
+        agreement = min(agreement, with_map)
     expected = expected_mantel_r(agreement)
     return math.nan if sensor_map.uneven and expected >= DOUBTFUL else expected
 

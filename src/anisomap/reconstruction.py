@@ -129,12 +129,22 @@ def reconstruct(
 
     _check_related(configuration, options)
     provenance = options_provenance(method, options)
-    provenance |= {"source": joined.source, "frames": joined.n_frames}
+    provenance |= {
+        "source": joined.source,
+        "frames": joined.n_frames,
+        "similarity": pairs.statistic,
+    }
     if len(runs) > 1:
         provenance["runs"] = len(runs)
     notes = unknown_pairs(pairs.known, names)
     return _as_map(
-        configuration, joined.names, mapped, method=method, notes=notes, provenance=provenance
+        configuration,
+        joined.names,
+        mapped,
+        method=method,
+        similarity=pairs.statistic,
+        notes=notes,
+        provenance=provenance,
     )
 
 
@@ -151,6 +161,7 @@ def reconstruct_from(
     start: ArrayLike | None = None,
     names: Sequence[str] = (),
     drop: Iterable[str | int] = (),
+    statistic: str = "",
 ) -> SensorMap:
     """Reconstruct the positions of sensors from a precomputed stage.
 
@@ -170,6 +181,8 @@ def reconstruct_from(
         Initial positions of the scaling, with k = `dimensions`.
     names : sequence of str, optional
         Unique names of the sensors; ``s0, s1, ...`` by default.
+    statistic : str
+        Name of the similarity, if it was computed from readings; noted in the map.
 
     Returns
     -------
@@ -209,6 +222,7 @@ def reconstruct_from(
             matrix,
             noise=variance if noise is None else checked_noise(noise, n_sensors)[inside],
             known=None if pair_weights is None else pair_weights > 0,
+            statistic=statistic,
         )
     with limited_blas(len(matrix)):
         if pairs is not None:
@@ -227,8 +241,17 @@ def reconstruct_from(
             "are unrefined",
         )
     _check_related(configuration, options)
-    provenance = options_provenance(method, options) | {"precomputed": stage}
-    return _as_map(configuration, names, mapped, method=method, notes=notes, provenance=provenance)
+    provenance = options_provenance(method, options)
+    provenance |= {"similarity": statistic} if statistic else {"precomputed": stage}
+    return _as_map(
+        configuration,
+        names,
+        mapped,
+        method=method,
+        similarity=statistic,
+        notes=notes,
+        provenance=provenance,
+    )
 
 
 def dissimilarities(
@@ -294,6 +317,7 @@ def _as_map(
     mapped: NDArray[np.bool_],
     *,
     method: str,
+    similarity: str,
     notes: Iterable[str],
     provenance: dict[str, Scalar],
 ) -> SensorMap:
@@ -314,6 +338,7 @@ def _as_map(
         names=names,
         component=component,
         method=method,
+        similarity=similarity,
         stress=configuration.stress,
         n_iterations=configuration.n_iterations,
         uneven=configuration.facts.uneven,

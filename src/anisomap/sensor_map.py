@@ -21,6 +21,9 @@ UNPLACED = -1
 UNSCALED = ("", "arbitrary")
 """Units of positions with unknown scale."""
 
+UNASSESSED = "unassessed"
+"""Health of a sensor before `anisomap.diagnose`."""
+
 DEFAULT_FRAME = "skin"
 
 
@@ -42,13 +45,15 @@ class SensorMap:
         Connected component of each sensor: 0 is the largest, -1 marks a sensor without a position.
         Components share no frame of reference: their relative positions are unknown.
     health : sequence of str, optional
-        Status of each sensor, from `anisomap.health`; ``"ok"`` by default.
+        Status of each sensor, from `anisomap.diagnose`; ``"unassessed"`` by default.
     units : str
         Unit of `positions`; ``"arbitrary"`` until the map is given a scale.
     frame : str
         Name of the coordinate frame, for robot software.
     method : str
         Name of the method that made the map.
+    similarity : str
+        Name of the similarity that was computed from readings; empty if it was precomputed.
     stress : float
         Stress-1 of the scaling (Borg & Groenen 2005, eq. 3.9): 0 is a perfect fit of the metric.
     n_iterations : int
@@ -82,6 +87,7 @@ class SensorMap:
     units: str = "arbitrary"
     frame: str = DEFAULT_FRAME
     method: str = ""
+    similarity: str = ""
     stress: float = float("nan")
     n_iterations: int = 0
     confidence: float = float("nan")
@@ -102,7 +108,7 @@ class SensorMap:
         component = np.array(self.component, dtype=np.intp)
         if not component.size:
             component = np.where(placed, 0, UNPLACED)
-        health = tuple(self.health) or ("ok",) * n_sensors
+        health = tuple(self.health) or (UNASSESSED,) * n_sensors
         for name, size in (("component", component.size), ("health", len(health))):
             if size != n_sensors:
                 raise InputError(
@@ -229,3 +235,8 @@ class SensorMap:
 
 def _rebuilt(fields: dict[str, Any]) -> SensorMap:
     return SensorMap(**fields)
+
+
+def is_faulty(status: str) -> bool:
+    """Return whether a status in `SensorMap.health` is that of a faulty sensor."""
+    return status not in ("ok", UNASSESSED)

@@ -254,7 +254,7 @@ def test_the_view_shows_the_map_aligned_with_the_truth() -> None:
         np.testing.assert_allclose(shown_places, expected, rtol=1e-4, atol=1e-3)
     assert component["names"] == list(sensor_map.names)
     for name, hover in zip(sensor_map.names, component["traces"]["map"]["hovertext"], strict=True):
-        assert all(said in hover for said in (name, "health: ok", "component 1", " mm"))
+        assert all(said in hover for said in (name, "health: unassessed", "component 1", " mm"))
 
 
 def test_every_component_has_a_view() -> None:

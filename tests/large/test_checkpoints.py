@@ -73,7 +73,7 @@ def cut_off(file, n_chunks=4, passes=2, **more):
 
 def test_killed_processes_resume_to_the_same_result(tmp_path):
     np.save(tmp_path / "readings.npy", READINGS)
-    file, rng = tmp_path / "counts.npz", np.random.default_rng()
+    file, rng = tmp_path / "counts.npz", np.random.default_rng(0)
     for _ in range(3):
         program = [sys.executable, "-c", KILLED, str(tmp_path)]
         with subprocess.Popen(program) as process:

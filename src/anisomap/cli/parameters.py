@@ -139,6 +139,12 @@ class PlacingOptions:
         """Write a map, or each of its connected components; return the files."""
         if self.split_components:
             return io.write_components(sensor_map, path)
+        n_components = len(sensor_map.component_sizes)
+        if n_components > 1 and io.needs_scale(path):
+            raise InputError(
+                f"{path} has one frame, but the map has {n_components} components with unknown "
+                "relative positions; write each to a file of its own with --split-components"
+            )
         io.write(sensor_map, path)
         return (path,)
 

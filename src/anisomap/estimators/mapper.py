@@ -173,6 +173,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
             options=self._options(),
             names=getattr(self, "feature_names_in_", ()),
             drop=np.flatnonzero(~pairs.varying()).tolist(),
+            statistic=computed_similarity(find_method(self.method).similarity),
         )
         self._set_map(self._with_limitations(made))
         return self

@@ -106,17 +106,32 @@ def confidence_in_words(confidence: float) -> str:
     return f"{confidence:.2f} (expected Mantel r; systematic distortion is not included)"
 
 
+def map_agreement(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """Compute the Mantel r of two maps over the sensors that both place.
+
+    Parameters
+    ----------
+    first, second : ndarray of shape (N, k)
+        Positions; NaN for sensors without one.
+
+    Returns
+    -------
+    float
+        In [-1, 1]; 0 if fewer than 4 sensors are shared, or all distances of a map are equal.
+    """
+    placed = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
+    if np.count_nonzero(placed) < MIN_SENSORS_COMPARED:
+        return 0.0
+    one, other = pdist(first[placed]), pdist(second[placed])
+    if np.ptp(one) == 0 or np.ptp(other) == 0:
+        return 0.0
+    return float(np.corrcoef(one, other)[0, 1])
+
+
 def _agreement(
     place: Callable[[Readings], NDArray[np.float64]], first: Readings, second: Readings
 ) -> float:
     try:
-        x, y = place(first), place(second)
+        return map_agreement(place(first), place(second))
     except InputError:
         return 0.0
-    placed = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
-    if np.count_nonzero(placed) < MIN_SENSORS_COMPARED:
-        return 0.0
-    x_distances, y_distances = pdist(x[placed]), pdist(y[placed])
-    if np.ptp(x_distances) == 0 or np.ptp(y_distances) == 0:
-        return 0.0
-    return float(np.corrcoef(x_distances, y_distances)[0, 1])

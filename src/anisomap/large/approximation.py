@@ -281,6 +281,7 @@ def map_similarity_graph(
         component=component,
         health=tuple(sensor.status for sensor in found.health),
         method=APPROXIMATED,
+        similarity="pearson",
         approximate=True,
         n_iterations=n_iterations,
         stress=np.sqrt(raw_stress / spread) if spread > 0 else 0.0,

@@ -25,7 +25,7 @@ from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import MAX_SQUARED, squares_overflow
 from anisomap.numerics.similarity.value_counts import ValueCounts
 from anisomap.reconstruction import reconstruct_from
-from anisomap.recording import MissingPolicy, Recording, Scalar
+from anisomap.recording import MissingPolicy, Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.stages.refinement import unexamined_unevenness
 
@@ -250,6 +250,7 @@ def map_streamed_similarity(
         noise=noise,
         names=found.excerpt.names,
         drop=sorted(dropped | set(np.flatnonzero(~found.varying).tolist())),
+        statistic=computed_similarity(find_method(method).similarity),
     )
     kept = [sensor for i, sensor in enumerate(found.health) if i not in dropped]
     notes = (*weaknesses(found.excerpt, kept), *found.notes, *_limitations(found, made))
@@ -259,14 +260,12 @@ def map_streamed_similarity(
         made,
         health=tuple(sensor.status for sensor in found.health),
         notes=(*notes, *made.notes),
-        provenance=_provenance(found, made, method),
+        provenance={
+            "source": found.excerpt.source,
+            "frames": found.n_frames,
+            **made.provenance,
+        },
     )
-
-
-def _provenance(found: StreamedSimilarity, made: SensorMap, method: str) -> dict[str, Scalar]:
-    facts = {"source": found.excerpt.source, "frames": found.n_frames, **made.provenance}
-    del facts["precomputed"]  # the similarity was computed by this module, not by the user
-    return facts | {"similarity": computed_similarity(find_method(method).similarity)}
 
 
 def _limitations(found: StreamedSimilarity, made: SensorMap) -> Iterator[str]:

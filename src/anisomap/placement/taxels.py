@@ -79,15 +79,13 @@ def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     if sensor_map.units not in METRES:
         raise InputError(
             f"{purpose} needs positions in metres, but the unit of the map is "
-            f"{sensor_map.units or 'unknown'!r}; give the spacing of the sensors (--spacing 6.5mm) "
-            "or the unit of the map (--units mm)"
+            f"{sensor_map.units or 'unknown'!r}; scale the map by its sensor spacing first"
         )
     n_components = len(sensor_map.component_sizes)
     if n_components != 1:
         raise InputError(
             f"{purpose} needs one connected component, but the map has {n_components}, and their "
-            "relative poses are unknown; write each component to a separate file "
-            "(--split-components, or anisomap.io.write_components)"
+            "relative poses are unknown; write each component to a file of its own"
         )
     indices = np.flatnonzero(sensor_map.placed)
     positions = pad_to_3d(sensor_map.positions[indices]) * METRES[sensor_map.units]

@@ -72,12 +72,15 @@ class PairStatistics:
     readings : ndarray of shape (T, n), optional
         Readings in temporal order; None for a precomputed similarity, and if some pairs are
         unknown.
+    statistic : str
+        Name of the similarity that was computed from readings; empty if it was precomputed.
     """
 
     similarity: Reals
     noise: Reals
     known: NDArray[np.bool_]
     readings: NDArray[np.generic] | None = None
+    statistic: str = ""
 
     @classmethod
     def from_similarity(
@@ -87,6 +90,7 @@ class PairStatistics:
         noise: ArrayLike,
         known: NDArray[np.bool_] | None = None,
         readings: NDArray[np.generic] | None = None,
+        statistic: str = "",
     ) -> PairStatistics:
         """Check and complete a similarity.
 
@@ -98,6 +102,8 @@ class PairStatistics:
         known : ndarray of bool, shape (n, n), optional
             Pairs that are known; all by default. The similarity of other pairs is ignored.
         readings : ndarray of shape (T, n), optional
+        statistic : str
+            Name of the similarity, if it was computed from readings.
 
         Returns
         -------
@@ -121,6 +127,7 @@ class PairStatistics:
             np.broadcast_to(noise, checked.shape),
             np.broadcast_to(np.array(True), checked.shape) if known is None else known,
             readings,
+            statistic,
         )
 
     @property
@@ -187,6 +194,7 @@ def compare(
             compute(readings, bins),
             noise=sampling_variance(readings) if with_noise else np.nan,
             readings=readings if with_noise else None,
+            statistic=similarity,
         )
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
     shared = _shared_runs(runs, names)
@@ -197,7 +205,9 @@ def compare(
         values[inside] = np.where(in_group, compute(readings, bins), values[inside])
         if with_noise:
             noise[inside] = np.where(in_group, sampling_variance(readings), noise[inside])
-    return PairStatistics.from_similarity(values, noise=noise, known=shared > 0)
+    return PairStatistics.from_similarity(
+        values, noise=noise, known=shared > 0, statistic=similarity
+    )
 
 
 def _joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.floating]:

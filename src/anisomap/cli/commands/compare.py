@@ -71,7 +71,15 @@ def compare(
             values.append({"recording": name, "dimensions": k, "mantel_r": scores})
     columns = ("recording", "sensors x frames", "map", *methods)
     with reporting.printer() as printer:
-        printer.table("Mantel r", columns, rows)
+        printer.table(
+            "Mantel r",
+            ("recording", "sensors x frames", "map", "method", "Mantel r"),
+            [
+                (*row[:3], method, r)
+                for row in rows
+                for method, r in zip(methods, row[3:], strict=True)
+            ],
+        )
         printer.record(scores=values)
     if output:
         with atomic_write(output) as aside:

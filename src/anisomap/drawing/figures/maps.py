@@ -35,7 +35,7 @@ from anisomap.drawing.view import (
 )
 from anisomap.errors import InputError
 from anisomap.evaluation import Score
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import SensorMap, is_faulty
 from anisomap.wording import join_items
 
 if TYPE_CHECKING:
@@ -260,7 +260,7 @@ def _look(sensor_map: SensorMap, component: Component) -> Look:
 
 
 def _faulty(sensor_map: SensorMap, component: Component) -> NDArray[np.bool_]:
-    return np.array([sensor_map.health[i] != "ok" for i in component.sensors], dtype=bool)
+    return np.array([is_faulty(sensor_map.health[i]) for i in component.sensors], dtype=bool)
 
 
 def _sensors_to_label(points: NDArray[np.float64], view: View) -> list[int]:

@@ -20,7 +20,7 @@ from anisomap.drawing.view import (
     view_axes,
 )
 from anisomap.evaluation import Score
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import UNASSESSED, SensorMap, is_faulty
 
 Trace: TypeAlias = dict[str, Any]
 
@@ -28,6 +28,7 @@ Trace: TypeAlias = dict[str, Any]
 STATUS_COLOURS: Mapping[str, str] = MappingProxyType(
     {
         "ok": "#0072b2",
+        UNASSESSED: "#0072b2",
         "dead": "#000000",
         "stuck": "#d55e00",
         "saturating": "#e69f00",
@@ -109,7 +110,7 @@ def _sample(component: Component, statuses: Sequence[str]) -> NDArray[np.intp] |
     """Choose the sensors of a large component to show, faulty ones first; None for all."""
     if len(component.points) <= MAX_DOTS:
         return None
-    faulty = np.array([statuses[i] != "ok" for i in component.sensors])
+    faulty = np.array([is_faulty(statuses[i]) for i in component.sensors])
     first = np.flatnonzero(faulty)[: MAX_DOTS // 2]
     others = np.flatnonzero(~faulty)
     even = np.linspace(0, len(others) - 1, min(len(others), MAX_DOTS - len(first))).astype(int)
@@ -136,7 +137,7 @@ def _view(
     errors: NDArray[np.float64] | None,
 ) -> dict[str, Any]:
     symbols = ["circle" if compared else "square" for compared in component.compared]
-    faulty = np.array([status != "ok" for status in statuses])
+    faulty = np.array([is_faulty(status) for status in statuses])
     traces = {
         "neighbours": _lines(component.points, component.pairs, _LINES, 2),
         "map": _dots(component.points, symbols, _hover(component, names, statuses, errors)),

@@ -12,7 +12,7 @@ from anisomap.drawing.view import MAX_JOINED, layout_notes, printable
 from anisomap.evaluation import Score, confidence_in_words
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import SensorMap, is_faulty
 from anisomap.wording import join_items
 
 UNKNOWN = "\N{EN DASH}"
@@ -77,7 +77,7 @@ class SensorTable:
     @property
     def n_problems(self) -> int:
         """Number of listed sensors whose status is not ok."""
-        return sum(row.status != "ok" for row in self.rows)
+        return sum(is_faulty(row.status) for row in self.rows)
 
 
 _MEASURED = (
@@ -265,7 +265,7 @@ def sensor_table(
         columns.append(Fact(f"Error{unit}", "", "distance from the true position"))
     columns += _MEASURED if health else ()
     rows = []
-    problems_first = sorted(range(len(statuses)), key=lambda i: statuses[i] == "ok")
+    problems_first = sorted(range(len(statuses)), key=lambda i: not is_faulty(statuses[i]))
     for i in problems_first[:MAX_ROWS]:
         name = sensor_map.names[i]
         cells = []

@@ -14,7 +14,7 @@ from anisomap.io.parsing.comments import to_python_scalar
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.parsing.source import open_text, quote
 from anisomap.recording import Scalar
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import UNASSESSED, SensorMap
 
 _MARK = "anisomap map"
 # Strict JSON has no infinities; {"float": "inf"} differs from the string "inf".
@@ -51,7 +51,7 @@ def read_map(path: Path) -> SensorMap:
         np.array([row.position(dimensions) for row in rows]),
         names=tuple(row.value("name", (str,)) for row in rows) if named else (),
         component=np.array([row.value("component", (int,)) for row in rows if placed], np.intp),
-        health=tuple(row.value("health", (str,), "ok") for row in rows),
+        health=tuple(row.value("health", (str,), UNASSESSED) for row in rows),
         **_map_properties(path, document),
     )
 

@@ -23,6 +23,8 @@ def from_provenance(stored: Mapping[str, Scalar]) -> dict[str, Any]:
     facts: dict[str, Any] = {name: stored[name] is True for name in _FLAGS if name in stored}
     if "frame" in stored:
         facts["frame"] = str(stored["frame"])
+    if "precomputed" not in stored:
+        facts["similarity"] = str(stored.get("similarity", ""))
     iterations = stored.get("iterations")
     if isinstance(iterations, int):
         facts["n_iterations"] = int(iterations)
