@@ -170,9 +170,9 @@ def tables(results: Sequence[Result]) -> list[str]:
     for title, group in groups:
         if not group:
             continue
-        header = ["recording", "seeds", *(f"{m}: mean (worst)" for m in methods)]
+        header = ["recording", "seeds", *methods]
         header += [f"{m}: error ratio" for m in methods if m != REFERENCE]
-        header.append("minimum share placed")
+        header.append("share placed")
         lines += [f"### {title}", "", row(header), row(["---"] * len(header))]
         for name in dict.fromkeys(result.recording for result in group):
             lines.append(row(cells(name, [r for r in group if r.recording == name], methods)))
@@ -189,7 +189,7 @@ def cells(name: str, group: Sequence[Result], methods: Sequence[str]) -> list[st
     found = [name, str(len(scores[methods[0]]))]
     for paired in scores.values():
         values = np.array(list(paired.values()))
-        found.append(f"{values.mean():.4f} ({values.min():.3f})")
+        found.append(f"{values.mean():.3f} ({values.min():.3f})")
     reference = scores.get(REFERENCE, {})
     for method, paired in scores.items():
         if method != REFERENCE and reference:

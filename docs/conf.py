@@ -38,7 +38,7 @@ default_role = "py:obj"  # names in single backticks in docstrings are links
 html_theme = "furo"
 html_title = "anisomap"
 html_static_path = ["_static"]
-html_css_files = ["math.css"]
+html_css_files = ["anisomap.css"]
 html_math_renderer = "mathml"
 
 
