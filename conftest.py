@@ -5,8 +5,8 @@ import os
 from hypothesis import HealthCheck, settings
 from sybil import Sybil
 from sybil.parsers.doctest import DocTestParser
-from sybil.parsers.myst import PythonCodeBlockParser
-from tests.documents import collector
+from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser
+from tests.documents import collector, run_commands
 
 # One thread for linear algebra and compiled loops, here and in every process that tests start.
 # Matrices of tests are small, and pytest-xdist already runs one process per core: more threads
@@ -30,6 +30,8 @@ settings.register_profile("ci", settings.get_profile("default"), derandomize=Tru
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
-readme = Sybil([PythonCodeBlockParser()], patterns=["README.md"])
+readme = Sybil(
+    [PythonCodeBlockParser(), CodeBlockParser("sh", run_commands)], patterns=["README.md"]
+)
 docstrings = Sybil([DocTestParser()], patterns=["src/**/*.py"])
 pytest_collect_file = collector(readme, docstrings)

@@ -5,12 +5,14 @@ Sybil's own integration makes each example a test, which pytest-xdist deals out 
 """
 
 import contextlib
+import importlib
+import shlex
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from sybil import Sybil
+from sybil import Example, Sybil
 
 
 class DocumentFile(pytest.File):
@@ -50,3 +52,23 @@ def collector(*sybils: Sybil) -> Callable[..., DocumentFile | None]:
         return None
 
     return pytest_collect_file
+
+
+def run_commands(example: Example) -> None:
+    """Call anisomap line by line, as a shell would; every call must succeed."""
+    for line in example.parsed.splitlines():
+        program, *arguments = shlex.split(line, comments=True) or ["#"]
+        if program == "#":
+            continue
+        if program != "anisomap" or _exit_code(arguments):
+            pytest.fail(line)
+
+
+def _exit_code(arguments: list[str]) -> int:
+    # Imported late, since conftest.py imports this module before it sets the threads of numpy.
+    cli = importlib.import_module("anisomap.cli")
+    try:
+        cli.main(arguments)
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
