@@ -85,7 +85,8 @@ def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     if n_components != 1:
         raise InputError(
             f"{purpose} needs one connected component, but the map has {n_components}, and their "
-            "relative poses are unknown; write each component to a file of its own"
+            "relative poses are unknown; write each to a file of its own "
+            "(anisomap.io.write_components)"
         )
     indices = np.flatnonzero(sensor_map.placed)
     positions = pad_to_3d(sensor_map.positions[indices]) * METRES[sensor_map.units]
