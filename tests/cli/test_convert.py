@@ -61,3 +61,17 @@ def test_a_missing_scale_is_reported_before_the_computation(run, skin_npz, tmp_p
     assert outcome.code == 2
     assert "--spacing 6.5mm" in outcome.err
     assert "Stress-1" not in outcome.out
+
+
+@pytest.mark.parametrize("spacing", ["1e-300m", "1e300m", "1e-160mm", "5e-324m"])
+def test_spacings_out_of_range_are_refused_before_writing(run, map_csv, tmp_path, spacing):
+    for output in ("skin.csv", "skin.urdf"):
+        outcome = run("convert", map_csv, output, "--spacing", spacing)
+        assert outcome.code == 2
+        assert "out of the range of floating-point numbers" in outcome.err
+        assert not (tmp_path / output).exists()
+
+
+def test_a_single_sensor_is_converted(run, tmp_path):
+    anisomap.write(anisomap.SensorMap(np.ones((1, 3)), units="m"), tmp_path / "one.csv")
+    assert run("convert", "one.csv", "one.json").code == 0

@@ -14,6 +14,7 @@ from anisomap.sensor_map import SensorMap
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "in": 0.0254}
 """Length of each supported unit in metres."""
 
+_MIN_LENGTH, _MAX_LENGTH = 1e-150, 1e150  # their squares are normal floating-point numbers
 _LENGTH = re.compile(r"\s*+([0-9.eE+-]++)\s*+([a-z\u00b5]++)\s*+")
 
 
@@ -102,11 +103,19 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
     Raises
     ------
     InputError
-        If the map has no spacing (see `median_spacing`), or `spacing` is not positive.
+        If the map has no spacing (see `median_spacing`), or `spacing` is not positive or is out of
+        the range of floating-point numbers.
     """
     if not (np.isfinite(spacing) and spacing > 0):
         raise InputError(f"spacing must be a positive number, got {spacing:g}")
     factor = spacing / median_spacing(sensor_map)
+    largest = float(np.nanmax(np.abs(sensor_map.positions))) * factor
+    # Distances are computed from squares, which must neither underflow nor overflow.
+    if not (spacing > _MIN_LENGTH and factor > 0 and largest < _MAX_LENGTH):
+        raise InputError(
+            f"a spacing of {spacing:g} {units} takes the positions out of the range of "
+            "floating-point numbers; check its unit"
+        )
     return replace(
         sensor_map,
         positions=factor * sensor_map.positions,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,7 @@ from cyclopts import Parameter
 
 from anisomap import io
 from anisomap.cli import parameters as options
+from anisomap.errors import InputError
 from anisomap.files import check_distinct
 from anisomap.placement import METRES, median_spacing
 
@@ -31,10 +33,13 @@ def convert(
     placing.check([output], sensor_map.units)
     placed = placing.applied(sensor_map)
     with reporting.printer() as printer:
-        written = placing.write(placed, output)
         n_placed = int(placed.placed.sum())
         facts = {"sensors placed": f"{n_placed} of {placed.n_sensors}"}
-        spacing = median_spacing(placed) if placed.units in METRES else None
+        spacing = None
+        if placed.units in METRES:
+            with suppress(InputError):  # a single sensor has no spacing
+                spacing = median_spacing(placed)
+        written = placing.write(placed, output)
         if spacing is not None:
             facts["median spacing"] = f"{spacing:.4g} {placed.units}"
         facts["known up to"] = placed.known_up_to

@@ -28,6 +28,7 @@ TOLERANCE = 0.02
 """Maximum distance of a given sensor from the surface, as a fraction of the reach of the body."""
 
 _SEED = 0
+_MAX_REASON = 150  # characters of a message of trimesh
 _MAX_BALL_RADIUS = 0.6  # x median spacing: adjacent balls overlap, so nothing passes between them
 _MAX_NORMAL_ERROR = 45.0  # degrees between a given and an estimated normal
 _MAX_CONTRADICTIONS = 0.1  # share of the sensors; not 0, since estimates can be wrong at edges
@@ -305,7 +306,10 @@ def _read_mesh(path: Path) -> tuple[Points, NDArray[np.intp]]:
         return np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces)
     except Exception as error:
         # The type of the exception depends on the format and the version of trimesh.
-        raise FileError(f"{path} cannot be read as a mesh: {error}") from error
+        reason = " ".join(str(error).split())
+        if len(reason) > _MAX_REASON:
+            reason = reason[:_MAX_REASON] + "..."
+        raise FileError(f"{path} cannot be read as a mesh: {reason}") from error
 
 
 def _solid_from_geom(mujoco: Any, model: Any, data: Any, i: int) -> Solid:
