@@ -134,7 +134,8 @@ def confidence(
     Notes
     -----
     Halves are mapped by the default method, for which the relation between agreement and Mantel r
-    was calibrated: see `anisomap.evaluation.confidence.expected_mantel_r`.
+    was calibrated: see `anisomap.evaluation.confidence.expected_mantel_r`. The agreement is that of
+    the halves with each other or with the map, whichever is lower.
     """
     runs = as_runs(recording)
     method = METHODS.get(sensor_map.method)
