@@ -443,3 +443,12 @@ def test_exact_float32_readings_are_stored_as_float32(put: Put) -> None:
     assert io.read(put("x.csv", "0,0.5\n1,0\n")).readings.dtype == np.float32
     assert io.read(put("x.csv", "0,0.1\n1,0\n")).readings.dtype == np.float64
     assert io.read(put("x.csv", "0,1e300\n1,0\n")).readings.dtype == np.float64
+
+
+def test_commas_that_may_separate_thousands_give_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "forces.tsv"
+    path.write_text("a\tb\n1,234\t5\n2,345\t6\n")
+    with pytest.warns(AnisomapWarning, match=r"decimal commas \(1,234 as 1\.234\)"):
+        io.read(path)
+    path.write_text("a\tb\n1,234\t5\n0,5\t6\n")
+    assert io.read(path).readings[0, 0] == 1.234

@@ -11,6 +11,7 @@ import dataclasses
 import functools
 import itertools
 import logging
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -41,6 +42,8 @@ MAP_TITLE = "anisomap map"
 _TIME_COLUMN = "time_s"
 _DELIMITERS = {"separated by commas": ",", "separated by tabs": "\t"}
 _IN_FIRST_COLUMN, _NO_TIMES = "first column, seconds", "none"
+_WITH_COMMA = re.compile(r"(?<![\d.,])\d++,\d++(?![\d.,])")
+_THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}")
 _logger = logging.getLogger(__name__)
 
 
@@ -72,6 +75,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     parse_name = delimited.unguard_formula if known else str.strip
     names = tuple(map(parse_name, layout.header))
     _warn_of_text(table)
+    if not known and layout.delimiter != ",":
+        _warn_of_commas(path, sample[preamble:])
     roles = _own_roles(known) if known else _detected_roles(table, names)
     if len(roles.non_sensors) == layout.n_columns:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
@@ -176,6 +181,18 @@ def _detected_roles(table: Table, names: tuple[str, ...]) -> Roles:
     )
     warn_of_guesses(table.path, names, roles)
     return roles
+
+
+def _warn_of_commas(path: Path, sample: list[str]) -> None:
+    """Warn if all numbers with a comma could also have thousands separators."""
+    found = [match for line in sample for match in _WITH_COMMA.findall(line)]
+    if found and all(_THOUSANDS.fullmatch(number) for number in found):
+        warnings.warn(
+            f"{path}: commas are read as decimal commas ({found[0]} as "
+            f"{found[0].replace(',', '.')}); remove thousands separators from the file",
+            AnisomapWarning,
+            stacklevel=2,
+        )
 
 
 def _warn_of_text(table: Table) -> None:
