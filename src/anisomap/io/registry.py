@@ -15,8 +15,9 @@ from anisomap.io import npz
 from anisomap.io.choice import Content
 from anisomap.io.format import Format
 from anisomap.io.maps import csv, icub_positions, json, launch, mjcf, pcd, ply, urdf, xml_files
+from anisomap.io.parsing.encoding import check_encodable, texts_of
 from anisomap.io.parsing.grids import with_grid
-from anisomap.io.parsing.source import file_errors, quote, read_head
+from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.recordings import arrow, hdf5, images, mat, npy, pressure_mats, text, yarp
 from anisomap.io.recordings.presets import apply_preset
 from anisomap.io.ros import bags, repair
@@ -28,7 +29,7 @@ from anisomap.io.stream import (
     assemble,
     rechunk,
 )
-from anisomap.recording import Recording, Scalar
+from anisomap.recording import Recording
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
 
@@ -247,14 +248,14 @@ def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     """
     file = Path(path)
     if isinstance(data, SensorMap):
-        facts = (data.frame, data.method, data.units, *data.notes, *_texts(data.provenance))
-        _check_encodable((*data.names, *data.health, *facts), file)
+        facts = (data.frame, data.method, data.units, *data.notes, *texts_of(data.provenance))
+        check_encodable((*data.names, *data.health, *facts), file)
         write_map = _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
         with atomic_write(file) as temporary:
             write_map(data, temporary)
     elif isinstance(data, Recording):
-        facts = (data.source, data.units, *_texts(data.metadata))
-        _check_encodable((*data.names, *facts), file)
+        facts = (data.source, data.units, *texts_of(data.metadata))
+        check_encodable((*data.names, *facts), file)
         write_recording = _by_suffix(
             file, {s: f.write_recording for f in FORMATS for s in f.suffixes}
         )
@@ -404,17 +405,3 @@ def _by_suffix(file: Path, writers: Mapping[str, Writer | None]) -> Writer:
         problem = f"unknown suffix {file.suffix!r}" if file.suffix else "the name has no suffix"
         raise FileError(f"cannot write {file}: {problem}; known suffixes: {known}")
     return writer
-
-
-def _texts(mapping: Mapping[str, Scalar]) -> Iterator[str]:
-    yield from mapping
-    yield from (value for value in mapping.values() if isinstance(value, str))
-
-
-def _check_encodable(words: Iterable[str], file: Path) -> None:
-    """Reject null characters and unpaired surrogates before anything is written."""
-    for word in words:
-        if "\0" in word or any("\ud800" <= character <= "\udfff" for character in word):
-            raise FileError(
-                f"cannot write {file}: {quote(word)} contains a character that is not valid text"
-            )
