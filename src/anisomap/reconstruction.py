@@ -41,8 +41,8 @@ from anisomap.numerics.precision import Reals
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
 from anisomap.runs import as_runs, join_runs, select_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.stages.checks import checked_noise, checked_start, checked_weights, only_stage
 from anisomap.stages.pairs import PairStatistics, compare
+from anisomap.stages.precomputed import checked_noise, checked_start, checked_weights, only_stage
 from anisomap.stages.scaling import Configuration, refine, scale
 
 

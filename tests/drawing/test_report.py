@@ -18,7 +18,7 @@ from plotly.offline import get_plotlyjs
 
 from anisomap.drawing.report import check_writable, render_report, write_report
 from anisomap.drawing.report.interactive import MAX_DOTS
-from anisomap.drawing.report.text import MAX_ROWS, UNKNOWN, number
+from anisomap.drawing.report.report_text import MAX_ROWS, UNKNOWN, number
 from anisomap.drawing.view import printable
 from anisomap.errors import FileError, MissingExtraError
 from anisomap.evaluation import Score, score

@@ -18,7 +18,16 @@ from anisomap.io.maps import csv, icub_positions, json, launch, mjcf, pcd, ply, 
 from anisomap.io.parsing.encoding import check_encodable, texts_of
 from anisomap.io.parsing.grids import with_grid
 from anisomap.io.parsing.source import file_errors, read_head
-from anisomap.io.recordings import arrow, hdf5, images, mat, npy, pressure_mats, text, yarp
+from anisomap.io.recordings import (
+    arrow,
+    delimited_text,
+    hdf5,
+    images,
+    mat,
+    npy,
+    pressure_mats,
+    yarp,
+)
 from anisomap.io.recordings.presets import apply_preset
 from anisomap.io.ros import bags, repair
 from anisomap.io.stream import (
@@ -76,8 +85,9 @@ FORMATS = (
     Format("images", (".gif", ".tif", ".tiff"), "folder of images; multi-page TIFF or GIF",
            images.recognises, images.open_recording, extra=images.EXTRA),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
-           text.recognises,
-           text.open_recording, csv.read_map, csv.write_map, text.write_recording),
+           delimited_text.recognises,
+           delimited_text.open_recording, csv.read_map, csv.write_map,
+           delimited_text.write_recording),
 )
 # fmt: on
 """All formats; the first one that recognises a file reads it."""

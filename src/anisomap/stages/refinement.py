@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
-from anisomap.numerics.covariogram.fit import fit_covariogram
+from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram
 from anisomap.numerics.covariogram.objective import CovariogramOptions
-from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
-from anisomap.numerics.geodesic.refinement import (
+from anisomap.numerics.geodesic.geodesic_refinement import (
     GeodesicOptions,
     refine_by_contact_peaks,
     refine_by_even_spacing,
 )
+from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.stages.pairs import PairStatistics

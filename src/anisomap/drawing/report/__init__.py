@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from anisomap.drawing.report import page
 from anisomap.drawing.report.interactive import interactive_views, status_colours
-from anisomap.drawing.report.text import (
+from anisomap.drawing.report.report_text import (
     alternative_text,
     caveats,
     facts,

@@ -24,7 +24,7 @@ from anisomap.io.parsing import comments, delimited
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.parsing.source import open_text, quote
 from anisomap.io.parsing.table import LineError, is_number, parse_number
-from anisomap.io.recordings.text import MAP_TITLE
+from anisomap.io.recordings.delimited_text import MAP_TITLE
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
 

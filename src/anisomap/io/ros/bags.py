@@ -19,7 +19,7 @@ from anisomap.io.choice import Content, choose
 from anisomap.io.joining import join_streams
 from anisomap.io.parsing.libraries import guarded_iter, import_extra, library_errors
 from anisomap.io.ros import messages
-from anisomap.io.ros.files import (
+from anisomap.io.ros.bag_files import (
     MAGICS,
     as_rosbags_path,
     check_chunks,

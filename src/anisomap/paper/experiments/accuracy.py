@@ -12,7 +12,7 @@ from anisomap.drawing.figures.charts import ScoreGroup, scores_figure
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.cases import CASES, FAILING, METHODS, PATCH_RUNS, Case, patch_run, patch_seed
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
-from anisomap.paper.scoring import SCORE_COLUMNS, null_box, score_rows
+from anisomap.paper.map_scores import SCORE_COLUMNS, null_box, score_rows
 
 MORE_BINS = (6, 8)
 """Other numbers of bins that the paper tried."""

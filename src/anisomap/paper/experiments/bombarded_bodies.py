@@ -7,7 +7,7 @@ from functools import partial
 from anisomap.drawing.figures.gallery import Panel, gallery_figure, map_panel, truth_panel
 from anisomap.paper.cases import METHODS, Case, find_case, true_positions
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
-from anisomap.paper.scoring import map_and_score
+from anisomap.paper.map_scores import map_and_score
 from anisomap.recording import Recording
 
 _COLUMNS = {

@@ -21,7 +21,7 @@ from anisomap.paper.cases import (
     true_positions,
 )
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
-from anisomap.paper.scoring import SCORE_COLUMNS, ScoredMap, map_and_score, score_rows
+from anisomap.paper.map_scores import SCORE_COLUMNS, ScoredMap, map_and_score, score_rows
 from anisomap.paper.shape_statistics import isolation
 from anisomap.recording import Recording
 

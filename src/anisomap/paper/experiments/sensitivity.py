@@ -15,7 +15,7 @@ from anisomap.methods import MethodOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
-from anisomap.paper.scoring import map_and_score
+from anisomap.paper.map_scores import map_and_score
 from anisomap.recording import Recording
 from anisomap.simulation import find_body, find_scenario
 from anisomap.simulation.options import options_for

@@ -10,7 +10,7 @@ from anisomap.drawing.figures.gallery import gallery_figure, map_panel, truth_pa
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.cases import BOMBARDED, METHODS, Case, find_case, true_positions
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
-from anisomap.paper.scoring import map_and_score
+from anisomap.paper.map_scores import map_and_score
 
 _AXIAL = {
     "scenario": "scenario of the cylinder",

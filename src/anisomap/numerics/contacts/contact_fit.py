@@ -150,7 +150,7 @@ def fit_contacts(
         Finite readings in any unit.
     positions : array_like of shape (N, k)
         An approximately correct map in any unit, for example from
-        `anisomap.numerics.covariogram.fit.fit_covariogram`.
+        `anisomap.numerics.covariogram.covariogram_fit.fit_covariogram`.
     options : ContactOptions, optional
 
     Returns
