@@ -41,6 +41,7 @@ def rows_of(path):
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.slow
 def test_all_stages_on_small_skins(tmp_path, recordings, small_shares, capsys):
     folder = tmp_path / "out"
     sizes = ["30", "40"]

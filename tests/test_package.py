@@ -39,6 +39,7 @@ def run(installed, *arguments, cwd):
     )
 
 
+@pytest.mark.slow
 def test_the_wheel_makes_a_map_a_picture_and_a_report(installed, tmp_path):
     pytest.importorskip("mujoco")
     code = (

@@ -111,6 +111,7 @@ def test_finished_experiments_are_not_repeated(quick):
     assert before == {path: path.stat().st_mtime_ns for path in quick.glob("*/*")}
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_workers(quick, tmp_path):
     chosen = ("figure-s10", "data-s7-s11")
     reproduce(tmp_path, QUICK, only=chosen, workers=2)

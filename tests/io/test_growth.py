@@ -70,6 +70,7 @@ def assert_linear(seconds_at) -> None:
         before = seconds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reader", [io.read, io.read_map])
 @pytest.mark.parametrize("name", HOSTILE)
 def test_reading_takes_linear_time(name: str, reader, tmp_path: Path) -> None:
