@@ -248,8 +248,9 @@ class Recording:
     def _describe_missing(self, absent: NDArray[np.bool_]) -> str:
         sensors = [self.names[i] for i in np.flatnonzero(absent.any(axis=0))]
         frames = np.flatnonzero(absent.any(axis=1))
+        n_absent = int(absent.sum())
         return (
-            f"{int(absent.sum())} readings are NaN or infinite: "
+            f"{n_absent} reading{'s are' if n_absent > 1 else ' is'} NaN or infinite: "
             f"{noun_and_items('sensor', sensors)}, {noun_and_items('frame', frames.tolist())}; "
             "handle them first, by Recording.complete with drop-frames or interpolate"
         )

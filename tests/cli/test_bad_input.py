@@ -158,3 +158,9 @@ def test_nothing_is_written_over_what_is_read_or_written(run, skin_csv, options)
     assert skin_csv.read_bytes() == before
     assert run("compare", skin_csv, "-o", "skin.csv").code == 2
     assert skin_csv.read_bytes() == before
+
+
+def test_an_unknown_method_is_reported_before_the_recording_is_read(run):
+    found = run("map", "missing.csv", "-m", "pca")
+    assert found.code == 2
+    assert "no method 'pca'" in found.err

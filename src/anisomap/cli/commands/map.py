@@ -12,7 +12,7 @@ from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, streams
 from anisomap.cli.console import print_warning
 from anisomap.evaluation import PERMUTATIONS
-from anisomap.methods import DEFAULT_METHOD, MethodOptions
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 
@@ -106,6 +106,7 @@ def map_recording(
         smacof=SmacofOptions(tolerance, max_iterations),
     )
     by = large.method(method)
+    find_method(by)  # report an unknown method before the recording is read
     found = None
     if large.is_requested or streams.too_large(recordings, how):
         examined, found = streams.examine(
