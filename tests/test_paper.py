@@ -161,6 +161,7 @@ def test_the_simulated_patch_has_the_failures_of_the_paper(quick):
     assert saturated.max() > 10 * np.sort(saturated)[-2]
 
 
+@pytest.mark.slow
 def test_real_skin_is_mapped_if_its_recording_is_given(recordings_folder, tmp_path):
     settings = replace(QUICK, recordings=recordings_folder)
     reproduce(tmp_path, settings, only=["real-skin"], workers=1)
@@ -169,6 +170,7 @@ def test_real_skin_is_mapped_if_its_recording_is_given(recordings_folder, tmp_pa
     assert "was not given" not in (tmp_path / "index.html").read_text()
 
 
+@pytest.mark.slow
 def test_missing_extras_are_reported_in_one_sentence(tmp_path):
     code = (
         "import sys; sys.modules.update(dict.fromkeys(('mujoco', 'matplotlib', 'jinja2')));"

@@ -438,8 +438,12 @@ def test_registries_are_consistent():
         assert entry.summary
 
 
-REAL = [("icub_hexagon", 2, 0.985), ("icub_torso", 2, 0.985), ("icub_palm", 3, 0.980),
-        ("plantar", 2, 0.950)]  # fmt: skip
+REAL = [
+    ("icub_hexagon", 2, 0.985),
+    pytest.param("icub_torso", 2, 0.985, marks=pytest.mark.slow),
+    ("icub_palm", 3, 0.980),
+    ("plantar", 2, 0.950),
+]
 
 
 # Feet roll off: neighbours on the plantar map are uneven, and it says so.
