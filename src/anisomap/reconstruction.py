@@ -38,7 +38,7 @@ from anisomap.methods import (
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.metric import check_semi_metric
 from anisomap.numerics.precision import Reals
-from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
+from anisomap.recording import Recording, Scalar, check_names, default_names, sensor_mask
 from anisomap.runs import as_runs, join_runs, select_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.stages.pairs import PairStatistics, compare
@@ -112,7 +112,7 @@ def reconstruct(
     runs = as_runs(recording)
     check_even_spacing(method, options, readings=len(runs) == 1)
     joined = join_runs(runs)
-    mapped = joined.varying() & ~_mask(joined.names, drop)
+    mapped = joined.varying() & ~sensor_mask(joined.names, drop)
     _check_size(mapped, dimensions, recipe, options)
     names = [joined.names[i] for i in np.flatnonzero(mapped)]
     complete = [run.complete() for run in select_sensors(runs, names)]
@@ -208,7 +208,7 @@ def reconstruct_from(
     n_sensors = len(matrix)
     names = tuple(names) or default_names(n_sensors)
     check_names(names, n_sensors)
-    mapped = ~_mask(names, drop)
+    mapped = ~sensor_mask(names, drop)
     _check_size(mapped, dimensions, recipe, options)
     inside = ... if mapped.all() else np.ix_(mapped, mapped)
     matrix = matrix[inside]
@@ -347,10 +347,3 @@ def _as_map(
         | {"iterations": configuration.n_iterations}
         | refinement_provenance(configuration.facts),
     )
-
-
-def _mask(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
-    """Return True for the given sensors, shape (N,)."""
-    mask = np.zeros(len(names), dtype=bool)
-    mask[find_sensors(names, sensors)] = True
-    return mask

@@ -298,6 +298,13 @@ def find_sensors(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[
     return np.array(sorted(found), dtype=np.intp)
 
 
+def sensor_mask(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
+    """Mark sensors given by name or index: a mask of shape (N,)."""
+    mask = np.zeros(len(names), dtype=bool)
+    mask[find_sensors(names, sensors)] = True
+    return mask
+
+
 def _as_readings(values: ArrayLike) -> NDArray[np.floating]:
     array = np.asarray(values)
     if array.dtype.kind not in "biuf":

@@ -29,7 +29,7 @@ from anisomap.large.landmarks.sensor_graph import (
 from anisomap.large.landmarks.sketch import Sketch, compute_sketch
 from anisomap.methods import MethodOptions
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
-from anisomap.recording import MissingPolicy, Recording, Scalar
+from anisomap.recording import MissingPolicy, Recording, Scalar, sensor_mask
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 logger = logging.getLogger(__name__)
@@ -187,7 +187,7 @@ def build_similarity_graph(
         sampled_chunks(), chosen.sketch_size, np.random.default_rng(chosen.seed)
     )
     excerpt = segments.recording(like)
-    dropped = _mask(excerpt, drop)
+    dropped = sensor_mask(excerpt.names, drop)
     sketch = _without(sketch, dropped)
     logger.info("searching for the most similar sensors")
     links = correlations(small_chunks(), sketch, _candidates(sketch, chosen))
@@ -288,12 +288,6 @@ def map_similarity_graph(
         notes=notes,
         provenance=_provenance(found, chosen) | {"iterations": n_iterations},
     )
-
-
-def _mask(recording: Recording, sensors: Iterable[str | int]) -> NDArray[np.bool_]:
-    mask = np.zeros(recording.n_sensors, dtype=bool)
-    mask[recording.indices(sensors)] = True
-    return mask
 
 
 def _without(sketch: Sketch, dropped: NDArray[np.bool_]) -> Sketch:
