@@ -9,6 +9,7 @@ module with its readers and writers, and one line in `registry.FORMATS`.
 from anisomap.io.choice import ChoiceError as ChoiceError
 from anisomap.io.choice import Content as Content
 from anisomap.io.format import Format as Format
+from anisomap.io.maps.modules import read_modules as read_modules
 from anisomap.io.recordings.presets import apply_preset as apply_preset
 from anisomap.io.recordings.presets import numbering as numbering
 from anisomap.io.registry import FORMATS as FORMATS

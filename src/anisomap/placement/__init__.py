@@ -4,6 +4,10 @@ A map is known up to rotation, translation, scale and mirror image. The distance
 neighbouring sensors and the handedness of the skin come from the user.
 """
 
+from anisomap.placement.modules import NO_MODULE as NO_MODULE
+from anisomap.placement.modules import Modules as Modules
+from anisomap.placement.modules import modules_by_name as modules_by_name
+from anisomap.placement.modules import modules_by_size as modules_by_size
 from anisomap.placement.orientation import mirrored as mirrored
 from anisomap.placement.orientation import pad_to_3d as pad_to_3d
 from anisomap.placement.orientation import surface_normals as surface_normals
