@@ -106,10 +106,62 @@ def test_neighbours_of_a_lattice():
     assert neighbour_agreement(shuffled, points) < 0.35
 
 
+LATTICES = {
+    "triangular": lattice(),
+    "square": np.stack(np.meshgrid(range(7), range(5)), axis=-1).reshape(-1, 2) * 1.0,
+    "cubic": np.stack(np.meshgrid(range(4), range(4), range(3)), axis=-1).reshape(-1, 3) * 1.0,
+    "rings": np.array([
+        [np.cos(angle), np.sin(angle), height]
+        for height in np.arange(5) * 0.5 for angle in 2 * np.pi * np.arange(12) / 12
+    ]),
+    "two points": np.repeat([[0.0, 0.0], [1.0, 0.0]], 9, axis=0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("points", LATTICES.values(), ids=LATTICES)
+@given(seed=st.integers(0, 10_000), n_neighbours=st.integers(1, 12))
+@settings(max_examples=20, deadline=None)
+def test_ties_of_distance_are_ties(points, seed, n_neighbours):
+    rng = np.random.default_rng(seed)
+    turned = points @ ortho_group.rvs(points.shape[1], random_state=rng).T * 7.5 + 3
+    assert neighbour_agreement(turned, points, n_neighbours=n_neighbours) == pytest.approx(1)
+    order = rng.permutation(len(points))
+    renumbered = neighbour_agreement(turned[order], points[order], n_neighbours=n_neighbours)
+    assert renumbered == pytest.approx(1)
+    # A map with errors has no ties; turning or renumbering it must not change its score either.
+    noisy, other = points + rng.normal(0, 0.3, points.shape), rng.normal(size=points.shape)
+    for places in (noisy, other, points[order]):
+        once = neighbour_agreement(places, points, n_neighbours=n_neighbours)
+        assert 0 <= once <= 1
+        for again in (
+            neighbour_agreement(places, turned, n_neighbours=n_neighbours),
+            neighbour_agreement(places[order], turned[order], n_neighbours=n_neighbours),
+        ):
+            assert again == pytest.approx(once)
+
+
+def test_a_small_error_breaks_no_ties():
+    points = LATTICES["square"]
+    noise = np.random.default_rng(0).normal(0, 0.02, points.shape)
+    assert neighbour_agreement(points + noise, points, n_neighbours=6) == 1
+
+
+def test_without_ties_neighbours_are_those_of_a_sorted_distance_matrix():
+    x, y = cloud(30, seed=1), cloud(30, seed=2)
+    near = [np.argsort(squareform(pdist(p)), axis=1)[:, 1:7].tolist() for p in (x, y)]
+    expected = np.mean([len(set(a) & set(b)) / 6 for a, b in zip(*near, strict=True)])
+    assert neighbour_agreement(x, y) == pytest.approx(expected)
+
+
 def test_coincident_sensors_have_neighbours_too():
     points = np.zeros((8, 2))
     points[4:] = 1
     assert 0 <= neighbour_agreement(points, cloud(8, 2), n_neighbours=3) <= 1
+
+
+def test_a_collapsed_map_keeps_no_more_neighbours_than_chance():
+    truth = cloud(40, 2)
+    assert neighbour_agreement(np.zeros((40, 2)), truth) == pytest.approx(6 / 39)
 
 
 def noisy_map(seed=0, **fields):

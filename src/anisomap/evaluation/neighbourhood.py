@@ -9,6 +9,15 @@ from scipy.spatial import KDTree
 NEIGHBOURS = 6
 """Number of neighbours of a sensor on a triangular lattice, the densest packing in the plane."""
 
+TIE = 1e-3
+"""Relative difference below which two distances are equal.
+
+Files store positions as float32 or with four to six digits, so that equal distances of a lattice
+differ by up to about 1e-4; the errors of maps are far larger.
+"""
+
+_SHELLS = 16  # neighbours that are looked for around a tie, per neighbour asked for
+
 
 def median_spacing(positions: ArrayLike) -> float:
     """Median distance from a sensor to its nearest neighbour, in the units of `positions`."""
@@ -20,7 +29,7 @@ def median_spacing(positions: ArrayLike) -> float:
 def neighbour_agreement(
     positions: ArrayLike, truth: ArrayLike, *, n_neighbours: int = NEIGHBOURS
 ) -> float:
-    """Share of true nearest neighbours that are also nearest neighbours on the map.
+    """Share of the nearest neighbours on the map that are nearest neighbours in the truth.
 
     Parameters
     ----------
@@ -32,15 +41,60 @@ def neighbour_agreement(
     Returns
     -------
     float
-        In [0, 1]; about ``n_neighbours / (N - 1)`` by chance.
+        In [0, 1]; about ``n_neighbours / (N - 1)`` by chance, and more by the share of ties.
+
+    Notes
+    -----
+    Distances that differ by less than 0.1 % are ties. In the truth, all sensors tied with the last
+    neighbour count as neighbours. On the map, the sensors tied with the last neighbour share the
+    remaining places equally, so that a map on which sensors coincide gains nothing. Ties are
+    looked for among the ``16 * n_neighbours`` nearest sensors.
     """
     x, y = np.asarray(positions, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     count = min(n_neighbours, len(x) - 1)
-    near = [_nearest(points, count) for points in (x, y)]
-    return float(np.mean([len(set(a) & set(b)) for a, b in zip(*near, strict=True)]) / count)
+    reach = (1 + TIE) * _nearest(y, count)[0][:, -1]
+    distances, neighbours = _nearest(x, count + 1)
+    found = _share(distances, _near(y, neighbours, reach), count)
+    tied = distances[:, -1] <= (1 + TIE) * distances[:, count - 1]
+    if tied.any() and count < len(x) - 1:
+        distances, neighbours = _nearest(x, _SHELLS * count, np.flatnonzero(tied))
+        found[tied] = _share(distances, _near(y, neighbours, reach, tied), count)
+    return float(found.mean())
 
 
-def _nearest(points: NDArray[np.float64], count: int) -> list[list[int]]:
-    """List the nearest neighbours of each point, itself excluded even if points coincide."""
-    found = np.asarray(KDTree(points).query(points, k=count + 1)[1])
-    return [[j for j in row if j != i][:count] for i, row in enumerate(found.tolist())]
+def _share(
+    distances: NDArray[np.float64], right: NDArray[np.bool_], count: int
+) -> NDArray[np.float64]:
+    """Share of true neighbours among the `count` nearest of each row, in any order of its ties."""
+    last = distances[:, count - 1, None]
+    certain, within = distances < (1 - TIE) * last, distances <= (1 + TIE) * last
+    tied = within & ~certain
+    places = (count - certain.sum(axis=1)) / tied.sum(axis=1)
+    return np.asarray(((certain & right).sum(axis=1) + places * (tied & right).sum(axis=1)) / count)
+
+
+def _near(
+    points: NDArray[np.float64],
+    neighbours: NDArray[np.intp],
+    reach: NDArray[np.float64],
+    rows: NDArray[np.bool_] | slice = slice(None),
+) -> NDArray[np.bool_]:
+    """Tell which of the listed neighbours of each point lie within its reach."""
+    apart = np.linalg.norm(points[rows, None] - points[neighbours], axis=2)
+    return np.asarray(apart <= reach[rows, None])
+
+
+def _nearest(
+    points: NDArray[np.float64], count: int, rows: NDArray[np.intp] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Find the nearest neighbours of points, all by default, and their distances, nearest first.
+
+    A point is no neighbour of itself, even if others coincide with it.
+    """
+    rows = np.arange(len(points)) if rows is None else rows
+    count = min(count, len(points) - 1)
+    distances, found = KDTree(points).query(points[rows], k=count + 1)
+    itself = found == rows[:, None]
+    itself[~itself.any(axis=1), -1] = True  # crowded out by coincident points: drop the last
+    shape = (len(rows), count)
+    return np.asarray(distances)[~itself].reshape(shape), np.asarray(found)[~itself].reshape(shape)
