@@ -1,9 +1,9 @@
 """Read recordings and maps from files, and write them.
 
-`registry` lists every format and dispatches `read`, `read_map`, `open_stream` and `write` to it;
-`format` describes a format, and `stream` the blocks in which recordings are read. `recordings`,
-`maps` and `ros` hold one module per format, and `parsing` the code they share. A new format is one
-module with its readers and writers, and one line in `registry.FORMATS`.
+`registry` lists every format and reads with it; `writing` writes. `format` describes a format, and
+`stream` the blocks in which recordings are read. `recordings`, `maps` and `ros` hold one module per
+format, and `parsing` the code they share. A new format is one module with its readers and writers,
+and one line in `registry.FORMATS`.
 """
 
 from anisomap.io.choice import ChoiceError as ChoiceError
@@ -13,14 +13,14 @@ from anisomap.io.maps.modules import read_modules as read_modules
 from anisomap.io.recordings.presets import apply_preset as apply_preset
 from anisomap.io.recordings.presets import numbering as numbering
 from anisomap.io.registry import FORMATS as FORMATS
-from anisomap.io.registry import check_writable as check_writable
 from anisomap.io.registry import contents as contents
-from anisomap.io.registry import needs_scale as needs_scale
 from anisomap.io.registry import open_stream as open_stream
 from anisomap.io.registry import read as read
 from anisomap.io.registry import read_map as read_map
-from anisomap.io.registry import write as write
-from anisomap.io.registry import write_components as write_components
 from anisomap.io.stream import Block as Block
 from anisomap.io.stream import ReadOptions as ReadOptions
 from anisomap.io.stream import Stream as Stream
+from anisomap.io.writing import check_writable as check_writable
+from anisomap.io.writing import needs_scale as needs_scale
+from anisomap.io.writing import write as write
+from anisomap.io.writing import write_components as write_components

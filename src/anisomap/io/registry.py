@@ -1,21 +1,18 @@
-"""The registry of formats, and the functions that dispatch to it."""
+"""The registry of formats, and the functions that read files with it."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 from anisomap.errors import FileError, InputError
-from anisomap.files import atomic_write, check_target
 from anisomap.io import npz
 from anisomap.io.choice import Content
 from anisomap.io.format import Format
 from anisomap.io.maps import csv, icub_positions, json, launch, mjcf, pcd, ply, urdf, xml_files
-from anisomap.io.parsing.encoding import check_encodable, texts_of
 from anisomap.io.parsing.grids import with_grid
 from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.recordings import (
@@ -41,8 +38,6 @@ from anisomap.io.stream import (
 from anisomap.recording import Recording
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
-
-Writer = TypeVar("Writer")
 
 _MAX_LISTED = 3
 
@@ -238,113 +233,6 @@ def read_map(path: str | os.PathLike[str]) -> SensorMap:
         return found
 
 
-def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
-    """Write a map or a recording in the format of the suffix.
-
-    Parameters
-    ----------
-    data : SensorMap or Recording
-    path : path-like
-        Maps: ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``, ``.pcd``; with a scale also
-        ``.urdf``, ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``. Recordings:
-        ``.csv``, ``.tsv``, ``.npz``. An existing file is replaced after writing has succeeded.
-
-    Raises
-    ------
-    FileError
-        If the suffix is unknown or the file cannot be written.
-    InputError
-        If `data` is neither a map nor a recording, or the format cannot represent it.
-    """
-    file = Path(path)
-    if isinstance(data, SensorMap):
-        facts = (data.frame, data.method, data.units, *data.notes, *texts_of(data.provenance))
-        check_encodable((*data.names, *data.health, *facts), file)
-        write_map = _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
-        with atomic_write(file) as temporary:
-            write_map(data, temporary)
-    elif isinstance(data, Recording):
-        facts = (data.source, data.units, *texts_of(data.metadata))
-        check_encodable((*data.names, *facts), file)
-        write_recording = _by_suffix(
-            file, {s: f.write_recording for f in FORMATS for s in f.suffixes}
-        )
-        with atomic_write(file) as temporary:
-            write_recording(data, temporary)
-    else:
-        raise InputError(f"write needs a SensorMap or a Recording, got {type(data).__name__}")
-
-
-def write_components(sensor_map: SensorMap, path: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Write each connected component of a map to a separate file.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        Sensors without a position are not written.
-    path : path-like
-        Template of the file names: ``skin.urdf`` gives ``skin-1.urdf``, ``skin-2.urdf``, ..., in
-        order of decreasing component size. Existing files are replaced.
-
-    Returns
-    -------
-    tuple of pathlib.Path
-        The files written.
-
-    Raises
-    ------
-    FileError, InputError
-        As `write`, or if the map has no placed sensor.
-    """
-    check_writable(path)
-    components = sensor_map.split()
-    if not components:
-        raise InputError("the map has no placed sensor, so there is no component to write")
-    template = Path(path)
-    suffixes = [s for f in FORMATS for s in f.suffixes if template.name.lower().endswith(s)]
-    length = max(map(len, suffixes))
-    stem, suffix = template.name[:-length], template.name[-length:]
-    files = tuple(template.with_name(f"{stem}-{i + 1}{suffix}") for i in range(len(components)))
-    for component, file in zip(components, files, strict=True):
-        write(component, file)
-    return files
-
-
-def check_writable(path: str | os.PathLike[str]) -> None:
-    """Check, before a long computation, that a map can be written to a file.
-
-    Parameters
-    ----------
-    path : path-like
-        As for `write`.
-
-    Raises
-    ------
-    FileError
-        If the suffix is not that of a map format, or the folder does not exist.
-    """
-    file = check_target(path)
-    _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
-
-
-def needs_scale(path: str | os.PathLike[str]) -> bool:
-    """Return whether the format of a file stores metres, so that a map needs a scale.
-
-    Parameters
-    ----------
-    path : path-like
-        As for `write`.
-
-    Raises
-    ------
-    FileError
-        If the suffix is not that of a map format.
-    """
-    return _by_suffix(
-        Path(path), {s: f for f in FORMATS if f.write_map for s in f.suffixes}
-    ).in_metres
-
-
 @contextmanager
 def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
     with ExitStack() as stack:
@@ -404,14 +292,3 @@ def _folder_message(folder: Path) -> str:
 
 def _suffixes(formats: Iterable[Format]) -> str:
     return "; ".join(", ".join(f.suffixes) if f.suffixes else f.summary for f in formats)
-
-
-def _by_suffix(file: Path, writers: Mapping[str, Writer | None]) -> Writer:
-    # Use the longest match, because .launch.xml also ends in .xml.
-    matching = [suffix for suffix in writers if file.name.lower().endswith(suffix)]
-    writer = writers[max(matching, key=len)] if matching else None
-    if writer is None:
-        known = ", ".join(suffix for suffix, able in writers.items() if able)
-        problem = f"unknown suffix {file.suffix!r}" if file.suffix else "the name has no suffix"
-        raise FileError(f"cannot write {file}: {problem}; known suffixes: {known}")
-    return writer
