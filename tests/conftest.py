@@ -15,3 +15,12 @@ def recordings_folder() -> Path:
     if not folder.is_dir():
         pytest.skip("the real recordings are not here (set ANISOMAP_SHARED to their parent folder)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def hard_recordings_folder() -> Path:
+    """Give the folder of recordings of whole bodies and other arrays; skip where it is absent."""
+    folder = SHARED / "recordings-hard"
+    if not folder.is_dir():
+        pytest.skip("the hard recordings are not here (set ANISOMAP_SHARED to their parent folder)")
+    return folder

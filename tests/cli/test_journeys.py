@@ -1,6 +1,8 @@
 """Users' journeys: from a first summary of a recording to a scored map."""
 
+import csv
 import json
+import re
 import subprocess
 import sys
 
@@ -126,12 +128,68 @@ def test_lists_name_everything(run):
     assert all(suffix in run("formats").out for suffix in (".npz", ".csv", ".ply", ".json"))
 
 
-def test_methods_are_compared_in_a_table(run, skin_npz, tmp_path):
-    found = run("compare", skin_npz, "-m", "r-anisomap", "-m", "isomap", "-d", 2, "-o", "t.md")
+def test_methods_are_compared_with_stock_methods_in_tables(run, skin_npz, tmp_path):
+    (tmp_path / "skins").mkdir()
+    skin_npz.rename(tmp_path / "skins" / "skin.npz")
+    anisomap.write(flat_skin(seed=1), "other.npz")
+    anisomap.write(anisomap.Recording(flat_skin().readings), tmp_path / "skins" / "unknown.npz")
+    chosen = ("-m", "covariogram", "-m", "isomap", "-m", "isomap-on-r", "-m", "pca-on-r")
+    found = run("compare", "skins", "other.npz", *chosen, "-o", "t.md", "-o", "t.csv")
     assert found.code == 0
-    header, _, row = (tmp_path / "t.md").read_text().splitlines()
-    assert header == "| recording | sensors x frames | map | r-anisomap | isomap |"
-    assert float(row.split("|")[4]) > 0.95
+    assert "skipped: " in found.err
+    assert "no true positions" in found.err
+    table = (tmp_path / "t.md").read_text().splitlines()
+    assert table[0] == (
+        "| recording | sensors x frames | map | scored | covariogram | isomap | isomap-on-r "
+        "| pca-on-r |"
+    )
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table[2:4]]
+    assert [row[:4] for row in rows] == [
+        ["skin", "42 x 1500", "2D", "42"],
+        ["other", "42 x 1500", "2D", "42"],
+    ]
+    numbers = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
+    for row, values in zip(rows, numbers, strict=True):
+        assert row[4].startswith("**0.9")
+        assert [cell.startswith("**") for cell in row[4:]].count(True) == 2
+        r, error = re.findall(r"\d\.\d+", row[6])
+        assert float(values["isomap-on-r"]) == pytest.approx(float(r), abs=0.0006)
+        assert float(values["isomap-on-r: error"]) == pytest.approx(float(error), abs=0.006)
+        best = max(("isomap-on-r", "pca-on-r"), key=lambda name: float(values[name]))
+        assert values["best stock"] == best
+        margin = float(values["covariogram"]) - float(values[best])
+        assert float(values["margin"]) == pytest.approx(margin, abs=2e-4)
+    losses = sum(float(values["margin"]) < -0.0005 for values in numbers)
+    verdict = next(line for line in table if "stock method is better" in line)
+    assert (f"{losses} of 2 maps" if losses else "No stock method") in verdict
+    assert verdict in found.out
+
+
+def test_a_loss_against_a_stock_method_is_printed(run, skin_npz, tmp_path):
+    methods = ("-m", "information-distance", "-m", "isomap-on-r")
+    assert run("compare", skin_npz, *methods, "-d", 2, "-d", 3, "-o", "t.md").code == 0
+    verdict = next(
+        line for line in (tmp_path / "t.md").read_text().splitlines() if "better than" in line
+    )
+    assert verdict.startswith("A stock method is better than information-distance on 2 of 2 maps:")
+    assert (
+        len(re.findall(r"skin in [23]D \(0\.\d{3} against 0\.9\d\d of isomap-on-r\)", verdict)) == 2
+    )
+
+
+def test_without_umap_the_table_says_how_to_install_it(run, skin_npz, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "umap", None)
+    anisomap.write(flat_skin(n_frames=120), skin_npz)
+    found = run("compare", skin_npz, "-o", "t.md")
+    assert found.code == 0
+    for said in (found.out, (tmp_path / "t.md").read_text()):
+        assert "umap-on-r: not installed: pip install 'anisomap[umap]'" in said
+    header, _, row, *_ = (tmp_path / "t.md").read_text().splitlines()
+    column = header.split("|").index(" umap-on-r ")
+    assert row.split("|")[column].strip() == "-"
+    found = run("compare", skin_npz, "-m", "umap-on-r")
+    assert found.code == 2
+    assert "pip install 'anisomap[umap]'" in found.err
 
 
 def test_the_demo_ends_with_a_picture_and_a_report(run, tmp_path):

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from cyclopts import Parameter
 from cyclopts.validators import Number
-from numpy.typing import NDArray
 
+from anisomap.cli import comparison_tables, pipeline
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
-from anisomap.cli.console import progress
-from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation import score
+from anisomap.cli.console import print_warning, progress
+from anisomap.comparison import COMPARED, MIN_TOUCHES, Comparison, check_methods, compare_methods
+from anisomap.errors import FileError, InputError
 from anisomap.files import atomic_write, check_distinct, check_target
-from anisomap.methods import DEFAULT_METHOD, PAPER_METHODS, find_method
-from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
+
+_WRITERS = {".md": comparison_tables.to_markdown, ".csv": comparison_tables.to_csv}
 
 
 def compare(
-    recordings: Annotated[list[Path], Parameter(help="Files of recordings with positions.")],
+    recordings: Annotated[
+        list[Path],
+        Parameter(
+            help="Files of recordings with positions, or folders, which stand for the NPZ files in "
+            "them."
+        ),
+    ],
     /,
     *,
     method: Annotated[
@@ -33,68 +37,131 @@ def compare(
         list[int] | None,
         Parameter(alias="-d", group=options.method_group, negative=(), validator=Number(gte=1)),
     ] = None,
+    min_touches: Annotated[
+        int, Parameter(group=options.method_group, validator=Number(gte=0))
+    ] = MIN_TOUCHES,
     missing: options.Missing = "error",
+    seed: options.Seed = 0,
     reading: options.Reading = options.DEFAULT_READING,
-    output: Annotated[Path | None, Parameter(alias="-o", group=options.outputs_group)] = None,
+    output: Annotated[
+        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
+    ] = None,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
-    """Score several methods on recordings with known positions: a table of Mantel r.
+    """Score several methods on recordings with known positions.
+
+    The scores are Mantel r and the RMS error in sensor spacings. All methods of a recording are
+    scored on the same sensors: those in the largest component of every map.
 
     Parameters
     ----------
     method
-        Method to compare; may be repeated. Default: the default method and the paper's four.
+        Method to compare; may be repeated. Default: the default method, contact-fit, the paper's
+        four, and the stock methods isomap-on-r, umap-on-r (extra 'umap'), tsne-on-r, pca-on-r and
+        laplacian-on-r.
     dimensions
-        Number of coordinates; may be repeated. Default: 2 and 3.
+        Number of coordinates; may be repeated. Default: as many as the true positions span.
+    min_touches
+        Leave out sensors that differ from their median reading in fewer frames.
     output
-        File for the table in Markdown.
+        File for the table, in Markdown (.md) or CSV (.csv); may be repeated.
     """
-    methods = tuple(method or (DEFAULT_METHOD, *PAPER_METHODS))
-    for name in methods:
-        find_method(name)
-    if output:
-        check_target(output)
-        check_distinct([output], recordings)
-    rows, values = [], []
-    for path in recordings:
-        recording = pipeline.complete(pipeline.read(path, reading.checked()), missing)
-        truth = recording.positions
-        if truth is None:
-            raise InputError(
-                f"{path} contains no true positions; compare requires recordings with positions"
+    check_methods(method or ())
+    outputs = output or []
+    for path in outputs:
+        check_target(path)
+        if path.suffix.lower() not in _WRITERS:
+            raise FileError(
+                f"cannot write {path}: give a name that ends in {' or '.join(_WRITERS)}"
             )
-        for k in dimensions or (2, 3):
-            with progress(f"{path.name} in {k} dimensions"):
-                scores = {name: _mantel_r(recording, truth, name, k) for name in methods}
-            name, size = path.name.split(".")[0], f"{recording.n_sensors} x {recording.n_frames}"
-            rows.append((name, size, f"{k}D", *(f"{r:.3f}" for r in scores.values())))
-            values.append({"recording": name, "dimensions": k, "mantel_r": scores})
-    columns = ("recording", "sensors x frames", "map", *methods)
+    check_distinct(outputs, [file for file, _ in _files(recordings)])
+    comparisons = []
+    for path, recording in _read(recordings, reading, missing):
+        for k in dimensions or (None,):
+            with progress(f"mapping {path.name}") as report_progress:
+                found = compare_methods(
+                    recording,
+                    method or COMPARED,
+                    k,
+                    name=path.name.split(".")[0],
+                    min_touches=min_touches,
+                    seed=seed,
+                    progress=report_progress,
+                )
+            comparisons.append(found)
+    if not comparisons:
+        raise InputError(f"no recording with true positions in {recordings[0]}")
     with reporting.printer() as printer:
         printer.table(
-            "Mantel r",
-            ("recording", "sensors x frames", "map", "method", "Mantel r"),
-            [
-                (*row[:3], method, r)
-                for row in rows
-                for method, r in zip(methods, row[3:], strict=True)
-            ],
+            "Scores",
+            ("recording", "sensors x frames", "map", "scored", "method", "Mantel r", "spacings"),
+            [row for comparison in comparisons for row in _rows(comparison)],
         )
-        printer.record(scores=values)
-    if output:
-        with atomic_write(output) as aside:
-            aside.write_text(_markdown(columns, rows), encoding="utf-8")
+        for sentence in comparison_tables.sentences(comparisons):
+            printer.line(sentence)
+        printer.record(scores=[_values(comparison) for comparison in comparisons])
+    for path in outputs:
+        with atomic_write(path) as aside:
+            text = _WRITERS[path.suffix.lower()](comparisons)
+            aside.write_text(text, encoding="utf-8")
 
 
-def _mantel_r(
-    recording: Recording, truth: NDArray[np.float64], method: str, dimensions: int
-) -> float:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)  # the notes would repeat for every method
-        sensor_map = reconstruct(recording, method, dimensions)
-    return score(sensor_map, truth, permutations=0).mantel.r
+def _files(given: Sequence[Path]) -> Iterator[tuple[Path, bool]]:
+    """List files, and whether each was found in a folder that was given.
+
+    A folder without NPZ files is passed on: it may be a recording, such as a session of YARP.
+    """
+    for path in given:
+        found = sorted(path.glob("*.npz")) if path.is_dir() else []
+        yield from ((file, True) for file in found)
+        if not found:
+            yield path, False
 
 
-def _markdown(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    lines = [columns, tuple("---" for _ in columns), *rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+def _read(
+    given: Sequence[Path], reading: options.ReadingOptions, missing: options.Missing
+) -> Iterator[tuple[Path, Recording]]:
+    """Read recordings with positions; others are skipped in folders, and errors elsewhere."""
+    for path, in_folder in _files(given):
+        try:
+            recording = _with_positions(path, reading, missing)
+        except InputError as error:
+            if not in_folder:
+                raise
+            print_warning(f"skipped: {error}")
+        else:
+            yield path, recording
+
+
+def _with_positions(
+    path: Path, reading: options.ReadingOptions, missing: options.Missing
+) -> Recording:
+    recording = pipeline.complete(pipeline.read(path, reading.checked()), missing)
+    if recording.positions is None:
+        raise InputError(
+            f"{path} contains no true positions; compare requires recordings with positions"
+        )
+    return recording
+
+
+def _rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
+    size = f"{comparison.n_sensors} x {comparison.n_frames}"
+    for s in comparison.scores:
+        r, error = ("-", "-") if s.reason else (f"{s.mantel_r:.3f}", f"{s.rms_in_spacings:.2f}")
+        scored = str(len(comparison.sensors))
+        yield comparison.name, size, f"{comparison.dimensions}D", scored, s.method, r, error
+
+
+def _values(comparison: Comparison) -> dict[str, object]:
+    return {
+        "recording": comparison.name,
+        "sensors": comparison.n_sensors,
+        "frames": comparison.n_frames,
+        "dimensions": comparison.dimensions,
+        "sensors_compared": len(comparison.sensors),
+        "mantel_r": {s.method: s.mantel_r for s in comparison.scores},
+        "rms_in_spacings": {s.method: s.rms_in_spacings for s in comparison.scores},
+        "placed": {s.method: s.n_placed for s in comparison.scores},
+        "without_score": {s.method: s.reason for s in comparison.scores if s.reason},
+        "margin": comparison.margin,
+    }

@@ -12,6 +12,7 @@ from docstring_parser import parse as parse_docstring
 
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number
+from anisomap.evaluation.rivals import RIVALS
 from anisomap.io import FORMATS
 from anisomap.methods import METHODS, PAPER_METHODS
 from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS, find_scenario
@@ -29,6 +30,12 @@ def methods(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None
                 (name, method.summary, "the paper" if name in PAPER_METHODS else "anisomap")
                 for name, method in METHODS.items()
             ],
+        )
+        _print_rows(
+            printer,
+            "Stock methods, for comparison only (anisomap compare)",
+            ("name", "summary", "extra"),
+            [(name, rival.summary, rival.extra or "-") for name, rival in RIVALS.items()],
         )
         _print_rows(
             printer,

@@ -1,0 +1,261 @@
+"""Several methods on one recording with known positions, scored on the same sensors."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import AnisomapWarning, InputError, MissingExtraError
+from anisomap.evaluation import score
+from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
+from anisomap.evaluation.rivals import RIVALS, map_by_rival
+from anisomap.methods import DEFAULT_METHOD, METHODS, PAPER_METHODS
+from anisomap.reconstruction import reconstruct
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+
+COMPARED = (DEFAULT_METHOD, "contact-fit", *PAPER_METHODS, *RIVALS)
+"""Methods that are compared by default: the default method, its refinement by contacts, the paper's
+methods, and the stock methods."""
+
+MIN_TOUCHES = 5
+"""Frames in which a sensor must differ from rest to be mapped.
+
+Fewer say almost nothing about its place, and a few such sensors ruin the map of all others; the
+value is that of the published comparisons on Nao's skin.
+"""
+
+_FLAT = 0.02  # relative singular value of positions below which a direction is not spanned
+_MIN_SHARE = 0.5  # two maps that both place more than half of the sensors share some of them
+
+
+@dataclass(frozen=True, eq=False)
+class MethodScore:
+    """Score of one method.
+
+    Attributes
+    ----------
+    method : str
+        A key of `anisomap.METHODS` or `anisomap.evaluation.RIVALS`.
+    mantel_r, rms_in_spacings : float
+        Mantel r, and RMS error in median spacings, over the sensors of the `Comparison`; NaN
+        without a score.
+    sensor_map : SensorMap or None
+        None if the method made no map.
+    n_placed : int
+        Sensors in the largest component of its map.
+    reason : str
+        Why there is no score; empty if there is one.
+    """
+
+    method: str
+    mantel_r: float
+    rms_in_spacings: float
+    sensor_map: SensorMap | None
+    n_placed: int
+    reason: str = ""
+
+    @property
+    def is_stock(self) -> bool:
+        """Whether it is a stock method, not one of anisomap."""
+        return self.method in RIVALS
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Scores of several methods on one recording.
+
+    Attributes
+    ----------
+    name : str
+        Of the recording.
+    n_sensors, n_frames, dimensions : int
+        Sensors and frames of the recording; coordinates of the maps.
+    sensors : ndarray of int
+        Indices of the sensors that were scored, the same for all methods.
+    scores : tuple of MethodScore
+        In the order of the methods.
+    """
+
+    name: str
+    n_sensors: int
+    n_frames: int
+    dimensions: int
+    sensors: NDArray[np.intp]
+    scores: tuple[MethodScore, ...]
+
+    def best(self, *, stock: bool) -> MethodScore | None:
+        """Return the stock method, or the method of anisomap, with the largest Mantel r, if any."""
+        scored = [s for s in self.scores if s.is_stock is stock and not math.isnan(s.mantel_r)]
+        return max(scored, key=lambda s: s.mantel_r, default=None)
+
+    @property
+    def judged(self) -> MethodScore | None:
+        """The first method of anisomap: the default method, unless others were chosen."""
+        return next((s for s in self.scores if not s.is_stock), None)
+
+    @property
+    def margin(self) -> float:
+        """Mantel r of `judged` minus that of the best stock method; negative is a loss.
+
+        NaN without a stock method or a method of anisomap; one without a score counts as 0.
+        """
+        own, stock = self.judged, self.best(stock=True)
+        return float(np.nan_to_num(own.mantel_r)) - stock.mantel_r if own and stock else math.nan
+
+
+def check_methods(methods: Sequence[str]) -> None:
+    """Check that methods exist and are installed.
+
+    Raises
+    ------
+    InputError
+        If a method is unknown; the message lists all names.
+    MissingExtraError
+        If the library of a stock method is not installed.
+    """
+    for name in methods:
+        if name not in METHODS and name not in RIVALS:
+            raise InputError(
+                f"there is no method {name!r}; choose from {', '.join((*METHODS, *RIVALS))}"
+            )
+        if name in RIVALS and not RIVALS[name].installed:
+            raise MissingExtraError(f"the method {name}", RIVALS[name].extra)
+
+
+def compare_methods(
+    recording: Recording,
+    methods: Sequence[str] = COMPARED,
+    dimensions: int | None = None,
+    *,
+    name: str = "",
+    min_touches: int = MIN_TOUCHES,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Comparison:
+    """Map a recording by several methods, and score all maps on the same sensors.
+
+    Parameters
+    ----------
+    recording : Recording
+        Complete readings, with true positions.
+    methods : sequence of str
+        Keys of `anisomap.METHODS` and `anisomap.evaluation.RIVALS`. A stock method whose library is
+        not installed has no score, but a reason.
+    dimensions : int, optional
+        Number of coordinates; by default as many as the true positions span.
+    name : str
+        Name of the recording; its source by default.
+    min_touches : int
+        Sensors that differ from their median reading in fewer frames are left out of all maps.
+    seed : int
+        Seed of stock methods that are random.
+    progress : callable, optional
+        Called with the completed share, from 0 to 1.
+
+    Returns
+    -------
+    Comparison
+        The sensors scored are those in the largest component of every map. A map whose largest
+        component holds at most half of the sensors has no score, so that the failure of one method
+        does not decide on which sensors the others are scored.
+
+    Raises
+    ------
+    InputError
+        If the recording has no true positions, a method is unknown, or fewer than 4 sensors were
+        touched.
+    """
+    check_methods([m for m in methods if m not in RIVALS or RIVALS[m].installed])
+    truth = recording.positions
+    if truth is None:
+        raise InputError("a comparison of methods requires true positions in the recording")
+    kept = np.flatnonzero(touched(recording, min_touches))
+    if len(kept) < MIN_SENSORS_COMPARED:
+        raise InputError(
+            f"a comparison requires at least 4 sensors that differ from rest in {min_touches} "
+            f"frames, got {len(kept)}"
+        )
+    dimensions = dimensions or spanned_dimensions(truth)
+    chosen = recording.select(kept)
+    made = []
+    for number, method in enumerate(methods):
+        made.append(_made(chosen, method, dimensions, seed))
+        if progress is not None:
+            progress((number + 1) / len(methods))
+    common = np.asarray(np.isfinite(truth[kept]).all(axis=1))
+    for sensor_map, _ in made:
+        if sensor_map is not None and _is_scored(sensor_map):
+            common &= sensor_map.component == 0
+    scores = []
+    for method, (sensor_map, reason) in zip(methods, made, strict=True):
+        if sensor_map is None:
+            scores.append(MethodScore(method, math.nan, math.nan, None, 0, reason))
+        else:
+            scores.append(_scored(method, sensor_map, truth[kept], common))
+    sensors = kept[common]
+    sensors.setflags(write=False)
+    return Comparison(
+        name or recording.source,
+        recording.n_sensors,
+        recording.n_frames,
+        dimensions,
+        sensors,
+        tuple(scores),
+    )
+
+
+def touched(recording: Recording, min_touches: int) -> NDArray[np.bool_]:
+    """Select sensors that differ from their median reading in at least `min_touches` frames."""
+    readings = recording.readings
+    beyond = np.count_nonzero(readings != np.median(readings, axis=0), axis=0)
+    return np.asarray(beyond >= min_touches)
+
+
+def spanned_dimensions(positions: NDArray[np.float64]) -> int:
+    """Count the dimensions that positions span: 2 for a flat skin with coordinates in space."""
+    known = positions[np.isfinite(positions).all(axis=1)]
+    extents = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)
+    return max(1, int(np.count_nonzero(extents > _FLAT * extents[0])))
+
+
+def _made(
+    recording: Recording, method: str, dimensions: int, seed: int
+) -> tuple[SensorMap | None, str]:
+    """Return the map of one method, or the reason why there is none."""
+    try:
+        if method in RIVALS:
+            return map_by_rival(recording, method, dimensions, seed=seed), ""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AnisomapWarning)  # the notes remain on the map
+            return reconstruct(recording, method, dimensions), ""
+    except MissingExtraError:
+        return None, f"not installed: {RIVALS[method].command}"
+    except InputError as error:
+        return None, str(error)
+
+
+def _scored(
+    method: str,
+    sensor_map: SensorMap,
+    truth: NDArray[np.float64],
+    common: NDArray[np.bool_],
+) -> MethodScore:
+    n_placed = int(np.count_nonzero(sensor_map.component == 0))
+    if not _is_scored(sensor_map):
+        reason = f"its largest component holds {n_placed} of {len(truth)} sensors"
+        return MethodScore(method, math.nan, math.nan, sensor_map, n_placed, reason)
+    try:
+        found = score(SensorMap(sensor_map.positions[common]), truth[common], permutations=0)
+    except InputError as error:
+        return MethodScore(method, math.nan, math.nan, sensor_map, n_placed, str(error))
+    return MethodScore(method, found.mantel.r, found.rms_in_spacings, sensor_map, n_placed)
+
+
+def _is_scored(sensor_map: SensorMap) -> bool:
+    return float(np.mean(sensor_map.component == 0)) > _MIN_SHARE

@@ -1,0 +1,187 @@
+"""Stock methods as baselines, and comparisons of methods on the same sensors."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+from sklearn.decomposition import PCA
+from sklearn.manifold import Isomap
+
+import anisomap
+from anisomap.comparison import COMPARED, compare_methods, spanned_dimensions, touched
+from anisomap.errors import InputError, MissingExtraError
+from anisomap.evaluation import mantel
+from anisomap.evaluation.rivals import RIVALS, map_by_rival
+from skins import flat_skin, lattice, rubbed
+
+NAMES = [
+    pytest.param(name, marks=pytest.mark.slow if rival.module else ())
+    for name, rival in RIVALS.items()
+]  # compiling UMAP takes some 10 s
+
+
+def relative(positions):
+    return pdist(positions) / pdist(positions).max()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rivals_map_a_flat_skin_and_depend_on_their_seed_alone(name):
+    if not RIVALS[name].installed:
+        pytest.skip(f"needs {RIVALS[name].module}")
+    recording = flat_skin()
+    made = map_by_rival(recording, name, 2, seed=3)
+    assert made.positions.shape == (42, 2)
+    assert made.method == name
+    assert mantel(made, recording.positions, permutations=0).r > 0.6
+    again = map_by_rival(recording, name, 2, seed=3)
+    np.testing.assert_array_equal(made.positions, again.positions)
+
+
+@pytest.mark.parametrize("name", ["isomap-on-r", "pca-on-r", "laplacian-on-r"])
+def test_rivals_see_correlations_only(name):
+    """They ignore gains, offsets and the order of frames and sensors."""
+    recording = flat_skin()
+    rng = np.random.default_rng(0)
+    order = rng.permutation(42)
+    changed = recording.readings[rng.permutation(1500)] * rng.uniform(1, 5, 42) - 3
+    first = map_by_rival(recording, name, 3).positions
+    second = map_by_rival(anisomap.Recording(changed[:, order]), name, 3).positions
+    np.testing.assert_allclose(relative(first[order]), relative(second), atol=1e-6)
+
+
+def test_isomap_on_r_is_ten_lines_of_scikit_learn():
+    recording = flat_skin()
+    r = np.corrcoef(recording.readings.T)
+    distances = np.sqrt(2 * (1 - np.minimum(r, 1)))
+    expected = Isomap(n_neighbors=8, n_components=2, metric="precomputed").fit_transform(distances)
+    found = map_by_rival(recording, "isomap-on-r", 2).positions
+    np.testing.assert_allclose(pdist(found), pdist(expected), rtol=1e-6, atol=1e-9)
+
+
+def test_pca_on_r_is_pca_of_standardised_sensors():
+    readings = flat_skin().readings
+    standardised = (readings - readings.mean(axis=0)) / readings.std(axis=0) / len(readings) ** 0.5
+    expected = PCA(3, svd_solver="full").fit_transform(standardised.T)
+    found = map_by_rival(flat_skin(), "pca-on-r", 3).positions
+    np.testing.assert_allclose(pdist(found), pdist(expected), rtol=1e-6)
+
+
+def test_rivals_leave_constant_sensors_out_and_refuse_too_few():
+    readings = np.array(flat_skin().readings)
+    readings[:, 5] = 1
+    made = map_by_rival(anisomap.Recording(readings), "isomap-on-r", 2)
+    assert np.flatnonzero(~made.placed).tolist() == [5]
+    few = anisomap.Recording(flat_skin().readings[:, :3])
+    with pytest.raises(InputError, match="laplacian-on-r cannot map 3 sensors in 5 dimensions"):
+        map_by_rival(few, "laplacian-on-r", 5)
+
+
+def test_a_rival_without_its_library_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "umap", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'anisomap\[umap\]'"):
+        map_by_rival(flat_skin(), "umap-on-r", 2)
+
+
+def two_pieces():
+    """A skin of 30 sensors, one of 12 that is touched on its own, and one touched three times."""
+    places = np.vstack([lattice(5, 6), lattice(3, 4) + 20, [[9.0, 9.0]]])
+    readings = np.zeros((3000, 43))
+    readings[:1500, :30] = rubbed(places[:30], 1500)
+    readings[1500:, 30:42] = rubbed(places[30:42], 1500)
+    readings[[5, 50, 500], 42] = 1
+    return anisomap.Recording(readings, positions=places, source="two pieces")
+
+
+def test_all_methods_are_scored_on_the_sensors_that_all_of_them_place():
+    recording = two_pieces()
+    found = compare_methods(recording, ["covariogram", "r-anisomap", "isomap-on-r"])
+    assert found.sensors.tolist() == list(range(30))
+    assert (found.name, found.n_sensors, found.dimensions) == ("two pieces", 43, 2)
+    for s in found.scores:
+        positions = s.sensor_map.positions[:30]
+        expected = mantel(positions, recording.positions[:30], permutations=0).r
+        assert s.mantel_r == pytest.approx(expected)
+    assert [s.n_placed for s in found.scores] == [30, 42, 42]
+    own, paper, stock = found.scores
+    assert found.judged is own
+    assert found.best(stock=True) is stock
+    assert found.best(stock=False) is max(own, paper, key=lambda s: s.mantel_r)
+    assert found.margin == own.mantel_r - stock.mantel_r
+
+
+def test_a_method_that_places_few_sensors_does_not_choose_the_sensors_of_the_others():
+    # Three pieces of equal size: no component holds more than half of the sensors.
+    parts = [rubbed(lattice(3, 4), 1000, seed=seed) for seed in range(3)]
+    readings = np.zeros((3000, 36))
+    for number, part in enumerate(parts):
+        readings[1000 * number : 1000 * (number + 1), 12 * number : 12 * (number + 1)] = part
+    places = np.vstack([lattice(3, 4) + shift for shift in (0, 20, 40)])
+    found = compare_methods(
+        anisomap.Recording(readings, positions=places), ["covariogram", "pca-on-r"], 2
+    )
+    own, stock = found.scores
+    assert math.isnan(own.mantel_r)
+    assert own.reason == "its largest component holds 12 of 36 sensors"
+    assert len(found.sensors) == 36
+    assert found.best(stock=False) is None
+    assert found.margin == -stock.mantel_r
+
+
+def test_sensors_without_a_true_position_are_mapped_but_not_scored():
+    recording = flat_skin()
+    places = np.array(recording.positions)
+    places[7] = np.nan
+    known = anisomap.Recording(recording.readings, positions=places)
+    found = compare_methods(known, ["r-anisomap"])
+    assert found.sensors.tolist() == [i for i in range(42) if i != 7]
+    assert found.scores[0].n_placed == 42
+    assert math.isnan(found.margin)
+
+
+def test_a_method_that_fails_has_a_reason_and_no_score():
+    recording = two_pieces().select(range(5))
+    found = compare_methods(recording, ["r-anisomap", "laplacian-on-r"], 8)
+    assert found.scores[1].sensor_map is None
+    assert found.scores[1].reason == "laplacian-on-r cannot map 5 sensors in 8 dimensions"
+    assert math.isnan(found.margin)
+
+
+def test_sensors_touched_a_number_of_times():
+    readings = np.ones((20, 4))
+    readings[:3, 1], readings[:5, 2], readings[:, 3] = 2, 0, np.arange(20)
+    recording = anisomap.Recording(readings)
+    assert touched(recording, 5).tolist() == [False, False, True, True]
+    assert touched(recording, 0).all()
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3])
+def test_dimensions_that_positions_span(dimensions):
+    rng = np.random.default_rng(dimensions)
+    basis = np.linalg.qr(rng.normal(size=(3, 3)))[0][:dimensions]
+    points = 100 + 30 * rng.normal(size=(20, dimensions)) @ basis
+    points[3] = np.nan
+    assert spanned_dimensions(points) == dimensions
+
+
+def test_what_cannot_be_compared_is_refused():
+    with pytest.raises(InputError, match="there is no method 'magic'; choose from covariogram"):
+        compare_methods(flat_skin(), ["magic"])
+    with pytest.raises(InputError, match="requires true positions"):
+        compare_methods(anisomap.Recording(flat_skin().readings))
+    with pytest.raises(InputError, match="at least 4 sensors that differ from rest in 2000 frames"):
+        compare_methods(flat_skin(), min_touches=2000)
+
+
+def test_the_default_comparison_holds_stock_methods():
+    assert set(RIVALS) < set(COMPARED)
+    assert not set(RIVALS) & set(anisomap.METHODS)
+
+
+@pytest.mark.parametrize(("name", "least"), [("nao_torso", 0.93), ("insole_L", 0.8)])
+def test_isomap_on_r_reaches_its_known_scores_on_real_bodies(hard_recordings_folder, name, least):
+    recording = anisomap.read(hard_recordings_folder / f"{name}.npz")
+    found = compare_methods(recording, ["r-anisomap", "isomap-on-r"])
+    assert found.scores[1].mantel_r > least
+    assert len(found.sensors) == {"nao_torso": 210, "insole_L": 253}[name]
