@@ -304,3 +304,75 @@ def test_a_column_of_text_is_skipped_with_a_warning_and_may_be_dropped(run_map, 
     found = anisomap.read_map("m.csv")
     assert found.n_sensors == 42
     np.testing.assert_array_equal(np.flatnonzero(~found.placed), [3])
+
+
+def test_a_map_is_scored_against_any_layout(run, run_map, skin_csv, truth_csv, tmp_path):
+    """The true positions may come in a file of their own, while mapping or after."""
+    truth = tmp_path / "truth.json"
+    assert run("convert", truth_csv, truth).code == 0
+    done = run_map(skin_csv, "-d", 2, "-o", "map.csv", "--truth", truth, "--json")
+    while_mapping = json.loads(done.out)["score"]
+    assert while_mapping["mantel_r"] > 0.98
+    files = ("--picture", "score.png", "--report", "score.html")
+    done = run("score", "map.csv", "--truth", truth, *files, "--json")
+    after = json.loads(done.out)["score"]
+    assert after["mantel_r"] == while_mapping["mantel_r"]
+    assert (tmp_path / "score.png").stat().st_size > 10_000
+    assert "Mantel r" in (tmp_path / "score.html").read_text()
+    assert run("score", "map.csv").code == 2
+    assert run("score", "map.csv", truth, "--truth", truth).code == 2
+    assert run("score", "map.csv", truth, "--picture", truth).code == 2
+
+
+def test_the_worst_sensors_of_a_map_are_named(run, truth_csv, tmp_path):
+    """Two wires swapped: the score stays high, but the two sensors are named."""
+    rows = truth_csv.read_text().splitlines()
+    fields = [row.split(",") for row in rows]
+    fields[3][1:], fields[40][1:] = fields[40][1:], fields[3][1:]
+    (tmp_path / "swapped.csv").write_text("\n".join(map(",".join, fields)))
+    found = json.loads(run("score", "swapped.csv", truth_csv, "--json").out)["score"]
+    assert found["mantel_r"] > 0.7
+    assert {worst["sensor"] for worst in found["worst"][:2]} == {fields[3][0], fields[40][0]}
+    assert found["worst"][0]["error"] > 10 * found["median_error"]
+    assert f"{fields[3][0]} " in run("score", "swapped.csv", truth_csv).out
+
+
+def test_two_days_are_compared(run, run_map, tmp_path):
+    """Tuesday's recording has two wires swapped and a dead sensor."""
+    monday, tuesday = flat_skin(seed=1), flat_skin(seed=2)
+    readings = tuesday.readings.copy()
+    readings[:, [8, 33]] = readings[:, [33, 8]]
+    readings[:, 20] = 0
+    for day, values in (("monday", monday.readings), ("again", tuesday.readings),
+                        ("tuesday", readings)):  # fmt: skip
+        anisomap.write(anisomap.Recording(values), f"{day}.csv")
+        assert run_map(f"{day}.csv", "-d", 2, "-o", f"{day}.map.csv").code == 0
+    same = run("diff", "monday.map.csv", "again.map.csv", "--json")
+    assert same.code == 0
+    assert json.loads(same.out)["different"] is False
+    done = run("diff", "monday.map.csv", "tuesday.map.csv", "--picture", "diff.png", "--json")
+    assert done.code == 1
+    found = json.loads(done.out)
+    assert {moved["sensor"] for moved in found["moved"]} == {"s8", "s33"}
+    assert found["lost"] == ["s20"]
+    assert (tmp_path / "diff.png").stat().st_size > 10_000
+    text = run("diff", "monday.map.csv", "tuesday.map.csv").out
+    assert "s33" in text
+    assert "lost: s20" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["missing.csv"], "missing.csv"),
+        (["truth.csv", "--picture", "truth.csv"], "truth.csv"),
+        (["truth.csv", "--picture", "diff.bmp"], ".png, .svg or .pdf"),
+        (["truth.csv", "--level", "2"], "level must be between 0 and 1"),
+    ],
+)
+def test_maps_that_cannot_be_compared_are_one_message(run, truth_csv, arguments, message):
+    before = truth_csv.read_bytes()
+    done = run("diff", truth_csv, *arguments)
+    assert done.code == 2
+    assert message in done.err
+    assert truth_csv.read_bytes() == before

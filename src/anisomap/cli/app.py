@@ -37,6 +37,11 @@ for name, target, summary in (
     ("map", "map:map_recording", "Make a map from a recording."),
     ("info", "info:info", "Summarise a recording and flag faulty sensors."),
     ("score", "score:score_map", "Score a map against reference positions."),
+    (
+        "diff",
+        "diff:diff",
+        "Compare two maps of one skin: which sensors moved, appeared, were lost.",
+    ),
     ("convert", "convert:convert", "Write a map in another format, or in metres."),
     ("compare", "compare:compare", "Score several methods on recordings with known positions."),
     ("methods", "listing:methods", "List the methods and the similarities."),
@@ -68,15 +73,17 @@ def main(arguments: Iterable[str] | None = None) -> None:
     Raises
     ------
     SystemExit
-        Always: 0 on success, 2 for bad input, 70 for a defect in anisomap, 130 if interrupted.
+        Always: 0 on success, 1 if a comparison finds a difference, 2 for bad input, 70 for a defect
+        in anisomap, 130 if interrupted.
     """
     escape_unencodable_output()
     sys.exit(_exit_code(None if arguments is None else list(arguments)))
 
 
 def _exit_code(arguments: list[str] | None) -> int:
+    code = 0
     try:
-        _run(arguments)
+        code = _run(arguments)
     except CycloptsError as error:
         return _failed(f"{error} (see --help)", BAD_INPUT)
     except AnisomapError as error:
@@ -96,15 +103,17 @@ def _exit_code(arguments: list[str] | None) -> int:
             "ANISOMAP_DEBUG=1 in the environment prints",
             INTERNAL_ERROR,
         )
-    return 0
+    return code
 
 
-def _run(arguments: list[str] | None) -> None:
+def _run(arguments: list[str] | None) -> int:
+    """Run a command; return its exit code, which is 0 unless the command returns another."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # users cannot act on warnings of other packages
         warnings.simplefilter("always", AnisomapWarning)
         warnings.showwarning = lambda message, *_, **__: print_warning(str(message))
-        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    return code if isinstance(code, int) else 0
 
 
 def _failed(message: str, code: int) -> int:

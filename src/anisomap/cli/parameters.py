@@ -175,6 +175,14 @@ Permutations: TypeAlias = Annotated[
         help="Size of the null distribution of Mantel r; 0 skips it.",
     ),
 ]
+Truth: TypeAlias = Annotated[
+    Path | None,
+    Parameter(
+        group=score_group,
+        help="File of the true positions to score against: any layout that can be read. Default: "
+        "those of the recording, if it has any.",
+    ),
+]
 Exclude: TypeAlias = Annotated[
     list[str] | None,
     Parameter(

@@ -157,18 +157,19 @@ def finish(
     seed: int,
     exclude: Sequence[str] = (),
     already_written: Sequence[tuple[str, Path]] = (),
+    truth: SensorMap | None = None,
 ) -> None:
     """Score a map if the truth is known, write all files, and print the results."""
     result = None
-    if examined.recording.positions is not None:
+    if truth is not None or examined.recording.positions is not None:
         result = score_with_progress(
-            sensor_map, examined.recording, permutations, seed, exclude=exclude
+            sensor_map, truth or examined.recording, permutations, seed, exclude=exclude
         )
-    files = _write(outputs, sensor_map, examined, result)
+    files = write_outputs(outputs, sensor_map, result, examined)
     print_health(printer, examined.health)
     _print_map(printer, sensor_map)
     if result is not None:
-        print_score(printer, result, "Score against the true positions")
+        print_score(printer, result, sensor_map, "Score against the true positions")
     print_files(printer, [*already_written, *files])
 
 
@@ -285,8 +286,24 @@ def _print_map(printer: Printer, sensor_map: SensorMap) -> None:
     )
 
 
-def print_score(printer: Printer, result: Score, title: str) -> None:
-    """Print the comparison of a map with reference positions."""
+def read_reference(path: Path, units: str | None = None) -> SensorMap:
+    """Read the positions that a map is scored against.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Any file with positions.
+    units : str, optional
+        Unit of the positions, if the file does not state it.
+    """
+    reference = io.read_map(path)
+    if units is None:
+        units = "" if reference.units == "arbitrary" else reference.units
+    return replace(reference, units=units)
+
+
+def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: str) -> None:
+    """Print the comparison of a map with reference positions, and name the worst sensors."""
     units = result.units or "units of the reference"
     null = result.mantel.quantiles()
     facts = {"Mantel r": number(result.mantel.r)}
@@ -300,6 +317,7 @@ def print_score(printer: Printer, result: Score, title: str) -> None:
     facts |= {
         "RMS error": f"{number(result.rms)} {units}, or {number(result.rms_in_spacings)} times the "
         f"median sensor spacing ({number(result.spacing)} {units})",
+        "median error": f"{number(result.median_error)} {units}",
         "mirrored": "yes" if result.alignment.reflected else "no",
         "neighbours kept": percent(result.neighbours_kept),
         "sensors compared": str(result.mantel.n_sensors),
@@ -307,7 +325,21 @@ def print_score(printer: Printer, result: Score, title: str) -> None:
     printer.facts(title, facts)
     for note in result.notes:
         printer.line(f"  note: {note}")
-    printer.record(score=_score_values(result))
+    worst = [
+        (sensor_map.names[result.sensors[i]], float(result.alignment.errors[i]))
+        for i in result.worst()
+    ]
+    rows = [
+        (name, number(error), number(error / result.spacing if result.spacing > 0 else None, 3))
+        for name, error in worst
+    ]
+    printer.table("Worst sensors", ("sensor", f"error ({units})", "spacings"), rows)
+    printer.record(
+        score={
+            **_score_values(result),
+            "worst": [{"sensor": name, "error": error} for name, error in worst],
+        }
+    )
 
 
 def _score_values(result: Score) -> dict[str, object]:
@@ -318,6 +350,7 @@ def _score_values(result: Score) -> dict[str, object]:
         "p_value": result.mantel.p_value if has_null else None,
         "permutations": result.mantel.null.size,
         "rms": result.rms,
+        "median_error": result.median_error,
         "units": result.units,
         "rms_in_spacings": result.rms_in_spacings,
         "median_spacing": result.spacing,
@@ -328,8 +361,11 @@ def _score_values(result: Score) -> dict[str, object]:
     }
 
 
-def _write(
-    outputs: Outputs, sensor_map: SensorMap, examined: Examined, result: Score | None
+def write_outputs(
+    outputs: Outputs,
+    sensor_map: SensorMap,
+    result: Score | None = None,
+    examined: Examined | None = None,
 ) -> list[tuple[str, Path]]:
     """Write all files; return them, each with its kind."""
     written: list[tuple[str, Path]] = []
@@ -347,8 +383,8 @@ def _write(
                 outputs.report,
                 sensor_map,
                 score=result,
-                health=examined.health,
-                summary=examined.summary,
+                health=() if examined is None else examined.health,
+                summary=None if examined is None else examined.summary,
                 figure_png=figures.figure_bytes(figure),
             )
             written.append(("report", outputs.report))

@@ -2,6 +2,7 @@
 
 from anisomap.evaluation.alignment import Alignment, align
 from anisomap.evaluation.confidence import confidence_in_words
+from anisomap.evaluation.difference import Difference, compare_maps
 from anisomap.evaluation.mantel_r import PERMUTATIONS, Mantel, mantel
 from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreement
 from anisomap.evaluation.scoring import Score, score
@@ -9,9 +10,11 @@ from anisomap.evaluation.scoring import Score, score
 __all__ = [
     "PERMUTATIONS",
     "Alignment",
+    "Difference",
     "Mantel",
     "Score",
     "align",
+    "compare_maps",
     "confidence_in_words",
     "mantel",
     "median_spacing",

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
-
-_SINGULAR = 1e-9  # relative singular value below which a configuration is flat
+from anisomap.numerics.procrustes import Similarity, fit_similarity
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +46,33 @@ class Alignment:
         """Root mean square of `errors`, in units of the truth."""
         return float(np.sqrt(np.mean(self.errors**2)))
 
+    def apply(self, positions: ArrayLike) -> NDArray[np.float64]:
+        """Transform other points of the map, such as sensors without a true position.
+
+        Parameters
+        ----------
+        positions : array_like of shape (n, k) or fewer columns
+            In the frame and units of the map; padded with zeros as the map was.
+
+        Returns
+        -------
+        ndarray of shape (n, k)
+            In the frame and units of the truth; NaN where `positions` are NaN.
+
+        Raises
+        ------
+        InputError
+            If the points have more dimensions than the alignment.
+        """
+        points = np.array(positions, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] > len(self.translation):
+            raise InputError(
+                f"positions must have shape (n, k) with k at most {len(self.translation)}, got "
+                f"{points.shape}"
+            )
+        fit = Similarity(self.rotation, self.scale, self.translation)
+        return fit.apply(_padded(points, len(self.translation)))
+
 
 def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
     """Align a configuration with the truth by rotation, scaling, translation and reflection.
@@ -78,23 +104,15 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
         )
     dimensions = max(x.shape[1], y.shape[1])
     x, y = _padded(x, dimensions), _padded(y, dimensions)
-    x_mean, y_mean = x.mean(axis=0), y.mean(axis=0)
-    x_centred, y_centred = x - x_mean, y - y_mean
-    spread = float(np.vdot(x_centred, x_centred))
-    if spread == 0 or not y_centred.any():
+    if (x == x[0]).all() or (y == y[0]).all():
         raise InputError("all positions coincide, so an alignment is undefined")
-    left, singular, right = np.linalg.svd(y_centred.T @ x_centred)
-    if np.linalg.det(left @ right) < 0 and singular[-1] <= _SINGULAR * singular[0]:
-        left[:, -1] *= -1  # flat: reflection and rotation fit equally well; prefer the rotation
-    rotation = left @ right
-    scale = float(singular @ np.diag(left.T @ rotation @ right.T) / spread)
-    translation = y_mean - scale * rotation @ x_mean
-    aligned = scale * x @ rotation.T + translation
+    fit = fit_similarity(x, y)
+    aligned = fit.apply(x)
     return Alignment(
-        rotation=rotation,
-        scale=scale,
-        translation=translation,
-        reflected=bool(np.linalg.det(rotation) < 0),
+        rotation=fit.rotation,
+        scale=fit.scale,
+        translation=fit.translation,
+        reflected=fit.reflected,
         aligned=aligned,
         errors=np.linalg.norm(aligned - y, axis=1),
     )

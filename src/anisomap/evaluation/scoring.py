@@ -76,6 +76,15 @@ class Score:
         """RMS error after alignment, in units of the median sensor spacing."""
         return self.rms / self.spacing if self.spacing > 0 else float("inf")
 
+    @property
+    def median_error(self) -> float:
+        """Median error after alignment, in units of the truth; few sensors do not change it."""
+        return float(np.median(self.alignment.errors))
+
+    def worst(self, count: int = 5) -> NDArray[np.intp]:
+        """Return the positions in `sensors` of those with the largest errors, the worst first."""
+        return np.argsort(-self.alignment.errors, kind="stable")[:count]
+
 
 def score(
     sensor_map: SensorMap,

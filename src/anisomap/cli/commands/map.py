@@ -46,6 +46,7 @@ def map_recording(
     reading: options.Reading = options.DEFAULT_READING,
     confidence: Annotated[bool, Parameter(group=options.method_group)] = True,
     placing: options.Placing = options.DEFAULT_PLACING,
+    truth: options.Truth = None,
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
@@ -95,7 +96,7 @@ def map_recording(
         report=report,
         placing=placing,
     )
-    outputs.check(*recordings)
+    outputs.check(*recordings, *([truth] if truth else []))
     placing.check(outputs.maps)
     how = reading.checked()
     chosen = MethodOptions(
@@ -107,6 +108,7 @@ def map_recording(
     )
     by = large.method(method)
     find_method(by)  # report an unknown method before the recording is read
+    reference = None if truth is None else pipeline.read_reference(truth)
     found = None
     if large.is_requested or streams.too_large(recordings, how):
         examined, found = streams.examine(
@@ -125,7 +127,7 @@ def map_recording(
     left_out = options.sensors(exclude, names)
     dropped = options.sensors(drop, names, examined.recording.metadata)
     examined.recording.indices(left_out)  # report unknown names before the map is computed
-    if left_out and examined.recording.positions is None:
+    if left_out and examined.recording.positions is None and reference is None:
         print_warning(
             "--exclude has no effect: the recording has no true positions to score against"
         )
@@ -148,4 +150,5 @@ def map_recording(
             permutations=permutations,
             seed=seed,
             exclude=left_out,
+            truth=reference,
         )

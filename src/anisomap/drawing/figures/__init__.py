@@ -1,13 +1,16 @@
 """Figures of maps and simulated scenes; matplotlib is imported when the first one is drawn."""
 
+from anisomap.drawing.figures.displacements import difference_figure, plot_difference
 from anisomap.drawing.figures.maps import map_figure, plot_distances, plot_map
 from anisomap.drawing.figures.saving import KINDS, check_writable, figure_bytes, save_figure
 
 __all__ = [
     "KINDS",
     "check_writable",
+    "difference_figure",
     "figure_bytes",
     "map_figure",
+    "plot_difference",
     "plot_distances",
     "plot_map",
     "save_figure",

@@ -84,26 +84,17 @@ def draw_configuration(
     units : str
         Of the axes.
     """
-    extents = np.ptp(limits, axis=1)
-    for name, span in zip("xyz", limits, strict=False):
-        axes.set(**{f"{name}lim": span})
-        title = axis_title(name, units)
-        getattr(axes, f"set_{name}label")(title, parse_math=False, color=INK)
-    set_ticks(axes, extents, 4)
-    axes.set_aspect("equal")
+    set_up_axes(axes, limits, view, units)
     if points.shape[1] == 3:
-        _set_up_3d(axes, limits, view)
         depth = points @ view_axes(view)[2]
-        nearness = 1 - (depth.max() - depth) / extents.max()
+        nearness = 1 - (depth.max() - depth) / np.ptp(limits, axis=1).max()
     else:
-        axes.grid(color="#e6e8eb", linewidth=0.6)
-        axes.set_axisbelow(True)
         nearness = np.ones(len(points))
     _draw_layers(axes, points, look, np.clip(nearness, 0, 1))
     rightwards = view_axes(view)[0] if points.shape[1] == 3 else np.array([1.0, 0.0])
     for i, name in look.labels.items():
         right_half = bool((points[i] - limits.mean(axis=1)) @ rightwards > 0)
-        _write_label(axes, points[i], f"{name} " if right_half else f" {name}", right_half)
+        write_label(axes, points[i], f"{name} " if right_half else f" {name}", right_half)
 
 
 def draw_distances(
@@ -168,6 +159,33 @@ def draw_distances(
     axes.set_ylabel(axis_title("distance on the map", units), parse_math=False, color=INK)
     axes.locator_params(nbins=5)
     return label
+
+
+def set_up_axes(axes: Axes, limits: NDArray[np.float64], view: View, units: str) -> None:
+    """Set limits, an equal aspect, labels with units and the view of axes of positions.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+        3D if there are three limits.
+    limits : ndarray of shape (k, 2)
+        Limits of the axes, k = 2 or 3.
+    view : tuple of float
+        Elevation and azimuth in degrees; ignored in 2D.
+    units : str
+        Of the axes.
+    """
+    for name, span in zip("xyz", limits, strict=False):
+        axes.set(**{f"{name}lim": span})
+        title = axis_title(name, units)
+        getattr(axes, f"set_{name}label")(title, parse_math=False, color=INK)
+    set_ticks(axes, np.ptp(limits, axis=1), 4)
+    axes.set_aspect("equal")
+    if len(limits) == 3:
+        _set_up_3d(axes, limits, view)
+    else:
+        axes.grid(color="#e6e8eb", linewidth=0.6)
+        axes.set_axisbelow(True)
 
 
 def _set_up_3d(axes: Axes, limits: NDArray[np.float64], view: View) -> None:
@@ -240,7 +258,8 @@ def _segments(points: NDArray[np.float64], pairs: NDArray[np.intp]) -> NDArray[n
     return segments.reshape(-1, points.shape[1])
 
 
-def _write_label(axes: Axes, point: NDArray[np.float64], name: str, leftwards: bool) -> None:
+def write_label(axes: Axes, point: NDArray[np.float64], name: str, leftwards: bool) -> None:
+    """Write a name to the left or right of a point, legible above everything else."""
     axes.text(
         *point,
         name,

@@ -1,0 +1,202 @@
+"""Figures of sensors with arrows from one position to another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.drawing.figures.backend import (
+    FAINT,
+    INK,
+    MARKERS,
+    PALETTE,
+    Axes,
+    drawing_style,
+    new_figure,
+    panel_axes,
+    write_notes,
+    write_title,
+)
+from anisomap.drawing.figures.panels import set_up_axes, write_label
+from anisomap.drawing.view import View, best_view, box_around, printable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from anisomap.evaluation import Difference
+
+_MAX_LABELS, _MAX_LABEL = 12, 14
+_WIDTH, _HEIGHT = 8.0, 7.2  # inches
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Sensors of one kind, drawn alike.
+
+    Attributes
+    ----------
+    label : str
+        For the legend.
+    sensors : ndarray of int, shape (n,)
+    colour, marker : str
+        Of matplotlib.
+    """
+
+    label: str
+    sensors: NDArray[np.intp]
+    colour: str
+    marker: str
+
+
+def difference_figure(
+    difference: Difference, title: str = "Differences between two maps"
+) -> Figure:
+    """Draw two maps in one frame, with an arrow for each sensor that moved.
+
+    Parameters
+    ----------
+    difference : Difference
+        See `anisomap.evaluation.compare_maps`.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Save it with `save_figure`.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    with drawing_style():
+        figure = new_figure(_WIDTH, _HEIGHT)
+        figure.set_layout_engine("constrained", rect=(0, 0.05, 1, 0.87))
+        k = min(3, difference.before.shape[1])
+        axes = figure.add_subplot(projection="3d" if k == 3 else None)
+        plot_difference(difference, ax=axes)
+        figure.legend(loc="upper right", ncols=4, frameon=False, bbox_to_anchor=(0.99, 0.96))
+        write_title(figure, printable(title, 80))
+        write_notes(
+            figure,
+            ["Arrows lead from the first map to the second, which is aligned with the first."],
+        )
+        return figure
+
+
+def plot_difference(difference: Difference, *, ax: Axes | None = None) -> Axes:
+    """Plot the panel of `difference_figure`.
+
+    Parameters
+    ----------
+    difference : Difference
+    ax : matplotlib Axes, optional
+        Axes to draw into, with ``projection="3d"`` for maps in 3D. A new figure is created by
+        default.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    InputError
+        If `ax` has another number of dimensions.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    still = difference.compared & ~difference.moved & ~difference.lost & ~difference.appeared
+    groups = [
+        Group(f"{label} ({np.count_nonzero(mask)})", np.flatnonzero(mask), colour, marker)
+        for label, mask, colour, marker in (
+            ("unchanged", still, "#a9b0b7", MARKERS[0]),
+            ("moved", difference.moved & ~difference.lost, PALETTE[0], MARKERS[1]),
+            ("lost", difference.lost, PALETTE[3], "X"),
+            ("appeared", difference.appeared, PALETTE[2], MARKERS[2]),
+        )
+        if mask.any()
+    ]
+    before = np.where(np.isfinite(difference.before), difference.before, difference.after)
+    worst = np.flatnonzero(difference.moved)[
+        np.argsort(-difference.distance[difference.moved])[:_MAX_LABELS]
+    ]
+    labels = {int(i): difference.names[i] for i in worst}
+    arrows = np.where(difference.moved[:, None], difference.after, np.nan)
+    return plot_displacements(before, arrows, groups, labels, units=difference.units, ax=ax)
+
+
+def plot_displacements(
+    start: NDArray[np.float64],
+    end: NDArray[np.float64],
+    groups: list[Group],
+    labels: dict[int, str],
+    *,
+    units: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot positions of sensors by group, and arrows to other positions.
+
+    Parameters
+    ----------
+    start, end : ndarray of shape (N, k)
+        Positions of the sensors, and of the heads of their arrows; NaN for none. Of more than
+        three dimensions, the first three are drawn.
+    groups : list of Group
+        Sensors outside all groups are not drawn.
+    labels : dict of int to str
+        Names written beside sensors.
+    units : str
+        Of the axes.
+    ax : matplotlib Axes, optional
+        Axes to draw into; by default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+    """
+    start, end = start[:, :3], end[:, :3]
+    axes = panel_axes(ax, start.shape[1])
+    drawn = np.unique(np.concatenate([group.sensors for group in groups]))
+    shown = [points[np.isfinite(points).all(axis=1)] for points in (start[drawn], end[drawn])]
+    shown = [points for points in shown if len(points)]
+    view: View = best_view(*shown) if start.shape[1] == 3 else (0.0, 0.0)
+    limits = box_around(*shown)
+    set_up_axes(axes, limits, view, units)
+    size = 40.0 * float(np.clip(np.sqrt(60 / len(drawn)), 0.1, 1))
+    for group in groups:
+        places = start[group.sensors]
+        axes.scatter(
+            *places.T,
+            s=size,
+            color=group.colour,
+            marker=group.marker,
+            edgecolors="white",
+            linewidths=0.4,
+            label=group.label,
+        )
+        arrows = end[group.sensors] - places
+        known = np.isfinite(arrows).all(axis=1)
+        _draw_arrows(axes, places[known], arrows[known], group.colour)
+    centre = limits.mean(axis=1)
+    for i, name in labels.items():
+        right_half = bool(start[i, 0] > centre[0])
+        text = printable(name, _MAX_LABEL)
+        write_label(axes, start[i], f"{text} " if right_half else f" {text}", right_half)
+    return axes
+
+
+def _draw_arrows(
+    axes: Axes, places: NDArray[np.float64], arrows: NDArray[np.float64], colour: str
+) -> None:
+    if not len(places):
+        return
+    if axes.name == "3d":
+        axes.quiver(*places.T, *arrows.T, color=colour, linewidth=1.0, arrow_length_ratio=0.15)
+        return
+    axes.quiver(
+        *places.T, *arrows.T, color=colour, angles="xy", scale_units="xy", scale=1, width=0.004
+    )
+    axes.plot(*(places + arrows).T, ".", color=FAINT, markersize=3, markeredgecolor=INK)

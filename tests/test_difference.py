@@ -1,0 +1,169 @@
+"""Differences between two maps: invariance, false alarms, and the sensors that moved."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import ortho_group
+
+from anisomap import SensorMap
+from anisomap.errors import InputError
+from anisomap.evaluation import align, compare_maps
+from anisomap.numerics.procrustes import fit_similarity, fit_similarity_robustly
+from skins import lattice
+
+seeds = st.integers(0, 10_000)
+
+
+def moved_freely(points, rng, factor=3.0):
+    """Turn, scale, shift and maybe mirror."""
+    turn = ortho_group.rvs(points.shape[1], random_state=rng)
+    return factor * points @ turn.T + rng.normal(size=points.shape[1])
+
+
+def two_maps(seed, *, noise=0.05, rows=9, columns=10):
+    """Return a lattice and a noisy, smoothly bent copy in another frame."""
+    rng = np.random.default_rng(seed)
+    before = lattice(rows, columns)
+    bent = before + 0.02 * before[:, ::-1] ** 2 / columns
+    after = moved_freely(bent + rng.normal(0, noise, before.shape), rng)
+    return before, after, rng
+
+
+@given(seeds, st.sampled_from([2, 3]), st.booleans())
+def test_a_fit_of_given_handedness_recovers_a_transform(seed, k, reflected):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(6, k))
+    turn = ortho_group.rvs(k, random_state=rng)
+    turn[0] *= 1 if (np.linalg.det(turn) < 0) == reflected else -1
+    target = 2.5 * points @ turn.T + 1
+    fit = fit_similarity(points, target, rng.uniform(0.1, 1, 6), reflection=reflected)
+    np.testing.assert_allclose(fit.apply(points), target, atol=1e-9)
+    other = fit_similarity(points, target, reflection=not reflected)
+    assert other.reflected is not reflected
+    assert np.abs(other.apply(points) - target).max() > 1e-3
+
+
+@given(seeds)
+def test_weights_count_points_repeatedly(seed):
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(2, 7, 3))
+    counts = rng.integers(1, 4, 7)
+    weighted = fit_similarity(x, y, counts.astype(float))
+    repeated = fit_similarity(np.repeat(x, counts, axis=0), np.repeat(y, counts, axis=0))
+    np.testing.assert_allclose(weighted.apply(x), repeated.apply(x), atol=1e-9)
+
+
+@given(seeds, st.floats(0.05, 0.3))
+def test_a_robust_fit_is_not_bent_by_points_that_moved(seed, share):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(60, 3))
+    target = moved_freely(points, rng)
+    far = rng.permutation(60)[: int(share * 60)]
+    target[far] += rng.normal(0, 20, (len(far), 3))
+    fit = fit_similarity_robustly(points, target)
+    still = np.setdiff1d(np.arange(60), far)
+    assert np.abs(fit.apply(points[still]) - target[still]).max() < 1e-3
+
+
+@given(seeds)
+@settings(max_examples=20)
+def test_an_alignment_applies_to_other_points(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(20, 2))
+    truth = moved_freely(points, rng)
+    found = align(points[:8], truth[:8])
+    np.testing.assert_allclose(found.apply(points), truth, atol=1e-9)
+    np.testing.assert_array_equal(found.apply(points[:8]), found.aligned)
+    in_space = align(points[:8], np.pad(truth[:8], ((0, 0), (0, 1))))
+    np.testing.assert_allclose(in_space.apply(points)[:, :2], truth, atol=1e-9)
+    with pytest.raises(InputError, match="k at most 2"):
+        found.apply(np.zeros((3, 3)))
+
+
+def test_maps_that_differ_by_chance_do_not_differ():
+    alarms = sum(
+        compare_maps(SensorMap(before), SensorMap(after)).moved.any()
+        for before, after, _ in map(two_maps, range(60))
+    )
+    assert alarms <= 3  # 0.6 expected at a level of 1 %; P(more than 3) < 0.003
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_swapped_sensors_are_named_with_their_distance(seed):
+    before, after, rng = two_maps(seed)
+    while True:
+        a, b = rng.choice(len(before), 2, replace=False)
+        apart = float(np.linalg.norm(before[a] - before[b]))
+        if apart > 2:
+            break
+    after[[a, b]] = after[[b, a]]
+    found = compare_maps(SensorMap(before, units="mm"), SensorMap(after))
+    assert np.flatnonzero(found.moved).tolist() == sorted((a, b))
+    assert found.distance[a] == pytest.approx(apart, abs=0.5)
+    assert (found.p_values[found.moved] < 0.01).all()
+    assert found.units == "mm"
+    assert found.found
+
+
+@given(seeds)
+@settings(max_examples=15)
+def test_the_comparison_does_not_depend_on_frames_or_order(seed):
+    before, after, rng = two_maps(3)
+    after[17] += 9
+    names = [f"n{i}" for i in range(len(before))]
+    plain = compare_maps(SensorMap(before, names=names), SensorMap(after, names=names))
+    order = rng.permutation(len(before))
+    other = compare_maps(
+        SensorMap(before, names=names),
+        SensorMap(
+            moved_freely(after, np.random.default_rng(seed))[order],
+            names=[names[i] for i in order],
+        ),
+    )
+    np.testing.assert_allclose(other.distance, plain.distance, atol=1e-6)
+    assert other.moved.tolist() == plain.moved.tolist()
+
+
+def test_sensors_appear_and_are_lost():
+    before, after, _ = two_maps(0)
+    names = [f"n{i}" for i in range(len(before))]
+    health = ["ok"] * len(before)
+    health[4] = "dead"
+    after[4] = np.nan
+    after[5] = np.nan
+    found = compare_maps(
+        SensorMap(before[:-1], names=names[:-1]),
+        SensorMap(after[1:], names=names[1:], health=health[1:]),
+    )
+    assert [found.names[i] for i in np.flatnonzero(found.lost)] == ["n0", "n4", "n5"]
+    assert [found.names[i] for i in np.flatnonzero(found.appeared)] == [names[-1]]
+    assert not found.moved.any()
+    assert np.isnan(found.distance[[0, 4, 5, -1]]).all()
+
+
+def test_components_are_aligned_apart():
+    before, after, _ = two_maps(1)
+    component = (before[:, 0] > 4.6).astype(int)
+    rng = np.random.default_rng(5)
+    after[component == 1] = moved_freely(after[component == 1], rng, 1.0)
+    maps = [SensorMap(points, component=component) for points in (before, after)]
+    found = compare_maps(*maps)
+    assert found.compared.all()
+    assert not found.moved.any()
+    small = [SensorMap(m.positions, component=[1] * 5 + [0] * (len(before) - 5)) for m in maps]
+    assert "5 sensors not compared" in compare_maps(*small).notes[0]
+
+
+def test_maps_that_cannot_be_compared_are_refused():
+    before, after, _ = two_maps(2)
+    with pytest.raises(InputError, match="cannot be matched with 3 by order"):
+        compare_maps(SensorMap(before), SensorMap(after[:3], names="abc"))
+    with pytest.raises(InputError, match="the maps cannot be aligned"):
+        compare_maps(SensorMap(before[:5]), SensorMap(after[:5]))
+    with pytest.raises(InputError, match="the level must be between 0 and 1, got 2"):
+        compare_maps(SensorMap(before), SensorMap(after), level=2)
+    named = SensorMap(after, names=[f"other{i}" for i in range(len(after))])
+    assert compare_maps(SensorMap(before), named).notes == (
+        "the maps share no sensor name: matched by order",
+    )
