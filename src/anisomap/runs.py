@@ -152,7 +152,7 @@ def _positions(
         if run.positions is None:
             continue
         for name, position in zip(run.names, run.positions, strict=True):
-            if not np.array_equal(known.setdefault(name, position), position):
+            if not np.array_equal(known.setdefault(name, position), position, equal_nan=True):
                 return None, ""
     units = {run.units for run in runs if run.positions is not None}
     if len(known) < len(names) or len(units) != 1:

@@ -43,7 +43,6 @@ BAD = {
     "infinite.csv": (text(WAVE + "\n1,2,inf\n"), "sensor s2, frame 9"),
     "two.csv": (text("a,b\n1,2\n2,1\n3,3\n"), "got 2 of 2"),
     "constant.csv": (text("a,b,c\n1,2,3\n1,2,3\n"), "got 0 of 3"),
-    "twice.csv": (text("a,a,b\n1,2,3\n2,1,3\n"), "name a"),
     "binary.csv": (lambda path: path.write_bytes(bytes(range(256)) * 9), "binary.csv"),
     "pickle.npz": (pickled, "pickle.npz"),
     "nothing.npz": (archive(other=np.eye(3)), "readings"),

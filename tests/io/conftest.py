@@ -158,6 +158,18 @@ def _mat_export(path: Path) -> None:
     )
 
 
+def _contacts(path: Path) -> None:
+    """The sensors that read above 0 in each frame."""
+    lists = _lines(lambda i, v: f'{i / 10},"[{" ".join(map(str, np.flatnonzero(v)))}]"')
+    path.write_text(f"time [s],taxels\n{lists}")
+
+
+def _lists(path: Path) -> None:
+    """All readings of a frame in one cell, beside a column that is no sensor."""
+    rows = _lines(lambda i, v: f'{1.7e9 + i / 50:.2f},{i},"{",".join(map(str, v))}",left')
+    path.write_text(f"Timestamp,Frame,Matrix_0,foot\n{rows}")
+
+
 def _images(path: Path) -> None:
     """Floating-point pixels, one page per frame."""
     pillow = pytest.importorskip("PIL.Image")
@@ -180,12 +192,17 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "run.db3": ("ros", _bag),
     "mat.asf": ("mat-export", _mat_export),
     "film.tif": ("images", _images),
+    "contacts.csv": ("contacts", _contacts),
+    "lists.csv": ("text", _lists),
     "skin.h5": ("hdf5", _tables),
     "skin.mat": ("mat", _matlab),
     "v73.mat": ("mat", lambda path: _tables(path, transposed=True)),
     "skin.parquet": ("parquet", _robot_learning),
     "skin.feather": ("parquet", lambda path: _robot_learning(path, feather=True)),
 }
+EVENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"contacts.csv": lambda values: values > 0}
+"""Files that hold events instead of readings, and what they make of readings."""
+
 MAPS = {
     "map.npz": "npz",
     "map.csv": "text",
@@ -208,6 +225,13 @@ def recording_file(request: pytest.FixtureRequest, tmp_path: Path, recording: Re
     else:
         io.write(recording, path)
     return path
+
+
+@pytest.fixture
+def expected_readings(recording_file: Path, recording: Recording) -> np.ndarray:
+    """Return the readings that a file is expected to contain."""
+    convert = EVENTS.get(recording_file.name, np.asarray)
+    return np.asarray(convert(recording.readings))
 
 
 @pytest.fixture(params=MAPS)

@@ -373,11 +373,12 @@ def test_a_header_of_another_width_is_rejected(put: Put) -> None:
     assert "line 2 has 2 fields, but the header names 3" in read_error(put("x.csv", "a,b,c\n1,2\n"))
 
 
-def test_duplicate_names_are_rejected(put: Put) -> None:
-    message = read_error(put("x.csv", "a,b,a\n1,2,3\n"))
-    assert "x.csv" in message
-    assert "unique" in message
-    assert "name a" in message
+def test_duplicate_names_are_made_distinct(put: Put) -> None:
+    path = put("x.csv", "a,b,a,a_2,a\n1,2,3,4,5\n6,7,8,9,10\n")
+    with pytest.warns(AnisomapWarning, match=r"x\.csv: several sensors have the name a; they"):
+        found = io.read(path)
+    assert found.names == ("a", "b", "a_3", "a_2", "a_4")
+    np.testing.assert_array_equal(found.readings[0], [1, 2, 3, 4, 5])
 
 
 def test_encodings_other_than_utf_8_are_rejected(put: Put) -> None:

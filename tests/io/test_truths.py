@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from anisomap import io
-from anisomap.errors import FileError
+from anisomap.errors import AnisomapWarning, FileError
 
 Put = Callable[[str, str | bytes], Path]
 POINTS = np.array([[0.5, 1.25, -2], [3, 4, 5], [6, 7.75, 8], [-0.001, 1e-9, 12345]])
@@ -89,7 +89,6 @@ def test_trailing_delimiters(put: Put) -> None:
         ("# nothing\n", "no line of positions"),
         ("a,b,c,d\n1,2,3,4\n", "no columns x and y"),
         ("1,2,3,4\n5,6,7,8\n", "no columns x and y"),
-        ("name,x,y\na,1,2\na,3,4\n", "unique"),
         (
             "name,x,y,component,health\na,1,2,zero,ok\n",
             "column 4: 'zero' is not an integer",
@@ -139,7 +138,6 @@ def test_json_needs_only_positions(put: Put) -> None:
         ({"sensors": [sensor(component=True)]}, "sensor 0: component is 'True'"),
         ({"sensors": [sensor(component=10**30)]}, "too large"),
         ({"sensors": [sensor(position=[10**400, 0])]}, "too large"),
-        ({"sensors": [sensor(), sensor()]}, "unique"),
         ({"sensors": [sensor()], "stress": "low"}, "stress and confidence must be numbers"),
         ({"sensors": [sensor()], "notes": 3}, "notes a list"),
         ({"sensors": [sensor()], "provenance": [1]}, "provenance an object"),
@@ -205,7 +203,6 @@ def test_vertices_need_not_come_first(put: Put) -> None:
         ("vertex 3", "vertex 0", "no vertices"),
         ("vertex 3", "vertex 99999999999999999999", "is not valid in a PLY header"),
         ("vertex 3", "vertex -3", "is not valid in a PLY header"),
-        ("property uchar red", "property int sensor", "unique"),
         ("255\n1.5 0 0 128", "0\n1.5 0 0 0.5", None),
     ],
 )
@@ -218,3 +215,20 @@ def test_bad_point_clouds(put: Put, old: str, new: str, message: str | None) -> 
         io.read_map(path)
     assert "scan.ply" in str(caught.value)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("truth.csv", "name,x,y\na,1,2\na,3,4\n"),
+        (
+            "truth.json",
+            '{"sensors": [{"name": "a", "position": [1, 2]}, {"name": "a", "position": [3, 4]}]}',
+        ),
+    ],
+)
+def test_duplicate_names_are_made_distinct(put: Put, name: str, text: str) -> None:
+    with pytest.warns(AnisomapWarning, match=rf"{name}: several sensors have the name a; they"):
+        found = io.read_map(put(name, text))
+    assert found.names == ("a", "a_2")
+    np.testing.assert_array_equal(found.positions, [[1, 2], [3, 4]])

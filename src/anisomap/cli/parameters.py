@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -18,6 +19,9 @@ from anisomap.io import ReadOptions
 from anisomap.placement import METRES, mirrored, parse_length, scaled_to_spacing
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
+
+_PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
+_DURATION = re.compile(r"(\d{1,15}(?:\.\d{0,15})?|\.\d{1,15})\s*(s|ms|us|)")
 
 reading_group = Group("Reading", sort_key=0)
 outputs_group = Group("Output", sort_key=1)
@@ -43,17 +47,25 @@ class ReadingOptions:
         Message definition (.msg) for a bag without definitions; may be repeated.
     preset
         Robot with a known numbering of sensors: icub, icub-hand.
+    positions
+        File of true positions, matched by the names of the sensors or the numbers at their ends.
+        Sensors that a list of contacts or spikes does not mention are added: they were silent.
+    bin
+        Width of the bins in which events are counted, such as 1s or 50ms.
     """
 
     select: Annotated[str, Parameter(name=("--select", "--topic", "--dataset", "--field"))] = ""
     grid: str = ""
     msg: Annotated[list[Path], Parameter(negative=())] = field(default_factory=list)
     preset: str = ""
+    positions: Path | None = None
+    bin: str = ""
 
     def checked(self) -> ReadOptions:
         """Convert to the options of the library."""
         grid = _rows_and_columns(self.grid) if self.grid else None
-        return ReadOptions(self.select, grid, tuple(self.msg), self.preset)
+        bin_s = _seconds(self.bin) if self.bin else None
+        return ReadOptions(self.select, grid, tuple(self.msg), self.preset, self.positions, bin_s)
 
 
 DEFAULT_READING = ReadingOptions()
@@ -157,6 +169,14 @@ def _rows_and_columns(text: str) -> tuple[int, int]:
     if len(sizes) != 2 or not all(sizes):
         raise InputError(f"--grid must give rows and columns, as in 32x64, got {text}")
     return sizes[0], sizes[1]
+
+
+def _seconds(text: str) -> float:
+    match = _DURATION.fullmatch(text.strip())
+    value = float(match[1]) / _PER_SECOND[match[2]] if match else 0.0
+    if not 0 < value < float("inf"):
+        raise InputError(f"--bin must be a time above 0, as in 1s or 50ms, got {text}")
+    return value
 
 
 RecordingFile: TypeAlias = Annotated[Path, Parameter(help="File of a recording.")]

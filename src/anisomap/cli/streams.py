@@ -265,6 +265,7 @@ def _describe(paths: Sequence[Path], how: io.ReadOptions, missing: MissingPolicy
     settings = {
         "select": how.select,
         "preset": how.preset,
+        "bin": "" if how.bin_s is None else f"{how.bin_s:g} s",
         "missing": "" if missing == "error" else missing,
     }
     return ", ".join([files, *(f"{name} {value}" for name, value in settings.items() if value)])

@@ -24,6 +24,7 @@ from anisomap.io.parsing.archive import NUMBERS, SUFFIX, Archive, open_archive
 from anisomap.io.parsing.comments import to_python_scalar
 from anisomap.io.parsing.frames import increasing_times
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
+from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.stream import Block, ReadOptions, Stream
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
@@ -85,7 +86,7 @@ def read_map(path: Path) -> SensorMap:
     with open_archive(path) as archive:
         archive.require("positions", "positions")
         positions = archive.required("positions", NUMBERS)
-        names, units = archive.texts("names"), archive.text("units")
+        names, units = distinct_names(path, archive.texts("names")), archive.text("units")
         if "readings" in archive.names:
             return SensorMap(positions, names=names, units=units)
         stress, confidence = archive.number("stress"), archive.number("confidence")

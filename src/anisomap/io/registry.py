@@ -11,9 +11,11 @@ from pathlib import Path
 from anisomap.errors import FileError, InputError
 from anisomap.io import npz
 from anisomap.io.choice import Content
+from anisomap.io.events import contact_text
 from anisomap.io.format import Format
 from anisomap.io.maps import csv, icub_positions, json, launch, mjcf, pcd, ply, urdf, xml_files
 from anisomap.io.parsing.grids import with_grid
+from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.recordings import (
     arrow,
@@ -35,6 +37,7 @@ from anisomap.io.stream import (
     assemble,
     rechunk,
 )
+from anisomap.io.truth import with_positions, with_recorded_positions
 from anisomap.recording import Recording
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
@@ -79,10 +82,12 @@ FORMATS = (
            pressure_mats.recognises, pressure_mats.open_recording),
     Format("images", (".gif", ".tif", ".tiff"), "folder of images; multi-page TIFF or GIF",
            images.recognises, images.open_recording, extra=images.EXTRA),
+    Format("contacts", (), "list of contacts or spikes: time, sensors", contact_text.recognises,
+           contact_text.open_recording),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            delimited_text.recognises,
            delimited_text.open_recording, csv.read_map, csv.write_map,
-           delimited_text.write_recording),
+           delimited_text.write_recording, contents=delimited_text.contents),
 )
 # fmt: on
 """All formats; the first one that recognises a file reads it."""
@@ -127,7 +132,11 @@ def read(
     """
     options = options or ReadOptions()
     with _open(Path(path), options) as stream, file_errors(stream.path):
-        return apply_preset(with_grid(assemble(stream, progress), options.grid), options.preset)
+        found = apply_preset(with_grid(assemble(stream, progress), options.grid), options.preset)
+        if options.positions is None or not options.preset:
+            return found
+        # A preset renames the sensors, so their positions are known after it.
+        return with_recorded_positions(found, read_map(options.positions), options.positions)
 
 
 @contextmanager
@@ -249,6 +258,14 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
                     f"leave out --select {options.select}"
                 )
             stream = stack.enter_context(chosen.open_recording(file, options))
+            if options.bin_s is not None and not stream.silent_are_zero:
+                raise FileError(
+                    f"{file} ({chosen.summary}) holds readings, not events; leave out --bin"
+                )
+            stream = replace(stream, names=distinct_names(file, stream.names))
+            if options.positions is not None and not options.preset:
+                truth = read_map(options.positions)
+                stream = with_positions(stream, truth, options.positions)
         # The name of a file may contain bytes that are not UTF-8.
         source = stream.source.encode("utf-8", "backslashreplace").decode()
         yield replace(stream, source=source, blocks=_with_file_errors(stream.blocks, file))

@@ -43,12 +43,19 @@ class ReadOptions:
         Message definitions (``.msg``) for a bag without them.
     preset : str
         A robot with a known numbering of sensors: see `anisomap.io.recordings.presets`.
+    positions : pathlib.Path, optional
+        File of true positions of the sensors, in any format of maps. Sensors match by name, or by
+        the numbers at the ends of the names.
+    bin_s : float, optional
+        Width in seconds of the bins in which events are counted; for recordings of events only.
     """
 
     select: str = ""
     grid: tuple[int, int] | None = None
     definitions: tuple[Path, ...] = ()
     preset: str = ""
+    positions: Path | None = None
+    bin_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +108,8 @@ class Stream:
         Whether to shift times so that the first frame is at 0.
     locate : callable, optional
         Maps a frame index to its place in the file, such as ``"line 12"``.
+    silent_are_zero : bool
+        Whether the file lists events, so that a sensor it does not mention was never active.
     """
 
     path: Path
@@ -116,6 +125,7 @@ class Stream:
     metadata: Mapping[str, Scalar] = field(default_factory=dict)
     from_zero: bool = False
     locate: Callable[[int], str] | None = None
+    silent_are_zero: bool = False
 
 
 def assemble(stream: Stream, progress: Callable[[float], None] | None = None) -> Recording:

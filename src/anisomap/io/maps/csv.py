@@ -22,6 +22,7 @@ import numpy as np
 from anisomap.errors import FileError
 from anisomap.io.parsing import comments, delimited
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
+from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import open_text, quote
 from anisomap.io.parsing.table import LineError, is_number, parse_number
 from anisomap.io.recordings.delimited_text import MAP_TITLE
@@ -83,7 +84,7 @@ def read_map(path: Path) -> SensorMap:
     component = read(others["component"], int, "an integer") if is_map else ()
     return SensorMap(
         np.array([read(column, number, "a number") for column in columns.axes]).T,
-        names=read(others["name"], parse_name) if "name" in others else (),
+        names=distinct_names(path, read(others["name"], parse_name)) if "name" in others else (),
         component=np.array(component, np.intp),
         health=read(others["health"], parse_name) if is_map else (),
         **_map_properties(lines, columns.units),

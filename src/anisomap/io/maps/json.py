@@ -12,6 +12,7 @@ import numpy as np
 from anisomap.errors import FileError
 from anisomap.io.parsing.comments import to_python_scalar
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
+from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import open_text, quote
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNASSESSED, SensorMap
@@ -49,7 +50,7 @@ def read_map(path: Path) -> SensorMap:
     named, placed = "name" in sensors[0], "component" in sensors[0]
     return SensorMap(
         np.array([row.position(dimensions) for row in rows]),
-        names=tuple(row.value("name", (str,)) for row in rows) if named else (),
+        names=distinct_names(path, [row.value("name", (str,)) for row in rows if named]),
         component=np.array([row.value("component", (int,)) for row in rows if placed], np.intp),
         health=tuple(row.value("health", (str,), UNASSESSED) for row in rows),
         **_map_properties(path, document),

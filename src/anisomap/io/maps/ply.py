@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.parsing import comments
+from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import open_binary, quote
 from anisomap.io.parsing.table import LineError, parse_number
 from anisomap.placement import pad_to_3d, surface_normals
@@ -59,7 +60,9 @@ def read_map(path: Path) -> SensorMap:
     dimensions = 2 if header.known.get("dimensions") == 2 else len(_AXES)
     return SensorMap(
         np.column_stack([values[axis] for axis in _AXES[:dimensions]]),
-        names=tuple(str(header.known.get(f"sensor {i}", f"s{i}")) for i in numbers),
+        names=distinct_names(
+            path, [str(header.known.get(f"sensor {i}", f"s{i}")) for i in numbers]
+        ),
         component=_integers(path, values.get("component", np.empty(0))),
         units=str(header.known.get("units", "")),
     )

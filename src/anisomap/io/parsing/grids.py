@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
+from anisomap.io.parsing.naming import cells_of
 from anisomap.recording import Recording, default_names
 
 UNITS = "spacings"
@@ -41,6 +42,8 @@ def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
     Parameters
     ----------
     recording : Recording
+        Of all cells in order. A recording of some cells needs names that give them, such as
+        ``r3c5`` or ``cell50``.
     grid : (int, int) or None
         Rows and columns; None returns the recording unchanged.
 
@@ -52,17 +55,21 @@ def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
     Raises
     ------
     InputError
-        If the recording has a different number of sensors.
+        If the recording has more sensors than cells, or its names do not give their cells.
     """
     if grid is None:
         return recording
     rows, columns = grid
-    if rows * columns != recording.n_sensors:
-        raise InputError(
-            f"a {rows} x {columns} grid has {rows * columns} sensors, "
-            f"but the recording has {recording.n_sensors}"
-        )
     unnamed = recording.names == default_names(recording.n_sensors)
+    if rows * columns != recording.n_sensors:
+        cells = None if unnamed else cells_of(recording.names, rows, columns)
+        if cells is None:
+            raise InputError(
+                f"a {rows} x {columns} grid has {rows * columns} sensors, "
+                f"but the recording has {recording.n_sensors}, and their names do not give the "
+                "cells, as r3c5 or cell50 do"
+            )
+        return replace(recording, positions=grid_positions(rows, columns)[cells], units=UNITS)
     return replace(
         recording,
         positions=grid_positions(rows, columns),

@@ -43,6 +43,51 @@ class LineError(FileError):
         self.line = line
 
 
+class Lines:
+    """Lines of a file, which know whether an error in the last one is a truncation.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    lines : iterator of str
+        With their line ends.
+    """
+
+    def __init__(self, path: Path, lines: Iterator[str]) -> None:
+        self._path, self._lines, self._last = path, lines, ""
+
+    def __iter__(self) -> Iterator[str]:
+        """Return the iterator itself."""
+        return self
+
+    def __next__(self) -> str:
+        """Return the next line."""
+        self._last = next(self._lines)
+        return self._last
+
+    def end_early(self, error: Exception, n_read: int, noun: str) -> None:
+        """Warn that the last line is dropped if it is incomplete, else raise its error again.
+
+        Parameters
+        ----------
+        error : Exception
+            From parsing the line that was read last.
+        n_read : int
+            Number of frames or the like before it.
+        noun : str
+            What they are, in the plural.
+        """
+        last = self._last
+        if not n_read or last.endswith(("\n", "\r")) or next(self._lines, None) is not None:
+            raise error
+        warnings.warn(
+            f"{self._path}: the last line is truncated and dropped; read the {n_read} {noun} "
+            "before it",
+            AnisomapWarning,
+            stacklevel=2,
+        )
+
+
 def _unchanged(line: str) -> str:
     return line
 

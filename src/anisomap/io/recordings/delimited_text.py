@@ -13,13 +13,15 @@ import itertools
 import logging
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from anisomap.errors import AnisomapWarning, FileError
+from anisomap.io.choice import Content, choose
+from anisomap.io.events import contact_text
 from anisomap.io.parsing import comments, delimited
 from anisomap.io.parsing.columns import (
     ROWS_LOOKED_AT,
@@ -31,6 +33,12 @@ from anisomap.io.parsing.columns import (
 from anisomap.io.parsing.frames import to_float32_if_exact
 from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote_if_needed
 from anisomap.io.parsing.table import Table, first_rows, line_of, read_blocks
+from anisomap.io.recordings.list_columns import (
+    ListColumn,
+    contents_of_lists,
+    find_list_columns,
+    stream_lists,
+)
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Recording, Scalar
 from anisomap.wording import join_items
@@ -59,15 +67,27 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     Empty fields are missing readings, NaN. The metadata of the stream names the columns taken as
     time and frame counter and the skipped columns of text. Errors give line and column.
     """
-    with open_text(path) as stream:
-        sample = delimited.read_sample(stream)
-    if _is_titled(sample, MAP_TITLE):
-        raise FileError(f"{path} is a map, not a recording; read it with read_map")
-    known, metadata = _own_comments(sample)
+    if contact_text.selects_columns(options.select):
+        with contact_text.open_columns(path, options) as contacts:
+            yield contacts
+        return
+    sample, known, metadata = _read_start(path)
     preamble = 0 if known else delimited.count_preamble(sample)
     layout = delimited.find_layout(
         sample[preamble:], own_delimiter=_DELIMITERS.get(str(known.get("fields")), "")
     )
+    if not known and (lists := find_list_columns(sample[preamble:], layout)):
+        table = _table(path, layout, sample, preamble)
+        chosen = choose(path, contents_of_lists(lists), options.select, "list column")
+        yield stream_lists(
+            table, lists[chosen.name], _roles_beside_lists(table, lists), preamble=preamble
+        )
+        return
+    if options.select:
+        raise FileError(
+            f"{path} (delimited text) holds a single recording; leave out --select "
+            f"{options.select}, or select the columns of a time and of sensors, as in time:id"
+        )
     if not layout.n_columns:
         content = "only a header" if layout.header else "no line of numbers"
         raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")
@@ -91,6 +111,14 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         metadata=metadata if known else _column_metadata(table, roles),
         locate=None if known else functools.partial(line_of, table),
     )
+
+
+def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
+    """List the columns that hold a list of readings per frame; empty for a table of numbers."""
+    sample, known, _ = _read_start(path)
+    preamble = 0 if known else delimited.count_preamble(sample)
+    layout = delimited.find_layout(sample[preamble:])
+    return () if known else contents_of_lists(find_list_columns(sample[preamble:], layout))
 
 
 def write_recording(recording: Recording, path: Path) -> None:
@@ -126,6 +154,15 @@ def write_recording(recording: Recording, path: Path) -> None:
             if recording.times is not None:
                 values.insert(0, float(recording.times[frame]))
             stream.write(delimiter.join(map(repr, values)) + "\n")
+
+
+def _read_start(path: Path) -> tuple[list[str], dict[str, Scalar], dict[str, Scalar]]:
+    """Read the first lines, and the entries and metadata of a file written by anisomap."""
+    with open_text(path) as stream:
+        sample = delimited.read_sample(stream)
+    if _is_titled(sample, MAP_TITLE):
+        raise FileError(f"{path} is a map, not a recording; read it with read_map")
+    return sample, *_own_comments(sample)
 
 
 def _is_titled(sample: list[str], title: str) -> bool:
@@ -181,6 +218,14 @@ def _detected_roles(table: Table, names: tuple[str, ...]) -> Roles:
     )
     warn_of_guesses(table.path, names, roles)
     return roles
+
+
+def _roles_beside_lists(table: Table, lists: Mapping[str, ListColumn]) -> Roles:
+    columns = {each.column for each in lists.values()}
+    text = tuple(sorted({*table.text_columns, *columns}))
+    if len(text) == table.n_columns:
+        return Roles()
+    return _detected_roles(dataclasses.replace(table, text_columns=text), table.names)
 
 
 def _warn_of_commas(path: Path, sample: list[str]) -> None:

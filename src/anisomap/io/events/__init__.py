@@ -1,0 +1,1 @@
+"""Recordings of events: contacts with the sensors they touch, and the times of spikes."""

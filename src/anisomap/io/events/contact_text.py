@@ -1,0 +1,269 @@
+"""Lists of contacts or spikes as delimited text: a time or number, and the sensors at it.
+
+A row holds one sensor (``0.12,17``, with an optional value) or a list of them (``0.12,"3 4 17"``,
+``0.12,[3; 4; 17]``), and an empty list for a moment without contact. Rows of one moment form a
+frame.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import re
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from anisomap.errors import AnisomapWarning, FileError
+from anisomap.io.events.event_frames import Events, name_sensors, stream_events
+from anisomap.io.parsing import delimited
+from anisomap.io.parsing.columns import is_time, units_per_second
+from anisomap.io.parsing.libraries import error_reason
+from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote
+from anisomap.io.parsing.table import LineError, Lines, is_number, parse_number
+from anisomap.io.stream import ReadOptions, Stream
+
+_NOUNS = {
+    **dict.fromkeys(("id", "ids", "taxel", "taxels", "contact", "contacts", "active"), "taxel"),
+    **dict.fromkeys(("sensor", "sensors"), "sensor"),
+    **dict.fromkeys(("channel", "channels"), "channel"),
+    **dict.fromkeys(("electrode", "electrodes"), "electrode"),
+    **dict.fromkeys(("unit", "units"), "unit"),
+    **dict.fromkeys(("neuron", "neurons"), "neuron"),
+}
+_MOMENTS = {"event", "events", "touch", "frame", "sample", "index", "no", "number"}
+_VALUES = {"value", "values", "pressure", "force", "amplitude", "reading", "weight"}
+_IN_LIST = re.compile(r"[^\s,;|]+")
+_BRACKETS = str.maketrans("[](){}", "      ")
+_DELIMITERS = (";", "\t", ",", None)
+_ROWS_LOOKED_AT = 50
+_SELECTED = re.compile(r"([^:]+):([^:]+)")
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Columns of a list of contacts, by index from 0; -1 for no values."""
+
+    delimiter: str | None
+    header: tuple[str, ...]
+    moment: int
+    sensor: int
+    value: int = -1
+
+    @property
+    def noun(self) -> str:
+        """What a number of a sensor is preceded with in its name."""
+        words = _words(self.header[self.sensor]) if self.header else []
+        return next((_NOUNS[word] for word in words if word in _NOUNS), "taxel")
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Recognise a header of a time or number and of sensors, above rows of whole numbers or lists.
+
+    Further columns, other than a value, make the file a table of readings.
+    """
+    if b"\0" in head or b"\n" not in head:
+        return False
+    # The last line may be incomplete.
+    lines = head.decode("utf-8-sig", "replace").splitlines(keepends=True)[:-1]
+    try:
+        layout = _find_layout(lines)
+        if layout is None:
+            return False
+        rows = itertools.islice(delimited.records(lines, layout.delimiter), 1, _ROWS_LOOKED_AT)
+        found = [fields for _, fields in rows]
+        width = max(map(len, found), default=0)
+        if not found or (width > len(layout.header) and layout.sensor < len(layout.header) - 1):
+            return False
+        return all(_is_row(layout, fields) for fields in found)
+    except csv.Error:
+        return False
+
+
+@contextmanager
+def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open a list of contacts or spikes with a header."""
+    with open_text(path) as stream:
+        layout = _find_layout(delimited.read_sample(stream))
+    if layout is None:
+        raise FileError(f"{path} lacks a header that names a time and the sensors")
+    yield _stream(path, layout, options)
+
+
+def selects_columns(select: str) -> bool:
+    """Return whether a selection names two columns: ``event:taxel``, or ``1:5`` from 1."""
+    return bool(_SELECTED.fullmatch(select))
+
+
+@contextmanager
+def open_columns(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open two columns of any table as the moment and the sensor of contacts.
+
+    `options.select` names the columns, or gives their numbers from 1, as ``event:taxel``.
+    """
+    with open_text(path) as stream:
+        sample = delimited.read_sample(stream)
+    delimiter = delimited.find_delimiter(sample)
+    first = next((fields for _, fields in delimited.records(sample, delimiter)), [])
+    named = not all(is_number(field, delimiter) for field in first)
+    header = tuple(field.strip() for field in first) if named else ()
+    moment, sensor = (
+        _column(path, text.strip(), header, len(first)) for text in options.select.split(":")
+    )
+    yield _stream(path, _Layout(delimiter, header, moment, sensor), options)
+
+
+def _column(path: Path, text: str, header: Sequence[str], width: int) -> int:
+    if text in header:
+        return header.index(text)
+    if text.isascii() and text.isdecimal() and 1 <= int(text[:9]) <= width:
+        return int(text) - 1
+    names = f", named {', '.join(map(quote, header[:8]))}" if header else ""
+    raise FileError(f"{path} has no column {quote(text)}; it has {width} columns{names}")
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[^\W\d_]+", name.lower())
+
+
+def _find_layout(lines: Sequence[str]) -> _Layout | None:
+    """Return the layout that the header gives, if it names a moment, sensors and perhaps values."""
+    for delimiter in _DELIMITERS:
+        first = next((fields for _, fields in delimited.records(lines, delimiter)), [])
+        header = tuple(field.strip() for field in first)
+        words = [_words(name) for name in header]
+        moments = [
+            i
+            for i, name in enumerate(header)
+            if is_time(name, i) or (words[i] and _MOMENTS.issuperset(words[i]))
+        ]
+        sensors = [i for i, each in enumerate(words) if each and _is_sensor(each)]
+        values = [i for i, each in enumerate(words) if each and _VALUES.issuperset(each)]
+        sizes = (len(moments), len(sensors), len(header) - len(values))
+        if sizes == (1, 1, 2) and len(values) < 2 and moments != sensors:
+            return _Layout(delimiter, header, moments[0], sensors[0], (values or [-1])[0])
+    return None
+
+
+def _is_sensor(words: Sequence[str]) -> bool:
+    return all(word in _NOUNS or word in ("index", "activated") for word in words) and any(
+        word in _NOUNS for word in words
+    )
+
+
+def _is_row(layout: _Layout, fields: Sequence[str]) -> bool:
+    """Return whether a row holds a number and ids: whole numbers, or words that are no numbers."""
+    if len(fields) <= max(layout.moment, layout.value) or not is_number(fields[layout.moment], ","):
+        return False
+    return all(text.isdecimal() or not is_number(text, ",") for text in _ids(layout, fields))
+
+
+def _ids(layout: _Layout, fields: Sequence[str]) -> list[str]:
+    """Return the ids of a row; fields beyond the header continue a list in the last column."""
+    cells = [*fields[layout.sensor : layout.sensor + 1]]
+    if layout.header and layout.sensor == len(layout.header) - 1:
+        cells = [*fields[layout.sensor :]]
+    return [text for cell in cells for text in _listed(cell)]
+
+
+def _listed(cell: str) -> list[str]:
+    inside = cell.translate(_BRACKETS) if cell.strip()[:1] in ("[", "(", "{") else cell
+    found = _IN_LIST.findall(inside)
+    # A name may contain blanks; ids in a list may not.
+    return (
+        found
+        if len(found) > 1 and all(map(str.isdecimal, found))
+        else [*filter(None, [inside.strip()])]
+    )
+
+
+def _stream(path: Path, layout: _Layout, options: ReadOptions) -> Stream:
+    moments: list[float] = []
+    ids: list[str] = []
+    values: list[float] = []
+    try:
+        with open_text(path) as stream:
+            lines = Lines(path, stream)
+            try:
+                for line, fields in _rows(lines, layout):
+                    moment, active, value = _parsed(path, line, fields, layout)
+                    if moment is None:
+                        continue
+                    moments += [moment] * max(1, len(active))
+                    ids += active or [""]
+                    values += [value] * max(1, len(active))
+            except (LineError, csv.Error) as error:
+                lines.end_early(error, len(moments), "contacts")
+    except GZIP_ERRORS as error:
+        if not moments:
+            raise
+        warnings.warn(
+            f"{path} is damaged or cut short ({error_reason(error)}): read the {len(moments)} "
+            "contacts before the damage, lost the rest",
+            AnisomapWarning,
+            stacklevel=2,
+        )
+    names, index = name_sensors([text for text in ids if text], layout.noun)
+    at = np.array(moments, dtype=np.float64)
+    name = layout.header[layout.moment] if layout.header else ""
+    # Without a name of a time, whole numbers count events.
+    timed = is_time(name, layout.moment) or bool((at != np.floor(at)).any())
+    if timed:
+        at /= units_per_second(name, at)
+    events = Events(
+        at,
+        np.array([index[text] if text else -1 for text in ids], dtype=np.intp),
+        names,
+        np.array(values) if layout.value >= 0 else None,
+        timed=timed,
+    )
+    return stream_events(path, events, bin_s=options.bin_s, metadata={"format": "list of contacts"})
+
+
+def _rows(stream: Iterable[str], layout: _Layout) -> Iterator[delimited.Record]:
+    return itertools.islice(
+        delimited.records(stream, layout.delimiter), 1 if layout.header else 0, None
+    )
+
+
+def _parsed(
+    path: Path, line: int, fields: Sequence[str], layout: _Layout
+) -> tuple[float | None, list[str], float]:
+    """Return the moment, ids and value of a row; a row without a moment is None."""
+    if len(fields) <= max(layout.moment, layout.value):
+        needed = max(layout.moment, layout.sensor, layout.value) + 1
+        raise LineError(path, line, f" has {len(fields)} fields; it must have {needed}")
+    moment = _number(path, line, layout, fields, layout.moment)
+    if not np.isfinite(moment):
+        return None, [], 0.0
+    found = []
+    for text in _ids(layout, fields):
+        whole = _whole(text)
+        if whole is None:
+            where = f", column {layout.sensor + 1}: "
+            raise LineError(path, line, f"{where}{quote(text)} must be the id of a sensor")
+        found += [whole] if whole else []
+    value = _number(path, line, layout, fields, layout.value) if layout.value >= 0 else 1.0
+    return moment, found, value
+
+
+def _whole(text: str) -> str | None:
+    """Return an id without decimals (``17.0`` is ``17``), empty for NaN, None for a fraction."""
+    if not is_number(text, ","):
+        return text
+    number = parse_number(text)
+    if np.isnan(number):
+        return ""
+    return str(int(number)) if number >= 0 and number.is_integer() else None
+
+
+def _number(path: Path, line: int, layout: _Layout, fields: Sequence[str], column: int) -> float:
+    try:
+        return parse_number(fields[column])
+    except ValueError:
+        problem = f", column {column + 1}: {quote(fields[column])} is not a number"
+        raise LineError(path, line, problem) from None

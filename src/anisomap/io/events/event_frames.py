@@ -1,0 +1,234 @@
+"""Turn events into frames: one frame per moment, or counts in bins of equal width."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.io.parsing.naming import numbers_of
+from anisomap.io.stream import Block, Stream
+from anisomap.recording import Scalar
+
+DEFAULT_BIN_S = 1.0
+"""Width of bins in seconds if none is given.
+
+The reader of the retinal wave repository counts in intervals of this length by default (Eglen et
+al. 2014, GigaScience 3:3, doi:10.1186/2047-217X-3-3).
+"""
+
+_BLOCK_BYTES = 1 << 22
+# Chosen by hand: a recording in which fewer than one bin in a thousand holds an event has a wrong
+# time or bin width. Short recordings may have more empty bins.
+_MAX_BINS_PER_EVENT, _MIN_REFUSED_BINS = 1000, 1 << 16
+# Decimal times on the edge of a bin are not exact in binary; in widths of a bin.
+_EDGE_DECIMALS = 6
+# Chosen by hand: contacts of a skin touch several sensors, spikes of neurons rarely coincide.
+_MAX_SHARE_ALONE = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Events:
+    """Sensors that were active, and when; an entry is one sensor at one moment.
+
+    Parameters
+    ----------
+    moments : ndarray of float64, shape (E,)
+        Times in seconds, or numbers of events.
+    sensors : ndarray of int, shape (E,)
+        Index in `names`; -1 for a moment without an active sensor.
+    names : tuple of str
+        Names of the sensors.
+    values : ndarray of float64, shape (E,), optional
+        Readings; 1 by default.
+    timed : bool
+        Whether `moments` are times.
+    """
+
+    moments: NDArray[np.float64]
+    sensors: NDArray[np.intp]
+    names: tuple[str, ...]
+    values: NDArray[np.float64] | None = None
+    timed: bool = True
+
+    def __post_init__(self) -> None:
+        order = np.argsort(self.moments, kind="stable")
+        if not (order[1:] > order[:-1]).all():
+            for field, array in vars(self).copy().items():
+                if isinstance(array, np.ndarray):
+                    object.__setattr__(self, field, array[order])
+
+
+def name_sensors(ids: Sequence[str], noun: str) -> tuple[tuple[str, ...], dict[str, int]]:
+    """Name the sensors of events, in the order of their numbers, else of appearance.
+
+    Parameters
+    ----------
+    ids : sequence of str
+        As in the file, possibly repeated.
+    noun : str
+        Precedes ids that are numbers: ``taxel`` gives ``taxel17``.
+
+    Returns
+    -------
+    tuple of str
+        One name per sensor.
+    dict of str to int
+        The index of the sensor of each id.
+    """
+    found = list(dict.fromkeys(ids))
+    if all(text.isascii() and text.isdecimal() for text in found) and numbers_of(found):
+        found.sort(key=int)
+        return tuple(f"{noun}{text}" for text in found), {text: i for i, text in enumerate(found)}
+    return tuple(found), {text: i for i, text in enumerate(found)}
+
+
+def stream_events(
+    path: Path,
+    events: Events,
+    *,
+    bin_s: float | None = None,
+    span: tuple[float, float] | None = None,
+    spikes: bool = False,
+    positions: NDArray[np.float64] | None = None,
+    metadata: Mapping[str, Scalar] | None = None,
+) -> Stream:
+    """Create a stream of frames from events.
+
+    Without bins, a frame is one moment, in order of time; a reading is 1 if the sensor was active,
+    or its value. With bins, a reading is the number of events in the bin, or the last value.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file, for messages.
+    events : Events
+    bin_s : float, optional
+        Width of the bins in seconds.
+    span : (float, float), optional
+        Start and end of the recording, if the file gives them.
+    spikes : bool
+        Whether the events are spikes, which need bins: `DEFAULT_BIN_S` if `bin_s` is None. Other
+        events do if nearly all of their times belong to a single sensor.
+    positions : ndarray of shape (N, 2) or (N, 3), optional
+    metadata : mapping of str to scalar, optional
+
+    Returns
+    -------
+    Stream
+        Its sensors without events read 0.
+
+    Raises
+    ------
+    FileError
+        If there is no event, a time is not finite, or nearly all bins would be empty.
+
+    Warns
+    -----
+    AnisomapWarning
+        If the default width of bins is used.
+    """
+    if not (events.sensors >= 0).any():
+        raise FileError(f"{path} holds no event")
+    if not np.isfinite(events.moments).all():
+        raise FileError(f"{path}: the time of an event is not finite")
+    if bin_s is not None and not 0 < bin_s < math.inf:
+        raise InputError(f"bin_s must be a positive number of seconds, got {bin_s}")
+    if bin_s is not None and not events.timed:
+        raise FileError(f"{path} numbers its events without times, so bins do not apply to it")
+    needs_bins = spikes or (events.timed and _alone(events))
+    if bin_s is None and needs_bins:
+        bin_s = DEFAULT_BIN_S
+        warnings.warn(
+            f"{path}: events are counted in bins of {bin_s:g} s, the default width; choose another "
+            "with --bin (bin_s in Python)",
+            AnisomapWarning,
+            stacklevel=2,
+        )
+    facts: dict[str, Scalar] = dict(metadata or {})
+    times: NDArray[np.float64] | None = None
+    if bin_s is None:
+        moments, frames = np.unique(events.moments, return_inverse=True)
+        facts["frames"] = "one per time" if events.timed else "one per event"
+        if events.timed:
+            times = np.asarray(moments, dtype=np.float64)
+    else:
+        frames, n_bins = _bins(path, events.moments, bin_s, span)
+        facts["bin_s"] = bin_s
+        times = np.asarray(np.arange(n_bins) * bin_s, dtype=np.float64)
+    n_frames = len(times) if times is not None else int(frames.max()) + 1
+    return Stream(
+        path,
+        len(events.names),
+        _blocks(events, frames, n_frames, times, counted=bin_s is not None),
+        names=events.names,
+        rate_hz=None if bin_s is None else 1 / bin_s,
+        positions=positions,
+        source=path.name,
+        metadata=facts,
+        from_zero=True,
+        silent_are_zero=True,
+    )
+
+
+def _alone(events: Events) -> bool:
+    """Return whether nearly all times with an event belong to a single sensor."""
+    known = events.sensors >= 0
+    _, counts = np.unique(events.moments[known], return_counts=True)
+    return bool(np.mean(counts == 1) > _MAX_SHARE_ALONE)
+
+
+def _bins(
+    path: Path,
+    moments: NDArray[np.float64],
+    width: float,
+    span: tuple[float, float] | None,
+) -> tuple[NDArray[np.intp], int]:
+    """Return the bin of each event, and the number of bins."""
+    start, end = float(moments[0]), float(moments[-1])
+    if span is not None:
+        start, end = min(start, span[0]), max(end, span[1])
+    places = np.round((moments - start) / width, _EDGE_DECIMALS)
+    n_bins = math.floor(places[-1]) + 1
+    if span is not None:
+        n_bins = max(n_bins, math.ceil(round((end - start) / width, _EDGE_DECIMALS)))
+    if n_bins > max(_MIN_REFUSED_BINS, _MAX_BINS_PER_EVENT * len(moments)):
+        raise FileError(
+            f"{path}: {len(moments)} events from {start:g} to {end:g} s would fill {n_bins} bins "
+            f"of {width:g} s; choose wider bins with --bin, or correct the times"
+        )
+    return np.floor(places).astype(np.intp), n_bins
+
+
+def _blocks(
+    events: Events,
+    frames: NDArray[np.intp],
+    n_frames: int,
+    times: NDArray[np.float64] | None,
+    *,
+    counted: bool,
+) -> Iterator[Block]:
+    step = max(1, _BLOCK_BYTES // (4 * len(events.names)))
+    for first in range(0, n_frames, step):
+        last = min(first + step, n_frames)
+        inside = slice(*np.searchsorted(frames, [first, last]))
+        rows, columns = frames[inside] - first, events.sensors[inside]
+        active = columns >= 0
+        where = rows[active], columns[active]
+        readings: NDArray[np.floating]
+        if events.values is not None:
+            readings = np.zeros((last - first, len(events.names)))
+            readings[where] = events.values[inside][active]
+        else:
+            readings = np.zeros((last - first, len(events.names)), np.float32)
+            if counted:
+                np.add.at(readings, where, 1)
+            else:
+                readings[where] = 1
+        yield Block(readings, last / n_frames, None if times is None else times[first:last])

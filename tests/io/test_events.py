@@ -1,0 +1,241 @@
+"""Recordings of events: contacts with the sensors they touch, and spikes."""
+
+import csv
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError
+
+Put = Callable[[str, str | bytes], Path]
+CONTACTS = [(0.25, [3, 17]), (0.5, []), (1.0, [17]), (1.5, [3, 4, 17])]
+READINGS = np.array([[1, 0, 1], [0, 0, 0], [0, 0, 1], [1, 1, 1]])
+NAMES = ("taxel3", "taxel4", "taxel17")
+LISTED = {
+    "quoted": ("time,taxels", lambda t, ids: f'{t},"{" ".join(map(str, ids))}"'),
+    "brackets": ("t;contacts", lambda t, ids: f"{t};{ids}"),
+    "python": ("Time [s],active taxels", lambda t, ids: f'{t},"{ids}"'),
+    "ragged": ("time,ids", lambda t, ids: ",".join(map(str, [t, *ids]))),
+    "tabs": ("time_ms\ttaxel_ids", lambda t, ids: f"{1000 * t:g}\t{' '.join(map(str, ids))}"),
+}
+OPTIONS = io.ReadOptions
+
+
+@pytest.mark.parametrize("form", LISTED)
+def test_lists_of_contacts(put: Put, form: str) -> None:
+    header, row = LISTED[form]
+    text = "\n".join([header, *(row(t, ids) for t, ids in CONTACTS)]) + "\n"
+    for path in (put("run.csv", text), put("run.txt.gz", gzip.compress(text.encode()))):
+        found = io.read(path)
+        assert found.names == NAMES
+        np.testing.assert_array_equal(found.readings, READINGS)
+        np.testing.assert_array_equal(found.times, [0, 0.25, 0.75, 1.25])
+
+
+def test_one_row_per_contact_in_any_order(put: Put) -> None:
+    rows = ["1.5,17", "0.25,3", "1.5,3", "0.25,17", "1.0,17", "1.0,", "1.5,4"]
+    found = io.read(put("long.csv", "time,taxel\n" + "\n".join(rows) + "\n"))
+    assert found.names == NAMES
+    np.testing.assert_array_equal(found.readings, READINGS[[0, 2, 3]])
+    np.testing.assert_array_equal(found.times, [0, 0.75, 1.25])
+
+
+def test_values_and_names_of_sensors(put: Put) -> None:
+    rows = "event,sensor,pressure\n7,left thumb,2.5\n7,palm,4\n9,palm,1\n"
+    found = io.read(put("long.csv", rows))
+    assert found.names == ("left thumb", "palm")
+    np.testing.assert_array_equal(found.readings, [[2.5, 4], [0, 1]])
+    assert found.times is None
+
+
+def test_numbered_events_are_frames(put: Put) -> None:
+    found = io.read(put("long.csv", "event,taxel\n0,3\n0,17\n1,\n2,17\n"))
+    np.testing.assert_array_equal(found.readings, [[1, 1], [0, 0], [0, 1]])
+    assert found.times is None
+    with pytest.raises(FileError, match=r"long\.csv numbers its events without times"):
+        io.read(put("long.csv", "event,taxel\n0,3\n0,17\n"), options=OPTIONS(bin_s=1.0))
+
+
+def test_columns_of_a_padded_table(put: Put) -> None:
+    """The layout of a published record of self-touch: two skins, padded to equal length."""
+    rows = ["0,0.1,5,0.2,9", "0,0.1,6,NaN,NaN", "1,0.3,6,0.2,8", "2,NaN,NaN,0.2,9"]
+    path = put("touch.csv", "\n".join(rows) + "\n")
+    first = io.read(path, options=OPTIONS(select="1:3"))
+    assert first.names == ("taxel5", "taxel6")
+    np.testing.assert_array_equal(first.readings, [[1, 1], [0, 1], [0, 0]])
+    second = io.read(path, options=OPTIONS(select="1:5"))
+    assert second.names == ("taxel8", "taxel9")
+    np.testing.assert_array_equal(second.readings, [[0, 1], [1, 0], [0, 1]])
+    with pytest.raises(FileError, match="no column '7'; it has 5 columns"):
+        io.read(path, options=OPTIONS(select="1:7"))
+    with pytest.raises(FileError, match=r"line 1, column 2: '0\.1' must be the id of a sensor"):
+        io.read(path, options=OPTIONS(select="1:2"))
+
+
+def test_columns_are_selected_by_name(put: Put) -> None:
+    path = put("touch.csv", "when,x,pad\n0,1.5,3\n0,2.5,4\n1,3.5,4\n")
+    found = io.read(path, options=OPTIONS(select="when:pad"))
+    np.testing.assert_array_equal(found.readings, [[1, 1], [0, 1]])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,sensor\n0.1,0.25\n0.2,0.5\n0.3,0.75\n",
+        "time,channel 1,channel 2\n0,1,2\n1,1,3\n",
+        "time,id,temperature\n0,1,20\n1,2,21\n",
+        "frame,s0,s1\n0,1,2\n1,1,3\n",
+        "id,x,y\n1,0,0\n2,1,1\n",
+    ],
+)
+def test_tables_of_readings_are_not_lists_of_contacts(put: Put, text: str) -> None:
+    assert not next(form for form in io.FORMATS if form.name == "contacts").recognises(
+        Path("x.csv"), text.encode()
+    )
+
+
+spike_trains = st.lists(
+    st.lists(st.integers(0, 400), min_size=1, max_size=20, unique=True), min_size=2, max_size=4
+)
+
+
+@given(trains=spike_trains, bin_ms=st.sampled_from([20, 50, 1000]))
+def test_counts_in_bins(tmp_path_factory, trains: list[list[int]], bin_ms: int) -> None:
+    """Every spike is counted once, in the bin of its time."""
+    spikes = [(time, channel) for channel, times in enumerate(trains) for time in times]
+    path = tmp_path_factory.mktemp("spikes") / "spikes.csv"
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(("time_ms", "channel"))
+        rows.writerows((10 * time + 5, channel) for time, channel in spikes)
+    found = io.read(path, options=OPTIONS(bin_s=bin_ms / 1000))
+    start = min(10 * time for time, _ in spikes)
+    expected = np.zeros_like(found.readings)
+    for time, channel in spikes:
+        expected[(10 * time - start) // bin_ms, channel] += 1
+    np.testing.assert_array_equal(found.readings, expected)
+    assert found.names == tuple(f"channel{i}" for i in range(len(trains)))
+    assert found.rate_hz == pytest.approx(1000 / bin_ms)
+    assert found.metadata["bin_s"] == bin_ms / 1000
+
+
+def test_the_default_width_of_bins_is_said(put: Put) -> None:
+    times = np.linspace(0.1, 9.4, 40)
+    rows = "".join(f"{time:.4f},{i % 3}\n" for i, time in enumerate(times))
+    path = put("spikes.csv", "time,electrode\n" + rows)
+    with pytest.warns(AnisomapWarning, match=r"in bins of 1 s, the default width.*--bin"):
+        found = io.read(path)
+    assert found.readings.sum() == 40
+    assert found.metadata["bin_s"] == 1
+    assert found.n_frames == 10
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("2.5,1", r"line 62, column 1: '2\.5' must be the id of a sensor"),
+        ("-2,1", "line 62, column 1: '-2' must be the id of a sensor"),
+        ("2,late", "line 62, column 2: 'late' is not a number"),
+        ("2", "line 62 has 1 fields; it must have 2"),
+        ("2,inf", None),
+    ],
+)
+def test_damaged_rows(put: Put, row: str, message: str | None) -> None:
+    body = "".join(f"{i % 3},{i // 3}\n" for i in range(60))
+    path = put("run.csv", f"taxel,time\n{body}{row}\n1,90\n")
+    if message is None:
+        assert io.read(path).n_frames == 21
+        return
+    with pytest.raises(FileError, match=rf"run\.csv, {message}"):
+        io.read(path)
+
+
+@pytest.mark.parametrize("body", ["", "0.5,\n1.5,\n"])
+def test_lists_without_contacts(put: Put, body: str) -> None:
+    with pytest.raises(FileError, match=r"run\.csv.*(no event|only a header)"):
+        io.read(put("run.csv", "time,taxel\n" + body))
+
+
+def test_a_truncated_list_loses_its_last_line(put: Put) -> None:
+    text = "taxel,time\n" + "".join(f"{i % 3},{i // 3}.5\n" for i in range(9))
+    with pytest.warns(AnisomapWarning, match=r"run\.csv: the last line is truncated and dropped"):
+        found = io.read(put("run.csv", text + "2"))
+    assert found.readings.sum() == 9
+
+
+def test_times_far_away_are_refused(put: Put) -> None:
+    rows = "".join(f"{i / 7:.3f},{i % 3}\n" for i in range(60))
+    path = put("spikes.csv", "time,channel\n" + rows + "1e12,1\n")
+    with pytest.raises(FileError, match=r"61 events from 0 to 1e\+12 s would fill .* bins of 1 s"):
+        io.read(path, options=OPTIONS(bin_s=1.0))
+
+
+def test_readings_have_no_bins(put: Put) -> None:
+    with pytest.raises(FileError, match=r"x\.csv .* holds readings, not events; leave out --bin"):
+        io.read(put("x.csv", "a,b\n1,2\n3,4\n"), options=OPTIONS(bin_s=1.0))
+
+
+def test_sensors_with_a_position_and_no_contact_were_silent(put: Put) -> None:
+    truth = put("truth.csv", "name,x,y\ntaxel4,4,0\ntaxel17,17,0\ntaxel18,18,1\n")
+    path = put("run.csv", 'time,taxels\n0,"3 17"\n1,"4 17"\n')
+    found = io.read(path, options=OPTIONS(positions=truth))
+    assert found.names == ("taxel3", "taxel4", "taxel17", "taxel18")
+    np.testing.assert_array_equal(found.readings, [[1, 0, 1, 0], [0, 1, 1, 0]])
+    np.testing.assert_array_equal(found.positions[:, 0], [np.nan, 4, 17, 18])
+    with io.open_stream(path, options=OPTIONS(positions=truth)) as stream:
+        assert stream.n_sensors == next(stream.blocks).readings.shape[1] == 4
+
+
+def test_positions_match_by_number(put: Put) -> None:
+    truth = put("truth.csv", "name,x,y\ntaxel2,2,0\ntaxel0,0,0\ntaxel5,5,0\n")
+    found = io.read(put("x.csv", "1,2,3\n4,5,6\n"), options=OPTIONS(positions=truth))
+    assert found.names == ("s0", "s1", "s2")
+    np.testing.assert_array_equal(found.positions, [[0, 0], [np.nan, np.nan], [2, 0]])
+    other = put("other.csv", "name,x,y\nleft,2,0\nright,0,0\n")
+    with pytest.raises(FileError, match=r"other\.csv has no position for a sensor of .*x\.csv"):
+        io.read(put("x.csv", "1,2,3\n4,5,6\n"), options=OPTIONS(positions=other))
+
+
+class TestGrids:
+    """Grids with dead cells: full, in lists, or with the live cells alone."""
+
+    def test_some_cells_by_their_numbers(self, put: Put) -> None:
+        for names in ("c1,c4,c5", "r0c1,r1c1,r1c2"):
+            path = put("mat.csv", f"{names}\n1,2,3\n4,5,6\n")
+            found = io.read(path, options=OPTIONS(grid=(2, 3)))
+            np.testing.assert_array_equal(found.positions, [[1, 0], [1, 1], [2, 1]])
+            assert found.names == tuple(names.split(","))
+
+    @pytest.mark.parametrize("names", ["c1,c4,c6", "c1,c1x,c2", "r0c1,r2c1,r1c2", "a,b,c"])
+    def test_names_that_give_no_cells(self, put: Put, names: str) -> None:
+        path = put("mat.csv", f"{names}\n1,2,3\n4,5,6\n")
+        with pytest.raises(FileError, match=r"2 x 3 grid has 6 sensors.* not give the cells"):
+            io.read(path, options=OPTIONS(grid=(2, 3)))
+
+    def test_lists_in_cells(self, put: Put) -> None:
+        rows = ['12.5,0,"0,1,2,0","[9 8 7]"', '13.0,1,"0,3,4,0","[6 5 4]"']
+        path = put("walk.csv", "Timestamp,Frame,left,right\n" + "\n".join(rows) + "\n")
+        assert [content.name for content in io.contents(path)] == ["left", "right"]
+        with pytest.raises(io.ChoiceError, match="2 possible recordings"):
+            io.read(path)
+        left = io.read(path, options=OPTIONS(select="left", grid=(2, 2)))
+        np.testing.assert_array_equal(left.readings, [[0, 1, 2, 0], [0, 3, 4, 0]])
+        np.testing.assert_array_equal(left.times, [0, 0.5])
+        assert left.names == ("r0c0", "r0c1", "r1c0", "r1c1")
+        assert not left.varying()[[0, 3]].any()
+        right = io.read(path, options=OPTIONS(select="right"))
+        np.testing.assert_array_equal(right.readings, [[9, 8, 7], [6, 5, 4]])
+
+    def test_lists_of_another_length(self, put: Put) -> None:
+        rows = "".join(f'{i},"1,2,3"\n' for i in range(60))
+        with pytest.raises(FileError, match=r"line 62, column 2: the list has 2 numbers"):
+            io.read(put("walk.csv", f'frame,cells\n{rows}60,"1,2"\n61,"1,2,3"\n'))
+        with pytest.warns(AnisomapWarning, match="last line is truncated"):
+            found = io.read(put("walk.csv", f'frame,cells\n{rows}60,"1,2'))
+        assert found.n_frames == 60
