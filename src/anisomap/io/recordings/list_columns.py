@@ -134,7 +134,7 @@ def _blocks(table: Table, chosen: ListColumn, roles: Roles, preamble: int) -> It
         rows = _rows(table, chosen, roles, lines, preamble)
         damage: Exception | None = None
         while not damage:
-            frames = []
+            frames: list[tuple[NDArray[np.float64], float]] = []
             try:
                 frames.extend(itertools.islice(rows, step))
             except GZIP_ERRORS as error:
