@@ -1,14 +1,96 @@
-"""Atomic writing of files, and checks of their paths before long computations."""
+"""Opening of regular files, atomic writing, and checks of paths before long computations."""
 
 from __future__ import annotations
 
+import io
 import os
+import stat
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from anisomap.errors import FileError
+
+
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Check that a path that a library opens is a regular file.
+
+    Opening a pipe waits for its writer, and some devices never end.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    FileError
+        If `path` is anything else, or does not exist.
+    """
+    open_regular(path).close()
+
+
+def open_regular(path: str | os.PathLike[str]) -> io.BufferedReader:
+    """Open a regular file as bytes, without waiting for pipes.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    io.BufferedReader
+
+    Raises
+    ------
+    FileError
+        If `path` is a folder, a pipe, a device or a socket, or cannot be opened.
+    """
+    # Flags that not all systems have: do not wait for the writer of a pipe; keep line ends.
+    flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        descriptor = os.open(path, os.O_RDONLY | flags)
+    except FileNotFoundError:
+        raise FileError(f"there is no file {path}") from None
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(mode):
+        return os.fdopen(descriptor, "rb")
+    os.close(descriptor)
+    if stat.S_ISDIR(mode):
+        raise FileError(f"cannot read {path}: it is a folder; give a file")
+    raise FileError(f"{path} is not a regular file; save its content to a regular file first")
+
+
+def read_small(path: str | os.PathLike[str], limit: int, what: str) -> str:
+    """Read a small text file.
+
+    Parameters
+    ----------
+    path : path-like
+    limit : int
+        Maximum size in bytes.
+    what : str
+        The content, for messages, such as ``"a message definition"``.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, is larger than `limit`, or is not UTF-8.
+    """
+    with open_regular(path) as stream:
+        content = stream.read(limit + 1)
+    if len(content) > limit:
+        raise FileError(f"{path} is larger than {limit} bytes, the limit for {what}")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileError(f"{path} is not UTF-8 text; {what} must be") from error
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:

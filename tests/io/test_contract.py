@@ -179,7 +179,7 @@ def test_files_without_read_permission(put, monkeypatch: pytest.MonkeyPatch) -> 
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(FileError, match=r"cannot read .*x\.csv: Permission denied"):
         io.read(path)
 

@@ -198,7 +198,7 @@ def test_stored_arrays_have_no_compression_ratio(tmp_path: Path) -> None:
     header = "{'descr': '<f8', 'fortran_order': False, 'shape': (4, 1)}"
     path = packed(header, bytes(32), tmp_path / "skin.npz", compression=zipfile.ZIP_STORED)
     assert io.read(path).n_frames == 4
-    assert "expands from" in error(declare(path, 1 << 16))
+    assert "expands to 65536 bytes" in error(declare(path, 1 << 16))
 
 
 @pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
@@ -271,7 +271,7 @@ def test_wrong_single_arrays(tmp_path: Path) -> None:
     assert not (tmp_path / "sprung").exists()
     np.save(path, READINGS)
     path.write_bytes(path.read_bytes()[:-8])
-    with pytest.raises(FileError, match="damaged or cut short"):
+    with pytest.raises(FileError, match="cut short"):
         io.read(path)
 
 

@@ -14,6 +14,7 @@ from anisomap.io.choice import Content
 from anisomap.io.events import contact_text
 from anisomap.io.format import Format
 from anisomap.io.maps import csv, icub_positions, json, launch, mjcf, pcd, ply, urdf, xml_files
+from anisomap.io.parsing.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.io.parsing.grids import with_grid
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import file_errors, read_head
@@ -28,7 +29,7 @@ from anisomap.io.recordings import (
     yarp,
 )
 from anisomap.io.recordings.presets import apply_preset
-from anisomap.io.ros import bags, repair
+from anisomap.io.ros import bags, compression
 from anisomap.io.stream import (
     BLOCK_FRAMES,
     Block,
@@ -77,7 +78,7 @@ FORMATS = (
     Format("parquet", (".parquet", ".arrow", ".feather"), "Parquet, Arrow, Feather",
            arrow.recognises, arrow.open_recording, contents=arrow.contents, extra=arrow.EXTRA),
     Format("ros", (".bag", ".mcap", ".db3"), "ROS 1 and 2 bags, MCAP", bags.recognises,
-           bags.open_recording, contents=bags.contents, extra=repair.EXTRA),
+           bags.open_recording, contents=bags.contents, extra=compression.EXTRA),
     Format("mat-export", (".asf",), "pressure mat export: one block of rows per frame",
            pressure_mats.recognises, pressure_mats.open_recording),
     Format("images", (".gif", ".tif", ".tiff"), "folder of images; multi-page TIFF or GIF",
@@ -258,6 +259,8 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
                     f"leave out --select {options.select}"
                 )
             stream = stack.enter_context(chosen.open_recording(file, options))
+            budget = Budget(file)
+            budget.spend(SENSOR_BYTES * stream.n_sensors, "its list of sensors")
             if options.bin_s is not None and not stream.silent_are_zero:
                 raise FileError(
                     f"{file} ({chosen.summary}) holds readings, not events; leave out --bin"
@@ -268,13 +271,19 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
                 stream = with_positions(stream, truth, options.positions)
         # The name of a file may contain bytes that are not UTF-8.
         source = stream.source.encode("utf-8", "backslashreplace").decode()
-        yield replace(stream, source=source, blocks=_with_file_errors(stream.blocks, file))
+        yield replace(stream, source=source, blocks=_checked(stream.blocks, file, budget))
 
 
-def _with_file_errors(blocks: Iterator[Block], file: Path) -> Iterator[Block]:
-    """Convert errors of reading to FileErrors, but not errors of the caller's loop body."""
+def _checked(blocks: Iterator[Block], file: Path, budget: Budget) -> Iterator[Block]:
+    """Check the size of the readings, and convert errors of reading to FileErrors.
+
+    Errors of the caller's loop body are not converted.
+    """
     with file_errors(file):
-        yield from blocks
+        for block in blocks:
+            readings = block.readings
+            budget.spend(readings.size * bytes_kept(readings.dtype), "its table of readings")
+            yield block
 
 
 def _recognise(file: Path) -> Format:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.io.parsing.source import check_expansion
+from anisomap.io.parsing.budget import Budget, bytes_kept
 from anisomap.recording import Scalar
 from anisomap.wording import join_items
 
@@ -32,6 +32,9 @@ _DESCRIPTIONS = {NUMBERS: "numbers", WHOLE: "integers"}
 
 _MAX_RATIO = 1032  # maximum of deflate (RFC 1951: 258 bytes per 2 bits)
 _MAX_SCALAR_BYTES = 1 << 16
+_MAX_TEXT_BYTES = 1 << 24
+"""Of one text; numpy stores all texts of an array at the length of the longest."""
+_BLOCK_BYTES = 1 << 22
 
 
 @contextmanager
@@ -45,11 +48,25 @@ def open_archive(path: Path) -> Iterator[Archive]:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            yield Archive(path, archive)
+            yield Archive(path, archive, Budget(path))
     except zipfile.BadZipFile as error:
         raise FileError(f"{path} is damaged or not a NumPy archive: {error}") from error
     except (zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise FileError(f"{path} is damaged: {error}") from error
+
+
+def _whole(
+    member: IO[bytes], shape: tuple[int, ...], fortran_order: bool, dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    # Reading to the end makes zipfile verify the checksum.
+    values = np.frombuffer(member.read(), dtype)
+    return values.reshape(shape, order="F" if fortran_order else "C")
+
+
+def _contents(member: IO[bytes], n_bytes: int) -> Iterator[bytes]:
+    """Yield blocks; the final read, which returns nothing, makes zipfile verify the checksum."""
+    while content := member.read(n_bytes):
+        yield content
 
 
 @dataclass(frozen=True)
@@ -58,6 +75,7 @@ class Archive:
 
     path: Path
     zip: zipfile.ZipFile
+    budget: Budget
 
     @property
     def names(self) -> list[str]:
@@ -74,13 +92,15 @@ class Archive:
     def required(self, name: str, kinds: str) -> NDArray[Any]:
         """Read an existing array, which must be of one of `kinds`."""
         with self._member(name, kinds) as (member, shape, fortran_order, dtype):
-            # Reading to the end makes zipfile verify the checksum.
-            values = np.frombuffer(member.read(), dtype)
-        return values.reshape(shape, order="F" if fortran_order else "C")
+            # Numbers other than readings are converted to float64.
+            item_bytes = max(dtype.itemsize, np.dtype(np.float64).itemsize)
+            self.budget.spend(math.prod(shape) * item_bytes, f"array {name}")
+            return _whole(member, shape, fortran_order, dtype)
 
     def shape(self, name: str, kinds: str) -> tuple[int, ...]:
-        """Return the shape of an existing array."""
-        with self._member(name, kinds) as (_, shape, _, _):
+        """Return the shape of an existing array of readings."""
+        with self._member(name, kinds) as (_, shape, _, dtype):
+            self.budget.check(math.prod(shape) * bytes_kept(dtype), f"array {name}")
             return shape
 
     def rows(self, name: str, kinds: str, n_bytes: int) -> Iterator[NDArray[Any]]:
@@ -91,11 +111,10 @@ class Archive:
         with self._member(name, kinds) as (member, shape, fortran_order, dtype):
             row_bytes = shape[1] * dtype.itemsize
             if fortran_order:
-                yield self.required(name, kinds)
+                yield _whole(member, shape, fortran_order, dtype)
                 return
             n_rows = max(1, n_bytes // max(row_bytes, 1))
-            # The final read, which returns nothing, makes zipfile verify the checksum.
-            while content := member.read(n_rows * row_bytes):
+            for content in _contents(member, n_rows * row_bytes):
                 yield np.frombuffer(content, dtype).reshape(-1, shape[1])
 
     @contextmanager
@@ -111,6 +130,11 @@ class Archive:
                 expected = _DESCRIPTIONS.get(kinds, "text")
                 kind = "pickled objects" if dtype.hasobject else f"of type {dtype}"
                 raise FileError(f"{self.path}: {name} is {kind}; it must be {expected}")
+            if dtype.kind in TEXT and dtype.itemsize > _MAX_TEXT_BYTES:
+                raise FileError(
+                    f"{self.path}: the texts in {name} have up to {dtype.itemsize} bytes; at most "
+                    f"{_MAX_TEXT_BYTES} are supported"
+                )
             n_bytes = math.prod(shape) * dtype.itemsize
             held = info.file_size - member.tell()
             if n_bytes != held or min(shape, default=0) < 0 or not dtype.itemsize:
@@ -134,11 +158,19 @@ class Archive:
 
     def texts(self, name: str) -> tuple[str, ...]:
         """Read a 1-D array of strings; empty if it is missing."""
-        values = self.array(name, TEXT + WHOLE)
-        if values is None:
+        if name not in self.names:
             return ()
-        self._check_list(name, values)
-        return tuple(map(str, self._python(name, values)))
+        with self._member(name, TEXT + WHOLE) as (member, shape, _, dtype):
+            if len(shape) != 1:
+                raise FileError(f"{self.path}: {name} has shape {shape}; it must be 1-D")
+            found: list[str] = []
+            # In blocks, because numpy stores short texts at the length of the longest.
+            n_bytes = max(1, _BLOCK_BYTES // dtype.itemsize) * dtype.itemsize
+            for content in _contents(member, n_bytes):
+                more = [str(value) for value in self._python(name, np.frombuffer(content, dtype))]
+                self.budget.spend(sum(map(sys.getsizeof, more)), f"array {name}")
+                found += more
+        return tuple(found)
 
     def text(self, name: str, default: str = "") -> str:
         """Read a single string."""
@@ -203,9 +235,12 @@ class Archive:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 version = np.lib.format.read_magic(member)
-                if version == (1, 0):
-                    return np.lib.format.read_array_header_1_0(member)
-                return np.lib.format.read_array_header_2_0(member)
+                read = np.lib.format.read_array_header_1_0
+                if version != (1, 0):
+                    read = np.lib.format.read_array_header_2_0
+                shape, fortran_order, dtype = read(member)
+                # numpy accepts True for 1.
+                return tuple(int(length) for length in shape), fortran_order, dtype
         except zipfile.BadZipFile:
             raise
         except Exception as error:  # numpy evaluates the header as a literal; any error may result
@@ -218,5 +253,5 @@ class Archive:
                 f"{self.path}: {info.filename} uses a compression method that NumPy never writes"
             )
         ratio = 1 if info.compress_type == zipfile.ZIP_STORED else _MAX_RATIO
-        packed = min(info.compress_size, self.path.stat().st_size)
-        check_expansion(self.path, info.filename, packed, info.file_size, max_ratio=ratio)
+        packed = min(info.compress_size, self.budget.size)
+        self.budget.check(info.file_size, info.filename, reachable=ratio * packed)

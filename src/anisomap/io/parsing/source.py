@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from anisomap.errors import FileError, InputError
+from anisomap.files import open_regular
+from anisomap.io.parsing.budget import Budget
 
 HEAD_BYTES = 1 << 16
 """Bytes at the start of a file that the formats inspect to recognise it."""
@@ -26,11 +26,8 @@ _GZIP = b"\x1f\x8b"
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _MAX_QUOTED = 40
 
-MAX_RATIO, MIN_CHECKED_BYTES = 900, 1 << 30
-"""Compressed data may expand at most `MAX_RATIO`-fold beyond `MIN_CHECKED_BYTES`.
-
-Chosen by hand, below the maximum of deflate (1032) and above any recording of real sensors.
-"""
+_MAX_LINE = 1 << 23
+"""Characters: a line of the readings or the names of a million sensors is shorter."""
 
 
 @contextmanager
@@ -69,53 +66,18 @@ def file_errors(path: Path) -> Iterator[None]:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def check_expansion(
-    path: Path, what: str, n_compressed: int, n_decompressed: int, *, max_ratio: float = np.inf
-) -> None:
-    """Reject data that expand far more than any recording (decompression bombs).
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-    what : str
-        The compressed part of the file, for messages.
-    n_compressed, n_decompressed : int
-        Bytes before and after decompression.
-    max_ratio : float
-        Maximum ratio of the compression method.
-
-    Raises
-    ------
-    FileError
-        If the ratio exceeds `max_ratio`, or `n_decompressed` exceeds `max_expansion`.
-    """
-    if n_decompressed > min(max_expansion(n_compressed), max_ratio * n_compressed):
-        raise FileError(
-            f"{path}: {what} expands from {n_compressed} to {n_decompressed} bytes, more than any "
-            "recording; the file is damaged or a decompression bomb"
-        )
-
-
-def max_expansion(n_compressed: int) -> int:
-    """Return the largest accepted size in bytes of `n_compressed` compressed bytes."""
-    return max(MIN_CHECKED_BYTES, MAX_RATIO * n_compressed)
-
-
 class _Gunzipped(gzip.GzipFile):
     """A gzip file that is checked for decompression bombs while it is read."""
 
     def __init__(self, path: Path, raw: io.BufferedReader) -> None:
         super().__init__(fileobj=raw)
-        self._path = path
+        self._budget = Budget(path)
 
     def read(self, size: int | None = -1) -> bytes:
         if size is None or size < 0:
             return b"".join(iter(lambda: self.read(HEAD_BYTES), b""))
         content = super().read1(size)  # `read` would discard the data before the damage
-        if self.tell() > MIN_CHECKED_BYTES:
-            n_compressed = self._path.stat().st_size
-            check_expansion(self._path, "its content", n_compressed, self.tell())
+        self._budget.check(self.tell(), "its content")
         return content
 
 
@@ -129,12 +91,40 @@ def open_binary(path: Path) -> Iterator[io.BufferedReader]:
 @contextmanager
 def _open(path: Path) -> Iterator[tuple[io.BufferedReader, io.BufferedReader]]:
     """Open a file as decompressed bytes and as the raw bytes on disk."""
-    with path.open("rb") as raw:
+    with open_regular(path) as raw:
         if raw.peek(len(_GZIP))[: len(_GZIP)] != _GZIP:
             yield raw, raw
             return
         with _Gunzipped(path, raw) as decompressed:
             yield io.BufferedReader(decompressed), raw
+
+
+class _Lines(io.TextIOWrapper):
+    """UTF-8 text whose lines have a maximum length when it is iterated."""
+
+    def __init__(self, path: Path, stream: io.BufferedReader) -> None:
+        super().__init__(stream, encoding="utf-8-sig", newline="")
+        self._path = path
+
+    def __next__(self) -> str:  # type: ignore[override]
+        line = self.readline(_MAX_LINE)
+        if not line:
+            raise StopIteration
+        if len(line) == _MAX_LINE:
+            raise _long_line(self._path)
+        return line
+
+
+def binary_lines(path: Path, stream: io.BufferedReader) -> Iterator[bytes]:
+    """Yield the lines of a file; raise FileError for one that is too long."""
+    while line := stream.readline(_MAX_LINE):
+        if len(line) == _MAX_LINE:
+            raise _long_line(path)
+        yield line
+
+
+def _long_line(path: Path) -> FileError:
+    return FileError(f"{path} has a line of more than {_MAX_LINE} characters; it is not a table")
 
 
 @dataclass(frozen=True)
@@ -163,7 +153,7 @@ def open_text_with_progress(path: Path) -> Iterator[Text]:
             raise FileError(f"{path} is binary, not text")
         stream.seek(0)
         size = max(path.stat().st_size, 1)
-        with io.TextIOWrapper(stream, encoding="utf-8-sig", newline="") as text:
+        with _Lines(path, stream) as text:
             yield Text(text, lambda: raw.tell() / size)
 
 
@@ -178,12 +168,6 @@ def read_head(path: Path) -> bytes:
     with file_errors(path):
         if path.is_dir():
             return b""
-        if not path.exists():
-            raise FileError(f"there is no file {path}")
-        if not path.is_file():
-            raise FileError(
-                f"{path} is not a regular file; save its content to a regular file first"
-            )
         with open_binary(path) as stream:
             start = _read_start(stream)
         if not start:
@@ -216,7 +200,7 @@ def quote_if_needed(name: str) -> str:
 
 def _undecodable(path: Path) -> str:
     with open_binary(path) as stream:
-        for number, line in enumerate(stream, start=1):
+        for number, line in enumerate(binary_lines(path, stream), start=1):
             try:
                 line.decode("utf-8")
             except UnicodeDecodeError as error:

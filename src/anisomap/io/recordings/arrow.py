@@ -7,9 +7,11 @@ times in a column ``timestamp``, which restarts from 0 in every episode.
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -17,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
+from anisomap.files import open_regular
 from anisomap.io.choice import Content, choose
+from anisomap.io.parsing.budget import Budget, bytes_kept
 from anisomap.io.parsing.columns import (
     ROWS_LOOKED_AT,
     is_time,
@@ -26,7 +30,8 @@ from anisomap.io.parsing.columns import (
     warn_of_guesses,
 )
 from anisomap.io.parsing.libraries import guarded_iter, import_extra, library_errors
-from anisomap.io.parsing.source import check_expansion
+from anisomap.io.parsing.source import quote
+from anisomap.io.recordings.arrow_messages import is_last, unpacked_size
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
@@ -45,12 +50,11 @@ _Batches: TypeAlias = Iterator[tuple[Any, float]]
 
 @dataclass(frozen=True)
 class _Source:
-    """An open file; `n_rows` is 0 if unknown, and `batches(names, rows)` reads some columns."""
+    """An open file; `batches(names)` reads some columns, within the budget of the file."""
 
     path: Path
     schema: Any
-    n_rows: int
-    batches: Callable[[Sequence[str], int], _Batches]
+    batches: Callable[[Sequence[str]], _Batches]
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -76,6 +80,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     with _open(path) as source:
         name = choose(path, _contents(source), options.select, "column").name
         plain = _plain_columns(source.schema)
+        _check_unique(path, [name, *plain], source.schema.names)
         if name == _ALL_COLUMNS and name not in source.schema.names:
             yield _of_columns(source, plain)
         else:
@@ -84,36 +89,33 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
 @contextmanager
 def _open(path: Path) -> Iterator[_Source]:
-    with path.open("rb") as stream:
+    # Files are not memory-mapped: the system kills a process that reads a mapped file after it was
+    # cut.
+    with open_regular(path) as stream:
         magic = stream.read(len(_FEATHER))
-    if magic.startswith(_PARQUET):
-        parquet = import_extra("pyarrow.parquet", "reading Parquet", EXTRA)
+        stream.seek(0)
+        if magic.startswith(_PARQUET):
+            parquet = import_extra("pyarrow.parquet", "reading Parquet", EXTRA)
+            with library_errors(path):
+                file = parquet.ParquetFile(stream, pre_buffer=False)
+            with file:
+                yield _Source(path, file.schema_arrow, _of_parquet(path, file))
+            return
+        arrow = import_extra("pyarrow", "reading Arrow", EXTRA)
+        if magic.startswith(_FEATHER):
+            # The file format is the streaming format between this number and an index.
+            stream.seek(len(_FEATHER))
         with library_errors(path):
-            file = parquet.ParquetFile(path, pre_buffer=False)
-        try:
-            yield _Source(path, file.schema_arrow, file.metadata.num_rows, _of_parquet(file))
-        finally:
-            file.close()
-        return
-    arrow = import_extra("pyarrow", "reading Arrow", EXTRA)
-    with library_errors(path):
-        mapped = arrow.memory_map(str(path))
-    with mapped:
-        with library_errors(path):
-            if magic.startswith(_FEATHER):
-                file = arrow.ipc.open_file(mapped)
-                count = file.num_record_batches
-                every = ((file.get_batch(i), (i + 1) / count) for i in range(count))
-            else:
-                file = arrow.ipc.open_stream(mapped)
-                size = path.stat().st_size
-                every = ((batch, mapped.tell() / size) for batch in file)
-        yield _Source(path, file.schema, 0, _of_arrow(every))
+            reader = arrow.ipc.open_stream(stream)
+        yield _Source(path, reader.schema, _of_arrow(path, stream, reader))
 
 
-def _of_parquet(file: Any) -> Callable[[Sequence[str], int], _Batches]:
-    def batches(names: Sequence[str], rows: int) -> _Batches:
-        done, total = 0, max(file.metadata.num_rows, 1)
+def _of_parquet(path: Path, file: Any) -> Callable[[Sequence[str]], _Batches]:
+    def batches(names: Sequence[str]) -> _Batches:
+        n_bytes = _declared_size(path, file, names)
+        total = max(file.metadata.num_rows, 1)
+        rows = max(1, min(_MAX_ROWS, _BATCH_BYTES * total // max(n_bytes, 1)))
+        done = 0
         for batch in file.iter_batches(batch_size=rows, columns=list(names)):
             done += batch.num_rows
             yield batch, done / total
@@ -121,13 +123,39 @@ def _of_parquet(file: Any) -> Callable[[Sequence[str], int], _Batches]:
     return batches
 
 
-def _of_arrow(every: _Batches) -> Callable[[Sequence[str], int], _Batches]:
-    """Read all batches once, split to at most the requested number of rows."""
+def _declared_size(path: Path, file: Any, names: Sequence[str]) -> int:
+    """Return the bytes of some columns in memory, after checking them with a budget."""
+    budget, metadata, total = Budget(path), file.metadata, 0
+    for group in map(metadata.row_group, range(metadata.num_row_groups)):
+        for column in map(group.column, range(metadata.num_columns)):
+            name = next((n for n in names if f"{column.path_in_schema}.".startswith(f"{n}.")), None)
+            if name is None:
+                continue
+            leaf = _leaf(file.schema_arrow.field(name).type)
+            unpacked = column.num_values * bytes_kept(np.dtype(leaf.to_pandas_dtype()))
+            total += max(unpacked, column.total_uncompressed_size)
+            budget.check(total, "its table")
+    return total
 
-    def batches(names: Sequence[str], rows: int) -> _Batches:
-        for batch, fraction in every:
+
+def _of_arrow(
+    path: Path, stream: BufferedReader, reader: Any
+) -> Callable[[Sequence[str]], _Batches]:
+    """Read all batches once, split to about `_BATCH_BYTES`."""
+
+    def batches(names: Sequence[str]) -> _Batches:
+        budget = Budget(path)
+        size = max(budget.size, 1)
+        while True:
+            budget.spend(unpacked_size(path, stream), "its table")
+            try:
+                batch = reader.read_next_batch()
+            except StopIteration:
+                return
             batch.validate(full=True)
+            fraction = 1.0 if is_last(stream) else stream.tell() / size
             kept = batch.select(list(names))
+            rows = max(1, min(_MAX_ROWS, _BATCH_BYTES * batch.num_rows // max(kept.nbytes, 1)))
             for start in range(0, batch.num_rows, rows):
                 yield kept.slice(start, rows), fraction
 
@@ -145,6 +173,16 @@ def _contents(source: _Source) -> tuple[Content, ...]:
     return tuple(found)
 
 
+def _check_unique(path: Path, used: Sequence[str], names: Sequence[str]) -> None:
+    """Reject columns of the same name, which cannot be told apart."""
+    counts = Counter(names)
+    for name in used:
+        if counts[name] > 1:
+            raise FileError(
+                f"{path} has {counts[name]} columns with the name {quote(name)}; all must differ"
+            )
+
+
 def _is_number(kind: Any) -> bool:
     types = import_extra("pyarrow.types", "reading Arrow", EXTRA)
     return bool(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))
@@ -156,10 +194,14 @@ def _is_list(kind: Any) -> bool:
 
 
 def _list_of_numbers(kind: Any) -> bool:
-    nested = _is_list(kind)
+    return _is_list(kind) and _is_number(_leaf(kind))
+
+
+def _leaf(kind: Any) -> Any:
+    """Return the type of the items of lists, nested or not."""
     while _is_list(kind):
         kind = kind.value_type
-    return nested and _is_number(kind)
+    return kind
 
 
 def _plain_columns(schema: Any) -> list[str]:
@@ -172,11 +214,10 @@ def _of_lists(source: _Source, name: str, plain: Sequence[str]) -> Stream:
         raise FileError(f"{source.path}: column {name} must hold lists of numbers, got {kind}")
     clock = next((column for column in plain if is_time(column)), None)
     columns = [name, *([clock] if clock else []), *([_EPISODE] if _EPISODE in plain else [])]
-    batches = guarded_iter(source.batches(columns, _MAX_ROWS), source.path)
+    batches = guarded_iter(source.batches(columns), source.path)
     first, batches = _peek(source.path, batches)
     with library_errors(source.path):
         n_sensors = _rows(source.path, first.column(name), name, None).shape[1]
-    _check_size(source, n_sensors)
     times, rate_hz = _clock(source, first, clock)
 
     def blocks() -> Iterator[Block]:
@@ -200,10 +241,8 @@ def _of_lists(source: _Source, name: str, plain: Sequence[str]) -> Stream:
 
 
 def _of_columns(source: _Source, plain: Sequence[str]) -> Stream:
-    n_rows = max(1, min(_MAX_ROWS, _BATCH_BYTES // (8 * len(plain))))
-    batches = guarded_iter(source.batches(plain, n_rows), source.path)
+    batches = guarded_iter(source.batches(plain), source.path)
     first, batches = _peek(source.path, batches)
-    _check_size(source, len(plain))
     with library_errors(source.path):
         start = _table(first)[:ROWS_LOOKED_AT]
     roles = roles_by_name(plain, start)
@@ -273,9 +312,3 @@ def _column(column: Any) -> NDArray[Any]:
     values: NDArray[Any] = column.to_numpy(zero_copy_only=False)
     # pyarrow converts integers and booleans with nulls to objects.
     return values.astype(np.float64) if values.dtype.kind == "O" else values
-
-
-def _check_size(source: _Source, n_sensors: int) -> None:
-    size = source.path.stat().st_size
-    unpacked = source.n_rows * n_sensors * 4
-    check_expansion(source.path, "its table", size, unpacked)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning
 from anisomap.io.choice import Content, choose
+from anisomap.io.parsing.budget import FREE_BYTES, Budget
 from anisomap.io.parsing.columns import is_time, units_per_second
 from anisomap.io.parsing.frames import increasing_times
 from anisomap.io.parsing.libraries import library_errors
@@ -42,6 +43,8 @@ class Dataset:
         As `numpy.dtype.kind`.
     read : callable
         ``read(start, stop)`` reads a range of frames.
+    bytes_kept : int
+        Bytes per value in memory.
     frames_at_once : int
         Number of frames per compressed chunk.
     """
@@ -51,6 +54,7 @@ class Dataset:
     dtype: str
     kind: str
     read: Callable[[int, int], NDArray[Any]]
+    bytes_kept: int = 8
     frames_at_once: int = 1
 
     @property
@@ -112,6 +116,7 @@ def stream_of(
         choose(path, contents_of([chosen]), "", "dataset")  # raises FileError
     near = [each for each in datasets if each.group == chosen.group and each is not chosen]
     n_frames, n_sensors = chosen.shape[0], math.prod(chosen.shape[1:])
+    Budget(path).check_readings(n_frames, n_sensors, chosen.bytes_kept, f"dataset {chosen.name}")
     with library_errors(path):
         times = _times(path, near, n_frames)
         names = _names(path, near, n_sensors) or _grid_names(chosen.shape[1:])
@@ -168,6 +173,7 @@ def _names(path: Path, near: Sequence[Dataset], n_sensors: int) -> tuple[str, ..
         if each.key != "names" or math.prod(each.shape) != n_sensors:
             continue
         if each.kind in _TEXT:
+            Budget(path).check(n_sensors * each.bytes_kept, each.name, reachable=FREE_BYTES)
             values = each.whole().ravel().tolist()
             return tuple(v.decode() if isinstance(v, bytes) else v for v in values)
         if each.kind == _VARIABLE_LENGTH:

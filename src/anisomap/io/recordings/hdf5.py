@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.files import check_regular
 from anisomap.io.choice import Content
+from anisomap.io.parsing.budget import Budget, bytes_kept
 from anisomap.io.parsing.libraries import import_extra, library_errors
-from anisomap.io.parsing.source import check_expansion
 from anisomap.io.recordings.datasets import Dataset, contents_of, stream_of
 from anisomap.io.stream import ReadOptions, Stream
 
 EXTRA = "hdf5"
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
+_NUMBERS = "biuf"
 _MAX_RATIO, _HEADERS = 1032, 1 << 12
 _MAX_DATASETS = 1000
 
@@ -66,6 +68,7 @@ def open_datasets(path: Path, extra: str, *, frames_last: bool = False) -> Itera
         If h5py is not installed.
     """
     h5py = import_extra("h5py", "reading HDF5", extra)
+    check_regular(path)
     with library_errors(path):
         file = h5py.File(path, "r")
     try:
@@ -101,8 +104,10 @@ def _dataset(path: Path, item: Any, frames_last: bool) -> Dataset:
             return np.asarray(item[start:stop])
         return np.asarray(item[..., start:stop]).T
 
+    kind = item.dtype.kind
+    n_bytes = bytes_kept(item.dtype) if kind in _NUMBERS else item.dtype.itemsize
     return Dataset(
-        name, shape or (1,), str(item.dtype), item.dtype.kind, read, chunks[0] if chunks else 1
+        name, shape or (1,), str(item.dtype), kind, read, n_bytes, chunks[0] if chunks else 1
     )
 
 
@@ -110,5 +115,6 @@ def _check_size(path: Path, item: Any, name: str) -> None:
     """Reject decompression bombs and datasets stored in other files."""
     if item.external or item.is_virtual:
         raise OSError(f"dataset {name} is stored in other files, which are not opened")
-    packed = min(item.id.get_storage_size(), path.stat().st_size) + _HEADERS
-    check_expansion(path, f"dataset {name}", packed, item.nbytes, max_ratio=_MAX_RATIO)
+    budget = Budget(path)
+    packed = min(item.id.get_storage_size(), budget.size) + _HEADERS
+    budget.check(item.nbytes, f"dataset {name}", reachable=_MAX_RATIO * packed)

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
+from anisomap.files import check_regular
+from anisomap.io.parsing.budget import Budget, bytes_kept
 from anisomap.io.parsing.grids import grid_names, grid_positions
 from anisomap.io.parsing.libraries import import_extra, library_errors
-from anisomap.io.parsing.source import check_expansion
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 
 EXTRA = "images"
@@ -57,7 +58,9 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
 def _stream(path: Path, count: int, read: Callable[[int], NDArray[Any]]) -> Stream:
     with library_errors(path):
-        rows, columns = read(0).shape
+        first = read(0)
+    rows, columns = first.shape
+    Budget(path).check_readings(count, rows * columns, bytes_kept(first.dtype), "its images")
     return Stream(
         path,
         rows * columns,
@@ -105,6 +108,7 @@ def _natural_key(name: str) -> list[tuple[int, str]]:
 
 
 def _image(pillow: Any, path: Path) -> NDArray[Any]:
+    check_regular(path)
     with library_errors(path), pillow.open(path) as image:
         return _page(path, image, 0)
 
@@ -113,8 +117,10 @@ def _page(path: Path, image: Any, page: int) -> NDArray[Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # Pillow warns about decompression bombs
         image.seek(page)
-        size, packed = 4 * image.width * image.height, path.stat().st_size
-        check_expansion(path, f"page {page}", packed, size, max_ratio=_MAX_RATIO)
+        # Four bytes per pixel, and as many for the conversion to grey.
+        budget = Budget(path)
+        reachable = _MAX_RATIO * budget.size
+        budget.check(8 * image.width * image.height, f"page {page}", reachable=reachable)
         image.load()
         grey = image if image.mode in _GREY_MODES else image.convert("L")
         return np.asarray(grey)

@@ -14,9 +14,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from anisomap.files import open_regular
 from anisomap.io.choice import Content
+from anisomap.io.parsing.budget import Budget, bytes_kept
 from anisomap.io.parsing.libraries import library_errors
-from anisomap.io.parsing.source import check_expansion
 from anisomap.io.recordings.datasets import Dataset, contents_of, stream_of
 from anisomap.io.recordings.hdf5 import open_datasets
 from anisomap.io.stream import ReadOptions, Stream
@@ -24,6 +25,7 @@ from anisomap.io.stream import ReadOptions, Stream
 EXTRA = "mat"
 
 _MAGIC, _MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+_NUMBERS = "iuf"
 _MAX_RATIO = 1032
 _TYPES = {
     "double": "f8",
@@ -54,7 +56,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
 @contextmanager
 def _open(path: Path) -> Iterator[list[Dataset]]:
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         is_73 = stream.read(len(_MAGIC_73)) == _MAGIC_73
     if is_73:
         with open_datasets(path, EXTRA, frames_last=True) as datasets:
@@ -67,13 +69,13 @@ def _variables(path: Path) -> list[Dataset]:
     with library_errors(path), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         listed = scipy.io.whosmat(path)
-    found = []
+    found, budget = [], Budget(path)
     for name, shape, kind in listed:
         dtype = np.dtype(_TYPES.get(kind, "V"))
         size = math.prod(shape) * dtype.itemsize
-        packed = path.stat().st_size
-        check_expansion(path, f"variable {name}", packed, size, max_ratio=_MAX_RATIO)
-        found.append(Dataset(name, tuple(shape), kind, dtype.kind, _reader(path, name)))
+        budget.check(size, f"variable {name}", reachable=_MAX_RATIO * budget.size)
+        n_bytes = bytes_kept(dtype) if dtype.kind in _NUMBERS else dtype.itemsize
+        found.append(Dataset(name, tuple(shape), kind, dtype.kind, _reader(path, name), n_bytes))
     return found
 
 

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.io.parsing.libraries import library_errors
-from anisomap.io.stream import Block, ReadOptions, Stream
+from anisomap.files import open_regular
+from anisomap.io.parsing.libraries import DamagedError, library_errors
+from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 
 _MAGIC = b"\x93NUMPY"
 _NUMBERS = "biuf"
 _BLOCK_BYTES = 1 << 22
+
+
+class _Header(NamedTuple):
+    shape: tuple[int, ...]
+    fortran_order: bool
+    dtype: np.dtype[Any]
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -26,31 +36,58 @@ def recognises(path: Path, head: bytes) -> bool:
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open an array of shape (T, N), memory-mapped."""
-    with library_errors(path):
-        shape, dtype = _header(path)
-    if dtype.kind not in _NUMBERS:
-        raise FileError(f"{path}: the array must hold numbers, got dtype {dtype}")
-    if len(shape) != 2 or 0 in shape:
-        raise FileError(f"{path}: the array must be frames x sensors (T, N), got shape {shape}")
-    with library_errors(path):
-        array = np.lib.format.open_memmap(path, mode="r")
-    yield Stream(path, array.shape[1], _blocks(array), source=path.name)
+    """Open an array of shape (T, N).
+
+    It is read, not memory-mapped, because the system kills a process that reads a mapped file
+    after it was cut.
+    """
+    with open_regular(path) as stream:
+        with library_errors(path):
+            header = _header(stream)
+        shape, _, dtype = header
+        if dtype.kind not in _NUMBERS:
+            raise FileError(f"{path}: the array must hold numbers, got dtype {dtype}")
+        if len(shape) != 2 or min(shape) < 1:
+            raise FileError(f"{path}: the array must be frames x sensors (T, N), got shape {shape}")
+        needed = math.prod(shape) * dtype.itemsize
+        held = os.fstat(stream.fileno()).st_size - stream.tell()
+        if needed > held:
+            raise DamagedError(
+                f"{path} is cut short: its array needs {needed} bytes, but {held} follow the header"
+            )
+        blocks = salvage(_blocks(path, stream, header), path)
+        yield Stream(path, shape[1], blocks, source=path.name)
 
 
-def _header(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Read shape and dtype, which memory-mapping does not report for an array of objects."""
-    with path.open("rb") as stream:
-        if np.lib.format.read_magic(stream) == (1, 0):
-            shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-        else:
-            shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
-    return shape, dtype
+def _header(stream: BufferedReader) -> _Header:
+    read = np.lib.format.read_array_header_1_0
+    if np.lib.format.read_magic(stream) != (1, 0):
+        read = np.lib.format.read_array_header_2_0
+    shape, fortran_order, dtype = read(stream)
+    # numpy accepts True for 1.
+    return _Header(tuple(int(length) for length in shape), fortran_order, dtype)
 
 
-def _blocks(array: NDArray[Any]) -> Iterator[Block]:
-    n_frames = len(array)
-    step = max(1, _BLOCK_BYTES // (array.shape[1] * array.itemsize))
+def _blocks(path: Path, stream: BufferedReader, header: _Header) -> Iterator[Block]:
+    (n_frames, n_sensors), fortran_order, dtype = header
+    first = stream.tell()
+    # In Fortran order, a block takes one read per sensor, so blocks are larger.
+    n_bytes = _BLOCK_BYTES << 4 if fortran_order else _BLOCK_BYTES
+    step = max(1, n_bytes // (n_sensors * dtype.itemsize))
     for start in range(0, n_frames, step):
-        rows = np.array(array[start : start + step])
-        yield Block(rows, min(start + step, n_frames) / n_frames)
+        count = min(step, n_frames - start)
+        if fortran_order:
+            columns = np.empty((n_sensors, count), dtype)
+            for sensor, column in enumerate(columns):
+                stream.seek(first + (sensor * n_frames + start) * dtype.itemsize)
+                _fill(path, stream, column)
+            rows = columns.T
+        else:
+            rows = np.empty((count, n_sensors), dtype)
+            _fill(path, stream, rows)
+        yield Block(rows, (start + count) / n_frames)
+
+
+def _fill(path: Path, stream: BufferedReader, values: NDArray[Any]) -> None:
+    if stream.readinto(values.data.cast("B")) < values.nbytes:
+        raise DamagedError(f"{path} was cut while it was read")

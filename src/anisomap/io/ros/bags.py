@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,22 +17,24 @@ from numpy.typing import NDArray
 from anisomap.errors import FileError
 from anisomap.io.choice import Content, choose
 from anisomap.io.joining import join_streams
+from anisomap.io.parsing.budget import Budget
 from anisomap.io.parsing.libraries import guarded_iter, import_extra, library_errors
 from anisomap.io.ros import messages
 from anisomap.io.ros.bag_files import (
     MAGICS,
-    as_rosbags_path,
-    check_chunks,
+    MAX_MESSAGE,
+    METADATA,
+    limit_unpacking,
     register_definitions,
+    rosbags_paths,
     warn_of_missing_end,
 )
+from anisomap.io.ros.compression import EXTRA, decompress_message
 from anisomap.io.ros.messages import Kind, kind_of
-from anisomap.io.ros.repair import EXTRA
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 from anisomap.wording import join_items
 
-_METADATA = "metadata.yaml"
 _BLOCK_BYTES, _BLOCK_MESSAGES = 1 << 22, 1024
 _NUMBERS = {
     *("bool", "byte", "char", "float32", "float64"),
@@ -44,7 +46,7 @@ _NANOSECONDS = 1e9
 
 def recognises(path: Path, head: bytes) -> bool:
     """Recognise a bag by its magic number, and a ROS 2 folder by its metadata.yaml."""
-    return (path / _METADATA).is_file() if path.is_dir() else head.startswith(tuple(MAGICS))
+    return (path / METADATA).is_file() if path.is_dir() else head.startswith(tuple(MAGICS))
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
@@ -75,19 +77,21 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 def _open(path: Path, options: ReadOptions) -> Iterator[_Bag]:
     highlevel = import_extra("rosbags.highlevel", "reading bags", EXTRA)
     typesys = import_extra("rosbags.typesys", "reading bags", EXTRA)
-    with library_errors(path):
-        store = typesys.get_typestore(typesys.Stores.LATEST)
-        register_definitions(store, options.definitions)
-        reader = highlevel.AnyReader([as_rosbags_path(path)], default_typestore=store)
-        reader.open()
-    try:
+    with ExitStack() as unpacked:
+        paths = rosbags_paths(path, unpacked)
         with library_errors(path):
-            check_chunks(path, reader)
-            register_definitions(reader.typestore, options.definitions)
-        yield _Bag(path, reader)
-    finally:
-        with library_errors(path):
-            reader.close()
+            store = typesys.get_typestore(typesys.Stores.LATEST)
+            register_definitions(store, options.definitions)
+            reader = highlevel.AnyReader(paths, default_typestore=store)
+            reader.open()
+        try:
+            with library_errors(path):
+                packed_messages = limit_unpacking(path, reader)
+                register_definitions(reader.typestore, options.definitions)
+            yield _Bag(path, reader, packed_messages)
+        finally:
+            with library_errors(path):
+                reader.close()
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,7 @@ class _Bag:
 
     path: Path
     reader: Any
+    packed_messages: bool
 
     def contents(self) -> tuple[Content, ...]:
         """List the topics; if any is tactile, only tactile topics are usable."""
@@ -152,7 +157,16 @@ class _Bag:
     def messages(self, topic: str) -> Iterator[tuple[Any, int]]:
         """Yield the messages of a topic with their time of receipt in nanoseconds."""
         connections = [each for each in self.reader.connections if each.topic == topic]
-        for connection, stamp, raw in guarded_iter(self.reader.messages(connections), self.path):
+        budget = Budget(self.path)
+        for connection, stamp, stored in guarded_iter(self.reader.messages(connections), self.path):
+            raw = stored
+            if self.packed_messages:
+                raw = decompress_message(self.path, budget, stored)
+            if len(raw) > MAX_MESSAGE:
+                raise FileError(
+                    f"{self.path}: a message of {topic} has {len(raw)} bytes; at most "
+                    f"{MAX_MESSAGE} are supported"
+                )
             with library_errors(self.path):
                 message = self.reader.deserialize(raw, connection.msgtype)
             yield message, stamp

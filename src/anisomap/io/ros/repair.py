@@ -10,7 +10,6 @@ Layouts: MCAP specification, and "Bag File Format, version 2.0" (ROS 1).
 
 from __future__ import annotations
 
-import bz2
 import io
 import struct
 from collections.abc import Iterator
@@ -18,10 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from anisomap.io.parsing.libraries import import_extra
-from anisomap.io.parsing.source import check_expansion, max_expansion
-
-EXTRA = "ros"
+from anisomap.files import open_regular
+from anisomap.io.parsing.budget import Budget
+from anisomap.io.parsing.libraries import DamagedError
+from anisomap.io.ros.compression import decompress_chunk
 
 _MCAP, _ROS1 = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
 _MCAP_FOOTER = b"\x02\x14" + bytes(7) + bytes(20) + _MCAP
@@ -53,41 +52,8 @@ def find_repair(path: Path, suffix: str) -> Repair | None:
     FileError
         If a chunk of a ROS 1 bag is a decompression bomb.
     """
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return _repair_mcap(file) if suffix == ".mcap" else _repair_ros1(path, file)
-
-
-def decompress(path: Path, compressed: bytes, compression: str) -> bytes:
-    """Decompress a chunk of a ROS 1 bag.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-    compressed : bytes
-    compression : {"none", "bz2", "lz4"}
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    FileError
-        If the chunk is a decompression bomb.
-    MissingExtraError
-        If lz4 is required and not installed.
-    """
-    limit = max_expansion(len(compressed))
-    if compression == "bz2":
-        content = bz2.BZ2Decompressor().decompress(compressed, max_length=limit + 1)
-    elif compression == "lz4":
-        lz4 = import_extra("lz4.frame", "reading bags", EXTRA)
-        content = lz4.LZ4FrameDecompressor().decompress(compressed, max_length=limit + 1)
-    else:
-        content = compressed
-    check_expansion(path, "a chunk", len(compressed), len(content))
-    return content
 
 
 class BagFile(io.BufferedReader):
@@ -251,7 +217,10 @@ def _connections(path: Path, file: BinaryIO, chunk: _Record) -> dict[int, bytes]
     file.seek(chunk.data + 4)
     compressed = file.read(chunk.end - chunk.data - 4)
     compression = chunk.fields.get(b"compression", b"none").decode("latin-1")
-    content = decompress(path, compressed, compression)
+    try:
+        content = decompress_chunk(path, Budget(path), compressed, compression)
+    except DamagedError:
+        return {}
     inner = io.BytesIO(content)
     return {
         record.number(b"conn"): content[record.start : record.end]
