@@ -1,6 +1,7 @@
 """An example file of every format, in the layout of the programs that write it."""
 
 import gzip
+import json
 import shutil
 import warnings
 from collections.abc import Callable
@@ -164,6 +165,34 @@ def _contacts(path: Path) -> None:
     path.write_text(f"time [s],taxels\n{lists}")
 
 
+def _cyskin(path: Path) -> None:
+    """Three taxels of five with addresses beside each response, as robotskinlib records them."""
+    rows = _lines(
+        lambda i, v: (
+            f"{i} {26.82 + i / 10:f} 5 " + " ".join(f"{7 * k + 9} {x}" for k, x in enumerate(v))
+        )
+    )
+    path.write_text(f"1\n5\n{rows}")
+
+
+def _cyskin_of_driver(path: Path) -> None:
+    """Addresses in the first line, as the acquisition program writes them."""
+    rows = _lines(lambda i, v: f"{i} {i / 10:f} " + " ".join(map(str, v)))
+    path.write_text(f"16 17 18 32 33 \n{rows}")
+
+
+def _calibration(sensor_map: SensorMap, path: Path) -> None:
+    """One patch in a list of its own and one beside it; address 0 is a taxel without a module."""
+    taxels = [
+        {"id": 7 * k + 9 if placed else 0, "x": x if placed else [0, 0, 0], "n": [0, 0, 1]}
+        for k, (x, placed) in enumerate(
+            zip(sensor_map.positions.tolist(), sensor_map.placed, strict=True)
+        )
+    ]
+    skin = {"n_taxels": 5, "taxels": [taxels[:3], *taxels[3:]]}
+    path.write_text(json.dumps({"info": {"file_version": 2}, "skin": skin}, indent="\t"))
+
+
 def _lists(path: Path) -> None:
     """All readings of a frame in one cell, beside a column that is no sensor."""
     rows = _lines(lambda i, v: f'{1.7e9 + i / 50:.2f},{i},"{",".join(map(str, v))}",left')
@@ -193,6 +222,8 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "mat.asf": ("mat-export", _mat_export),
     "film.tif": ("images", _images),
     "contacts.csv": ("contacts", _contacts),
+    "hand.txt": ("cyskin", _cyskin),
+    "gesture.txt": ("cyskin", _cyskin_of_driver),
     "lists.csv": ("text", _lists),
     "skin.h5": ("hdf5", _tables),
     "skin.mat": ("mat", _matlab),
@@ -213,7 +244,10 @@ MAPS = {
     "map.urdf": "urdf",
     "map.mjcf": "mjcf",
     "map.icub.txt": "icub",
+    "handle.json": "cyskin-calibration",
 }
+FOREIGN_MAPS = {"handle.json": _calibration}
+"""Examples of maps that anisomap does not write."""
 
 
 @pytest.fixture(params=RECORDINGS)
@@ -237,13 +271,17 @@ def expected_readings(recording_file: Path, recording: Recording) -> np.ndarray:
 @pytest.fixture(params=MAPS)
 def map_file(request: pytest.FixtureRequest, tmp_path: Path, sensor_map: SensorMap) -> Path:
     path = tmp_path / request.param
-    io.write(writable(sensor_map, path), path)
+    make = FOREIGN_MAPS.get(request.param)
+    if make:
+        make(sensor_map, path)
+    else:
+        io.write(writable(sensor_map, path), path)
     return path
 
 
 def writable(sensor_map: SensorMap, path: Path) -> SensorMap:
     """Give a map the scale and single component that a format requires."""
-    if not io.needs_scale(path):
+    if path.name not in FOREIGN_MAPS and not io.needs_scale(path):
         return sensor_map
     return replace(sensor_map, units="m", component=np.minimum(sensor_map.component, 0))
 
@@ -252,6 +290,9 @@ def writable(sensor_map: SensorMap, path: Path) -> SensorMap:
 def read_back(sensor_map: SensorMap, map_file: Path) -> SensorMap:
     """Return the map that a file is expected to contain."""
     written = writable(sensor_map, map_file)
+    if map_file.name in FOREIGN_MAPS:
+        names = [str(7 * k + 9) for k in np.flatnonzero(written.placed)]
+        return replace(written.select(written.placed), names=names)
     if map_file.suffix in (".npz", ".csv", ".tsv", ".json"):
         return written
     points = written.select(written.placed)

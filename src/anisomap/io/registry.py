@@ -13,13 +13,25 @@ from anisomap.io import npz
 from anisomap.io.choice import Content
 from anisomap.io.events import contact_text
 from anisomap.io.format import Format
-from anisomap.io.maps import csv, icub_positions, json, launch, mjcf, pcd, ply, urdf, xml_files
+from anisomap.io.maps import (
+    csv,
+    cyskin_calibration,
+    icub_positions,
+    json,
+    launch,
+    mjcf,
+    pcd,
+    ply,
+    urdf,
+    xml_files,
+)
 from anisomap.io.parsing.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.io.parsing.grids import with_grid
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.recordings import (
     arrow,
+    cyskin,
     delimited_text,
     hdf5,
     images,
@@ -52,6 +64,8 @@ FORMATS = (
     Format("npz", (".npz",), "NumPy archive", npz.recognises,
            npz.open_recording, npz.read_map, npz.write_map, npz.write_recording),
     Format("npy", (".npy",), "NumPy array, frames x sensors", npy.recognises, npy.open_recording),
+    Format("cyskin-calibration", (), "CySkin calibration (JSON)", cyskin_calibration.recognises,
+           read_map=cyskin_calibration.read_map),
     Format("json", (".json",), "JSON", json.recognises,
            read_map=json.read_map, write_map=json.write_map),
     Format("ply", (".ply",), "PLY point cloud (ASCII)", ply.recognises,
@@ -71,6 +85,7 @@ FORMATS = (
            in_metres=True),
     Format("yarp", (), "YARP data.log, its folder or session", yarp.recognises, yarp.open_recording,
            contents=yarp.contents),
+    Format("cyskin", (), "CySkin recording (text)", cyskin.recognises, cyskin.open_recording),
     Format("mat", (".mat",), "MATLAB (7.3: with the extra)", mat.recognises, mat.open_recording,
            contents=mat.contents, extra=mat.EXTRA),
     Format("hdf5", (".h5", ".hdf5", ".hdf"), "HDF5", hdf5.recognises, hdf5.open_recording,

@@ -1,0 +1,82 @@
+"""Calibrations of CySkin: JSON with the address, position and normal of each taxel, in metres."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anisomap.errors import FileError
+from anisomap.io.parsing.naming import distinct_names
+from anisomap.io.parsing.source import open_text, quote
+from anisomap.sensor_map import SensorMap
+
+_KEYS = (b'"skin"', b'"taxels"')
+_NO_ADDRESS = 0
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Recognise a JSON object with the keys skin and taxels near its start."""
+    start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    return start.startswith(b"{") and all(key in head for key in _KEYS)
+
+
+def read_map(path: Path) -> SensorMap:
+    """Read the taxels of all patches, named by their addresses.
+
+    Taxels with address 0, which no module reads, are left out. Repeated addresses are numbered in
+    the order of the file, as in recordings.
+    """
+    with open_text(path) as stream:
+        content = stream.read()
+    try:
+        document = json.loads(content)
+    except json.JSONDecodeError as error:
+        raise FileError(
+            f"{path}, line {error.lineno}, column {error.colno}: not valid JSON ({error.msg})"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{path}: not valid JSON ({error})") from error
+    skin = document.get("skin") if isinstance(document, dict) else None
+    taxels = skin.get("taxels") if isinstance(skin, dict) else None
+    if not isinstance(taxels, list):
+        raise FileError(f"{path} is JSON without the taxels of a skin")
+    found = [_taxel(path, i, taxel) for i, taxel in enumerate(_flat(taxels))]
+    kept = [(address, position) for address, position in found if address != _NO_ADDRESS]
+    if not kept:
+        raise FileError(f"{path} holds no taxel with an address")
+    return SensorMap(
+        np.array([position for _, position in kept]),
+        names=distinct_names(path, [str(address) for address, _ in kept]),
+        units="m",
+    )
+
+
+def _flat(taxels: list[Any]) -> Iterator[Any]:
+    """Yield the taxels; some versions list them by patch."""
+    for taxel in taxels:
+        if isinstance(taxel, list):
+            yield from taxel
+        else:
+            yield taxel
+
+
+def _taxel(path: Path, number: int, taxel: Any) -> tuple[int, list[float]]:
+    where = f"{path}, taxel {number}"
+    if not isinstance(taxel, dict):
+        raise FileError(f"{where}: must be an object with id and x, got {quote(str(taxel))}")
+    address, position = taxel.get("id"), taxel.get("x")
+    if not isinstance(address, int) or isinstance(address, bool) or address < 0:
+        raise FileError(f"{where}: id must be a whole number, got {quote(str(address))}")
+    if not isinstance(position, list) or not _is_point(position):
+        raise FileError(f"{where}: x must be three finite numbers, got {quote(str(position))}")
+    return address, [float(x) for x in position]
+
+
+def _is_point(values: list[Any]) -> bool:
+    numbers = [x for x in values if isinstance(x, int | float) and not isinstance(x, bool)]
+    return len(numbers) == len(values) == 3 and all(map(math.isfinite, numbers))
