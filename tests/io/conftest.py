@@ -165,6 +165,19 @@ def _contacts(path: Path) -> None:
     path.write_text(f"time [s],taxels\n{lists}")
 
 
+def _skin_events(path: Path) -> None:
+    """Two contacts per frame with a skin part, none where nothing is touched."""
+
+    def contacts(frame: int, values: list[float]) -> str:
+        active = [str(taxel) for taxel in np.flatnonzero(values)]
+        vectors = "(0.01 -0.02 0.5) (0.0 0.0 0.0) (0.0 0.0 0.0) (0.01 -0.02 0.5) (0.0 0.0 1.0)"
+        halves = [part for part in (active[:2], active[2:]) if part]
+        lists = [f"((7 4 5 5) {vectors} ({' '.join(part)}) 12.5)" for part in halves]
+        return f"{frame} {1.3e9 + frame / 50:.6f} {' '.join(lists)}".rstrip()
+
+    path.write_text(_lines(contacts))
+
+
 def _cyskin(path: Path) -> None:
     """Three taxels of five with addresses beside each response, as robotskinlib records them."""
     rows = _lines(
@@ -222,6 +235,7 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "mat.asf": ("mat-export", _mat_export),
     "film.tif": ("images", _images),
     "contacts.csv": ("contacts", _contacts),
+    "events.log": ("yarp", _skin_events),
     "hand.txt": ("cyskin", _cyskin),
     "gesture.txt": ("cyskin", _cyskin_of_driver),
     "lists.csv": ("text", _lists),
@@ -231,7 +245,10 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "skin.parquet": ("parquet", _robot_learning),
     "skin.feather": ("parquet", lambda path: _robot_learning(path, feather=True)),
 }
-EVENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"contacts.csv": lambda values: values > 0}
+EVENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "contacts.csv": lambda values: values > 0,
+    "events.log": lambda values: values > 0,
+}
 """Files that hold events instead of readings, and what they make of readings."""
 
 MAPS = {

@@ -189,3 +189,65 @@ def test_receiver_stamps_replace_sender_stamps_that_step_back(put: Put) -> None:
     ]
     found = io.read(put("data.log", "".join(lines)))
     np.testing.assert_allclose(found.times, np.arange(2000) / 50, atol=1e-5)
+
+
+class TestContacts:
+    """Logs of the port skin_events: contacts with a skin part and its active taxels."""
+
+    VECTORS = "(0.0 0.0 0.0) (1.5 -2.0 0.0) (0.0 0.0 0.0) (0.0 0.0 0.0) (0.0 0.0 1.0)"
+
+    def contact(self, part: int, *taxels: int, names: str = "") -> str:
+        listed = " ".join(map(str, taxels))
+        return f"((3 {part // 3 + 1} 2 {part}) {self.VECTORS} ({listed}) 21.5{names})"
+
+    def log(self, *contacts: str) -> str:
+        lines = [f"{i} {1.4e9 + i / 8:.6f} {text}".rstrip() for i, text in enumerate(contacts)]
+        return "\n".join(lines) + "\n"
+
+    def test_one_skin_part(self, put: Put, tmp_path: Path) -> None:
+        text = self.log("", "()", self.contact(5, 97, 4), self.contact(5, 4), "")
+        (tmp_path / "skin").mkdir()
+        for path in (put("skin_events.log", text), put("skin/data.log", text).parent):
+            found = io.read(path)
+            assert found.names == ("taxel4", "taxel97")
+            np.testing.assert_array_equal(found.readings, [[0, 0], [0, 0], [1, 1], [1, 0], [0, 0]])
+            np.testing.assert_array_equal(found.times, np.arange(5) / 8)
+            assert found.metadata["skin_parts"] == "r_forearm"
+
+    def test_several_skin_parts(self, put: Put) -> None:
+        both = f"{self.contact(5, 4)} {self.contact(2, 8, names=' (l_fore frame)')}"
+        path = put("skin_events.log", self.log(both, self.contact(2, 9)))
+        listed = [(content.name, content.summary) for content in io.contents(path)]
+        assert listed == [
+            ("r_forearm", "contacts of 1 taxels"),
+            ("l_forearm", "contacts of 2 taxels"),
+        ]
+        with pytest.raises(io.ChoiceError, match="2 possible recordings"):
+            io.read(path)
+        left = io.read(path, options=io.ReadOptions(select="l_forearm"))
+        assert left.names == ("taxel8", "taxel9")
+        np.testing.assert_array_equal(left.readings, np.eye(2))
+        joined = io.read(path, options=io.ReadOptions(select="l_forearm, r_forearm"))
+        assert joined.names == ("l_forearm/taxel8", "l_forearm/taxel9", "r_forearm/taxel4")
+        np.testing.assert_array_equal(joined.readings, [[1, 0, 1], [0, 1, 0]])
+
+    @pytest.mark.parametrize(
+        ("old", "new"),
+        [("(4 7)", "(4 seven)"), ("(4 7)", "(4 7"), ("(4 7)", ""), ("(3 2 2 5)", "(3 2 2)")],
+    )
+    def test_damaged_contacts(self, put: Put, old: str, new: str) -> None:
+        text = self.log(self.contact(5, 3), self.contact(5, 4, 7), self.contact(5, 8))
+        assert text.count(old) >= 1
+        damaged = text[:60] + text[60:].replace(old, new)
+        with pytest.raises(FileError, match=r"skin_events\.log, line \d: must hold contacts"):
+            io.read(put("skin_events.log", damaged))
+
+    def test_a_truncated_contact_is_dropped(self, put: Put) -> None:
+        text = self.log(self.contact(5, 3, 4), self.contact(5, 4), self.contact(5, 8))
+        with pytest.warns(AnisomapWarning, match="last line is truncated and dropped"):
+            found = io.read(put("skin_events.log", text[:-9]))
+        np.testing.assert_array_equal(found.readings, [[1, 1], [0, 1]])
+
+    def test_a_log_without_contact(self, put: Put) -> None:
+        with pytest.raises(FileError, match=r"data\.log"):
+            io.read(put("data.log", self.log("", "", "")))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.io.parsing.budget import Budget
 from anisomap.io.parsing.naming import numbers_of
 from anisomap.io.stream import Block, Stream
 from anisomap.recording import Scalar
@@ -96,6 +97,7 @@ def stream_events(
     bin_s: float | None = None,
     span: tuple[float, float] | None = None,
     spikes: bool = False,
+    contacts: bool = False,
     positions: NDArray[np.float64] | None = None,
     metadata: Mapping[str, Scalar] | None = None,
 ) -> Stream:
@@ -116,6 +118,8 @@ def stream_events(
     spikes : bool
         Whether the events are spikes, which need bins: `DEFAULT_BIN_S` if `bin_s` is None. Other
         events do if nearly all of their times belong to a single sensor.
+    contacts : bool
+        Whether the events are contacts, which need no bins however few sensors they touch.
     positions : ndarray of shape (N, 2) or (N, 3), optional
     metadata : mapping of str to scalar, optional
 
@@ -142,7 +146,7 @@ def stream_events(
         raise InputError(f"bin_s must be a positive number of seconds, got {bin_s}")
     if bin_s is not None and not events.timed:
         raise FileError(f"{path} numbers its events without times, so bins do not apply to it")
-    needs_bins = spikes or (events.timed and _alone(events))
+    needs_bins = spikes or (events.timed and not contacts and _alone(events))
     if bin_s is None and needs_bins:
         bin_s = DEFAULT_BIN_S
         warnings.warn(
@@ -163,9 +167,14 @@ def stream_events(
         facts["bin_s"] = bin_s
         times = np.asarray(np.arange(n_bins) * bin_s, dtype=np.float64)
     n_frames = len(times) if times is not None else int(frames.max()) + 1
+    n_sensors = len(events.names)
+    budget = Budget(path)
+    budget.check_readings(
+        n_frames, n_sensors, 4, f"a recording of {n_frames} frames and {n_sensors} sensors"
+    )
     return Stream(
         path,
-        len(events.names),
+        n_sensors,
         _blocks(events, frames, n_frames, times, counted=bin_s is not None),
         names=events.names,
         rate_hz=None if bin_s is None else 1 / bin_s,

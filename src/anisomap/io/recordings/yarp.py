@@ -2,7 +2,8 @@
 
 A line is ``sequence stamp value value ...``. With ``--txTime --rxTime`` it has two stamps, the
 sender's and the receiver's. The values may be in brackets. ``info.log`` in the same folder names
-the port. A session is a folder with one folder per port.
+the port. A session is a folder with one folder per port. For contacts instead of values, see
+`anisomap.io.events.skin_events`.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import functools
 import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.choice import Content, choose
+from anisomap.io.events import skin_events
 from anisomap.io.joining import join_streams
 from anisomap.io.parsing.frames import to_float32_if_exact
 from anisomap.io.parsing.source import GZIP_ERRORS, open_text
@@ -28,7 +30,8 @@ from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
 _FILE, _INFO = "data.log", "info.log"
-_LINE = re.compile(rb"\s*+(\d++)\s++(\d++(?:\.\d*+)?(?:[eE][+-]?\d++)?)\s++[-+.(\dni]")
+# A line of a log of contacts ends after the stamp if nothing touched the skin.
+_LINE = re.compile(rb"\s*+(\d++)\s++(\d++(?:\.\d*+)?(?:[eE][+-]?\d++)?)(?:\s++([-+.(\dni])|\s*+$)")
 _CONNECTED = "[connected]"
 _INFO_CHARACTERS = 1 << 16
 _LINES_LOOKED_AT, _ROWS_LOOKED_AT = 3, 1000
@@ -50,6 +53,8 @@ def recognises(path: Path, head: bytes) -> bool:
     found = [match for line in whole[:_LINES_LOOKED_AT] if (match := _LINE.match(line))]
     if not found or len(found) < len(whole[:_LINES_LOOKED_AT]):
         return False
+    if not any(match[3] for match in found) and b"((" not in head and path.name != _FILE:
+        return False
     counts = [float(match[1]) for match in found]
     stamps = [float(match[2]) for match in found]
     rising = all(a < b for a, b in itertools.pairwise(counts))
@@ -57,9 +62,9 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
-    """List the ports of a session; empty for a single log or its folder."""
-    if not path.is_dir() or (path / _FILE).is_file():
-        return ()
+    """List the ports of a session, or the skin parts of a log of contacts; empty for readings."""
+    if log := _single(path):
+        return skin_events.contents_of_log(log) if skin_events.is_contact_log(log) else ()
     return tuple(Content(_part(path, log), _port(log) or "no info.log") for log in _logs(path))
 
 
@@ -67,24 +72,24 @@ def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a data.log, its folder, or one or several ports of a session.
 
-    `options.select` names the port of a session; several, separated by commas, are joined at the
-    times of the first. Times are the sender's stamps from 0, or the receiver's if the sender's do
-    not increase. A truncated last line is dropped with a warning.
+    `options.select` names the port of a session, or the skin part of a log of contacts; several,
+    separated by commas, are joined, ports at the times of the first. Times are the sender's stamps
+    from 0, or the receiver's if the sender's do not increase. A truncated last line is dropped with
+    a warning.
     """
-    ports = contents(path, options)
-    if not ports:
-        folder = path.is_dir()
-        source = f"{path.name}/{_FILE}" if folder else path.name
-        yield replace(_stream(path / _FILE if folder else path), source=source)
-        return
     wanted = [name.strip() for name in options.select.split(",")]
+    if log := _single(path):
+        source = f"{path.name}/{_FILE}" if path.is_dir() else path.name
+        yield replace(_stream(log, options.bin_s, wanted), source=source)
+        return
+    ports = contents(path, options)
     by_port = tuple(replace(content, name=content.summary) for content in ports)
     if all(any(port.name == name for port in by_port) for name in wanted):
         chosen = [ports[by_port.index(choose(path, by_port, name, "port"))].name for name in wanted]
     else:
         chosen = [choose(path, ports, name, "port").name for name in wanted]
     logs = {_part(path, log): log for log in _logs(path)}
-    streams = {name: _stream(logs[name]) for name in chosen}
+    streams = {name: _stream(logs[name], options.bin_s) for name in chosen}
     stream = join_streams(streams) if len(streams) > 1 else streams[chosen[0]]
     yield replace(stream, source=f"{path.name}/{', '.join(chosen)}")
 
@@ -116,7 +121,19 @@ def _port(log: Path) -> str:
     return ""
 
 
-def _stream(log: Path) -> Stream:
+def _single(path: Path) -> Path | None:
+    """Return the log of a file or folder; None for a session."""
+    if not path.is_dir():
+        return path
+    return path / _FILE if (path / _FILE).is_file() else None
+
+
+def _stream(log: Path, bin_s: float | None, parts: Sequence[str] = ()) -> Stream:
+    """Create a stream of a log; `parts` selects the skin parts of contacts, all by default."""
+    if skin_events.is_contact_log(log):
+        found = skin_events.contents_of_log(log)
+        names = [choose(log, found, part, "skin part").name for part in parts]
+        return skin_events.stream_contacts(log, names or [each.name for each in found], bin_s)
     table = _table(log)
     n_stamps = 2 if _has_two_stamps(first_rows(table, _ROWS_LOOKED_AT)) else 1
     n_sensors = table.n_columns - 1 - n_stamps
