@@ -56,7 +56,8 @@ def open_regular(path: str | os.PathLike[str]) -> io.BufferedReader:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
     mode = os.fstat(descriptor).st_mode
     if stat.S_ISREG(mode):
-        return os.fdopen(descriptor, "rb")
+        # Unlike os.fdopen, this keeps the name of the file.
+        return open(path, "rb", opener=lambda *_: descriptor)
     os.close(descriptor)
     if stat.S_ISDIR(mode):
         raise FileError(f"cannot read {path}: it is a folder; give a file")

@@ -87,8 +87,8 @@ def test_decompression_bombs_in_hdf5(tmp_path: Path, monkeypatch: pytest.MonkeyP
         file.create_dataset("a", (1 << 20, 64), "f8", chunks=(1 << 12, 64))
     with pytest.raises(FileError, match="decompression bomb"):
         io.read(tmp_path / "bomb.h5")
-    monkeypatch.setattr("anisomap.io.parsing.budget.FREE_BYTES", 1 << 20)
-    monkeypatch.setattr("anisomap.io.parsing.budget.MAX_RATIO", 500)
+    monkeypatch.setattr("anisomap.budget.FREE_BYTES", 1 << 20)
+    monkeypatch.setattr("anisomap.budget.MAX_RATIO", 500)
     with h5py.File(tmp_path / "bomb.h5", "w") as file:
         file.create_dataset("a", data=np.zeros((1 << 17, 64)), chunks=(1 << 17, 64), compression=9)
     with pytest.raises(FileError, match="decompression bomb"):
@@ -182,7 +182,7 @@ def test_nested_and_ragged_lists(tmp_path: Path) -> None:
 
 
 def test_parquet_bombs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("anisomap.io.parsing.budget.FREE_BYTES", 1 << 20)
+    monkeypatch.setattr("anisomap.budget.FREE_BYTES", 1 << 20)
     constant = arrow.chunked_array([fixed(np.zeros((1 << 16, 64)))] * 4)
     parquet.write_table(table(a=constant), tmp_path / "bomb.parquet")
     with pytest.raises(FileError, match="decompression bomb"):

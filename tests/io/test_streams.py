@@ -148,8 +148,8 @@ def test_memory(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["x.csv", "data.log"])
 def test_gzip_bombs_are_not_decompressed(tmp_path: Path, monkeypatch, name: str) -> None:
-    monkeypatch.setattr("anisomap.io.parsing.budget.FREE_BYTES", 1 << 20)
-    monkeypatch.setattr("anisomap.io.parsing.budget.MAX_RATIO", 500)
+    monkeypatch.setattr("anisomap.budget.FREE_BYTES", 1 << 20)
+    monkeypatch.setattr("anisomap.budget.MAX_RATIO", 500)
     start = "0,0,0\n" if name == "x.csv" else "0 1300000000.5 0 0\n"
     packed = gzip.compress(start.encode() + (b" " * 65_535 + b"\n") * (1 << 7))
     (tmp_path / name).write_bytes(packed)

@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from anisomap.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.errors import FileError, InputError
 from anisomap.io import npz
 from anisomap.io.choice import Content
@@ -25,7 +26,6 @@ from anisomap.io.maps import (
     urdf,
     xml_files,
 )
-from anisomap.io.parsing.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.io.parsing.grids import with_grid
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import file_errors, read_head

@@ -20,8 +20,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.budget import Budget, bytes_kept
 from anisomap.errors import FileError
-from anisomap.io.parsing.budget import Budget, bytes_kept
 from anisomap.recording import Scalar
 from anisomap.wording import join_items
 

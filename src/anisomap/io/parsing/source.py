@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from anisomap.budget import Budget
 from anisomap.errors import FileError, InputError
 from anisomap.files import open_regular
-from anisomap.io.parsing.budget import Budget
 
 HEAD_BYTES = 1 << 16
 """Bytes at the start of a file that the formats inspect to recognise it."""

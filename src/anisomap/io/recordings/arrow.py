@@ -18,10 +18,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.budget import Budget, bytes_kept
 from anisomap.errors import FileError
 from anisomap.files import open_regular
 from anisomap.io.choice import Content, choose
-from anisomap.io.parsing.budget import Budget, bytes_kept
 from anisomap.io.parsing.columns import (
     ROWS_LOOKED_AT,
     is_time,

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.budget import FREE_BYTES, Budget
 from anisomap.errors import AnisomapWarning
 from anisomap.io.choice import Content, choose
-from anisomap.io.parsing.budget import FREE_BYTES, Budget
 from anisomap.io.parsing.columns import is_time, units_per_second
 from anisomap.io.parsing.frames import increasing_times
 from anisomap.io.parsing.libraries import library_errors

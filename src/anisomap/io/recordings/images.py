@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.budget import Budget, bytes_kept
 from anisomap.errors import FileError
 from anisomap.files import check_regular
-from anisomap.io.parsing.budget import Budget, bytes_kept
 from anisomap.io.parsing.grids import grid_names, grid_positions
 from anisomap.io.parsing.libraries import import_extra, library_errors
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage

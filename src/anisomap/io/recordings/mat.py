@@ -14,9 +14,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from anisomap.budget import Budget, bytes_kept
 from anisomap.files import open_regular
 from anisomap.io.choice import Content
-from anisomap.io.parsing.budget import Budget, bytes_kept
 from anisomap.io.parsing.libraries import library_errors
 from anisomap.io.recordings.datasets import Dataset, contents_of, stream_of
 from anisomap.io.recordings.hdf5 import open_datasets

@@ -10,9 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from anisomap.budget import Budget
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.files import open_regular, read_small
-from anisomap.io.parsing.budget import Budget
 from anisomap.io.parsing.libraries import import_extra, library_errors
 from anisomap.io.ros.compression import (
     EXTRA,

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.budget import Budget
 from anisomap.errors import FileError
 from anisomap.io.choice import Content, choose
 from anisomap.io.joining import join_streams
-from anisomap.io.parsing.budget import Budget
 from anisomap.io.parsing.libraries import guarded_iter, import_extra, library_errors
 from anisomap.io.ros import messages
 from anisomap.io.ros.bag_files import (

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from anisomap.io.parsing.budget import Budget
+from anisomap.budget import Budget
 from anisomap.io.parsing.libraries import DamagedError, import_extra, library_errors
 
 EXTRA = "ros"

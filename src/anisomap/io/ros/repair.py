@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from anisomap.budget import Budget
 from anisomap.files import open_regular
-from anisomap.io.parsing.budget import Budget
 from anisomap.io.parsing.libraries import DamagedError
 from anisomap.io.ros.compression import decompress_chunk
 

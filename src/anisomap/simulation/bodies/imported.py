@@ -8,16 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.files import check_regular
 from anisomap.numerics.normals import estimate_normals
 from anisomap.recording import default_names
 from anisomap.simulation.bodies.body import Body, nearest_neighbours
+from anisomap.simulation.bodies.mjcf_limits import check_model
 from anisomap.simulation.checks import check_count
 from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.geometry import solids
+from anisomap.simulation.geometry.mesh_files import read_mesh
 from anisomap.simulation.geometry.solids import Points, Solid
 from anisomap.simulation.geometry.spreading import spread
 
@@ -28,7 +31,6 @@ TOLERANCE = 0.02
 """Maximum distance of a given sensor from the surface, as a fraction of the reach of the body."""
 
 _SEED = 0
-_MAX_REASON = 150  # characters of a message of trimesh
 _MAX_BALL_RADIUS = 0.6  # x median spacing: adjacent balls overlap, so nothing passes between them
 _MAX_NORMAL_ERROR = 45.0  # degrees between a given and an estimated normal
 _MAX_CONTRADICTIONS = 0.1  # share of the sensors; not 0, since estimates can be wrong at edges
@@ -62,15 +64,14 @@ def load_body(
         If a sensor is not on the surface.
     """
     suffix = path.suffix.lower()
-    if not path.is_file():
-        raise FileError(f"there is no file {path}")
+    check_regular(path)
     if suffix in MESH_SUFFIXES:
         if sensors is None:
             raise FileError(
                 f"{path} is a mesh without sensors; give their number or a file with their "
                 "positions (--sensors)"
             )
-        vertices, faces = _read_mesh(path)
+        vertices, faces = read_mesh(path)
         return body_from_mesh(vertices, faces, sensors, names=names, name=path.stem)
     if suffix in MODEL_SUFFIXES:
         return body_from_mjcf(path, sensors, names)
@@ -142,6 +143,7 @@ def body_from_mjcf(
         If MuJoCo cannot read the model, or it has no geoms, or no sites and no sensors are given.
     """
     mujoco = load_mujoco()
+    check_model(path)
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, mujoco.FatalError) as error:
@@ -297,19 +299,6 @@ def _check_near_surface(
             f"{name}, and {int((distances > allowed).sum())} sensors are more than {allowed:.4g} "
             "off; check that they use the frame and unit of the body"
         )
-
-
-def _read_mesh(path: Path) -> tuple[Points, NDArray[np.intp]]:
-    trimesh = solids.load_trimesh()
-    try:
-        loaded = trimesh.load_mesh(path)
-        return np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces)
-    except Exception as error:
-        # The type of the exception depends on the format and the version of trimesh.
-        reason = " ".join(str(error).split())
-        if len(reason) > _MAX_REASON:
-            reason = reason[:_MAX_REASON] + "..."
-        raise FileError(f"{path} cannot be read as a mesh: {reason}") from error
 
 
 def _solid_from_geom(mujoco: Any, model: Any, data: Any, i: int) -> Solid:

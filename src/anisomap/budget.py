@@ -65,9 +65,9 @@ class Budget:
         """
         if n_bytes > min(self.limit, reachable):
             raise FileError(
-                f"{self._path}: {what} expands to {n_bytes:.0f} bytes, which is more than any "
-                f"recording in a file of {self.size} bytes; the file is damaged or a decompression "
-                "bomb (if not, store it uncompressed)"
+                f"{self._path}: {what} expands to {n_bytes:.0f} bytes, too much for {self.size} "
+                "bytes on disk; it is damaged or a decompression bomb (if not, store it "
+                "uncompressed)"
             )
 
     def check_readings(self, n_frames: int, n_sensors: int, n_bytes: int, what: str) -> None:

@@ -1,0 +1,100 @@
+"""Vertices and faces of mesh files."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.budget import Budget
+from anisomap.errors import FileError
+from anisomap.files import open_regular
+from anisomap.simulation.geometry import solids
+from anisomap.simulation.geometry.solids import Points
+
+_MAX_REASON = 150  # characters of a message of trimesh
+_GLB, _GLB_HEADER = b"glTF", 20  # bytes before the JSON
+_ITEM_BYTES = 64  # largest item of an accessor: 16 floating-point numbers
+
+
+def read_mesh(path: Path) -> tuple[Points, NDArray[np.intp]]:
+    """Read a mesh without its materials, which may be in other files.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The suffix determines the format.
+
+    Returns
+    -------
+    vertices : ndarray of shape (V, 3)
+    faces : ndarray of int, shape (F, 3)
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, or is not such a mesh.
+    MissingExtraError
+        If trimesh is not installed.
+    """
+    trimesh = solids.load_trimesh()
+    suffix = path.suffix.lower()
+    with open_regular(path) as stream:
+        content = stream.read()
+    if suffix == ".glb":
+        _check_accessors(path, content)
+    with _without_log("trimesh"):
+        try:
+            # Given bytes without a name, trimesh opens no other file.
+            loaded = trimesh.load_mesh(BytesIO(content), file_type=suffix[1:])
+            vertices = np.asarray(loaded.vertices, dtype=np.float64)
+            faces = np.asarray(loaded.faces, dtype=np.intp)
+        except Exception as error:
+            # The type of the exception depends on the format and the version of trimesh.
+            reason = " ".join(str(error).split())
+            if len(reason) > _MAX_REASON:
+                reason = reason[:_MAX_REASON] + "..."
+            raise FileError(f"{path} cannot be read as a mesh: {reason}") from error
+    if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise FileError(
+            f"{path} is damaged: a face has vertex {faces.max()}, but the mesh has {len(vertices)} "
+            "vertices, numbered from 0"
+        )
+    return vertices, faces
+
+
+def _check_accessors(path: Path, content: bytes) -> None:
+    """Check the arrays that a GLB file declares, of which those without data are zeros."""
+    if not content.startswith(_GLB):
+        raise FileError(f"{path} is not a GLB file")
+    end = _GLB_HEADER + int.from_bytes(content[12:16], "little")
+    try:
+        scene = json.loads(content[_GLB_HEADER:end])
+        counts = [int(accessor["count"]) for accessor in scene.get("accessors", [])]
+        n_copies = sum("mesh" in node for node in scene.get("nodes", []))
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise FileError(f"{path} is damaged: its header is not a description of meshes") from error
+    # Each node places a copy of one mesh.
+    budget = Budget(path)
+    budget.check(_ITEM_BYTES * (sum(counts) + n_copies * max(counts, default=0)), "its meshes")
+
+
+@contextmanager
+def _without_log(name: str) -> Iterator[None]:
+    """Keep the messages of a library from stderr, where logging prints them without a handler.
+
+    They concern parts that are not read, such as the normals of faces.
+    """
+    handler = logging.NullHandler()
+    logger = logging.getLogger(name)
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)

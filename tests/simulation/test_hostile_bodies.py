@@ -1,0 +1,137 @@
+"""Bodies that declare far more than they hold, or name files of the system."""
+
+import json
+import logging
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap.errors import FileError
+from anisomap.simulation.bodies import load_body
+
+trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
+pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+
+BODY = """<geom type="box" size="1 1 1"/><site pos="1 0 0"/><site pos="0 1 0"/><site pos="0 0 1"/>
+<site pos="-1 0 0"/>"""
+DECLARED = {
+    "hfield": ('<hfield name="a" nrow="100000" ncol="100000" size="1 1 1 1"/>', ""),
+    "texture": ('<texture name="a" type="2d" builtin="flat" width="60000" height="60000"/>', ""),
+    "replicate": ("", '<replicate count="100000"><geom size=".1"/></replicate>'),
+    "nested": (
+        "",
+        '<replicate count="1e3"><replicate count="1000"><site/></replicate></replicate>',
+    ),
+    "composite": ("", '<body><composite type="cable" count="90000 1 1" curve="l 0 0"/></body>'),
+    "flexcomp": ("", '<body name="b"><flexcomp name="f" type="grid" count="99 99 99"/></body>'),
+    "memory": ('</asset><size memory="50G"/><asset>', ""),
+    "nkey": ('</asset><size nkey="200000000"/><asset>', ""),
+    "nuser": ('</asset><size nuser_body="200000000"/><asset>', ""),
+    "numeric": ('</asset><custom><numeric name="a" size="1000000000"/></custom><asset>', ""),
+    "plain": ("", '<geom size=".1"/>' * 10_001),
+}
+
+
+@pytest.fixture
+def model(tmp_path: Path):
+    def write(assets: str = "", parts: str = "", name: str = "robot.xml") -> Path:
+        path = tmp_path / name
+        path.write_text(
+            f"<mujoco><!-- a -- b --><asset>{assets}</asset><worldbody>{BODY}{parts}</worldbody>"
+            "</mujoco>"
+        )
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("what", DECLARED)
+def test_models_that_declare_too_much_are_refused(model, what: str) -> None:
+    with pytest.raises(FileError, match=r"robot\.xml.*(expands to|more than 10000 elements)"):
+        load_body(model(*DECLARED[what]))
+
+
+def test_models_with_copies_and_comments_are_read(model) -> None:
+    body = load_body(
+        model("", '<replicate count="5" offset="0 0 .1"><geom size=".1"/></replicate>')
+    )
+    assert len(body.solids) == 6
+
+
+def test_included_elements_are_counted(model, tmp_path: Path) -> None:
+    part = '<mujoco><worldbody><replicate count="101"><geom size=".1"/></replicate></worldbody>'
+    (tmp_path / "part.xml").write_text(f"{part}</mujoco>")
+    path = model("", '<replicate count="100"><body><include file="part.xml"/></body></replicate>')
+    with pytest.raises(FileError, match="more than 10000 elements"):
+        load_body(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes need POSIX")
+@pytest.mark.parametrize("name", ["pipe.stl", "pipe.xml"])
+def test_pipes_in_models_are_refused(model, tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    assets = '<mesh name="m" file="pipe.stl"/>'
+    path = model(*((assets, "") if name == "pipe.stl" else ("", f'<include file="{name}"/>')))
+    with pytest.raises(FileError, match="not a regular file"):
+        load_body(path)
+    with pytest.raises(FileError, match="not a regular file"):
+        load_body(tmp_path / name, 5)
+
+
+def glb(path: Path, faces: np.ndarray, **document) -> Path:
+    """Write a mesh, with some entries of its description replaced."""
+    mesh = trimesh.creation.box()
+    whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type="glb")
+    length = int.from_bytes(whole[12:16], "little")
+    scene = json.loads(whole[20 : 20 + length])
+    scene.update(document)
+    text = json.dumps(scene).encode()
+    text += b" " * (-len(text) % 4)
+    binary = bytearray(whole[20 + length :])
+    indices = np.array(faces, "<u4").tobytes()
+    at = bytes(binary).index(np.asarray(mesh.faces, "<u4").tobytes())
+    binary[at : at + len(indices)] = indices
+    total = 20 + len(text) + len(binary)
+    head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
+    path.write_bytes(head + text + binary)
+    return path
+
+
+def test_faces_beyond_the_vertices_are_refused(tmp_path: Path) -> None:
+    faces = np.array(trimesh.creation.box().faces)
+    assert load_body(glb(tmp_path / "box.glb", faces), 9).n_sensors == 9
+    faces[3, 1] = 70_000
+    with pytest.raises(FileError, match=r"bad\.glb.*(vertex 70000|cannot be read)"):
+        load_body(glb(tmp_path / "bad.glb", faces), 9)
+
+
+def test_arrays_without_data_are_refused(tmp_path: Path) -> None:
+    huge = [{"componentType": 5126, "type": "VEC3", "count": 10**9}] * 2
+    path = glb(tmp_path / "huge.glb", np.array(trimesh.creation.box().faces), accessors=huge)
+    with pytest.raises(FileError, match="decompression bomb"):
+        load_body(path, 9)
+
+
+def test_damage_to_normals_prints_nothing(tmp_path: Path, capfd) -> None:
+    triangle = "facet normal 0 0 1\nouter loop\n" + "vertex 0 0 0\n" * 3 + "endloop\nendfacet\n"
+    path = tmp_path / "skin.stl"
+    # 9 vertices and 9 numbers of normals; then one normal of the wrong length.
+    path.write_text("solid a\n" + triangle * 2 + triangle.replace("0 0 1", "0 0") + "endsolid a\n")
+    before = logging.getLogger("trimesh").handlers[:]
+    with pytest.raises(Exception, match=r"skin\.stl|area|closed"):
+        load_body(path, 9)
+    assert logging.getLogger("trimesh").handlers == before
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("named", ["/dev/zero", "pipe.mtl"])
+def test_materials_are_not_opened(tmp_path: Path, named: str) -> None:
+    if not (hasattr(os, "mkfifo") and Path("/dev/zero").exists()):
+        pytest.skip("named pipes and /dev/zero need POSIX")
+    os.mkfifo(tmp_path / "pipe.mtl")
+    text = trimesh.creation.box().export(file_type="obj")
+    (tmp_path / "box.obj").write_text(f"mtllib {named}\nusemtl a\n{text}")
+    assert load_body(tmp_path / "box.obj", 9).n_sensors == 9
