@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.budget import Budget
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.io.parsing.budget import Budget
 from anisomap.io.parsing.naming import numbers_of
 from anisomap.io.stream import Block, Stream
 from anisomap.recording import Scalar
