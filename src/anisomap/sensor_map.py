@@ -31,9 +31,13 @@ def _no_labels() -> NDArray[np.intp]:
     return np.empty(0, dtype=np.intp)
 
 
+def _no_values() -> NDArray[np.float64]:
+    return np.empty(0)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class SensorMap:
-    """Positions of N sensors, known up to rotation, translation, scale and reflection.
+    """Positions of N sensors, known up to rotation, translation, scale and reflection, or placed.
 
     Parameters
     ----------
@@ -68,6 +72,14 @@ class SensorMap:
         refinement could not correct.
     mirrored : bool
         Whether the map was reflected after it was made.
+    handed : bool
+        Whether the handedness of the map is known to be that of the skin.
+    anchored : bool
+        Whether positions are in the frame `frame` of the robot, up to `errors`.
+    errors : array_like of shape (N,), optional
+        Distance within which a sensor is with a probability of 90 %, in `units`; NaN if unknown.
+    normals : array_like of shape (N, 3), optional
+        Outward unit normals, NaN if unknown; None if they are to be estimated from the positions.
     notes : sequence of str
         Caveats; empty if none are known.
     provenance : mapping of str to str, int, float or bool
@@ -94,6 +106,10 @@ class SensorMap:
     approximate: bool = False
     uneven: bool = False
     mirrored: bool = False
+    handed: bool = False
+    anchored: bool = False
+    errors: NDArray[np.float64] = field(default_factory=_no_values)
+    normals: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Scalar] = field(default_factory=dict)
 
@@ -109,7 +125,15 @@ class SensorMap:
         if not component.size:
             component = np.where(placed, 0, UNPLACED)
         health = tuple(self.health) or (UNASSESSED,) * n_sensors
-        for name, size in (("component", component.size), ("health", len(health))):
+        errors = np.array(self.errors, dtype=np.float64)
+        if not errors.size:
+            errors = np.full(n_sensors, np.nan)
+        sizes = (
+            ("component", component.size),
+            ("health", len(health)),
+            ("errors", errors.size),
+        )
+        for name, size in sizes:
             if size != n_sensors:
                 raise InputError(
                     f"{name} must have {n_sensors} entries, one per sensor, got {size}"
@@ -118,13 +142,15 @@ class SensorMap:
             raise InputError(
                 "sensors must have a finite position if and only if their component is not -1"
             )
-        for array in (positions, component):
+        for array in (positions, component, errors):
             array.setflags(write=False)
         for field_name, value in {
             "positions": positions,
             "names": names,
             "component": component,
             "health": health,
+            "errors": errors,
+            "normals": None if self.normals is None else _as_normals(self.normals, n_sensors),
             "notes": tuple(self.notes),
             "provenance": MappingProxyType(dict(self.provenance)),
         }.items():
@@ -147,15 +173,24 @@ class SensorMap:
     @property
     def known_up_to(self) -> str:
         """Transformations that leave the map equally valid."""
-        scale = ", scale" if self.units in UNSCALED else ""
-        return f"rotation, translation{scale} and reflection"
+        if self.anchored:
+            return "the errors of its sensors"
+        scale = ["scale"] if self.units in UNSCALED else []
+        hand = [] if self.handed else ["reflection"]
+        *first, last = ["rotation", "translation", *scale, *hand]
+        return f"{', '.join(first)} and {last}"
 
     @property
     def reference(self) -> dict[str, str]:
         """Scale, handedness and frame of the coordinates, for files."""
         return {
             "scale": "unknown" if self.units in UNSCALED else f"in {self.units}",
-            "handedness": "right-handed axes; the map may be a mirror image of the skin",
+            "handedness": "right-handed axes; the map "
+            + (
+                "has the handedness of the skin"
+                if self.handed
+                else "may be a mirror image of the skin"
+            ),
             "frame": self.frame,
         }
 
@@ -224,6 +259,8 @@ class SensorMap:
             names=tuple(self.names[i] for i in chosen),
             component=labels,
             health=tuple(self.health[i] for i in chosen),
+            errors=self.errors[chosen],
+            normals=None if self.normals is None else self.normals[chosen],
         )
 
     def split(self) -> tuple[SensorMap, ...]:
@@ -231,6 +268,14 @@ class SensorMap:
         return tuple(
             self.select(self.component == label) for label in range(len(self.component_sizes))
         )
+
+
+def _as_normals(normals: ArrayLike, n_sensors: int) -> NDArray[np.float64]:
+    array = np.array(normals, dtype=np.float64)
+    if array.shape != (n_sensors, 3):
+        raise InputError(f"normals must have shape ({n_sensors}, 3), got {array.shape}")
+    array.setflags(write=False)
+    return array
 
 
 def _rebuilt(fields: dict[str, Any]) -> SensorMap:

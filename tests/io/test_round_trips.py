@@ -48,6 +48,10 @@ def maps(draw: st.DrawFn, min_k: int = 1, max_k: int = 4) -> SensorMap:
         method=draw(WORDS),
         stress=draw(FLOATS),
         notes=draw(st.lists(WORDS, max_size=3)),
+        handed=draw(st.booleans()),
+        anchored=draw(st.booleans()),
+        errors=draw(hnp.arrays(np.float64, n_sensors, elements=FLOATS)),
+        normals=draw(st.none() | hnp.arrays(np.float64, (n_sensors, 3), elements=FLOATS)),
         provenance=draw(st.dictionaries(WORDS, SCALARS, max_size=4)),
     )
 
@@ -94,6 +98,11 @@ def assert_same_map(found: SensorMap, expected: SensorMap) -> None:
         expected.method,
         expected.notes,
     )
+    np.testing.assert_array_equal(found.errors, expected.errors)
+    assert (found.normals is None) == (expected.normals is None)
+    if found.normals is not None:
+        np.testing.assert_array_equal(found.normals, expected.normals)
+    assert (found.handed, found.anchored) == (expected.handed, expected.anchored)
     np.testing.assert_equal(found.stress, expected.stress)
     np.testing.assert_equal(found.confidence, expected.confidence)
     assert_same_mapping(found.provenance, expected.provenance)

@@ -95,6 +95,8 @@ def read_map(path: Path) -> SensorMap:
             names=names,
             component=archive.integers("component", np.dtype(np.intp)),
             health=archive.texts("health"),
+            errors=_or_empty(archive.array("errors", NUMBERS)),
+            normals=archive.array("normals", NUMBERS) if "component" in archive.names else None,
             units=units,
             method=archive.text("method"),
             stress=math.nan if stress is None else stress,
@@ -128,6 +130,8 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "names": np.array(sensor_map.names, dtype=str),
         "component": sensor_map.component.astype(np.int64),
         "health": np.array(sensor_map.health, dtype=str),
+        "errors": None if np.isnan(sensor_map.errors).all() else sensor_map.errors,
+        "normals": sensor_map.normals,
         "units": sensor_map.units,
         **sensor_map.reference,
         "method": sensor_map.method,
@@ -137,6 +141,10 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "provenance": _to_json(to_provenance(sensor_map)),
     }
     _write(arrays, path)
+
+
+def _or_empty(array: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    return np.empty(0) if array is None else array
 
 
 def _to_json(mapping: Mapping[str, Scalar]) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, diags_array
+from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
@@ -46,14 +46,35 @@ class Poses:
         return Poses(extra @ self.rotation, self.translation + shift)
 
 
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What is known of n points on rigid bodies.
+
+    Attributes
+    ----------
+    pairs : ndarray of int, shape (P, 2)
+        Points at a known distance.
+    lengths : ndarray of shape (P,)
+        Their distances.
+    pair_sigma : float
+        Standard deviation of the distances.
+    targets : ndarray of shape (n, k)
+        Approximate positions; NaN for points without one.
+    target_sigma : float
+        Their standard deviation per coordinate.
+    """
+
+    pairs: NDArray[np.intp]
+    lengths: NDArray[np.float64]
+    pair_sigma: float
+    targets: NDArray[np.float64]
+    target_sigma: float
+
+
 def fit_poses(
-    start: Poses,
-    offsets: NDArray[np.float64],
-    body: NDArray[np.intp],
-    pairs: NDArray[np.intp],
-    lengths: NDArray[np.float64],
+    start: Poses, offsets: NDArray[np.float64], body: NDArray[np.intp], evidence: Evidence
 ) -> Poses:
-    """Fit poses of rigid bodies to distances between points on different bodies.
+    """Fit poses of rigid bodies to positions of points and to distances between them.
 
     Parameters
     ----------
@@ -63,16 +84,13 @@ def fit_poses(
         Points in the frames of their bodies.
     body : ndarray of int, shape (n,)
         Body of each point.
-    pairs : ndarray of int, shape (P, 2)
-        Points at a known distance.
-    lengths : ndarray of shape (P,)
-        Their distances, positive.
+    evidence : Evidence
 
     Returns
     -------
     Poses
-        A local minimum of the sum of squared relative errors of the distances. Overall rotation and
-        translation, which distances do not determine, stay near those of the start.
+        A local minimum of the sum of squared errors of distances and positions, each in units of
+        its standard deviation.
 
     Notes
     -----
@@ -80,16 +98,17 @@ def fit_poses(
     2006, Numerical Optimization, section 10.3).
     """
     poses, damping = start, _FIRST_DAMPING
-    residuals, jacobian = _linearised(poses, offsets, body, pairs, lengths)
+    residuals, jacobian = _linearised(poses, offsets, body, evidence)
     value = float(residuals @ residuals)
     for _ in range(_MAX_ITERATIONS):
         normal, slope = (jacobian.T @ jacobian).tocsc(), jacobian.T @ residuals
-        scale = normal.diagonal() + np.finfo(float).eps * max(float(normal.diagonal().max()), 1.0)
+        scale = normal.diagonal()
+        scale = scale + np.finfo(float).eps * max(float(scale.max()), 1.0)
         improved = False
         while damping < _MAX_DAMPING:
             step = -spsolve((normal + diags_array(damping * scale)).tocsc(), slope)
             trial = poses.moved(step.reshape(len(poses.translation), -1))
-            found, found_jacobian = _linearised(trial, offsets, body, pairs, lengths)
+            found, found_jacobian = _linearised(trial, offsets, body, evidence)
             found_value = float(found @ found)
             if found_value < value:
                 improved = True
@@ -106,32 +125,40 @@ def fit_poses(
 
 
 def _linearised(
-    poses: Poses,
-    offsets: NDArray[np.float64],
-    body: NDArray[np.intp],
-    pairs: NDArray[np.intp],
-    lengths: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], coo_array]:
-    """Return relative errors of distances, and their derivatives by turns and shifts of bodies."""
+    poses: Poses, offsets: NDArray[np.float64], body: NDArray[np.intp], evidence: Evidence
+) -> tuple[NDArray[np.float64], csr_array]:
+    """Return errors in standard deviations, and their derivatives by turns and shifts of bodies."""
     points = poses.points(offsets, body)
     arms = points - poses.translation[body]
-    between = points[pairs[:, 0]] - points[pairs[:, 1]]
+    first, second = evidence.pairs.T
+    between = points[first] - points[second]
     distances = np.linalg.norm(between, axis=1)
-    along = between / np.maximum(distances, np.finfo(float).tiny)[:, None] / lengths[:, None]
-    n_pairs, k = along.shape
+    along = between / np.maximum(distances, np.finfo(float).tiny)[:, None] / evidence.pair_sigma
+    known = np.flatnonzero(np.isfinite(evidence.targets).all(axis=1))
+    offs = (points[known] - evidence.targets[known]) / evidence.target_sigma
+    k = points.shape[1]
+    unit = np.eye(k) / evidence.target_sigma
+    rows = np.arange(len(first) + k * len(known))
+    axes = rows[len(first) :].reshape(len(known), k)
+    entries = [
+        (rows[: len(first)], first, along),
+        (rows[: len(first)], second, -along),
+        *((axes[:, i], known, np.tile(unit[i], (len(known), 1))) for i in range(k)),
+    ]
     width = k + (1 if k == 2 else 3)
-    blocks = []
-    for end, sign in ((0, 1.0), (1, -1.0)):
-        arm, direction = arms[pairs[:, end]], sign * along
+    values, row_of, column_of = [], [], []
+    for row, point, direction in entries:
+        arm = arms[point]
         if k == 2:
             turn = (arm[:, 0] * direction[:, 1] - arm[:, 1] * direction[:, 0])[:, None]
         else:
             turn = np.cross(arm, direction)
-        blocks.append(np.hstack([turn, direction]))
-    columns = body[pairs].T[:, :, None] * width + np.arange(width)
-    rows = np.broadcast_to(np.arange(n_pairs)[:, None], (2, n_pairs, width))
+        values.append(np.hstack([turn, direction]).ravel())
+        row_of.append(np.repeat(row, width))
+        column_of.append((body[point][:, None] * width + np.arange(width)).ravel())
     jacobian = coo_array(
-        (np.stack(blocks).ravel(), (rows.ravel(), columns.ravel())),
-        shape=(n_pairs, width * len(poses.translation)),
+        (np.concatenate(values), (np.concatenate(row_of), np.concatenate(column_of))),
+        shape=(len(rows), width * len(poses.translation)),
     )
-    return distances / lengths - 1.0, jacobian.tocsr()
+    errors = (distances - evidence.lengths) / evidence.pair_sigma
+    return np.concatenate([errors, offs.ravel()]), jacobian.tocsr()

@@ -23,18 +23,29 @@ def mirrored(sensor_map: SensorMap) -> SensorMap:
     -------
     SensorMap
         With the first coordinate negated, and `SensorMap.mirrored` toggled.
+
+    Raises
+    ------
+    InputError
+        If the map is in the frame of the robot.
     """
+    if sensor_map.anchored:
+        raise InputError("the map is in the frame of the robot, so it must not be reflected")
     flip = np.ones(sensor_map.dimensions)
     flip[0] = -1.0
+    normals = sensor_map.normals
     return replace(
         sensor_map,
         positions=flip * sensor_map.positions,
+        normals=None if normals is None else normals * [-1.0, 1.0, 1.0],
         mirrored=not sensor_map.mirrored,
     )
 
 
 def surface_normals(sensor_map: SensorMap) -> NDArray[np.float64]:
-    """Estimate the surface normal at each sensor, separately for each connected component.
+    """Return the surface normal at each sensor.
+
+    Normals that the map lacks are estimated, separately for each connected component.
 
     Parameters
     ----------
@@ -55,6 +66,9 @@ def surface_normals(sensor_map: SensorMap) -> NDArray[np.float64]:
     for label in range(len(sensor_map.component_sizes)):
         members = sensor_map.component == label
         normals[members] = estimate_normals(pad_to_3d(sensor_map.positions[members]))[0]
+    if sensor_map.normals is not None:
+        known = np.isfinite(sensor_map.normals).all(axis=1) & sensor_map.placed
+        normals[known] = sensor_map.normals[known]
     return normals
 
 

@@ -10,14 +10,14 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.rigid_bodies import Poses, fit_poses
+from anisomap.numerics.rigid_bodies import Evidence, Poses, fit_poses
 from anisomap.placement.modules import NO_MODULE, Modules
 from anisomap.placement.orientation import mirrored
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 # Tuned on the iCub hexagon and on maps of simulated planes of triangles, seeds 1 to 20.
 _REACH = 4.0  # pitches between sensors whose distance on the map is used
-_MIN_LENGTH = 0.5  # pitches; sensors that coincide on the map must not dominate relative errors
+_MIN_NOISE = 1e-3  # pitches; keeps weights finite on exact maps
 _MAX_STRETCH = 2.0  # of a module on the map, relative to the median of all
 
 _MIN_PADS = 3  # placed pads that determine the pose of a module
@@ -51,10 +51,10 @@ class ModuleFit:
 def fit_modules(sensor_map: SensorMap, modules: Modules) -> ModuleFit:
     """Fit the poses of rigid modules to a map of one component.
 
-    Every module first takes the pose that fits its sensors on the map best. Then poses are moved
-    until the distances between sensors on different modules, up to `_REACH` pitches, are those on
-    the map times the local scale, which the modules themselves give. Distances farther apart are
-    not used: maps bend over long distances. Sensors on no module move alone.
+    Poses explain two things: the positions on the map, and the distances on the map between nearby
+    sensors of different modules, times the local scale, which the modules themselves give. Maps
+    bend over long distances; the more the local scale varies beyond noise, the less positions
+    count against distances. Sensors on no module move alone.
 
     Parameters
     ----------
@@ -147,6 +147,75 @@ def _handedness(
     return float((squares[1] - squares[0]) / (2 * variance))
 
 
+@dataclass(frozen=True, eq=False)
+class _Alone:
+    """Each module fitted to the map by itself.
+
+    Attributes
+    ----------
+    log_scales : ndarray of shape (B,)
+        Units of the template per unit of the map, where each module is.
+    uncertainty : ndarray of shape (B,)
+        Standard deviation of `log_scales` from the noise of the map.
+    noise : float
+        Standard deviation of a coordinate on the map, in units of the template.
+    rms : float
+        Root mean square distance between modules and map, in units of the template.
+    """
+
+    log_scales: NDArray[np.float64]
+    uncertainty: NDArray[np.float64]
+    noise: float
+    rms: float
+
+    @property
+    def typical(self) -> float:
+        """Median logarithm of the scale."""
+        return float(np.median(self.log_scales))
+
+    @property
+    def distortion(self) -> float:
+        """Standard deviation of the logarithm of the scale that noise does not explain."""
+        observed = float(np.mean((self.log_scales - self.typical) ** 2))
+        return float(np.sqrt(max(0.0, observed - float(np.mean(self.uncertainty**2)))))
+
+    @property
+    def shrunk(self) -> NDArray[np.float64]:
+        """Logarithms of scales, moved towards their median as far as noise explains them."""
+        between = self.distortion**2
+        weights = between / np.maximum(between + self.uncertainty**2, np.finfo(float).tiny)
+        limit = np.log(_MAX_STRETCH)
+        deviations = np.clip(self.log_scales - self.typical, -limit, limit)
+        return np.asarray(self.typical + weights * deviations)
+
+
+def _fit_alone(
+    positions: NDArray[np.float64],
+    offsets: NDArray[np.float64],
+    groups: list[NDArray[np.intp]],
+    pitch: float,
+) -> _Alone:
+    scales, spreads = [], []
+    squares, count, freedom = 0.0, 0, 0
+    k = positions.shape[1]
+    for members in groups:
+        # Fitted to the map, not to the template: noise in the source would bias the scale.
+        fit = fit_similarity(offsets[members], positions[members], reflection=False)
+        scales.append(1.0 / max(fit.scale, float(np.finfo(float).tiny)))
+        residual = (fit.apply(offsets[members]) - positions[members]) * scales[-1]
+        centred = offsets[members] - offsets[members].mean(axis=0)
+        spreads.append(float(np.sum(centred**2)))
+        squares, count = squares + float(np.sum(residual**2)), count + len(members)
+        freedom += max(0, members.size * k - k - k * (k - 1) // 2 - 1)
+    noise = max(float(np.sqrt(squares / max(freedom, 1))), _MIN_NOISE * pitch)
+    return _Alone(
+        np.log(np.array(scales)),
+        noise / np.sqrt(np.maximum(spreads, np.finfo(float).tiny)),
+        noise,
+        float(np.sqrt(squares / count)),
+    )
+
+
 def _refined(
     positions: NDArray[np.float64],
     offsets: NDArray[np.float64],
@@ -155,44 +224,46 @@ def _refined(
     pitch: float,
 ) -> tuple[NDArray[np.float64], float]:
     """Return positions in units of the template, and the misfit of modules on the map."""
-    n_modules = int(body.max()) + 1
-    fits = []
-    for b in range(n_modules):
-        members = np.flatnonzero(placed & (body == b))
-        fits.append(fit_similarity(positions[members], offsets[members], reflection=False))
-    scales = np.array([fit.scale for fit in fits])
-    typical = float(np.median(scales[scales > 0])) if (scales > 0).any() else 1.0
-    scales = np.clip(scales, typical / _MAX_STRETCH, typical * _MAX_STRETCH)
-    scaled = typical * positions
+    n_modules, k = int(body.max()) + 1, positions.shape[1]
+    groups = [np.flatnonzero(placed & (body == b)) for b in range(n_modules)]
+    alone = _fit_alone(positions, offsets, groups, pitch)
+    scaled = np.exp(alone.typical) * positions
     free = np.flatnonzero(placed & (body == NO_MODULE))
     bodies = body.copy()
     bodies[free] = n_modules + np.arange(len(free))
     arms = np.where((body == NO_MODULE)[:, None], 0.0, offsets)
-    k = positions.shape[1]
-    start = Poses(np.tile(np.eye(k), (n_modules + len(free), 1, 1)), np.vstack(
-        [np.zeros((n_modules, k)), scaled[free]]
-    ))  # fmt: skip
-    squares, count = 0.0, 0
-    for b in range(n_modules):
-        members = np.flatnonzero(placed & (body == b))
+    rotation = np.tile(np.eye(k), (n_modules + len(free), 1, 1))
+    translation = np.vstack([np.zeros((n_modules, k)), scaled[free]])
+    for b, members in enumerate(groups):
         rigid = fit_similarity(offsets[members], scaled[members], scaling=False, reflection=False)
-        start.rotation[b], start.translation[b] = rigid.rotation, rigid.translation
-        residual = fits[b].apply(positions[members]) - offsets[members]
-        squares, count = squares + float(np.sum(residual**2)), count + len(members)
-    centres = start.translation[:n_modules]
-    near = (
-        np.asarray(KDTree(centres).query(scaled[free], k=1)[1]) if len(free) else np.empty(0, int)
-    )
-    scale_of = np.concatenate([scales, scales[near]])
+        rotation[b], translation[b] = rigid.rotation, rigid.translation
+    nearest = np.array(KDTree(translation[:n_modules]).query(translation)[1], dtype=np.intp)
+    stretch = alone.shrunk[nearest]
     here = np.flatnonzero(placed)
-    pairs = KDTree(scaled[here]).query_pairs(_REACH * pitch, output_type="ndarray")
-    pairs = here[pairs]
+    pairs = here[KDTree(scaled[here]).query_pairs(_REACH * pitch, output_type="ndarray")]
     pairs = pairs[bodies[pairs[:, 0]] != bodies[pairs[:, 1]]]
     apart = np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1)
-    factor = np.sqrt(scale_of[bodies[pairs[:, 0]]] * scale_of[bodies[pairs[:, 1]]])
-    lengths = np.maximum(apart * factor, _MIN_LENGTH * pitch)
-    known = bodies >= 0
-    poses = fit_poses(start, arms, np.maximum(bodies, 0), pairs, lengths)
+    lengths = apart * np.exp(stretch[bodies[pairs]].mean(axis=1))
+    # Distortions of the scale add up from module to module like the steps of a random walk.
+    pads = max(len(members) for members in groups)
+    size = float(np.sqrt(np.sum(np.var(scaled[here], axis=0))))
+    step = float(np.sqrt(np.median([np.sum(np.var(scaled[m], axis=0)) for m in groups])))
+    # All modules share such a drift, so their positions are as good as those of one module.
+    drift = n_modules * alone.distortion**2 * size * step
+    poses = fit_poses(
+        Poses(rotation, translation),
+        arms,
+        np.maximum(bodies, 0),
+        Evidence(
+            pairs=pairs,
+            lengths=lengths,
+            # Distances from one pad to all pads of a module share its error.
+            pair_sigma=alone.noise * float(np.sqrt(2 * pads)),
+            targets=np.where(placed[:, None], scaled, np.nan),
+            target_sigma=float(np.sqrt(alone.noise**2 + pads * drift)),
+        ),
+    )
     found = np.full_like(positions, np.nan)
+    known = bodies >= 0
     found[known] = poses.points(arms[known], bodies[known])
-    return found, float(np.sqrt(squares / count))
+    return found, alone.rms

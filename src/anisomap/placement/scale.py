@@ -103,11 +103,13 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
     Raises
     ------
     InputError
-        If the map has no spacing (see `median_spacing`), or `spacing` is not positive or is out of
-        the range of floating-point numbers.
+        If the map has no spacing (see `median_spacing`) or is in the frame of the robot, or
+        `spacing` is not positive or is out of the range of floating-point numbers.
     """
     if not (np.isfinite(spacing) and spacing > 0):
         raise InputError(f"spacing must be a positive number, got {spacing:g}")
+    if sensor_map.anchored:
+        raise InputError("the map is in the frame of the robot, so it must not be scaled")
     factor = spacing / median_spacing(sensor_map)
     largest = float(np.nanmax(np.abs(sensor_map.positions))) * factor
     # Distances are computed from squares, which must neither underflow nor overflow.
@@ -119,6 +121,7 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
     return replace(
         sensor_map,
         positions=factor * sensor_map.positions,
+        errors=factor * sensor_map.errors,
         units=units,
         provenance={**sensor_map.provenance, "spacing": spacing, "scale": factor},
     )

@@ -29,7 +29,9 @@ class Taxels:
     positions : ndarray of shape (n, 3)
         In metres.
     normals : ndarray of shape (n, 3)
-        Outward unit normals, estimated from the positions.
+        Outward unit normals: those of the map, or estimated from the positions.
+    errors : ndarray of shape (n,)
+        Distance within which a sensor is with a probability of 90 %, in metres; NaN if unknown.
     """
 
     frame: str
@@ -37,6 +39,7 @@ class Taxels:
     indices: NDArray[np.intp]
     positions: NDArray[np.float64]
     normals: NDArray[np.float64]
+    errors: NDArray[np.float64]
 
     @property
     def rotations(self) -> Rotation:
@@ -96,4 +99,5 @@ def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
         indices=indices,
         positions=positions,
         normals=surface_normals(sensor_map)[indices],
+        errors=sensor_map.errors[indices] * METRES[sensor_map.units],
     )

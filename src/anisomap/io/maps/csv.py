@@ -1,6 +1,7 @@
 """Maps and true positions as delimited text.
 
-`write_map` writes comments and a table ``name, x, y, z, component, health``. `read_map`
+`write_map` writes comments and a table ``name, x, y, z, component, health``, followed by ``error``
+and ``nx, ny, nz`` if the map has errors and normals. `read_map`
 reads any table with columns x and y (and z), or, without a header, two or three columns of numbers
 after an optional column of names.
 """
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.parsing import comments, delimited
@@ -34,6 +36,7 @@ Value = TypeVar("Value")
 _AXES = "xyz"
 _NAMES = ("name", "sensor", "taxel", "label", "id")
 _EXTRA_COLUMNS = ("component", "health")
+_ERROR, _NORMAL = "error", ("nx", "ny", "nz")
 _AXIS = re.compile(r"(x\d*|y|z)(?:[ _]*[\[(]?(mm|cm|m|um|\u00b5m|in|px|pixels?)[\])]?)?")
 
 
@@ -82,11 +85,15 @@ def read_map(path: Path) -> SensorMap:
     if lines[0].startswith(f"# {MAP_TITLE}"):
         parse_name = delimited.unguard_formula
     component = read(others["component"], int, "an integer") if is_map else ()
+    errors = read(others[_ERROR], number, "a number") if is_map and _ERROR in others else ()
+    normals = [read(others[axis], number, "a number") for axis in _NORMAL if axis in others]
     return SensorMap(
         np.array([read(column, number, "a number") for column in columns.axes]).T,
         names=distinct_names(path, read(others["name"], parse_name)) if "name" in others else (),
         component=np.array(component, np.intp),
         health=read(others["health"], parse_name) if is_map else (),
+        errors=np.array(errors),
+        normals=np.array(normals).T if is_map and len(normals) == len(_NORMAL) else None,
         **_map_properties(lines, columns.units),
     )
 
@@ -116,16 +123,31 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
             quoting=csv.QUOTE_NONNUMERIC,
             lineterminator="\n",
         )
-        table.writerow(("name", *axis_names(sensor_map.dimensions), *_EXTRA_COLUMNS))
-        for name, position, component, health in zip(
+        further, values = _further_columns(sensor_map)
+        table.writerow(("name", *axis_names(sensor_map.dimensions), *_EXTRA_COLUMNS, *further))
+        for name, position, component, health, more in zip(
             sensor_map.names,
             sensor_map.positions.tolist(),
             sensor_map.component.tolist(),
             sensor_map.health,
+            values.tolist(),
             strict=True,
         ):
             guarded = delimited.guard_formula(name), delimited.guard_formula(health)
-            table.writerow((guarded[0], *position, component, guarded[1]))
+            table.writerow((guarded[0], *position, component, guarded[1], *more))
+
+
+def _further_columns(sensor_map: SensorMap) -> tuple[list[str], NDArray[np.float64]]:
+    """Return the columns of errors and normals, if the map has them."""
+    columns = [np.empty((sensor_map.n_sensors, 0))]
+    names: list[str] = []
+    if not np.isnan(sensor_map.errors).all():
+        columns.append(sensor_map.errors[:, None])
+        names.append(_ERROR)
+    if sensor_map.normals is not None:
+        columns.append(sensor_map.normals)
+        names += _NORMAL
+    return names, np.hstack(columns)
 
 
 def _without_trailing_columns(rows: list[delimited.Record]) -> list[delimited.Record]:
@@ -146,7 +168,8 @@ def _columns(path: Path, first: delimited.Record) -> _Columns:
         axis for axis in (_AXES if "x" in found else axis_names(len(found) + 3)) if axis in found
     ]
     if axes:
-        others = {word: i for i, word in enumerate(words) if word in _EXTRA_COLUMNS}
+        kept = (*_EXTRA_COLUMNS, _ERROR, *_NORMAL)
+        others = {word: i for i, word in enumerate(words) if word in kept}
         named = [words.index(word) for word in _NAMES if word in words]
         others |= {"name": named[0]} if named else {}
         return _Columns(tuple(found[axis][0] for axis in axes), others, found[axes[0]][1], True)

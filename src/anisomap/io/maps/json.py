@@ -47,12 +47,15 @@ def read_map(path: Path) -> SensorMap:
         raise FileError(f"{path} is JSON without a list of sensors, so it is not a map")
     rows = [_Sensor(path, i, sensor) for i, sensor in enumerate(sensors)]
     dimensions = len(rows[0].value("position", (list,)))
+    oriented = all("normal" in row.content for row in rows)
     named, placed = "name" in sensors[0], "component" in sensors[0]
     return SensorMap(
-        np.array([row.position(dimensions) for row in rows]),
+        np.array([row.numbers("position", dimensions) for row in rows]),
         names=distinct_names(path, [row.value("name", (str,)) for row in rows if named]),
         component=np.array([row.value("component", (int,)) for row in rows if placed], np.intp),
         health=tuple(row.value("health", (str,), UNASSESSED) for row in rows),
+        errors=np.array([row.number("error") for row in rows]),
+        normals=np.array([row.numbers("normal", 3) for row in rows]) if oriented else None,
         **_map_properties(path, document),
     )
 
@@ -76,12 +79,18 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
                 "position": [_to_json(coordinate) for coordinate in position],
                 "component": component,
                 "health": health,
+                **({} if math.isnan(error) else {"error": _to_json(error)}),
+                **({} if normal is None else {"normal": [_to_json(value) for value in normal]}),
             }
-            for name, position, component, health in zip(
+            for name, position, component, health, error, normal in zip(
                 sensor_map.names,
                 sensor_map.positions.tolist(),
                 sensor_map.component.tolist(),
                 sensor_map.health,
+                sensor_map.errors.tolist(),
+                [None] * sensor_map.n_sensors
+                if sensor_map.normals is None
+                else sensor_map.normals.tolist(),
                 strict=True,
             )
         ],
@@ -106,18 +115,25 @@ class _Sensor:
             raise FileError(f"{self.where}: {key} is {quote(str(value))}; it must be {expected}")
         return value
 
-    def position(self, dimensions: int) -> list[float]:
-        values = self.value("position", (list,))
-        if len(values) != dimensions:
+    def numbers(self, key: str, count: int) -> list[float]:
+        values = self.value(key, (list,))
+        if len(values) != count:
             raise FileError(
-                f"{self.where}: position must have {dimensions} coordinates, as for sensor 0, "
+                f"{self.where}: {key} must have {count} coordinates, as for sensor 0, "
                 f"got {len(values)}"
             )
         try:
             return [_from_json(value) for value in values]
         except ValueError:
-            problem = f"position must hold numbers or null, got {quote(str(values))}"
+            problem = f"{key} must hold numbers or null, got {quote(str(values))}"
             raise FileError(f"{self.where}: {problem}") from None
+
+    def number(self, key: str) -> float:
+        try:
+            return _from_json(self.content.get(key))
+        except ValueError:
+            value = quote(str(self.content[key]))
+            raise FileError(f"{self.where}: {key} is {value}; it must be a number") from None
 
 
 def _to_json(value: Scalar) -> object:

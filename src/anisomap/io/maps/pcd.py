@@ -32,8 +32,13 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "units": sensor_map.units,
         "dimensions": sensor_map.dimensions,
         **sensor_map.reference,
-        "normals": "estimated from the positions",
+        "normals": "estimated from the positions" if sensor_map.normals is None else "of the map",
         **{f"sensor {row}": sensor_map.names[i] for row, i in enumerate(indices)},
+        **{
+            f"error {row}": float(sensor_map.errors[i])
+            for row, i in enumerate(indices)
+            if np.isfinite(sensor_map.errors[i])
+        },
     }
     count = len(indices)
     head = [

@@ -77,13 +77,19 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         **sensor_map.reference,
         "dimensions": sensor_map.dimensions,
         **{f"sensor {i}": sensor_map.names[i] for i in numbers},
+        **{
+            f"error {i}": float(sensor_map.errors[i])
+            for i in numbers
+            if math.isfinite(sensor_map.errors[i])
+        },
     }
+    estimated = sensor_map.normals is None
     points = np.hstack([pad_to_3d(sensor_map.positions), surface_normals(sensor_map)])
     head = [
         "ply",
         "format ascii 1.0",
         f"comment anisomap map, known up to {sensor_map.known_up_to}",
-        "comment normals are estimated from the positions",
+        *(["comment normals are estimated from the positions"] if estimated else []),
         *(f"comment {key}: {comments.format_value(value)}" for key, value in known.items()),
         f"element vertex {len(numbers)}",
         *(f"property double {column}" for column in (*_AXES, *_NORMAL)),

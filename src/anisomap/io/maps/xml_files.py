@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from anisomap.errors import FileError
 from anisomap.io.parsing.libraries import import_extra, library_errors
 from anisomap.io.parsing.source import quote
-from anisomap.placement import Taxels, to_taxels
+from anisomap.placement import METRES, Taxels, to_taxels
 from anisomap.sensor_map import SensorMap
 
 EXTRA = "xml"
@@ -83,12 +83,20 @@ def map_comments(sensor_map: SensorMap, element: str) -> list[str]:
     stated = "unknown" if math.isnan(confidence) else f"{confidence:.3f} (expected Mantel r)"
     lines = [
         f"{int(sensor_map.placed.sum())} sensors in metres, right-handed; the z axis of each "
-        f"{element} is the estimated surface normal",
+        f"{element} is the surface normal"
+        + (", estimated from the positions" if sensor_map.normals is None else ""),
         f"known up to {sensor_map.known_up_to}",
         f"method: {sensor_map.method or 'unknown'}",
         f"confidence: {stated}",
         *(f"note: {note}" for note in sensor_map.notes),
     ]
+    if np.isfinite(sensor_map.errors).any():
+        lines.append("90 % of the sensors are within their error, in metres:")
+        lines += [
+            f"error of {name}: {error * METRES[sensor_map.units]:.3g}"
+            for name, error in zip(sensor_map.names, sensor_map.errors.tolist(), strict=True)
+            if math.isfinite(error)
+        ]
     return [comment(line) for line in lines]
 
 

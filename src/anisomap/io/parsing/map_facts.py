@@ -8,7 +8,7 @@ from typing import Any
 from anisomap.recording import Scalar
 from anisomap.sensor_map import DEFAULT_FRAME, SensorMap
 
-_FLAGS = ("approximate", "uneven", "mirrored")
+_FLAGS = ("approximate", "uneven", "mirrored", "handed", "anchored")
 
 
 def to_provenance(sensor_map: SensorMap) -> dict[str, Scalar]:
