@@ -9,7 +9,7 @@ LARGE ?=
 ARGS ?=
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
-.PHONY: help demo paper numbers test test-all coverage check format bench quality docs clean
+.PHONY: help demo paper numbers test test-all coverage check format bench quality tables docs clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -57,8 +57,14 @@ bench: $(READY)  ## time each stage and whole maps against other libraries, in b
 	$(BIN)/python -m benchmarks $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(if $(LARGE),--large) $(ARGS)
 	$(BIN)/python -m benchmarks.simulation
 
-quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDINGS=folder adds real recordings)
+quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDINGS=folders adds real recordings)
 	$(BIN)/python -m benchmarks.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
+
+tables: $(READY)  ## update the tables of accuracy in README and docs from the results of make quality
+	cp quality/*-table.md docs/
+	cp quality/quality.png docs/_static/
+	cp quality/quality.csv docs/results/
+	$(BIN)/python -m anisomap.paper.numbers quality docs/results README.md
 
 docs: $(READY)  ## build the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html

@@ -1,39 +1,34 @@
-"""Accuracy of the maps of every method (``make quality``).
+"""Accuracy of the maps of every method, stock methods included (``make quality``).
 
 All methods map all scenarios of the paper, on seeds that were not used for tuning, and the
-recordings in a folder. (The covariogram method was tuned on seeds 101 to 105, its gates also on
-301 to 455.) The output is a table in Markdown, all scores as CSV, and a figure of errors against
-the length of the recording.
+recordings in folders. (The covariogram method was tuned on seeds 101 to 105, its gates also on
+301 to 455.) All maps of a recording are scored on the same sensors. The output is tables in
+Markdown and CSV, all scores as CSV, and a figure of errors against the length of the recording.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-import itertools
 import math
 import os
 import warnings
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import astuple, dataclass, fields
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import astuple, fields, replace
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
 import anisomap
-from anisomap.methods import METHODS
+from anisomap.cli import comparison_tables
+from anisomap.comparison import COMPARED, Comparison, compare_methods
+from anisomap.evaluation.rivals import RIVALS
+from anisomap.methods import DEFAULT_METHOD, METHODS
+from benchmarks import quality_figure, quality_tables
+from benchmarks.quality_tables import FRAMES, SCENARIOS, Result
 
-SCENARIOS = (
-    ("sphere", "bombardment"),
-    ("cylinder", "bombardment"),
-    ("y-shape", "bombardment"),
-    ("plane", "bombardment"),
-    ("sphere", "locomotion"),
-    ("cylinder", "locomotion"),
-)
 MORE_SCENARIOS = (
     ("torus", "bombardment"),
     ("hand", "bombardment"),
@@ -43,227 +38,132 @@ MORE_SCENARIOS = (
     ("sphere", "roller"),
     ("plane", "pulses"),
 )
-FRAMES = (500, 2000, 8000)
 DEFAULT_FRAMES = 2000
-METHOD_NAMES = ("r-anisomap", "i-anisomap", "spearman-anisomap", "covariogram")
-REFERENCE = "r-anisomap"
+METHOD_NAMES = (DEFAULT_METHOD, "r-anisomap", "spearman-anisomap", *RIVALS)
 
 
-@dataclass(frozen=True)
-class Result:
-    """Score of one map."""
-
-    recording: str
-    n_frames: int
-    seed: int
-    method: str
-    mantel_r: float
-    confidence: float
-    share_placed: float
-
-
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Reconstruct all maps and write the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--methods", nargs="+", default=METHOD_NAMES, choices=tuple(METHODS))
-    parser.add_argument("--recordings", type=Path, help="folder of NPZ files with positions")
+    parser.add_argument("--methods", nargs="+", default=METHOD_NAMES, choices=(*METHODS, *RIVALS))
+    parser.add_argument(
+        "--recordings", type=Path, nargs="+", default=(), help="folders of NPZ files with positions"
+    )
     parser.add_argument("-o", "--output", type=Path, default=Path("quality"))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    chosen = parser.parse_args()
+    chosen = parser.parse_args(arguments)
     chosen.output.mkdir(parents=True, exist_ok=True)
-    files = sorted(chosen.recordings.glob("*.npz")) if chosen.recordings else []
-    results: list[Result] = []
+    files = [path for folder in chosen.recordings for path in sorted(folder.glob("*.npz"))]
     with ProcessPoolExecutor(chosen.workers) as pool:
-        jobs = [
-            *(pool.submit(score_file, path, chosen.methods) for path in files),
-            *(
-                pool.submit(score_simulation, body, scenario, frames, seed, chosen.methods)
-                for seed in range(1, chosen.seeds + 1)
-                for (body, scenario), frames in (
-                    *((which, FRAMES) for which in SCENARIOS),
-                    *((which, (DEFAULT_FRAMES,)) for which in MORE_SCENARIOS if seed <= 3),
-                )
-            ),
+        real = [pool.submit(score_file, path) for path in files]
+        simulated = [
+            pool.submit(score_simulation, body, scenario, frames, seed, chosen.methods)
+            for seed in range(1, chosen.seeds + 1)
+            for (body, scenario), frames in (
+                *((which, FRAMES) for which in SCENARIOS),
+                *((which, (DEFAULT_FRAMES,)) for which in MORE_SCENARIOS if seed <= 3),
+            )
         ]
-        for number, job in enumerate(jobs, start=1):
-            results += job.result()
-            print(f"\r{number} of {len(jobs)} recordings", end="", flush=True)
+        await_all([*real, *simulated])
+    judged = [result for job in real for result in job.result()[1]]
+    comparisons = [job.result()[0] for job in real]
+    write(
+        chosen.output,
+        [c for c in comparisons if c],
+        judged,
+        [q for j in simulated for q in j.result()],
+    )
+
+
+def await_all(jobs: Sequence[Future[Any]]) -> None:
+    """Wait for all jobs, and print how many are done."""
+    for number, job in enumerate(jobs, start=1):
+        job.result()
+        print(f"\r{number} of {len(jobs)} recordings", end="", flush=True)
     print()
-    write_csv(results, chosen.output / "quality.csv")
-    text = "\n".join([*tables(results), *calibration(results)])
-    (chosen.output / "quality.md").write_text(text + "\n", encoding="utf-8")
-    draw(results, chosen.output / "quality.png")
-    print(text)
+
+
+def write(
+    folder: Path,
+    comparisons: Sequence[Comparison],
+    real: Sequence[Result],
+    simulated: Sequence[Result],
+) -> None:
+    """Write all tables and the figure, and print the tables."""
+    texts = {}
+    if comparisons:
+        texts["recordings-table.md"] = comparison_tables.to_markdown(comparisons)
+        texts["recordings.csv"] = comparison_tables.to_csv(comparisons)
+    if simulated:
+        texts["quality-table.md"] = quality_tables.tables(simulated)
+        texts["simulated.csv"] = quality_tables.summary(simulated, DEFAULT_FRAMES)
+        quality_figure.draw(simulated, folder / "quality.png")
+    texts["confidence-table.md"] = quality_tables.calibration([*real, *simulated])
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+        if name.endswith(".md"):
+            print(text)
+    with (folder / "quality.csv").open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow([field.name for field in fields(Result)])
+        table.writerows(astuple(result) for result in [*real, *simulated])
 
 
 def score_simulation(
     body: str, scenario: str, lengths: Sequence[int], seed: int, methods: Iterable[str]
 ) -> list[Result]:
-    """Score maps of one simulated recording, truncated to several lengths."""
+    """Score maps of one simulated recording, truncated to several lengths, in 3D."""
     with warnings.catch_warnings(), threadpool_limits(1):
         warnings.simplefilter("ignore", anisomap.AnisomapWarning)
         whole = anisomap.simulate(body, scenario, n_frames=max(lengths), seed=seed)
-        return [
-            score(whole, f"{body}, {scenario}", method, n_frames=length, seed=seed, dimensions=3)
-            for length, method in itertools.product(lengths, methods)
-        ]
+        results = []
+        for length in lengths:
+            beginning = anisomap.Recording(whole.readings[:length], positions=whole.positions)
+            compared = compare_methods(
+                beginning, tuple(methods), 3, name=f"{body}, {scenario}", seed=seed
+            )
+            results += judged_scores(compared, beginning, seed)
+        return results
 
 
-def score_file(path: Path, methods: Iterable[str]) -> list[Result]:
+def score_file(path: Path) -> tuple[Comparison | None, list[Result]]:
     """Score maps of a recording with known positions, in as many dimensions as these span."""
     with warnings.catch_warnings(), threadpool_limits(1):
         warnings.simplefilter("ignore", anisomap.AnisomapWarning)
         try:
             recording = anisomap.read(path)
+            compared = compare_methods(recording, COMPARED, name=path.stem)
         except anisomap.AnisomapError as error:
-            print(f"skipped: {error}")
-            return []
-        if recording.positions is None or not np.isfinite(recording.positions).all():
-            return []
-        flat = np.linalg.svd(recording.positions - recording.positions.mean(axis=0))[1]
-        dimensions = int(np.count_nonzero(flat > 0.02 * flat[0]))
-        return [
-            score(
-                recording,
-                f"{path.stem} ({dimensions}D)",
-                m,
-                n_frames=recording.n_frames,
-                seed=0,
-                dimensions=dimensions,
+            print(f"skipped {path.name}: {error}")
+            return None, []
+        results = judged_scores(compared, recording, 0)
+    scores = tuple(replace(s, sensor_map=None) for s in compared.scores)
+    return replace(compared, scores=scores), results
+
+
+def judged_scores(compared: Comparison, recording: anisomap.Recording, seed: int) -> list[Result]:
+    """Return the scores of all methods, with the confidence of the map by the default method."""
+    results = []
+    for s in compared.scores:
+        expected = math.nan
+        if s.sensor_map is not None and s.method == DEFAULT_METHOD:
+            mapped = recording.select(recording.indices(s.sensor_map.names))
+            expected = anisomap.confidence(s.sensor_map, mapped)
+        results.append(
+            Result(
+                compared.name,
+                compared.n_frames,
+                seed,
+                s.method,
+                s.mantel_r,
+                s.rms_in_spacings,
+                expected,
+                s.n_placed / compared.n_sensors,
+                len(compared.sensors) / compared.n_sensors,
             )
-            for m in methods
-        ]
-
-
-def score(
-    recording: anisomap.Recording,
-    name: str,
-    method: str,
-    *,
-    n_frames: int,
-    seed: int,
-    dimensions: int,
-) -> Result:
-    """Score the map of the first frames of a recording; NaN where it cannot be reconstructed."""
-    beginning = anisomap.Recording(recording.readings[:n_frames], positions=recording.positions)
-    try:
-        made = anisomap.reconstruct(beginning, method, dimensions)
-        expected = anisomap.confidence(made, beginning)
-        truth = np.asarray(recording.positions)
-        r = anisomap.score(made, truth, permutations=0).mantel.r
-    except anisomap.InputError:
-        return Result(name, n_frames, seed, method, math.nan, math.nan, 0.0)
-    share = float(np.mean(made.component == 0))
-    return Result(name, n_frames, seed, method, r, expected, share)
-
-
-def tables(results: Sequence[Result]) -> list[str]:
-    """Return tables of mean and worst scores and mean paired error ratios, one per length."""
-    methods = list(dict.fromkeys(result.method for result in results))
-    lines = []
-    simulated = [result for result in results if result.seed]
-    groups = [
-        *((f"{n:,} frames", [r for r in simulated if r.n_frames == n]) for n in FRAMES),
-        ("Recordings", [r for r in results if not r.seed]),
-    ]
-    for title, group in groups:
-        if not group:
-            continue
-        header = ["recording", "seeds", *methods]
-        header += [f"{m}: error ratio" for m in methods if m != REFERENCE]
-        header.append("share placed")
-        lines += [f"### {title}", "", row(header), row(["---"] * len(header))]
-        for name in dict.fromkeys(result.recording for result in group):
-            lines.append(row(cells(name, [r for r in group if r.recording == name], methods)))
-        lines.append("")
-    return lines
-
-
-def cells(name: str, group: Sequence[Result], methods: Sequence[str]) -> list[str]:
-    """Return the cells of one row; a recording without a map counts as 0."""
-    scores = {
-        m: {(q.n_frames, q.seed): np.nan_to_num(q.mantel_r) for q in group if q.method == m}
-        for m in methods
-    }
-    found = [name, str(len(scores[methods[0]]))]
-    for paired in scores.values():
-        values = np.array(list(paired.values()))
-        found.append(f"{values.mean():.3f} ({values.min():.3f})")
-    reference = scores.get(REFERENCE, {})
-    for method, paired in scores.items():
-        if method != REFERENCE and reference:
-            ratios = [(1 - r) / (1 - reference[which]) for which, r in paired.items()]
-            found.append(f"{np.mean(ratios):.2f}")
-    return [*found, f"{min(q.share_placed for q in group):.0%}"]
-
-
-def calibration(results: Sequence[Result]) -> list[str]:
-    """Return a table of Mantel r by confidence."""
-    judged = [r for r in results if math.isfinite(r.confidence) and math.isfinite(r.mantel_r)]
-    edges = (0.0, 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 1.01)
-    header = ["confidence", "maps", "Mantel r: median", "10 %", "90 %", "below 0.9"]
-    lines = ["### Confidence", "", row(header), row(["---"] * len(header))]
-    for low, high in itertools.pairwise(edges):
-        r = np.array([q.mantel_r for q in judged if low <= q.confidence < high])
-        if r.size:
-            tenth, median, ninetieth = np.quantile(r, (0.1, 0.5, 0.9))
-            figures = (
-                f"{median:.3f}",
-                f"{tenth:.3f}",
-                f"{ninetieth:.3f}",
-                f"{np.mean(r < 0.9):.0%}",
-            )
-            lines.append(row([f"{low:.2f} to {min(high, 1):.2f}", str(r.size), *figures]))
-    return lines
-
-
-def row(texts: Iterable[str]) -> str:
-    """Format a row of a Markdown table."""
-    return f"| {' | '.join(texts)} |"
-
-
-def write_csv(results: Sequence[Result], path: Path) -> None:
-    """Write all scores."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow([field.name for field in fields(Result)])
-        table.writerows(astuple(result) for result in results)
-
-
-def draw(results: Sequence[Result], path: Path) -> None:
-    """Draw the error of every method against the length of the recording."""
-    colours = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
-    figure = Figure(figsize=(11, 6), layout="constrained")
-    panels = figure.subplots(2, 3, sharex=True)
-    for (body, scenario), axes in zip(SCENARIOS, panels.flat, strict=True):
-        name = f"{body}, {scenario}"
-        for method, colour in zip(dict.fromkeys(r.method for r in results), colours, strict=False):
-            errors = np.array(
-                [
-                    np.nanquantile(
-                        [
-                            1 - r.mantel_r
-                            for r in results
-                            if (r.recording, r.n_frames, r.method) == (name, n, method)
-                        ],
-                        (0, 0.5, 1),
-                    )
-                    for n in FRAMES
-                ]
-            )
-            axes.loglog(FRAMES, errors[:, 1], "o-", color=colour, label=method, linewidth=1.5)
-            axes.fill_between(FRAMES, errors[:, 0], errors[:, 2], color=colour, alpha=0.15)
-        axes.set_title(name, fontsize=10)
-        axes.set_xticks(FRAMES, [f"{n:,}" for n in FRAMES])
-        axes.minorticks_off()
-        axes.grid(visible=True, alpha=0.3)
-    for axes in panels[-1]:
-        axes.set_xlabel("frames")
-    for axes in panels[:, 0]:
-        axes.set_ylabel("1 - Mantel r")
-    panels[0, 0].legend(fontsize=8)
-    figure.savefig(path, dpi=150)
+        )
+    return results
 
 
 if __name__ == "__main__":

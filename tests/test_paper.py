@@ -503,6 +503,11 @@ def test_documents_are_updated_from_results(tmp_path):
     page.write_text("<!-- numbers: number: worth -->\n<!-- end of numbers -->")
     with pytest.raises(FileError, match="no column 'worth'"):
         numbers.main(arguments)
+    old = "<!-- numbers: old -->\n<!-- end of numbers -->"
+    (tmp_path / "tables" / "old.csv").write_text("kept\n2\n")
+    page.write_text(old)
+    numbers.main(arguments)
+    assert "| kept |\n| --- |\n| 2 |\n" in page.read_text()
     page.write_text("<!-- numbers: absent -->\n<!-- end of numbers -->")
     with pytest.raises(FileError, match="run anisomap paper first"):
         numbers.main(arguments)

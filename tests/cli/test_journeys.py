@@ -158,10 +158,10 @@ def test_methods_are_compared_with_stock_methods_in_tables(run, skin_npz, tmp_pa
         best = max(("isomap-on-r", "pca-on-r"), key=lambda name: float(values[name]))
         assert values["best stock"] == best
         margin = float(values["covariogram"]) - float(values[best])
-        assert float(values["margin"]) == pytest.approx(margin, abs=2e-4)
+        assert float(values["margin"]) == pytest.approx(margin, abs=8e-4)
     losses = sum(float(values["margin"]) < -0.0005 for values in numbers)
     verdict = next(line for line in table if "stock method is better" in line)
-    assert (f"{losses} of 2 maps" if losses else "No stock method") in verdict
+    assert f"on {losses} of 2 maps" in verdict
     assert verdict in found.out
 
 

@@ -76,7 +76,7 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
                 *(_number(s.rms_in_spacings) for s in comparison.scores),
                 stock.method if stock else "-",
                 _number(stock.mantel_r if stock else math.nan),
-                _number(comparison.margin, "+"),
+                _margin(comparison.margin),
             ]
         )
     return text.getvalue()
@@ -89,12 +89,9 @@ def sentences(comparisons: Sequence[Comparison]) -> list[str]:
     if judged:
         own = judged[0].judged.method if judged[0].judged else ""
         losses = [_loss(c) for c in judged if round(c.margin, 3) < 0]
+        named = f": {', '.join(losses)}" if losses else ""
         count = f"{len(losses)} of {len(judged)} maps"
-        said.append(
-            f"A stock method is better than {own} on {count}: {', '.join(losses)}."
-            if losses
-            else f"No stock method is better than {own} on any of {len(judged)} maps."
-        )
+        said.append(f"A stock method is better than {own} on {count}{named}.")
     reasons: dict[tuple[str, str], list[str]] = {}
     for comparison in comparisons:
         for s in comparison.scores:
@@ -126,5 +123,9 @@ def _cell(s: MethodScore) -> str:
     return "-" if math.isnan(s.mantel_r) else f"{s.mantel_r:.3f} ({s.rms_in_spacings:.2f})"
 
 
-def _number(value: float, sign: str = "") -> str:
-    return "-" if math.isnan(value) else f"{value:{sign}.4f}"
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.4f}"
+
+
+def _margin(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:+.3f}"

@@ -7,7 +7,8 @@ A document marks where columns of a table go::
     <!-- end of numbers -->
 
 The following command copies the tables that the documents name from the folder of results to the
-folder of tables, and replaces the lines between the markers::
+folder of tables, and replaces the lines between the markers. Tables that the results lack keep
+their last version in the folder of tables::
 
     python -m anisomap.paper.numbers RESULTS TABLES DOCUMENT ...
 """
@@ -87,19 +88,22 @@ def to_markdown(path: Path, columns: Sequence[str] = ()) -> str:
 
 
 def collect(results: Path, tables: Path, names: Sequence[str]) -> None:
-    """Copy tables from the folders of experiments.
+    """Copy tables from the folder of results, or from its folders of experiments.
 
     Raises
     ------
     FileError
-        If a table does not exist.
+        If a table exists neither there nor in `tables`.
     """
     for name in names:
-        found = sorted(results.glob(f"*/{name}.csv"))
-        if not found:
-            raise FileError(f"{results} has no table {name}; run anisomap paper first")
-        with atomic_write(tables / f"{name}.csv") as temporary:
-            shutil.copyfile(found[0], temporary)
+        found = [*results.glob(f"{name}.csv"), *sorted(results.glob(f"*/{name}.csv"))]
+        if found:
+            with atomic_write(tables / f"{name}.csv") as temporary:
+                shutil.copyfile(found[0], temporary)
+        elif not (tables / f"{name}.csv").exists():
+            raise FileError(
+                f"neither {results} nor {tables} has a table {name}; run anisomap paper first"
+            )
 
 
 def main(arguments: Sequence[str]) -> None:
