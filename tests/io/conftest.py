@@ -178,6 +178,28 @@ def _skin_events(path: Path) -> None:
     path.write_text(_lines(contacts))
 
 
+def _spike_trains(path: Path) -> None:
+    """The layout of the retinal wave repository: one vector of times, and counts per unit."""
+    h5py = pytest.importorskip("h5py")
+    counts = np.round(10 * _readings()).astype(int)
+    trains = [np.repeat(np.arange(N_FRAMES), counts[:, k]) / 50 for k in range(N_SENSORS)]
+    with h5py.File(path, "w") as file:
+        file["spikes"] = np.concatenate(trains) + 0.01
+        file["sCount"] = [float(len(train)) for train in trains]
+        file["epos"] = np.array([np.arange(N_SENSORS), np.zeros(N_SENSORS)])
+        file["names"] = np.array([f"ch_{k}a" for k in range(N_SENSORS)], dtype="S")
+        file["recordingtime"] = [0.0, N_FRAMES / 50]
+        file["summary/frate"] = counts.sum(axis=0) / (N_FRAMES / 50)
+
+
+def _contact_structs(path: Path) -> None:
+    """A structure per contact, beside the angles of the joints, as a robot records self-touch."""
+    contacts = np.zeros((N_FRAMES, 1), dtype=[("angles", object), ("activatedTaxels", object)])
+    for i, values in enumerate(_readings()):
+        contacts[i, 0] = (np.array([[0.5]]), np.flatnonzero(values)[None])
+    scipy.io.savemat(path, {"torso": contacts}, do_compression=True)
+
+
 def _cyskin(path: Path) -> None:
     """Three taxels of five with addresses beside each response, as robotskinlib records them."""
     rows = _lines(
@@ -236,6 +258,8 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "film.tif": ("images", _images),
     "contacts.csv": ("contacts", _contacts),
     "events.log": ("yarp", _skin_events),
+    "spikes.h5": ("hdf5", _spike_trains),
+    "touch.mat": ("mat", _contact_structs),
     "hand.txt": ("cyskin", _cyskin),
     "gesture.txt": ("cyskin", _cyskin_of_driver),
     "lists.csv": ("text", _lists),
@@ -248,6 +272,8 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
 EVENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "contacts.csv": lambda values: values > 0,
     "events.log": lambda values: values > 0,
+    "spikes.h5": lambda values: np.round(10 * values),
+    "touch.mat": lambda values: values > 0,
 }
 """Files that hold events instead of readings, and what they make of readings."""
 
@@ -276,6 +302,13 @@ def recording_file(request: pytest.FixtureRequest, tmp_path: Path, recording: Re
     else:
         io.write(recording, path)
     return path
+
+
+@pytest.fixture
+def read_example(recording_file: Path) -> Callable[[Path], Recording]:
+    """Read an example, also under another name, with the options that its content needs."""
+    bin_s = 0.02 if recording_file.name == "spikes.h5" else None
+    return lambda path: io.read(path, options=io.ReadOptions(bin_s=bin_s))
 
 
 @pytest.fixture

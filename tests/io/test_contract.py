@@ -3,6 +3,7 @@
 import logging
 import os
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from anisomap.errors import FileError, InputError
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
-TIMELESS = {"mat.asf": 50, "film.tif": None, "skin.npy": None}
+Reader = Callable[[Path], Recording]
+TIMELESS = {"mat.asf": 50, "film.tif": None, "skin.npy": None, "touch.mat": None}
 """Files without times, and their rates."""
 
 
@@ -33,8 +35,10 @@ def test_names_and_suffixes_of_formats_are_unique() -> None:
     assert all(suffix.startswith(".") and suffix == suffix.lower() for suffix in suffixes)
 
 
-def test_recordings_keep_the_contract(recording_file: Path, expected_readings) -> None:
-    found = io.read(recording_file)
+def test_recordings_keep_the_contract(
+    recording_file: Path, read_example: Reader, expected_readings: np.ndarray
+) -> None:
+    found = read_example(recording_file)
     assert found.readings.shape == expected_readings.shape
     assert found.readings.dtype in (np.float32, np.float64)
     assert not found.readings.flags.writeable
@@ -62,10 +66,10 @@ def test_maps_keep_the_contract(map_file: Path, read_back: SensorMap) -> None:
     assert not found.positions.flags.writeable
 
 
-def test_recordings_are_recognised_by_content(recording_file: Path) -> None:
-    expected = io.read(recording_file)
+def test_recordings_are_recognised_by_content(recording_file: Path, read_example: Reader) -> None:
+    expected = read_example(recording_file)
     disguised = recording_file.rename(recording_file.with_name("data.bin"))
-    np.testing.assert_array_equal(io.read(disguised).readings, expected.readings)
+    np.testing.assert_array_equal(read_example(disguised).readings, expected.readings)
 
 
 def test_maps_are_recognised_by_content(map_file: Path) -> None:
@@ -212,15 +216,19 @@ def test_maps_are_not_read_as_recordings(tmp_path: Path, sensor_map: SensorMap, 
         io.read(tmp_path / name)
 
 
-def test_recordings_without_positions_are_not_read_as_maps(recording_file: Path) -> None:
-    if io.read(recording_file).positions is not None and recording_file.suffix == ".npz":
+def test_recordings_without_positions_are_not_read_as_maps(
+    recording_file: Path, read_example: Reader
+) -> None:
+    if read_example(recording_file).positions is not None and recording_file.suffix == ".npz":
         pytest.skip("this file has positions")
     with pytest.raises(FileError, match=r"positions|columns x and y"):
         io.read_map(recording_file)
 
 
-def test_reading_prints_nothing(recording_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    io.read(recording_file)
+def test_reading_prints_nothing(
+    recording_file: Path, read_example: Reader, capfd: pytest.CaptureFixture[str]
+) -> None:
+    read_example(recording_file)
     assert capfd.readouterr() == ("", "")
     assert not logging.getLogger("anisomap").handlers
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -239,3 +240,152 @@ class TestGrids:
         with pytest.warns(AnisomapWarning, match="last line is truncated"):
             found = io.read(put("walk.csv", f'frame,cells\n{rows}60,"1,2'))
         assert found.n_frames == 60
+
+
+class TestSpikeTrains:
+    """Times of spikes in HDF5: three layouts, with positions, names and span."""
+
+    TRAINS = ([0.25, 1.5, 1.75], [], [0.5, 2.25])
+    COUNTS = ([1, 0, 1], [2, 0, 0], [0, 0, 1])
+
+    @pytest.fixture
+    def saved(self, tmp_path: Path) -> Callable[..., Path]:
+        h5py = pytest.importorskip("h5py")
+
+        def save(**arrays: object) -> Path:
+            with h5py.File(tmp_path / "spikes.h5", "w") as file:
+                for name, values in arrays.items():
+                    file[name.replace("__", "/")] = values
+            return tmp_path / "spikes.h5"
+
+        return save
+
+    @pytest.mark.parametrize(
+        ("arrays", "names"),
+        [
+            (
+                {"spikes": np.concatenate(TRAINS), "sCount": [3.0, 0, 2], "array": b"MEA"},
+                ("e0", "e1", "e2"),
+            ),
+            (
+                {
+                    "units__spike_times": np.concatenate(TRAINS),
+                    "units__spike_times_index": [3, 3, 5],
+                    "units__names": np.array(["a", "b", "c"], dtype="S"),
+                },
+                ("a", "b", "c"),
+            ),
+            (
+                {f"spikes__ch{i}": np.array(train) for i, train in enumerate(TRAINS)},
+                ("ch0", "ch1", "ch2"),
+            ),
+        ],
+    )
+    def test_layouts(self, saved, arrays: dict[str, object], names: tuple[str, ...]) -> None:
+        path = saved(**arrays)
+        found = io.read(path, options=OPTIONS(bin_s=1.0))
+        assert found.names == names
+        # The first bin begins with the first spike, at 0.25 s.
+        np.testing.assert_array_equal(found.readings, self.COUNTS)
+        assert found.rate_hz == 1
+        with pytest.warns(AnisomapWarning, match="in bins of 1 s, the default"):
+            io.read(path)
+
+    @pytest.mark.parametrize("transposed", [False, True])
+    def test_positions_and_span(self, saved, transposed: bool) -> None:
+        positions = np.array([[0.0, 42], [42, 42], [84, 0]])
+        path = saved(
+            spikes=np.concatenate(self.TRAINS),
+            sCount=[3, 0, 2],
+            epos=positions.T if transposed else positions,
+            recordingtime=[0.0, 4.0],
+            summary__N=[3.0],
+            summary__frate=[1.0, 0, 0.5],
+        )
+        found = io.read(path, options=OPTIONS(bin_s=1.0))
+        np.testing.assert_array_equal(found.readings, [*self.COUNTS, [0, 0, 0]])
+        np.testing.assert_array_equal(found.times, np.arange(4))
+        if not transposed:  # three positions of three coordinates would be ambiguous
+            np.testing.assert_array_equal(found.positions, positions)
+        assert found.units == "um"
+
+    @pytest.mark.parametrize("counts", [[3, 0, 1], [3, -1, 3], [2.5, 0, 2.5], [np.nan, 1, 1]])
+    def test_counts_that_do_not_agree(self, saved, counts: list[float]) -> None:
+        path = saved(spikes=np.concatenate(self.TRAINS), sCount=counts)
+        with pytest.raises(
+            FileError, match=r"spikes\.h5: sCount must divide the 5 times of spikes"
+        ):
+            io.read(path, options=OPTIONS(bin_s=1.0))
+
+    def test_readings_beside_vectors_are_preferred(self, saved) -> None:
+        path = saved(
+            skin__readings=np.eye(4), events__ch1=np.array([0.5]), events__ch2=np.array([0.5, 1.5])
+        )
+        assert io.read(path).n_sensors == 4
+        events = io.read(path, options=OPTIONS(select="events", bin_s=1.0))
+        np.testing.assert_array_equal(events.readings, [[1, 1], [0, 1]])
+
+
+class TestMatlab:
+    """Contacts and spikes in structures and cell arrays."""
+
+    CONTACTS = ([3, 17], [], [17], [3, 4, 17])
+
+    @pytest.fixture
+    def saved(self, tmp_path: Path) -> Callable[..., Path]:
+        def save(**variables: object) -> Path:
+            scipy.io.savemat(tmp_path / "touch.mat", variables, do_compression=True)
+            return tmp_path / "touch.mat"
+
+        return save
+
+    def cells(self, items: list[object]) -> np.ndarray:
+        cells = np.empty((len(items), 1), dtype=object)
+        cells[:, 0] = items
+        return cells
+
+    @pytest.mark.parametrize("inside", ["row", "column", "points", "cells of structures"])
+    def test_contacts(self, saved, inside: str) -> None:
+        items: list[object] = []
+        for ids in self.CONTACTS:
+            listed = np.array(ids, dtype=float).reshape(1, -1)
+            if inside == "column":
+                listed = listed.T
+            if inside == "points":
+                listed = np.column_stack([np.full((len(ids), 3), 0.25), listed.ravel()])
+            items.append({"taxels": listed} if inside == "cells of structures" else listed)
+        found = io.read(saved(torso=self.cells(items)))
+        assert found.names == NAMES
+        np.testing.assert_array_equal(found.readings, READINGS)
+        assert found.times is None
+
+    def test_two_skins(self, saved) -> None:
+        contacts = np.zeros((4, 1), dtype=[("activatedTaxels", object), ("side", object)])
+        for i, ids in enumerate(self.CONTACTS):
+            contacts[i, 0] = (np.array([ids], dtype=np.uint16), "left")
+        path = saved(torso=contacts, arm=contacts[::-1])
+        assert [each.name for each in io.contents(path) if each.usable] == [
+            "torso/activatedTaxels",
+            "arm/activatedTaxels",
+        ]
+        with pytest.raises(io.ChoiceError, match="2 possible recordings"):
+            io.read(path)
+        arm = io.read(path, options=OPTIONS(select="arm"))
+        np.testing.assert_array_equal(arm.readings, READINGS[::-1])
+        assert arm.source == "touch.mat:arm/activatedTaxels"
+
+    def test_spike_trains(self, saved) -> None:
+        trains = [np.array(train).reshape(-1, 1) for train in TestSpikeTrains.TRAINS]
+        found = io.read(saved(spikes=self.cells(trains)), options=OPTIONS(bin_s=1.0))
+        np.testing.assert_array_equal(found.readings, TestSpikeTrains.COUNTS)
+        assert found.names == ("channel1", "channel2", "channel3")
+
+    def test_readings_beside_cells_are_preferred(self, saved) -> None:
+        path = saved(readings=np.eye(4), notes=self.cells([np.array([[1.0, 2.0]])]))
+        assert io.read(path).n_sensors == 4
+
+    def test_cells_that_unpack_too_far_are_refused(self, saved) -> None:
+        path = saved(big=self.cells([np.zeros((1, 40_000_000))]))
+        assert path.stat().st_size < 1 << 20
+        with pytest.raises(FileError, match=r"touch\.mat: its variables expands to"):
+            io.read(path)

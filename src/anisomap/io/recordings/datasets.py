@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from anisomap.budget import FREE_BYTES, Budget
 from anisomap.errors import AnisomapWarning
 from anisomap.io.choice import Content, choose
+from anisomap.io.events.spike_trains import SpikeTrains, find_spike_trains, stream_spikes
 from anisomap.io.parsing.columns import is_time, units_per_second
 from anisomap.io.parsing.frames import increasing_times
 from anisomap.io.parsing.libraries import library_errors
@@ -22,7 +23,9 @@ from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
 _NUMBERS, _TEXT, _VARIABLE_LENGTH = "biuf", "SU", "O"
-_POSITIONS = {"positions", "position", "xyz", "coordinates", "taxel_positions"}
+_MICROMETRES = "epos"  # positions in the retinal wave repository, which defines their unit
+_SPAN = "recordingtime"
+_POSITIONS = {"positions", "position", "xyz", "coordinates", "taxel_positions", _MICROMETRES}
 _RATES = {"rate_hz", "fs", "sample_rate", "sampling_rate"}
 _BLOCK_BYTES = 1 << 22
 
@@ -73,10 +76,25 @@ class Dataset:
 
 
 def contents_of(datasets: Sequence[Dataset]) -> tuple[Content, ...]:
-    """List datasets, and whether they can be a recording."""
-    return tuple(
-        Content(each.name, f"{each.dtype}, {' x '.join(map(str, each.shape))}", _usable(each))
-        for each in datasets
+    """List datasets, and whether they, or spike trains made of them, can be a recording."""
+    trains = find_spike_trains(datasets)
+    in_trains = {name for each in trains for name in each.members}
+    # Vectors beside readings may be of any kind.
+    readings = any(_usable(each) and each.name not in in_trains for each in datasets)
+    return (
+        *(
+            Content(each.name, f"{each.n_units} spike trains", not readings or bool(each.index))
+            for each in trains
+        ),
+        *(
+            Content(
+                each.name,
+                f"{each.dtype}, {' x '.join(map(str, each.shape))}",
+                _usable(each) and each.name not in in_trains,
+            )
+            for each in datasets
+            if each.name not in {train.name for train in trains}
+        ),
     )
 
 
@@ -111,6 +129,10 @@ def stream_of(
         If no dataset can be a recording, or the selection does not match one.
     """
     name = choose(path, contents_of(datasets), options.select, "dataset").name
+    for trains in find_spike_trains(datasets):
+        if trains.name == name:
+            stream = _stream_of_spikes(path, datasets, trains, options)
+            return replace(stream, source=f"{path.name}:{name}")
     chosen = next(each for each in datasets if each.name == name)
     if not _usable(chosen):
         choose(path, contents_of([chosen]), "", "dataset")  # raises FileError
@@ -132,6 +154,21 @@ def stream_of(
         source=f"{path.name}:{chosen.name}",
         metadata=metadata,
     )
+
+
+def _stream_of_spikes(
+    path: Path, datasets: Sequence[Dataset], trains: SpikeTrains, options: ReadOptions
+) -> Stream:
+    group = trains.times[0].group
+    near = [each for each in datasets if each.group == group and each.name not in trains.members]
+    micrometres = any(each.key == _MICROMETRES for each in near)
+    with library_errors(path):
+        names = _names(path, near, trains.n_units)
+        positions = _positions(near, trains.n_units)
+        stream = stream_spikes(
+            path, trains, options.bin_s, names=names, positions=positions, span=_span(near)
+        )
+    return replace(stream, units="um" if micrometres and positions is not None else "")
 
 
 def _usable(dataset: Dataset) -> bool:
@@ -199,6 +236,18 @@ def _positions(near: Sequence[Dataset], n_sensors: int) -> NDArray[np.float64] |
             values = each.whole().astype(np.float64)
             if values.shape[0] == n_sensors and values.shape[1] in (2, 3):
                 return values
+            # R and MATLAB store matrices by columns.
+            if values.shape[1] == n_sensors and values.shape[0] in (2, 3):
+                return np.ascontiguousarray(values.T)
+    return None
+
+
+def _span(near: Sequence[Dataset]) -> tuple[float, float] | None:
+    """Return the start and end of a recording of spikes, if the file gives them."""
+    for each in near:
+        if each.key == _SPAN and math.prod(each.shape) == 2 and each.kind in _NUMBERS:
+            start, end = each.whole().astype(np.float64).ravel().tolist()
+            return (start, end) if math.isfinite(start) and start < end < math.inf else None
     return None
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import functools
 import math
+import struct
 import warnings
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,8 @@ from numpy.typing import NDArray
 
 from anisomap.budget import Budget, bytes_kept
 from anisomap.files import open_regular
-from anisomap.io.choice import Content
+from anisomap.io.choice import Content, choose
+from anisomap.io.events.matlab_lists import Lists, find_lists, stream_lists_of
 from anisomap.io.parsing.libraries import library_errors
 from anisomap.io.recordings.datasets import Dataset, contents_of, stream_of
 from anisomap.io.recordings.hdf5 import open_datasets
@@ -27,6 +31,8 @@ EXTRA = "mat"
 _MAGIC, _MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 _NUMBERS = "iuf"
 _MAX_RATIO = 1032
+_HEADER_BYTES, _COMPRESSED = 128, 15  # of version 5
+_CHUNK = 1 << 20
 _TYPES = {
     "double": "f8",
     "single": "f4",
@@ -44,12 +50,29 @@ def recognises(path: Path, head: bytes) -> bool:
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the variables of a file."""
     with _open(path) as datasets:
-        return contents_of(datasets)
+        lists = _lists(path)
+        variables = {each.name.partition("/")[0] for each in lists}
+        tables = [each for each in contents_of(datasets) if each.name not in variables]
+        # Cell arrays beside readings may be of any kind.
+        alone = not any(each.usable for each in tables)
+        return (*(Content(each.name, each.summary, alone) for each in lists), *tables)
 
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open the variable `options.select`, or the only one of frames x sensors."""
+    """Open the variable `options.select`, or the only one of frames x sensors.
+
+    Contacts and spikes may be in cell arrays, and in fields of structures (``torso/taxels``).
+    """
+    lists = _lists(path)
+    if lists:
+        name = choose(path, contents(path, options), options.select, "variable").name
+        for each in lists:
+            if each.name == name:
+                stream = stream_lists_of(path, each, options.bin_s)
+                yield replace(stream, source=f"{path.name}:{name}")
+                return
+        options = replace(options, select=name)
     with _open(path) as datasets:
         yield stream_of(path, datasets, options, {"format": "MATLAB"})
 
@@ -63,6 +86,41 @@ def _open(path: Path) -> Iterator[list[Dataset]]:
             yield datasets
         return
     yield _variables(path)
+
+
+def _lists(path: Path) -> list[Lists]:
+    """Find the contacts and spike trains in cell arrays and structures; none in version 7.3."""
+    with open_regular(path) as stream:
+        if not stream.read(len(_MAGIC)).startswith(_MAGIC):
+            return []
+    with library_errors(path), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        names = [name for name, _, kind in scipy.io.whosmat(path) if kind in ("cell", "struct")]
+    if not names:
+        return []
+    _check_unpacked(path)
+    with library_errors(path):
+        return [
+            found for name in names for found in find_lists(name, _reader(path, name)(None, None))
+        ]
+
+
+def _check_unpacked(path: Path) -> None:
+    """Reject variables that expand too far: their headers do not give the size of a cell array."""
+    budget = Budget(path)
+    with open_regular(path) as stream, library_errors(path):
+        order = "<" if stream.read(_HEADER_BYTES)[-2:] == b"IM" else ">"
+        while len(tag := stream.read(8)) == 8:
+            kind, n_bytes = struct.unpack(f"{order}II", tag)
+            if kind != _COMPRESSED:
+                stream.seek(n_bytes, 1)
+                continue
+            unpacker, left = zlib.decompressobj(), n_bytes
+            while left and (packed := stream.read(min(left, _CHUNK))):
+                left -= len(packed)
+                while packed:
+                    budget.spend(len(unpacker.decompress(packed, _CHUNK)), "its variables")
+                    packed = unpacker.unconsumed_tail
 
 
 def _variables(path: Path) -> list[Dataset]:
