@@ -3,9 +3,23 @@
 Every message states the problem, its place (file, line, sensor or frame) and what is expected.
 """
 
+from anisomap.wording import shortened
+
+MAX_CHARACTERS = 300
+"""Maximum length of the message of an error; names from files may be of any length."""
+
 
 class AnisomapError(Exception):
-    """Base class of all errors that anisomap raises; the message is one sentence."""
+    """Base class of all errors that anisomap raises.
+
+    Parameters
+    ----------
+    message : str
+        One sentence; the middle of one longer than `MAX_CHARACTERS` is left out.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(shortened(message, MAX_CHARACTERS))
 
 
 class InputError(AnisomapError, ValueError):

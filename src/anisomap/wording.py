@@ -6,6 +6,8 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from html import escape
 
+_CUT = " ... "
+
 
 def join_items(items: Sequence[object], max_items: int = 8) -> str:
     """Join items with commas, abbreviating long lists: ``a, b and 3 more``.
@@ -38,6 +40,14 @@ def printable(text: str) -> str:
         else character.encode("unicode_escape").decode()
         for character in text
     )
+
+
+def shortened(text: str, max_characters: int) -> str:
+    """Cut the middle out of a long text, so that its beginning and end remain."""
+    if len(text) <= max_characters:
+        return text
+    n_last = max_characters // 3
+    return f"{text[: max_characters - n_last - len(_CUT)]}{_CUT}{text[-n_last:]}"
 
 
 def noun_and_items(noun: str, items: Sequence[object], max_items: int = 5) -> str:

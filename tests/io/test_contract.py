@@ -204,8 +204,8 @@ def test_binary_files_with_a_text_suffix(put, name: str) -> None:
             reader(put(name, picture))
 
 
-def test_unknown_binary_files_list_the_formats(put) -> None:
-    with pytest.raises(FileError, match=r"unknown format.*\.npz.*YARP data\.log.*\.csv"):
+def test_unknown_binary_files_are_refused(put) -> None:
+    with pytest.raises(FileError, match=r"unknown format; 'anisomap formats' lists"):
         io.read(put("skin.xyz", b"\0\1\2\3"))
 
 

@@ -7,7 +7,7 @@ import sys
 import warnings
 from collections.abc import Iterable
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Parameter
 
 from anisomap._version import __version__
 from anisomap.cli.console import (
@@ -30,6 +30,7 @@ app = App(
     help_epilogue="Maps are known up to rotation, translation, scale and reflection.",
     console=console,
     help_format="plaintext",
+    default_parameter=Parameter(json_list=False, json_dict=False),  # "[a].csv" is a file name
 )
 
 # Commands are imported when they run, so that --help stays fast.

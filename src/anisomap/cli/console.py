@@ -26,8 +26,8 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from anisomap.errors import FileError
-from anisomap.wording import printable
+from anisomap.errors import MAX_CHARACTERS, FileError
+from anisomap.wording import printable, shortened
 
 _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
@@ -51,7 +51,8 @@ errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 def print_error(message: str) -> None:
     """Print an error on stderr."""
-    errors.print(Text.assemble(("error:", "bold red"), " ", _one_line(message)))
+    text = shortened(_one_line(message), MAX_CHARACTERS)  # escapes are longer than what they show
+    errors.print(Text.assemble(("error:", "bold red"), " ", text))
 
 
 def print_warning(message: str) -> None:
@@ -67,7 +68,7 @@ def escape_unencodable_output() -> None:
 
 
 def _one_line(message: str) -> str:
-    return printable(" ".join(message.splitlines()))
+    return printable(" ".join(message.split()))
 
 
 def _lines(text: str) -> str:

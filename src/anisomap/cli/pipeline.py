@@ -32,11 +32,12 @@ _SHARE_OF_MAP = 0.3  # of the time of a map with confidence; typical, for the pr
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files to write: maps in any format, a picture, a report."""
+    """Files to write: maps in any format, a picture, a report, a checkpoint."""
 
     maps: tuple[Path, ...] = ()
     picture: Path | None = None
     report: Path | None = None
+    checkpoint: Path | None = None
     placing: PlacingOptions = DEFAULT_PLACING
 
     def check(self, *inputs: Path) -> None:
@@ -50,7 +51,8 @@ class Outputs:
         MissingExtraError
             If a picture or report needs a library that is not installed.
         """
-        check_distinct([path for path in (*self.maps, self.picture, self.report) if path], inputs)
+        others = (self.picture, self.report, self.checkpoint)
+        check_distinct([path for path in (*self.maps, *others) if path], inputs)
         for path in self.maps:
             io.check_writable(path)
         if self.picture:

@@ -315,7 +315,9 @@ def _recognise(file: Path) -> Format:
             return chosen
     if text_format.recognises(file, start):
         return text_format
-    raise FileError(f"{file} has an unknown format; known formats: {_suffixes(FORMATS)}")
+    raise FileError(
+        f"{file} has an unknown format; 'anisomap formats' lists the formats that are read"
+    )
 
 
 def _folder_message(folder: Path) -> str:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import time
+import tokenize
+import warnings
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from hashlib import blake2b
 from pathlib import Path
@@ -27,8 +30,12 @@ A killed run loses the work on one chunk, or of ten times the duration of a writ
 
 _KINDS = {kind.__name__: kind for kind in (Moments, CoOccurrences, StoredCodes, ValueCounts)}
 
-# RuntimeError: a flipped bit may mark a member of the archive as encrypted.
-_DAMAGE = (OSError, EOFError, KeyError, ValueError, TypeError, RuntimeError, zipfile.BadZipFile)
+# RuntimeError: a flipped bit may mark a member of the archive as encrypted. TokenError: numpy
+# parses the header of an array as Python.
+_DAMAGE = (
+    *(OSError, EOFError, KeyError, ValueError, TypeError, RuntimeError, SyntaxError, MemoryError),
+    *(OverflowError, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
+)
 
 
 class _Stage(NamedTuple):
@@ -123,8 +130,10 @@ class Checkpoint:
 
     def _read(self) -> dict[str, _Stage]:
         try:
-            with self._path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                arrays = dict(archive)
+            with warnings.catch_warnings(), self._path.open("rb") as file:
+                warnings.simplefilter("ignore")  # of numpy, about headers of other versions
+                with np.load(file, allow_pickle=False) as archive:
+                    arrays = {name: _array(archive[name]) for name in archive}
             intact = str(arrays.pop("checksum")) == _checksum(arrays)
             subject = str(arrays.pop("subject"))
             stages = {name.split("/")[0] for name in arrays}
@@ -145,6 +154,13 @@ class Checkpoint:
             f"{self._path} is the checkpoint of another computation ({subject}); name another "
             "file, or delete it to start again"
         )
+
+
+def _array(member: object) -> NDArray[Any]:
+    """Check a member of an archive: numpy returns those that are not arrays as bytes."""
+    if not isinstance(member, np.ndarray):
+        raise TypeError("a member is not an array")
+    return member
 
 
 def _checksum(arrays: Mapping[str, NDArray[Any]]) -> str:

@@ -94,6 +94,7 @@ def map_recording(
         maps=tuple(output or [Path(f"{recordings[0].name.split('.')[0]}.map.csv")]),
         picture=picture,
         report=report,
+        checkpoint=large.checkpoint,
         placing=placing,
     )
     outputs.check(*recordings, *([truth] if truth else []))

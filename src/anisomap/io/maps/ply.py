@@ -113,7 +113,7 @@ def _read_header(path: Path, lines: Iterator[Line]) -> _Header:
             case ["end_header"]:
                 break
             case ["format", kind, *_] if kind != "ascii":
-                raise LineError(path, number, f": the PLY format must be ascii, got {kind}")
+                raise LineError(path, number, f": the PLY format must be ascii, got {quote(kind)}")
             case ["comment", *_]:
                 remarks.append(line.removeprefix("comment"))
             case ["element", element, count] if count.isdecimal() and int(count) < _MAX_LINES:

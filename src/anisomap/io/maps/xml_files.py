@@ -148,7 +148,7 @@ def parse_vector(path: Path, name: str, text: str | None) -> NDArray[np.float64]
     except ValueError:
         values = np.empty(0)
     if len(values) != 3 or not np.isfinite(values).all():
-        raise FileError(f"{path}: {name} must be 3 finite numbers, got {text!r}")
+        raise FileError(f"{path}: {name} must be 3 finite numbers, got {quote(str(text))}")
     return values
 
 

@@ -85,12 +85,14 @@ def unguard_formula(field: str) -> str:
 def read_sample(stream: TextIO) -> list[str]:
     """Read the first lines of a file to detect its layout, up to the first gzip damage."""
     sample: list[str] = []
-    characters = 0
+    characters = longest = 0
     with suppress(*GZIP_ERRORS):
         for line in itertools.islice(stream, _SAMPLE_LINES):
             sample.append(line)
             characters += len(line)
-            if characters > _SAMPLE_CHARACTERS:
+            longest = max(longest, len(line))
+            # The longest line is not counted: a header of many names must not hide the numbers.
+            if characters - longest > _SAMPLE_CHARACTERS:
                 break
     return sample
 
@@ -242,7 +244,8 @@ def _text_columns(
     sample: Sequence[str], delimiter: str | None, rows: Sequence[Sequence[str]]
 ) -> tuple[int, ...]:
     """Find columns that hold text and no number below the first record, which may be a header."""
-    candidates = _without_numbers(rows[1:], delimiter)
+    # A header may name fewer columns than a damaged row has.
+    candidates = [i for i in _without_numbers(rows[1:], delimiter) if i < len(rows[0])]
     if candidates:
         every = [fields for _, fields in _all_records(sample, delimiter)]
         in_every = set(_without_numbers(every[1:], delimiter))

@@ -8,7 +8,7 @@ import io
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -199,7 +199,10 @@ def quote_if_needed(name: str) -> str:
 
 
 def _undecodable(path: Path) -> str:
-    with open_binary(path) as stream:
+    """Locate the first byte that is not UTF-8, unless it is in a folder or behind damage."""
+    if path.is_dir():
+        return ""
+    with suppress(*GZIP_ERRORS), open_binary(path) as stream:
         for number, line in enumerate(binary_lines(path, stream), start=1):
             try:
                 line.decode("utf-8")

@@ -18,7 +18,7 @@ from anisomap.recording import default_names
 from anisomap.simulation.bodies.body import Body, nearest_neighbours
 from anisomap.simulation.bodies.mjcf_limits import check_model
 from anisomap.simulation.checks import check_count
-from anisomap.simulation.engine import load_mujoco
+from anisomap.simulation.engine import load_mujoco, silent_compiler
 from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.mesh_files import read_mesh
 from anisomap.simulation.geometry.solids import Points, Solid
@@ -31,6 +31,7 @@ TOLERANCE = 0.02
 """Maximum distance of a given sensor from the surface, as a fraction of the reach of the body."""
 
 _SEED = 0
+_MIN_LENGTH = 1e-100  # its cube is within the range of float64
 _MAX_BALL_RADIUS = 0.6  # x median spacing: adjacent balls overlap, so nothing passes between them
 _MAX_NORMAL_ERROR = 45.0  # degrees between a given and an estimated normal
 _MAX_CONTRADICTIONS = 0.1  # share of the sensors; not 0, since estimates can be wrong at edges
@@ -145,12 +146,16 @@ def body_from_mjcf(
     mujoco = load_mujoco()
     check_model(path)
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        with silent_compiler():
+            model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, mujoco.FatalError) as error:
         first = str(error).strip().splitlines()[0]
         raise FileError(f"MuJoCo cannot read {path}: {first}") from error
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
+    for lengths in (data.geom_xpos, data.geom_xmat, model.geom_size, model.mesh_vert):
+        if not np.abs(lengths.astype(np.float64)).max(initial=0) < solids.MAX_LENGTH:
+            raise FileError(f"{path} holds coordinates that are not finite or out of range")
     scenery = {int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)}
     candidates = [i for i in range(model.ngeom) if int(model.geom_type[i]) not in scenery]
     colliding = [i for i in candidates if model.geom_contype[i] or model.geom_conaffinity[i]]
@@ -270,6 +275,7 @@ def _with_sensors(
 ) -> Body:
     """Centre solids at the origin and add sensors."""
     corners = np.vstack([part.outline.vertices for part in parts])
+    _check_range(name, corners)
     origin = (corners.min(axis=0) + corners.max(axis=0)) / 2
     centred = [part.moved(np.eye(3), -origin) for part in parts]
     if isinstance(sensors, int | np.integer):
@@ -284,6 +290,16 @@ def _with_sensors(
         positions = solids.project(centred, positions)
         normals = solids.surface_normals(centred, positions)
     return Body(name, positions, normals, centred, names=tuple(names), units=units, origin=origin)
+
+
+def _check_range(name: str, corners: Points) -> None:
+    """Check that products of three lengths neither overflow nor underflow."""
+    if not (
+        np.abs(corners).max() < solids.MAX_LENGTH and np.ptp(corners, axis=0).max() > _MIN_LENGTH
+    ):
+        raise InputError(
+            f"the size of the body {name} is out of range; check its coordinates and unit"
+        )
 
 
 def _check_near_surface(

@@ -21,6 +21,9 @@ from anisomap.simulation.geometry.triangles import TriangleSearch
 
 Points: TypeAlias = NDArray[np.float64]
 
+MAX_LENGTH = 1e10
+"""Maximum of coordinates and sizes: trimesh merges vertices on a grid of 1e-8, counted in int64."""
+
 _CIRCLE_VERTICES = 48
 _COARSE_VERTICES = 16
 _GRADIENT_STEP = 1e-5  # x reach
@@ -152,10 +155,12 @@ def mesh(vertices: ArrayLike, faces: ArrayLike) -> Solid:
     Raises
     ------
     InputError
-        If the mesh is not closed, or has no area.
+        If the mesh is not closed, has no area, or has coordinates beyond `MAX_LENGTH`.
     MissingExtraError
         If trimesh is not installed.
     """
+    if not np.abs(np.asarray(vertices)).max(initial=0) < MAX_LENGTH:
+        raise InputError(f"coordinates of the mesh must be finite and below {MAX_LENGTH:g}")
     surface = load_trimesh().Trimesh(vertices, faces, process=True)
     if not (len(surface.faces) and np.isfinite(surface.area) and surface.area > 0):
         raise InputError("the mesh has no area; it must consist of triangles that enclose a body")

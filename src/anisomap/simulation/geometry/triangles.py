@@ -10,6 +10,7 @@ from anisomap.scene import Mesh
 
 Points = NDArray[np.float64]
 
+_ROUNDING = 1e-9  # relative, far above the rounding errors of distances
 _MAX_PAIRS = 2_000_000  # of a point and a triangle at once; limits memory
 _MAX_EDGE = 2.5  # x square root of twice the mean area; triangles with longer edges are split
 _MAX_SPLITS = 50  # edges are not split below this fraction of the extent of the mesh
@@ -58,7 +59,8 @@ class TriangleSearch:
         Triangles that share a nearest edge or corner can differ in the sign. The one with the
         largest distance along its normal determines it.
         """
-        bound = np.asarray(self._vertices.query(points)[0]) + self._largest
+        # The margin, far above rounding errors, keeps at least one candidate for every point.
+        bound = (np.asarray(self._vertices.query(points)[0]) + self._largest) * (1 + _ROUNDING)
         found = np.empty(len(points))
         counts = np.asarray(self._centroids.query_ball_point(points, bound, return_length=True))
         blocks = np.cumsum(counts) // _MAX_PAIRS
@@ -77,7 +79,7 @@ class TriangleSearch:
         first = np.concatenate([[0], np.cumsum(counts)[:-1]])
         least = np.minimum.reduceat(squared, first)
         # Triangles with a common nearest point tie, up to rounding.
-        tied = squared <= least[index] * (1 + 1e-9) + 1e-300
+        tied = squared <= least[index] * (1 + _ROUNDING) + 1e-300
         above = np.where(tied, np.einsum("pd,pd->p", offset, self._normals[triangle]), 0.0)
         highest, lowest = np.maximum.reduceat(above, first), np.minimum.reduceat(above, first)
         return np.asarray(np.where(highest >= -lowest, 1.0, -1.0) * np.sqrt(least))

@@ -1,0 +1,69 @@
+"""Read damaged files of every format (``make fuzz``); fail if anything but a refusal happens.
+
+Each case depends on the seed, the format and its number, so that any case can be repeated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+from fuzzing.subjects import Subject, subjects
+from fuzzing.table import write
+from fuzzing.workers import Tally, run_cases
+
+_LOADED = (
+    *("h5py", "pyarrow.parquet", "pyarrow.feather", "rosbags.rosbag1", "rosbags.rosbag2", "mujoco"),
+    *("trimesh", "PIL.Image", "scipy.io", "defusedxml.ElementTree", "anisomap.cli.commands.info"),
+    *("anisomap.cli.commands.map", "anisomap.cli.commands.convert", "anisomap.cli.commands.score"),
+    "anisomap.cli.commands.simulate",
+)
+"""Modules that are loaded once, before processes are forked."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the cases and write the table; return 1 if there was a problem."""
+    chosen = _parse(arguments)
+    for module in _LOADED:
+        import_module(module)
+    tried = [s for s in subjects() if not chosen.formats or s.name in chosen.formats]
+    chosen.output.mkdir(parents=True, exist_ok=True)
+    tallies: dict[str, Tally] = {}
+    end = time.monotonic() + chosen.seconds
+    share = -(-chosen.cases // len(tried))
+    for i, subject in enumerate(tried):
+        left = end - time.monotonic()
+        until = time.monotonic() + max(0.0, left / (len(tried) - i))
+        indices = range(chosen.first, chosen.first + share)
+        tallies[subject.name] = run_cases(subject, chosen.seed, indices, chosen.output, until=until)
+        _print(subject, tallies[subject.name])
+    write(tallies, chosen.output / "reliability-table.md", chosen.seed)
+    return 1 if any(tally.n_failed for tally in tallies.values()) else 0
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="fuzzing", description=__doc__)
+    parser.add_argument("--cases", type=int, default=100_000, help="cases of all formats")
+    parser.add_argument("--seconds", type=float, default=3600.0, help="time limit of the run")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="number of the first case per format")
+    parser.add_argument("--formats", nargs="+", help="formats to try; default: all")
+    parser.add_argument("-o", "--output", type=Path, default=Path("fuzz"), help="output folder")
+    return parser.parse_args(arguments)
+
+
+def _print(subject: Subject, tally: Tally) -> None:
+    each = 1000 * tally.seconds / max(1, tally.n_cases)
+    print(
+        f"{subject.name}: {tally.n_cases} cases, {tally.n_accepted} accepted, "
+        f"{tally.n_failed} with problems, {each:.1f} ms each",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

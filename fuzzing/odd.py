@@ -1,0 +1,299 @@
+"""Files that are valid in their container but odd in content, and files that expand enormously.
+
+Each function returns the content of a file of one format; `ODD` and `BOMBS` list them by format.
+Formats without an entry are damaged as bytes only.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import struct
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from importlib import import_module
+from io import BytesIO
+from types import MappingProxyType
+from typing import Any, TypeAlias
+from zipfile import ZIP_DEFLATED, ZipFile
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+Maker: TypeAlias = Callable[[Generator], bytes]
+
+_FIELDS = (
+    *("readings", "names", "times", "positions", "units", "source", "rate_hz", "normals"),
+    *("surface_distances", "component", "health", "metadata", "notes", "stress", "method", "x"),
+)
+_DTYPES = (
+    *("f8", "f4", "f2", "i8", "i1", "u2", "u8", "?", "c16", "U5", "S3", ">f8", ">i4", "M8[ns]"),
+    *("m8[s]", "M8[D]"),
+)
+_VALUES: tuple[Any, ...] = (
+    *(None, True, 0, -1, 1e308, 10**400, "", "a", "\u202e", "x" * 2000, [], {}, [[]], [None]),
+    *([1, 2, 3], [[1, 2], [3]], {"a": 1}, [True, False], ["a", "a"], "nan", [1e999]),
+)
+BOMB_BYTES = 1 << 28
+"""Bytes that a bomb expands to: more than the budget of 200 MB, little enough to build quickly."""
+
+
+def odd_array(rng: Generator) -> NDArray[Any]:
+    """Make an array of any type and shape, with extreme values."""
+    shape = tuple(int(n) for n in rng.choice([0, 1, 2, 3, 5, 9, 24], size=int(rng.integers(4))))
+    kind = np.dtype(str(rng.choice(_DTYPES)))
+    values = rng.choice([0.0, 1.0, -1.0, 0.5, 255.0, np.nan, np.inf, 1e300, 1e-320], size=shape)
+    if kind.kind in "US":
+        return np.asarray(values, dtype=kind)
+    with np.errstate(all="ignore"):
+        if kind.kind in "iuMm?":
+            values = np.nan_to_num(values, posinf=1e9, neginf=-1e9).clip(-(2**62), 2**62)
+        return np.asarray(values).astype(kind, copy=False)
+
+
+def _fields(rng: Generator) -> dict[str, NDArray[Any]]:
+    names = rng.choice(_FIELDS, size=int(rng.integers(1, 7)), replace=False)
+    found = {str(name): odd_array(rng) for name in names}
+    if rng.integers(3):
+        found["readings"] = rng.random((24, 5))
+    if not rng.integers(4):
+        found["positions"] = rng.random((5, int(rng.integers(1, 5))))
+    return found
+
+
+def odd_npz(rng: Generator) -> bytes:
+    """Make an NPZ archive with the names of ours and arrays of odd types."""
+    packed = BytesIO()
+    np.savez(packed, allow_pickle=False, **_fields(rng))
+    return packed.getvalue()
+
+
+def odd_npy(rng: Generator) -> bytes:
+    """Make an array file, sometimes with a header that does not match."""
+    stream = BytesIO()
+    np.save(stream, odd_array(rng), allow_pickle=False)
+    if rng.integers(2):
+        return stream.getvalue()
+    shape = rng.choice(["(True, 9)", "(-1, 3)", "(10**9, 9)", "(3.0, 2)", "()", "(99999999999, 9)"])
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode()
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + bytes(80)
+
+
+def odd_mat(rng: Generator) -> bytes:
+    """Make a MATLAB file with structures, cells, text and sparse matrices."""
+    contents: dict[str, Any] = dict(_fields(rng))
+    sparse = import_module("scipy.sparse")
+    more = ({"a": np.eye(3)}, np.array([np.eye(2), "x"], dtype=object), sparse.eye(5).tocsc(), "x")
+    contents["more"] = more[rng.integers(len(more))]
+    contents = {
+        name: v if not isinstance(v, np.ndarray) or v.dtype.kind in "fciubUSO" else np.eye(3)
+        for name, v in contents.items()
+    }
+    stream = BytesIO()
+    import_module("scipy.io").savemat(stream, contents, do_compression=bool(rng.integers(2)))
+    return stream.getvalue()
+
+
+def odd_hdf5(rng: Generator) -> bytes:
+    """Make an HDF5 file with groups, links, references, odd types and declared sizes."""
+    h5py = import_module("h5py")
+    stream = BytesIO()
+    with h5py.File(stream, "w") as file:
+        for name, array in _fields(rng).items():
+            plain = array.view("i8") if array.dtype.kind in "Mm" and array.ndim else array
+            plain = plain if plain.dtype.kind in "biufcS" else np.array([b"text"])
+            file["a/" * int(rng.integers(3)) + name] = plain
+        kind = rng.integers(7)
+        if kind == 0:
+            file["link"] = h5py.SoftLink("/nowhere")
+        elif kind == 1:
+            file["outside"] = h5py.ExternalLink("/etc/passwd", "/x")
+        elif kind == 2:
+            file["loop"] = h5py.SoftLink("/loop")
+        elif kind == 3:
+            file.create_dataset("big", (1 << int(rng.integers(20, 60)), 9), "f8", chunks=(64, 9))
+        elif kind == 4:
+            file.create_dataset("text", data="free text")
+            file.create_dataset("references", (3,), h5py.ref_dtype)
+            file.create_dataset("ragged", (3,), h5py.vlen_dtype("f8"))
+        elif kind == 5:
+            pairs = np.zeros(4, dtype=[("a", "f8"), ("b", "i4", (2,))])
+            file["pairs"] = pairs
+        else:
+            file.create_dataset("empty", data=h5py.Empty("f4"))
+    return stream.getvalue()
+
+
+def odd_table(rng: Generator) -> bytes:
+    """Make a Parquet or Arrow file with nested, repeated, missing and textual columns."""
+    arrow = import_module("pyarrow")
+    n = int(rng.choice([0, 1, 24]))
+    values = rng.random(n)
+    kinds: tuple[Callable[[], Any], ...] = (
+        lambda: arrow.array(values),
+        lambda: arrow.array(values, mask=values < 0.5),
+        lambda: arrow.array([None] * n),
+        lambda: arrow.array([[1.0] * int(rng.integers(4)) for _ in range(n)]),
+        lambda: arrow.array([[[1, 2], []]] * n),
+        lambda: arrow.array([{"a": 1, "b": [2.0]}] * n),
+        lambda: arrow.array(["x"] * n).dictionary_encode(),
+        lambda: arrow.array([b"\xff\0"] * n),
+        lambda: arrow.array(np.arange(n).astype("M8[ns]")),
+        lambda: arrow.array([10**30] * n, arrow.decimal128(38)),
+        lambda: arrow.array([True] * n),
+        lambda: arrow.FixedSizeListArray.from_arrays(arrow.array(rng.random(5 * n)), 5),
+        lambda: arrow.array(values.astype("f2")),
+    )
+    columns = [kinds[rng.integers(len(kinds))]() for _ in range(int(rng.integers(1, 6)))]
+    names = [str(rng.choice([*_FIELDS, "a", "a", "", "timestamp", "\x1b[m"])) for _ in columns]
+    table = arrow.Table.from_arrays(columns, names=names)
+    return _table_bytes(table, rng)
+
+
+def _table_bytes(table: Any, rng: Generator) -> bytes:
+    stream = BytesIO()
+    kind = rng.integers(3)
+    try:
+        if kind == 0:
+            import_module("pyarrow.parquet").write_table(table, stream)
+        elif kind == 1:
+            packed = str(rng.choice(["lz4", "zstd", "uncompressed"]))
+            import_module("pyarrow.feather").write_feather(table, stream, packed)
+        else:
+            ipc = import_module("pyarrow").ipc
+            with ipc.new_stream(stream, table.schema) as writer:
+                writer.write_table(table)
+    except (ValueError, NotImplementedError):  # some types exist in one of the formats only
+        stream = BytesIO()
+        import_module("pyarrow.parquet").write_table(table.select([]), stream)
+    return stream.getvalue()
+
+
+def odd_json(rng: Generator) -> bytes:
+    """Make a JSON map with one to three values of other types."""
+    document: dict[str, Any] = {
+        "format": "anisomap map",
+        "version": 1,
+        "method": "r-anisomap",
+        "units": "mm",
+        "notes": ["a note"],
+        "provenance": {"seed": 3},
+        "sensors": [
+            {"name": f"s{i}", "position": [i, 1.0, 2.0], "component": 0, "health": "ok"}
+            for i in range(4)
+        ],
+    }
+    for _ in range(int(rng.integers(1, 4))):
+        _replace(document, rng)
+    return json.dumps(document).encode()
+
+
+def _replace(node: Any, rng: Generator) -> None:
+    keys = list(node) if isinstance(node, dict) else list(range(len(node)))
+    if not keys:
+        return
+    key = keys[rng.integers(len(keys))]
+    inner = node[key]
+    if isinstance(inner, dict | list) and inner and rng.integers(4):
+        _replace(inner, rng)
+    elif isinstance(node, dict) and not rng.integers(4):
+        del node[key]
+    else:
+        node[key] = deepcopy(_VALUES[rng.integers(len(_VALUES))])
+
+
+def bomb_npz(rng: Generator) -> bytes:
+    """Compress an array of zeros."""
+    stream, header = BytesIO(), BytesIO()
+    n_rows = BOMB_BYTES // 8 // 4
+    write = np.lib.format.write_array_header_1_0
+    write(header, {"descr": "<f8", "fortran_order": bool(rng.integers(2)), "shape": (n_rows, 4)})
+    with ZipFile(stream, "w", ZIP_DEFLATED, compresslevel=1) as archive:
+        name = str(rng.choice(["readings.npy", "names.npy", "other.npy"]))
+        with archive.open(name, "w", force_zip64=True) as member:
+            member.write(header.getvalue())
+            for _ in range(BOMB_BYTES >> 22):
+                member.write(bytes(1 << 22))
+    return stream.getvalue()
+
+
+def bomb_gzip(rng: Generator) -> bytes:
+    """Compress one line, or lines, of text."""
+    unit = (b"0", b"1,2,3\n", b" ", b"\n", b"a,b\n", b"1 2 3 ")[rng.integers(6)]
+    stream = BytesIO()
+    with gzip.GzipFile(fileobj=stream, mode="wb", compresslevel=1, mtime=0) as packed:
+        packed.write(b"a,b,c\n1,2,3\n" if rng.integers(2) else b"")
+        part = unit * ((1 << 20) // len(unit))
+        for _ in range(BOMB_BYTES >> 20):
+            packed.write(part)
+    return stream.getvalue()
+
+
+def bomb_hdf5(rng: Generator) -> bytes:
+    """Declare a large dataset, of which no chunk, or compressed zeros are stored."""
+    h5py = import_module("h5py")
+    stream = BytesIO()
+    with h5py.File(stream, "w") as file:
+        shape = (BOMB_BYTES // 8 // 4, 4)
+        if rng.integers(2):
+            shape = (1 << 40, 4)
+        file.create_dataset("readings", shape, "f8", chunks=(1 << 16, 4), compression="gzip")
+    return stream.getvalue()
+
+
+def bomb_mat(rng: Generator) -> bytes:
+    """Compress a matrix of zeros."""
+    stream = BytesIO()
+    zeros = np.zeros((int(rng.integers(1, 4)) << 20, 12))
+    import_module("scipy.io").savemat(stream, {"readings": zeros}, do_compression=True)
+    return stream.getvalue()
+
+
+def bomb_table(rng: Generator) -> bytes:
+    """Compress columns of zeros."""
+    arrow = import_module("pyarrow")
+    column = arrow.array(np.zeros(BOMB_BYTES // 8 // 4))
+    table = arrow.table(dict.fromkeys("abcd", column))
+    stream = BytesIO()
+    if rng.integers(2):
+        import_module("pyarrow.feather").write_feather(table, stream, "zstd")
+    else:
+        import_module("pyarrow.parquet").write_table(table, stream, compression="zstd")
+    return stream.getvalue()
+
+
+def bomb_image(rng: Generator) -> bytes:
+    """Compress a large, black image."""
+    pillow = import_module("PIL.Image")
+    stream = BytesIO()
+    side = int(rng.choice([4000, 12000]))
+    pillow.new("L", (side, side)).save(stream, "TIFF", compression="tiff_deflate")
+    return stream.getvalue()
+
+
+ODD: Mapping[str, Maker] = MappingProxyType(
+    {
+        "npz": odd_npz,
+        "npy": odd_npy,
+        "mat": odd_mat,
+        "hdf5": odd_hdf5,
+        "parquet": odd_table,
+        "json": odd_json,
+        "checkpoint": odd_npz,
+    }
+)
+BOMBS: Mapping[str, Maker] = MappingProxyType(
+    {
+        "npz": bomb_npz,
+        "mat": bomb_mat,
+        "hdf5": bomb_hdf5,
+        "parquet": bomb_table,
+        "images": bomb_image,
+        "text": bomb_gzip,
+        "yarp": bomb_gzip,
+        "json": bomb_gzip,
+        "ply": bomb_gzip,
+        "mat-export": bomb_gzip,
+    }
+)

@@ -1,0 +1,242 @@
+"""What is tried: every format of the registry and of bodies, and other files that are read.
+
+Files are kept in memory as trees: paths within a folder, and their content.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.large.checkpoints import Checkpoint
+from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+from anisomap.simulation.bodies.imported import MESH_SUFFIXES, MODEL_SUFFIXES
+
+Tree: TypeAlias = Mapping[str, bytes]
+
+_TESTS = Path(__file__).parents[1] / "tests"
+_N_FRAMES, _N_SENSORS = 24, 5
+_MODELS = (
+    """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 1" euler="0 0 90">
+<geom type="capsule" fromto="0 0 0 .5 0 0" size=".1"/><geom type="ellipsoid" size=".2 .1 .15"/>
+<geom type="box" size=".5 .5 .5" contype="0" conaffinity="0"/><site name="a" pos="0 0 .1"/>
+<site pos=".2 0 .1"/></body></worldbody></mujoco>""",
+    """<mujoco><default><geom rgba="1 0 0 1"/></default><asset>
+<hfield name="h" nrow="3" ncol="3" size="1 1 .1 .1" elevation="0 0 0 0 1 0 0 0 0"/>
+<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/><texture name="t" builtin="flat" type="2d"
+width="4" height="4"/></asset><worldbody><geom type="hfield" hfield="h"/><body><freejoint/>
+<replicate count="3" offset=".2 0 0"><geom type="mesh" mesh="m"/><site size=".01"/></replicate>
+</body></worldbody><keyframe><key qpos="0 0 0 1 0 0 0"/></keyframe></mujoco>""",
+    """<mujoco><option timestep="0.01"/><worldbody><body>
+<geom type="cylinder" size=".1 .2"/><site pos="0 .1 0"/></body></worldbody></mujoco>""",
+)
+_MESSAGE = """std_msgs/Header header
+uint8 MODE_A=1
+string<=10 name "x"
+float32[<=9] values
+Pad[4] pads
+===
+MSG: lab_msgs/Pad
+int16 x
+"""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A format, and files of it that are whole.
+
+    Parameters
+    ----------
+    name : str
+        Name of the format.
+    kind : str
+        How its files are used: ``"file"`` (recordings and maps), ``"body"``, ``"definition"`` (of
+        messages) or ``"checkpoint"``.
+    seeds : sequence of Tree
+        The file to read comes first; if it is in a folder, the folder is read.
+    """
+
+    name: str
+    kind: str
+    seeds: Sequence[Tree]
+
+
+def subjects() -> list[Subject]:
+    """Make whole files of every format.
+
+    Returns
+    -------
+    list of Subject
+        One per format in `anisomap.io.FORMATS`, one per suffix of meshes and models, and one for
+        definitions of messages and for checkpoints.
+    """
+    seeds: dict[str, list[Tree]] = {known.name: [] for known in io.FORMATS}
+    with tempfile.TemporaryDirectory(prefix="anisomap-fuzz-") as name, warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)
+        folder = Path(name)
+        for make in (_written, _exemplary, _folders):
+            for known, path in make(folder):
+                seeds[known].append(_tree(path))
+                _remove(path)
+        found = [Subject(name, "file", trees) for name, trees in seeds.items() if trees]
+        found += _bodies(folder)
+        found += [_checkpoint(folder)]
+    definition = {"lab_msgs/msg/Pads.msg": _MESSAGE.encode()}
+    return [*found, Subject("message definition", "definition", [definition])]
+
+
+def example_recording() -> Recording:
+    """Make a recording with names that some format must escape, times and metadata."""
+    values = np.random.default_rng(20).random((_N_FRAMES, _N_SENSORS)).round(3)
+    return Recording(
+        np.where(values < 0.4, 0, values),
+        names=("a", "b,c", 'd"e', "=1+1", "#h"),
+        times=np.arange(_N_FRAMES) / 10,
+        units="mm",
+        source="by hand",
+        metadata={"seed": 3, "licence": "BSD-3-Clause"},
+    )
+
+
+def example_map(*, in_metres: bool = False) -> SensorMap:
+    """Make a map with an unplaced sensor, and several components unless it is in metres."""
+    positions = np.random.default_rng(21).standard_normal((_N_SENSORS, 3))
+    positions[3] = np.nan
+    made = SensorMap(
+        positions,
+        names=example_recording().names,
+        component=np.array([0, 0, 1, -1, 0]),
+        health=("ok", "noisy", "ok", "dead", "ok"),
+        method="r-anisomap",
+        stress=0.0625,
+        notes=("one sensor never varies",),
+        provenance={"seed": 3, "mu": 1.0, "weighted": False},
+    )
+    return replace(made, units="m", component=np.minimum(made.component, 0)) if in_metres else made
+
+
+def map_suffixes() -> list[str]:
+    """List the suffixes in which maps are written."""
+    return [suffix for known in io.FORMATS if known.write_map for suffix in known.suffixes]
+
+
+def recording_suffixes() -> list[str]:
+    """List the suffixes in which recordings are written."""
+    return [suffix for known in io.FORMATS if known.write_recording for suffix in known.suffixes]
+
+
+def _written(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Write every format that has a writer."""
+    for known in io.FORMATS:
+        for suffix in known.suffixes:
+            path = folder / f"file{suffix}"
+            if known.write_map:
+                io.write(example_map(in_metres=known.in_metres), path)
+                yield known.name, path
+            if known.write_recording:
+                io.write(example_recording(), path)
+                yield known.name, path
+
+
+def _exemplary(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Write the examples of the tests, which follow the programs that write each format."""
+    sys.path.append(str(_TESTS))  # the examples import other modules of the tests
+    place = importlib.util.spec_from_file_location("examples", _TESTS / "io" / "conftest.py")
+    if place is None or place.loader is None:
+        raise InputError(f"{_TESTS} must hold the examples of formats")
+    examples: Any = importlib.util.module_from_spec(place)
+    place.loader.exec_module(examples)
+    for name, (known, make) in examples.RECORDINGS.items():
+        if make is not None:
+            path = folder / name
+            make(path)
+            yield known, path
+    for name, make in examples.FOREIGN_MAPS.items():
+        path = folder / name
+        make(example_map(in_metres=True), path)
+        yield examples.MAPS[name], path
+
+
+def _folders(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Write formats that are folders of files."""
+    values = example_recording().readings
+    dump = folder / "port"
+    dump.mkdir()
+    rows = [" ".join(map(str, row)) for row in values.tolist()]
+    stamped = [f"{i} {1.3e9 + i / 50:.6f} {row}\n" for i, row in enumerate(rows)]
+    (dump / "data.log").write_text("".join(stamped))
+    (dump / "info.log").write_text("Type: Bottle;\n[0.0] /dumper [connected]\nStamp: tx; rx;\n")
+    yield "yarp", dump
+    film, pillow = folder / "film", import_module("PIL.Image")
+    film.mkdir()
+    for i, row in enumerate((values * 255).astype(np.uint8)[:6]):
+        pillow.fromarray(row[None]).save(film / f"{i:03d}.png")
+    yield "images", film
+    bags: Any = import_module("bags")
+    bag = bags.Bag("db3")
+    for i, row in enumerate(values):
+        bag.add("/skin", bag.array(row), i)
+    bag.write(folder / "bag.db3")
+    (folder / "bag.db3").replace(folder / "bag" / "bag.db3")
+    yield "ros", folder / "bag"
+
+
+def _bodies(folder: Path) -> list[Subject]:
+    trimesh = import_module("trimesh")
+    shapes = (
+        trimesh.creation.annulus(0.5, 1.0, 1.0, sections=8),
+        trimesh.creation.icosphere(subdivisions=1),
+    )
+    found = []
+    for suffix in MESH_SUFFIXES:
+        seeds = []
+        for shape in shapes:
+            path = folder / f"body{suffix}"
+            shape.export(path)
+            seeds.append(_tree(path))
+            if suffix in (".stl", ".ply"):
+                kinds: dict[str, dict[str, Any]] = {
+                    ".stl": {"file_type": "stl_ascii"},
+                    ".ply": {"encoding": "ascii"},
+                }
+                shape.export(path, **kinds[suffix])
+                seeds.append(_tree(path))
+        found.append(Subject(f"body {suffix}", "body", seeds))
+    for suffix in MODEL_SUFFIXES:
+        models = [{f"body{suffix}": text.encode()} for text in _MODELS]
+        found.append(Subject(f"body {suffix}", "body", models))
+    return found
+
+
+def _checkpoint(folder: Path) -> Subject:
+    path = folder / "counts.npz"
+    checkpoint = Checkpoint(path, "a computation")
+    checkpoint.update("total", 2, "0f", Moments.of(example_recording().readings))
+    checkpoint.write()
+    return Subject("checkpoint", "checkpoint", [_tree(path)])
+
+
+def _tree(path: Path) -> Tree:
+    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+    return {str(file.relative_to(path.parent)): file.read_bytes() for file in files}
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink()

@@ -1,0 +1,273 @@
+"""Run cases in forked processes, each within limits of memory and time."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.random import Generator
+
+from fuzzing import checks, odd
+from fuzzing.checks import Findings
+from fuzzing.damage import DAMAGES, Damage, inside
+from fuzzing.subjects import Subject, Tree, example_recording
+
+MAX_CPU_SECONDS, MAX_SECONDS = 10, 120
+"""A case that computes longer, or waits longer, is a hang; a busy machine slows the clock only."""
+
+ADDRESS_SPACE = 8 << 30
+"""Bytes that a worker may reserve, so that a defect does not take the memory of the machine."""
+
+_BATCH = 500  # cases per process, so that leaks of libraries do not add up
+_BY_COMMAND, _IS_ODD, _IS_BOMB, _IS_SPLICED, _IS_WHOLE = 0.08, 0.15, 0.002, 0.03, 0.01
+_N_BOMBS = 4
+_CHECKS: Mapping[str, tuple[Any, Any]] = {
+    "file": (checks.check_file, checks.check_file_by_command),
+    "body": (checks.check_body, checks.check_body_by_command),
+    "definition": (checks.check_definition, checks.check_definition),
+    "checkpoint": (checks.check_checkpoint, checks.check_checkpoint),
+}
+
+
+@dataclass
+class Tally:
+    """Results of the cases of one format."""
+
+    n_cases: int = 0
+    n_accepted: int = 0
+    seconds: float = 0.0
+    damages: Counter[str] = field(default_factory=Counter)
+    problems: Counter[str] = field(default_factory=Counter)
+    n_failed: int = 0
+
+
+def make_case(subject: Subject, seed: int, index: int) -> tuple[str, Tree, bool, Generator]:
+    """Make one case, which depends on the subject, the seed and the index alone.
+
+    Parameters
+    ----------
+    subject : Subject
+    seed, index : int
+
+    Returns
+    -------
+    str
+        The damage.
+    Tree
+        The damaged files.
+    bool
+        Whether a command reads them, rather than the library.
+    Generator
+        For the choices of the check.
+    """
+    rng = np.random.default_rng([seed, zlib.crc32(subject.name.encode()), index])
+    tree = dict(subject.seeds[int(rng.integers(len(subject.seeds)))])
+    by_command = bool(rng.random() < _BY_COMMAND)
+    chosen = list(tree)[int(len(tree) * rng.random())]
+    if subject.name in odd.BOMBS and rng.random() < _IS_BOMB:
+        tree[chosen] = _bomb(subject.name, int(rng.integers(_N_BOMBS)))
+        return "bombs", tree, by_command, rng
+    if subject.name in odd.ODD and rng.random() < _IS_ODD:
+        tree[chosen] = odd.ODD[subject.name](rng)
+        if rng.random() < 0.7:
+            return "odd types", tree, by_command, rng
+    if rng.random() < _IS_WHOLE:
+        return "none", tree, by_command, rng
+    if rng.random() < _IS_SPLICED:
+        other = subject.seeds[int(rng.integers(len(subject.seeds)))]
+        part = next(iter(other.values()))
+        at = int(rng.integers(len(tree[chosen]) + 1))
+        tree[chosen] = tree[chosen][:at] + part[int(rng.integers(len(part) + 1)) :]
+        return "splices", tree, by_command, rng
+    name = list(DAMAGES)[rng.integers(len(DAMAGES))]
+    for i in range(int(rng.choice([1, 1, 1, 2, 3]))):
+        damage: Damage = DAMAGES[name if i == 0 else list(DAMAGES)[rng.integers(len(DAMAGES))]]
+        if rng.integers(3):
+            tree[chosen] = inside(tree[chosen], rng, damage)
+        else:
+            tree[chosen] = damage(tree[chosen], rng)
+    return name, tree, by_command, rng
+
+
+@lru_cache
+def _bomb(name: str, index: int) -> bytes:
+    return odd.BOMBS[name](np.random.default_rng(index))
+
+
+def run_case(
+    subject: Subject, tree: Tree, folder: Path, rng: Generator, *, by_command: bool = False
+) -> Findings:
+    """Read the files of a case from a folder, and return what that showed."""
+    found = Findings(folder)
+    if subject.kind == "definition":
+        (folder / "run.bag").write_bytes(_bag())
+    for name, content in tree.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    first = next(iter(tree))
+    target = folder / (first if subject.kind == "definition" else Path(first).parts[0])
+    by_library, command = _CHECKS[subject.kind]
+    (command if by_command else by_library)(target, found, rng)
+    return found
+
+
+def run_cases(
+    subject: Subject, seed: int, indices: Sequence[int], keep: Path, *, until: float
+) -> Tally:
+    """Run cases of a subject in a process that is replaced when it dies.
+
+    Parameters
+    ----------
+    subject : Subject
+    seed : int
+    indices : sequence of int
+    keep : Path
+        Folder for the input of cases with problems, one per kind of problem.
+    until : float
+        Time (`time.monotonic`) after which no more batch is started.
+
+    Returns
+    -------
+    Tally
+    """
+    tally = Tally()
+    position = 0
+    while position < len(indices) and time.monotonic() < until:
+        batch = indices[position : position + _BATCH]
+        n_done = 0
+        for record in _forked(subject, seed, batch):
+            n_done += 1
+            _count(tally, subject, seed, record, keep)
+        position += n_done
+    return tally
+
+
+def _count(tally: Tally, subject: Subject, seed: int, record: dict[str, Any], keep: Path) -> None:
+    tally.n_cases += 1
+    tally.n_accepted += bool(record["accepted"])
+    tally.seconds += record["seconds"]
+    tally.damages[record["damage"]] += 1
+    tally.n_failed += bool(record["problems"])
+    for problem in record["problems"]:
+        tally.problems[problem] += 1
+        if tally.problems[problem] == 1:
+            print(f"{subject.name} {record['index']} ({record['damage']}): {problem}", flush=True)
+            _, tree, *_ = make_case(subject, seed, record["index"])
+            for name, content in tree.items():
+                path = keep / f"{subject.name.replace(' ', '-')}-{record['index']}" / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
+
+
+def _forked(subject: Subject, seed: int, indices: Sequence[int]) -> Iterator[dict[str, Any]]:
+    """Run cases in one forked process; stop after the case in which it dies."""
+    with tempfile.TemporaryDirectory(prefix="anisomap-fuzz-") as folder:  # also if it dies
+        yield from _in_process(subject, seed, indices, Path(folder))
+
+
+def _in_process(
+    subject: Subject, seed: int, indices: Sequence[int], base: Path
+) -> Iterator[dict[str, Any]]:
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reading)
+        terminal = os.fdopen(os.dup(2), "w")
+        code = 1
+        try:
+            with os.fdopen(writing, "w") as pipe:
+                _work(subject, seed, indices, base, pipe)
+            code = 0
+        except BaseException:
+            traceback.print_exc(file=terminal)
+            terminal.flush()
+        finally:
+            os._exit(code)
+    os.close(writing)
+    begun: dict[str, Any] = {}
+    with os.fdopen(reading) as lines:
+        for line in lines:
+            record = json.loads(line)
+            if "problems" in record:
+                yield record
+                begun = {}
+            else:
+                begun = record
+    status = os.waitpid(child, 0)[1]
+    if begun:
+        number = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
+        hang = number in (signal.SIGPROF, signal.SIGALRM)
+        name = signal.Signals(number).name if number else f"exit code {status >> 8}"
+        problem = "hang" if hang else f"the process died: {name}"
+        yield {**begun, "accepted": False, "seconds": MAX_CPU_SECONDS, "problems": [problem]}
+    elif status:
+        raise RuntimeError(f"a worker for {subject.name} ended with status {status}")
+
+
+def _work(subject: Subject, seed: int, indices: Sequence[int], base: Path, pipe: TextIO) -> None:
+    os.environ["ANISOMAP_DEBUG"] = "1"  # errors in the commands are raised, not reported as 70
+    in_use = checks.status("VmSize")
+    resource.setrlimit(resource.RLIMIT_AS, (in_use + ADDRESS_SPACE, in_use + ADDRESS_SPACE))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    here = base / "here"
+    here.mkdir()
+    os.chdir(here)
+    printed = [_redirected(stream, base / f"{stream}.txt") for stream in (1, 2)]
+    sys.stdout, sys.stderr = (open(n, "w", closefd=False) for n in (1, 2))  # noqa: SIM115
+    for index in indices:
+        damage, tree, by_command, rng = make_case(subject, seed, index)
+        begun = {"index": index, "damage": damage}
+        print(json.dumps(begun), file=pipe, flush=True)
+        for stream in printed:
+            os.ftruncate(stream, 0)
+        started = time.process_time()
+        signal.setitimer(signal.ITIMER_PROF, MAX_CPU_SECONDS)
+        signal.setitimer(signal.ITIMER_REAL, MAX_SECONDS)
+        with tempfile.TemporaryDirectory(dir=base, prefix="case-") as folder:
+            found = run_case(subject, tree, Path(folder), rng, by_command=by_command)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        shown = os.pread(printed[1], 1 << 20, 0).decode("utf-8", "replace")
+        found.check_printed(shown, by_command=by_command)
+        if not by_command and os.fstat(printed[0]).st_size:
+            found.problems.append("the library printed on standard output")
+        for stray in here.iterdir():
+            found.problems.append(f"left {stray.name} in the working folder")
+            stray.unlink()
+        seconds = time.process_time() - started
+        result = {"accepted": found.accepted, "seconds": seconds, "problems": found.problems}
+        print(json.dumps({**begun, **result}), file=pipe, flush=True)
+
+
+def _redirected(stream: int, path: Path) -> int:
+    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
+    os.dup2(file, stream)
+    return file
+
+
+@lru_cache
+def _bag() -> bytes:
+    """Write a bag of a type whose definition is not in it."""
+    bag = import_module("bags").Bag("bag")
+    for i, row in enumerate(example_recording().readings):
+        bag.add("/skin", bag.array(row), i)
+    with tempfile.TemporaryDirectory() as name:
+        return bytes(bag.write(Path(name) / "run.bag").read_bytes())

@@ -1,0 +1,147 @@
+"""Files that once failed, whole and damaged files of every format, and the fuzzer itself."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap import io
+from anisomap.errors import InputError
+
+for extra in ("h5py", "pyarrow", "rosbags", "mujoco", "trimesh", "PIL", "defusedxml"):
+    pytest.importorskip(extra, reason="the fuzzer needs all extras that read files")
+pytest.importorskip("resource", reason="the fuzzer limits the memory of processes as Unix does")
+
+from fuzzing.checks import Findings
+from fuzzing.damage import DAMAGES, inside
+from fuzzing.odd import BOMBS, ODD
+from fuzzing.subjects import Subject, subjects
+from fuzzing.table import write
+from fuzzing.workers import Tally, run_case, run_cases
+
+CORPUS = Path(__file__).parent / "corpus"
+USES = 8
+"""Random generators per file, each of which chooses one of the ways to read it."""
+
+
+@pytest.fixture(scope="module")
+def formats() -> dict[str, Subject]:
+    return {subject.name: subject for subject in subjects()}
+
+
+@pytest.fixture
+def in_empty_folder(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setenv("ANISOMAP_DEBUG", "1")
+    return tmp_path
+
+
+def problems(subject, tree, folder, capfd):
+    """Read files in several ways, by the library and by a command."""
+    found = []
+    for use in range(USES):
+        by_command = use % 4 == 3
+        part = folder / f"use-{use}"
+        part.mkdir()
+        rng = np.random.default_rng(use)
+        result = run_case(subject, tree, part, rng, by_command=by_command)
+        printed = capfd.readouterr()
+        result.check_printed(printed.err, by_command=by_command)
+        found += result.problems
+    assert not list(Path().iterdir()), "nothing is left in the working folder"
+    return found
+
+
+@pytest.mark.parametrize("case", sorted(path.name for path in CORPUS.iterdir()))
+def test_what_once_failed(formats, in_empty_folder, capfd, case):
+    subject = formats[case.rpartition("-")[0].replace("-", " ")]
+    folder = CORPUS / case
+    tree = {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+    assert not problems(subject, tree, in_empty_folder, capfd)
+
+
+def test_every_format_is_tried(formats):
+    readable = {f.name for f in io.FORMATS if f.open_recording or f.read_map or f.write_map}
+    assert readable <= set(formats)
+    assert set(ODD) | set(BOMBS) <= set(formats)
+
+
+def test_whole_files_are_read(formats, in_empty_folder, capfd):
+    for number, subject in enumerate(formats.values()):
+        folder = in_empty_folder / str(number)
+        folder.mkdir()
+        found = run_case(subject, subject.seeds[-1], folder, np.random.default_rng(number))
+        found.check_printed(capfd.readouterr().err, by_command=False)
+        assert not found.problems, subject.name
+
+
+def test_some_damaged_files_of_every_format(formats, tmp_path):
+    for subject in formats.values():
+        tally = run_cases(subject, 99, range(5), tmp_path, until=np.inf)
+        assert tally.n_cases == 5
+        assert not tally.problems, subject.name
+
+
+def test_the_same_seed_gives_the_same_cases(formats, tmp_path):
+    first, again = (
+        run_cases(formats["text"], 5, range(30), tmp_path, until=np.inf) for _ in range(2)
+    )
+    assert (first.n_accepted, first.damages) == (again.n_accepted, again.damages)
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+@pytest.mark.parametrize("content", [b"", b"a", b"1,2\n3,4\n", b"PK\x03\x04", b"\x1f\x8b\x08"])
+def test_damage_accepts_any_content(name, content):
+    rng = np.random.default_rng(1)
+    changed = {inside(content, rng, DAMAGES[name]) for _ in range(40)}
+    assert len(changed) > 1 or not content
+
+
+class TestTheFuzzerFinds:
+    """Each kind of problem, in functions made for it."""
+
+    def found(self, folder, action):
+        findings = Findings(folder)
+        findings.attempt("read", action)
+        return findings.problems
+
+    def test_an_internal_error(self, in_empty_folder):
+        assert "KeyError" in self.found(in_empty_folder, lambda: {}["a"])[0]
+
+    def test_an_output_after_a_failure(self, in_empty_folder):
+        def fails():
+            Path("stray.csv").write_text("half")
+            raise InputError("no")
+
+        (problem,) = self.found(in_empty_folder, fails)
+        assert "left ['.csv'] after a failure" in problem
+        Path("stray.csv").unlink()
+
+    def test_a_message_of_several_lines(self, in_empty_folder):
+        def fails():
+            raise InputError("a\nb")
+
+        (problem,) = self.found(in_empty_folder, fails)
+        assert "several lines" in problem
+
+    def test_printing(self, tmp_path):
+        findings = Findings(tmp_path)
+        findings.check_printed("error: one line\n", by_command=True)
+        assert not findings.problems
+        findings.check_printed("Traceback (most recent call last):\n", by_command=True)
+        findings.check_printed("noise\n", by_command=False)
+        assert len(findings.problems) == 2
+
+
+def test_the_table_counts_each_kind_of_problem(tmp_path):
+    tally = Tally(n_cases=9, n_accepted=3, n_failed=2)
+    tally.problems.update(["hang", "read: memory 900 of 200 MB"])
+    write({"a": tally, "b": Tally(1, 1)}, tmp_path / "table.md", seed=4)
+    rows = [line.split("|")[1:-1] for line in (tmp_path / "table.md").read_text().splitlines()]
+    assert [cell.strip() for cell in rows[2]] == ["a", "9", "4", "3", "0", "1", "1", "0"]
+    assert [cell.strip() for cell in rows[4]] == ["**all**", "10", "4", "4", "0", "1", "1", "0"]
