@@ -219,6 +219,13 @@ class TestGrids:
         with pytest.raises(FileError, match=r"2 x 3 grid has 6 sensors.* not give the cells"):
             io.read(path, options=OPTIONS(grid=(2, 3)))
 
+    def test_cells_without_a_reading_are_dead(self, put: Put) -> None:
+        path = put("mat.csv", "a,b,c,d\n1,,3,\n4,,6,\n7,nan,8,1\n")
+        with pytest.warns(AnisomapWarning, match="1 of 4 cells of the grid have no reading"):
+            found = io.read(path, options=OPTIONS(grid=(2, 2)))
+        np.testing.assert_array_equal(found.readings[:, 1], 0)
+        assert np.isnan(found.readings[:2, 3]).all(), "cells with a reading keep their gaps"
+
     def test_lists_in_cells(self, put: Put) -> None:
         rows = ['12.5,0,"0,1,2,0","[9 8 7]"', '13.0,1,"0,3,4,0","[6 5 4]"']
         path = put("walk.csv", "Timestamp,Frame,left,right\n" + "\n".join(rows) + "\n")

@@ -208,12 +208,15 @@ def print_recording(printer: Printer, examined: Examined) -> None:
     rate = "unknown" if summary.rate_hz is None else f"{number(summary.rate_hz)} Hz"
     duration = "" if summary.duration is None else f", {number(summary.duration)} s"
     constant = f"{summary.n_constant} constant" if summary.n_constant else "all active"
+    bin_s = recording.metadata.get("bin_s")
+    events = {} if bin_s is None else {"events": f"counted in bins of {bin_s:g} s"}
     printer.facts(
         "Recording",
         {
             "source": recording.source or "unknown",
             "frames": f"{summary.n_frames}{duration}",
             "rate": rate,
+            **events,
             "sensors": f"{summary.n_sensors}, {constant}",
             "readings": f"{number(summary.minimum)} to {number(summary.maximum)}, "
             f"{percent(summary.share_of_zeros)} zeros, {summary.missing} missing",

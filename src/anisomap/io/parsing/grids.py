@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import InputError
+from anisomap.errors import AnisomapWarning, InputError
 from anisomap.io.parsing.naming import cells_of
 from anisomap.recording import Recording, default_names
 
@@ -50,7 +51,8 @@ def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
     Returns
     -------
     Recording
-        Sensors with default names are renamed by row and column.
+        Sensors with default names are renamed by row and column. Cells without any finite reading
+        read 0, so that they are assessed as dead.
 
     Raises
     ------
@@ -60,6 +62,7 @@ def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
     if grid is None:
         return recording
     rows, columns = grid
+    recording = _without_empty_cells(recording)
     unnamed = recording.names == default_names(recording.n_sensors)
     if rows * columns != recording.n_sensors:
         cells = None if unnamed else cells_of(recording.names, rows, columns)
@@ -76,3 +79,16 @@ def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
         units=UNITS,
         names=grid_names(rows, columns) if unnamed else recording.names,
     )
+
+
+def _without_empty_cells(recording: Recording) -> Recording:
+    empty = ~np.isfinite(recording.readings).any(axis=0)
+    if not empty.any() or empty.all():
+        return recording
+    warnings.warn(
+        f"{recording.source}: {np.count_nonzero(empty)} of {recording.n_sensors} cells of the grid "
+        "have no reading; they are taken as dead",
+        AnisomapWarning,
+        stacklevel=2,
+    )
+    return replace(recording, readings=np.where(empty, 0, recording.readings))

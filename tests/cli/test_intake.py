@@ -1,0 +1,166 @@
+"""Journeys from the files of whole bodies to a scored map: contacts, spikes, lists, CySkin."""
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy
+
+import anisomap
+from anisomap.recording import Recording
+from skins import flat_skin
+
+FRAMES = 600
+CALIBRATION = "handle.json"
+
+
+def _active(skin: Recording) -> list[list[int]]:
+    return [np.flatnonzero(row).tolist() for row in skin.readings]
+
+
+def contacts_as_text(skin: Recording, path: Path) -> None:
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(("time", "taxels"))
+        rows.writerows((i / 10, active) for i, active in enumerate(_active(skin)))
+
+
+def contacts_of_the_icub(skin: Recording, path: Path) -> None:
+    vectors = " ".join(["(0.0 0.0 0.0)"] * 5)
+    with path.open("w") as file:
+        for i, active in enumerate(_active(skin)):
+            contact = f"((1 4 5 5) {vectors} ({' '.join(map(str, active))}) 9.5)" if active else ""
+            print(i, f"{1.6e9 + i / 20:.6f}", contact, file=file)
+
+
+def contacts_in_matlab(skin: Recording, path: Path) -> None:
+    contacts = np.zeros((skin.n_frames, 1), dtype=[("activatedTaxels", object)])
+    for i, active in enumerate(_active(skin)):
+        contacts[i, 0] = (np.array([active], dtype=float),)
+    scipy.io.savemat(path, {"torso": contacts})
+
+
+def spikes_as_text(skin: Recording, path: Path) -> None:
+    rng = np.random.default_rng(1)
+    with path.open("w") as file:
+        print("time_ms,electrode", file=file)
+        for i, active in enumerate(_active(skin)):
+            for sensor in active:
+                print(f"{100 * i + 99 * rng.random():.3f},{sensor}", file=file)
+
+
+def spikes_in_hdf5(skin: Recording, path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    trains = [np.flatnonzero(column) / 10 + 0.05 for column in skin.readings.T]
+    with h5py.File(path, "w") as file:
+        file["spikes"] = np.concatenate(trains)
+        file["sCount"] = [len(train) for train in trains]
+        file["recordingtime"] = [0.0, skin.n_frames / 10]
+
+
+def lists_in_cells(skin: Recording, path: Path) -> None:
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(("Timestamp", "left"))
+        for i, values in enumerate(skin.readings.tolist()):
+            rows.writerow((1.7e9 + i / 10, ",".join(map(str, values))))
+
+
+def cyskin(skin: Recording, path: Path) -> None:
+    with path.open("w") as file:
+        print(1, skin.n_sensors, sep="\n", file=file)
+        for i, values in enumerate(skin.readings.tolist()):
+            pairs = " ".join(f"{k} {value:.6f}" for k, value in enumerate(values, start=1))
+            print(i, f"{i / 10:.2f}", skin.n_sensors, pairs, file=file)
+
+
+FILES: dict[str, tuple[Callable[[Recording, Path], None], tuple[str, ...]]] = {
+    "contacts.csv": (contacts_as_text, ()),
+    "skin_events.log": (contacts_of_the_icub, ()),
+    "touch.mat": (contacts_in_matlab, ("--select", "torso")),
+    "spikes.csv": (spikes_as_text, ("--bin", "100ms")),
+    "spikes.h5": (spikes_in_hdf5, ("--bin", ".1")),
+    "insole.csv": (lists_in_cells, ()),
+    "hand.txt": (cyskin, ()),
+}
+
+
+@pytest.fixture(scope="module")
+def skin() -> Recording:
+    whole = flat_skin()
+    return Recording(whole.readings[:FRAMES], positions=whole.positions)
+
+
+def calibrate(skin: Recording, first: int) -> None:
+    """Write the positions as a calibration of CySkin, with addresses from `first`."""
+    positions = np.column_stack([skin.positions, np.zeros(skin.n_sensors)]) / 1000
+    taxels = [
+        {"id": k, "x": x, "n": [0, 0, 1]} for k, x in enumerate(positions.tolist(), start=first)
+    ]
+    document = {"info": {"file_version": "2"}, "skin": {"taxels": taxels}}
+    Path(CALIBRATION).write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_from_the_file_to_a_scored_map(run, run_map, skin, tmp_path, name):
+    write, options = FILES[name]
+    write(skin, tmp_path / name)
+    # Taxels with address 0 are not connected, so the first sensor has no position where it is 0.
+    first = int(name == "hand.txt")
+    calibrate(skin, first)
+    looked = run("info", name, *options)
+    assert looked.code == 0, looked.err
+    assert f"{skin.n_sensors}, " in looked.out
+    made = run_map(
+        name, *options, "--positions", CALIBRATION, "-d", 2, "-o", "m.csv", "--json",
+        "--permutations", 0,
+    )  # fmt: skip
+    assert made.code == 0, made.err
+    score = json.loads(made.out)["score"]
+    assert score["sensors_compared"] == skin.n_sensors - (1 - first)
+    # On ten seeds of this skin, contacts reach .980 to .994 and readings .993 to .999.
+    assert score["mantel_r"] > 0.93
+
+
+def test_a_calibration_is_converted(run, skin):
+    calibrate(skin, 1)
+    assert run("convert", CALIBRATION, "skin.csv").code == 0
+    made = anisomap.read_map("skin.csv")
+    assert made.names == tuple(str(k) for k in range(1, skin.n_sensors + 1))
+    assert made.units == "m"
+    np.testing.assert_allclose(made.positions[:, :2], skin.positions / 1000)
+
+
+def test_the_default_bins_are_said(run, skin, tmp_path):
+    spikes_in_hdf5(skin, tmp_path / "spikes.h5")
+    looked = run("info", "spikes.h5")
+    assert looked.code == 0
+    assert "warning: spikes.h5: events are counted in bins of 1 s, the default" in looked.err
+    chosen = run("info", "spikes.h5", "--bin", "200ms")
+    assert "in bins" not in chosen.err
+    assert "counted in bins of 0.2 s" in chosen.out
+
+
+@pytest.mark.parametrize("width", ["0", "1min", "nan", "1e9", "1 s s", "9" * 400])
+def test_widths_that_are_no_times(run, skin_csv, width):
+    found = run("info", skin_csv, "--bin", width)
+    assert found.code == 2
+    assert "--bin must be a time above 0, as in 1s or 50ms" in found.err
+
+
+def test_a_grid_with_dead_cells(run_map, skin, tmp_path):
+    """The cells around the skin never vary; the map leaves them out."""
+    rows, columns = 6, 7
+    padded = np.zeros((skin.n_frames, rows + 2, columns))
+    padded[:, 1:-1] = skin.readings.reshape(-1, rows, columns)
+    lists_in_cells(Recording(padded.reshape(skin.n_frames, -1)), tmp_path / "mat.csv")
+    made = run_map(
+        "mat.csv", "--grid", f"{rows + 2}x{columns}", "-d", 2, "-o", "m.csv", "--json",
+        "--permutations", 0,
+    )  # fmt: skip
+    assert made.code == 0, made.err
+    assert json.loads(made.out)["map"]["placed"] == skin.n_sensors
+    assert json.loads(made.out)["score"]["mantel_r"] > 0.95
