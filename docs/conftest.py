@@ -9,6 +9,7 @@ _RUNNABLE = [
     "getting-started.md",
     "how-to/compare-two-maps.md",
     "how-to/map-a-skin.md",
+    "how-to/place-a-map.md",
     "how-to/score-a-map.md",
     "reference/formats.md",
     "robots/*.md",

@@ -1,6 +1,11 @@
 """Figures of maps and simulated scenes; matplotlib is imported when the first one is drawn."""
 
-from anisomap.drawing.figures.displacements import difference_figure, plot_difference
+from anisomap.drawing.figures.displacements import (
+    difference_figure,
+    placement_figure,
+    plot_difference,
+    plot_placement,
+)
 from anisomap.drawing.figures.maps import map_figure, plot_distances, plot_map
 from anisomap.drawing.figures.saving import KINDS, check_writable, figure_bytes, save_figure
 
@@ -10,8 +15,10 @@ __all__ = [
     "difference_figure",
     "figure_bytes",
     "map_figure",
+    "placement_figure",
     "plot_difference",
     "plot_distances",
     "plot_map",
+    "plot_placement",
     "save_figure",
 ]

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from anisomap.evaluation import Difference
+    from anisomap.placement import Anchors, Placement
 
 _MAX_LABELS, _MAX_LABEL = 12, 14
 _WIDTH, _HEIGHT = 8.0, 7.2  # inches
@@ -126,6 +127,85 @@ def plot_difference(difference: Difference, *, ax: Axes | None = None) -> Axes:
     labels = {int(i): difference.names[i] for i in worst}
     arrows = np.where(difference.moved[:, None], difference.after, np.nan)
     return plot_displacements(before, arrows, groups, labels, units=difference.units, ax=ax)
+
+
+def placement_figure(placement: Placement, anchors: Anchors | None = None) -> Figure:
+    """Draw a placed map, and where its anchors are.
+
+    Parameters
+    ----------
+    placement : Placement
+        See `anisomap.placement.place`.
+    anchors : Anchors, optional
+        The anchors that were given.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Save it with `save_figure`.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    placed = placement.map
+    with drawing_style():
+        figure = new_figure(_WIDTH, _HEIGHT)
+        figure.set_layout_engine("constrained", rect=(0, 0.05, 1, 0.86))
+        axes = figure.add_subplot(projection="3d" if placed.dimensions == 3 else None)
+        plot_placement(placement, anchors, ax=axes)
+        figure.legend(loc="upper right", ncols=4, frameon=False, bbox_to_anchor=(0.99, 0.96))
+        write_title(figure, printable(f"Placed in {placed.frame}: {placement.methods[0]}", 70))
+        note = "Positions in metres."
+        if np.isfinite(placed.errors).any():
+            error = float(np.nanmedian(placed.errors))
+            note = (
+                f"{note} 90 % of the sensors are within their error, {error:.2g} m in the median."
+            )
+        write_notes(figure, [note])
+        return figure
+
+
+def plot_placement(
+    placement: Placement, anchors: Anchors | None = None, *, ax: Axes | None = None
+) -> Axes:
+    """Plot the panel of `placement_figure`.
+
+    Parameters
+    ----------
+    placement, anchors
+        As for `placement_figure`.
+    ax : matplotlib Axes, optional
+        Axes to draw into, with ``projection="3d"`` for maps in 3D. A new figure is created by
+        default.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    InputError
+        If `ax` has another number of dimensions.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    placed = placement.map
+    names = () if anchors is None else anchors.names
+    known = np.array([name in set(names) for name in placed.names], dtype=bool)
+    groups = [
+        Group(f"{label} ({np.count_nonzero(mask)})", np.flatnonzero(mask), colour, marker)
+        for label, mask, colour, marker in (
+            ("placed", placed.placed & ~known, "#8a929a", MARKERS[0]),
+            ("anchors", placed.placed & known, PALETTE[0], MARKERS[1]),
+        )
+        if mask.any()
+    ]
+    chosen = np.flatnonzero(placed.placed & known)[:_MAX_LABELS]
+    labels = {int(i): placed.names[i] for i in chosen}
+    nowhere = np.full_like(placed.positions, np.nan)
+    return plot_displacements(placed.positions, nowhere, groups, labels, units=placed.units, ax=ax)
 
 
 def plot_displacements(

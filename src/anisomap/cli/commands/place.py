@@ -1,0 +1,242 @@
+"""``anisomap place``: a map in metres, in the frame of the robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from cyclopts import Group, Parameter
+from cyclopts.validators import Number
+
+from anisomap import io
+from anisomap.cli import parameters as options
+from anisomap.cli import pipeline
+from anisomap.cli.console import Printer, number
+from anisomap.drawing import figures
+from anisomap.errors import InputError
+from anisomap.files import check_distinct
+from anisomap.placement import (
+    METRES,
+    Anchors,
+    Modules,
+    Placement,
+    anchors_from_map,
+    median_spacing,
+    modules_by_size,
+    parse_anchor,
+    parse_length,
+    place,
+)
+from anisomap.sensor_map import SensorMap
+from anisomap.wording import join_items
+
+anchors_group = Group("Anchors", sort_key=2)
+modules_group = Group("Modules", sort_key=3)
+
+_MAX_SHOWN = 50
+_MM = 1e3  # per metre
+
+
+@dataclass(frozen=True)
+class AnchorOptions:
+    """Sensors with a known position.
+
+    Parameters
+    ----------
+    anchor
+        A sensor and its position in metres: s17=0.012,0.040,0.003. May be repeated.
+    anchors
+        File with the positions of some sensors: any layout that can be read.
+    units
+        Unit of that file, if it states none.
+    """
+
+    anchor: Annotated[list[str], Parameter(negative=())] = field(default_factory=list)
+    anchors: Path | None = None
+    units: str = ""
+
+    def read(self) -> Anchors | None:
+        """Read the anchors; None if there are none."""
+        given = [parse_anchor(text) for text in self.anchor]
+        widths = {len(position) for _, position in given}
+        if len(widths) > 1:
+            raise InputError("all anchors must have two coordinates, or all three")
+        if self.anchors is not None:
+            found = anchors_from_map(io.read_map(self.anchors), self.units)
+            given += zip(found.names, map(tuple, found.positions.tolist()), strict=True)
+            widths.add(found.positions.shape[1])
+        if not given:
+            return None
+        width = max(widths)
+        rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
+        return Anchors(tuple(name for name, _ in given), np.array(rows))
+
+
+@dataclass(frozen=True)
+class ModuleOptions:
+    """Rigid modules.
+
+    Parameters
+    ----------
+    module
+        File with the positions of the pads on a module, with units: x [mm], y [mm].
+    module_size
+        Numbers per module, pads that do not exist included: sensors are divided by the numbers at
+        the end of their names.
+    module_first
+        Number of the first pad of one module. Default: 0 or 1, whichever gives fewer modules.
+    modules
+        File with the columns sensor, module and optionally pad, instead of --module-size.
+    """
+
+    module: Path | None = None
+    module_size: Annotated[int | None, Parameter(validator=Number(gte=2))] = None
+    module_first: Annotated[int | None, Parameter(validator=Number(gte=0))] = None
+    modules: Path | None = None
+
+    def read(self, sensor_map: SensorMap) -> Modules | None:
+        """Read the modules; None if there are none."""
+        if self.module is None and self.modules is None and self.module_size is None:
+            return None
+        if self.module is None or (self.modules is None) == (self.module_size is None):
+            raise InputError(
+                "modules need the positions of their pads, --module FILE, and either --modules "
+                "FILE or --module-size"
+            )
+        if self.modules is not None:
+            divided = io.read_modules(self.modules, sensor_map.names)
+        else:
+            divided = modules_by_size(sensor_map.names, self.module_size or 0, self.module_first)
+        return divided.with_template(io.read_map(self.module))
+
+    @property
+    def files(self) -> list[Path]:
+        """Files that are read."""
+        return [path for path in (self.module, self.modules) if path is not None]
+
+
+def place_map(
+    map_file: Annotated[Path, Parameter(help="File of a map.")],
+    /,
+    *,
+    output: Annotated[
+        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
+    ] = None,
+    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    frame: Annotated[str, Parameter(group=options.outputs_group)] = "",
+    known: Annotated[AnchorOptions, Parameter(name="*", group=anchors_group)] = AnchorOptions(),
+    rigid: Annotated[ModuleOptions, Parameter(name="*", group=modules_group)] = ModuleOptions(),
+    spacing: str = "",
+    handedness: Literal["", "same", "mirrored"] = "",
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> None:
+    """Place a map in the frame of the robot, in metres, with an error for each sensor.
+
+    Everything that is known is used together. Three and more sensors with a known position
+    determine the pose; known rigid modules the scale, and a more accurate map.
+
+    Parameters
+    ----------
+    output
+        File for the map; its suffix chooses the format. May be repeated. Default: NAME.placed.csv
+        in the current folder.
+    picture
+        File for a figure: .png, .svg or .pdf.
+    frame
+        Name of the frame of the anchors.
+    spacing
+        Median distance between neighbouring sensors, such as 6.5mm.
+    handedness
+        Whether the map has the handedness of the skin, if you know: same or mirrored. By default
+        it follows from anchors and modules.
+    """
+    outputs = output or [Path(f"{map_file.name.split('.')[0]}.placed.csv")]
+    inputs = [map_file, *rigid.files, *([known.anchors] if known.anchors else [])]
+    check_distinct([*outputs, *([picture] if picture else [])], inputs)
+    for path in outputs:
+        io.check_writable(path)
+    if picture:
+        figures.check_writable(picture)
+    sensor_map, anchors = io.read_map(map_file), known.read()
+    placement = place(
+        sensor_map,
+        anchors,
+        modules=rigid.read(sensor_map),
+        spacing=parse_length(spacing) if spacing else None,
+        handedness=handedness,
+    )
+    if frame:
+        placement = replace(placement, map=replace(placement.map, frame=frame))
+    files = []
+    for path in outputs:
+        io.write(placement.map, path)
+        files.append(("map", path))
+    if picture:
+        figures.save_figure(figures.placement_figure(placement, anchors), picture)
+        files.append(("picture", picture))
+    with reporting.printer() as printer:
+        _print(printer, placement, map_file.name)
+        pipeline.print_files(printer, files)
+
+
+def _print(printer: Printer, placement: Placement, name: str) -> None:
+    placed = placement.map
+    errors = placed.errors[np.isfinite(placed.errors)] * _MM
+    spacing = median_spacing(placed) * _MM * METRES[placed.units]
+    facts = {
+        "sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}",
+        "median spacing": f"{number(spacing)} mm",
+        **{
+            f"component {label}" if len(placement.methods) > 1 else "placed by": method
+            for label, method in enumerate(placement.methods)
+        },
+        "handedness": "that of the skin" if placed.handed else "unknown",
+    }
+    if errors.size:
+        facts["error (90 %)"] = (
+            f"{number(float(np.median(errors)), 3)} mm (median), "
+            f"{number(float(errors.max()), 3)} mm at most"
+        )
+    facts["known up to"] = placed.known_up_to
+    printer.facts(f"Placement of {name}", facts)
+    if placement.anchors:
+        printer.table(
+            "Anchors",
+            ("sensor", "residual (mm)", "left out (mm)"),
+            [
+                (anchor, number(_MM * residual, 3), number(_MM * left_out, 3))
+                for anchor, residual, left_out in zip(
+                    placement.anchors[:_MAX_SHOWN],
+                    placement.residuals.tolist(),
+                    placement.left_out_errors.tolist(),
+                    strict=False,
+                )
+            ],
+        )
+    if placement.left_out:
+        printer.line(f"left out: {join_items(placement.left_out, _MAX_SHOWN)}")
+    for note in placed.notes:
+        printer.line(f"  note: {note}")
+    printer.record(
+        sensors=placed.n_sensors,
+        placed=int(placed.placed.sum()),
+        methods=placement.methods,
+        handed=placed.handed,
+        anchored=placed.anchored,
+        median_spacing=spacing / _MM,
+        units=placed.units,
+        errors=dict(zip(placed.names, placed.errors.tolist(), strict=True)),
+        anchors=[
+            {"sensor": anchor, "residual": residual, "left_out": left_out}
+            for anchor, residual, left_out in zip(
+                placement.anchors,
+                placement.residuals.tolist(),
+                placement.left_out_errors.tolist(),
+                strict=True,
+            )
+        ],
+        left_out=placement.left_out,
+        notes=placed.notes,
+    )

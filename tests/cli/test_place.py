@@ -1,0 +1,116 @@
+"""Journeys of `anisomap place`: a map in the frame of the robot."""
+
+import json
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap import io
+from skins import flat_skin
+
+SPACING = 6.0  # mm, of the lattice of flat_skin in the frame of the robot
+
+
+@pytest.fixture
+def skin_map(run_map, tmp_path):
+    """A map, and a file with the true positions in the frame of a robot, in mm."""
+    recording = flat_skin()
+    anisomap.write(recording, tmp_path / "skin.npz")
+    assert run_map("skin.npz", "-d", 2, "-o", "map.csv").code == 0
+    truth = SPACING * np.asarray(recording.positions) @ [[0, 1], [-1, 0]] + [100, 40]
+    rows = [f"{n},{x},{y}" for n, (x, y) in zip(recording.names, truth, strict=True)]
+    (tmp_path / "truth.csv").write_text("name,x [mm],y [mm]\n" + "\n".join(rows) + "\n")
+    chosen = [rows[i] for i in (0, 6, 38, 21)]
+    (tmp_path / "anchors.csv").write_text("name,x [mm],y [mm]\n" + "\n".join(chosen) + "\n")
+    return tmp_path / "map.csv"
+
+
+def test_a_map_is_placed_by_four_anchors_in_every_format(run, skin_map, tmp_path):
+    formats = ("csv", "json", "npz", "urdf", "mjcf", "icub.txt", "ply", "pcd", "launch.xml")
+    outputs = [word for suffix in formats for word in ("-o", f"placed.{suffix}")]
+    done = run("place", skin_map, "--anchors", "anchors.csv", "--frame", "l_forearm",
+               "--picture", "placed.png", "--json", *outputs)  # fmt: skip
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
+    assert (found["anchored"], found["handed"], found["units"]) == (True, True, "m")
+    assert [anchor["sensor"] for anchor in found["anchors"]] == ["s0", "s6", "s38", "s21"]
+    truth = io.read_map(tmp_path / "truth.csv").positions / 1000
+    for suffix in formats[:-1]:
+        placed = io.read_map(tmp_path / f"placed.{suffix}")
+        names = [f"s{i}" if suffix != "icub.txt" else f"taxel{i}" for i in range(len(truth))]
+        rows = [placed.names.index(name) for name in names]
+        off = np.linalg.norm(placed.positions[rows, :2] - truth, axis=1)
+        assert np.median(off) < 0.4 * SPACING / 1000
+    errors = io.read_map(tmp_path / "placed.npz").errors
+    assert np.mean(off <= errors) > 0.8
+    for suffix in ("urdf", "mjcf", "launch.xml"):
+        assert "error of s1:" in (tmp_path / f"placed.{suffix}").read_text()
+    assert "frame: l_forearm" in (tmp_path / "placed.csv").read_text()
+    assert (tmp_path / "placed.png").stat().st_size > 10_000
+
+
+def test_anchors_on_the_command_line_and_the_default_output(run, skin_map, tmp_path):
+    rows = (tmp_path / "anchors.csv").read_text().splitlines()[1:]
+    words = []
+    for row in rows:
+        name, x, y = row.split(",")
+        words += ["--anchor", f"{name}={float(x) / 1000},{float(y) / 1000}"]
+    done = run("place", skin_map, *words)
+    assert done.code == 0, done.err
+    assert "residual (mm)" in done.out
+    placed = io.read_map(tmp_path / "map.placed.csv")
+    assert placed.anchored
+    again = run("place", "map.placed.csv", *words, "-o", "again.csv")
+    assert again.code == 2
+    assert "in the frame of the robot already" in again.err
+    assert run("convert", "map.placed.csv", "other.csv", "--mirror").code == 2
+    assert run("convert", "map.placed.csv", "other.csv", "--spacing", "6mm").code == 2
+    assert not (tmp_path / "other.csv").exists()
+
+
+def test_modules_give_millimetres_and_the_hand_without_anchors(run, run_map, tmp_path):
+    """The hexagonal patch of the paper: six triangles of ten pads."""
+    recording = anisomap.simulate("hexagon", "rubbing", n_frames=1500, seed=310)
+    anisomap.write(recording, tmp_path / "patch.npz")
+    assert run_map("patch.npz", "-d", 2, "-o", "map.csv").code == 0
+    truth = np.asarray(recording.positions)[:, :2]
+    rows = "".join(f"P{i},{1000 * x},{1000 * y}\n" for i, (x, y) in enumerate(truth[:10]))
+    (tmp_path / "triangle.csv").write_text("name,x [mm],y [mm]\n" + rows)
+    listed = "".join(f"{name},{i // 10},{i % 10}\n" for i, name in enumerate(recording.names))
+    (tmp_path / "modules.csv").write_text("sensor,module,pad\n" + listed)
+    words = ("--module", "triangle.csv", "--modules", "modules.csv")
+    done = run("place", "map.csv", *words, "-o", "placed.csv", "--json")
+    assert done.code == 0, done.err
+    placed = io.read_map(tmp_path / "placed.csv")
+    assert placed.handed
+    assert not placed.anchored
+    free = anisomap.align(io.read_map(tmp_path / "map.csv").positions, truth)
+    rigid = anisomap.align(placed.positions, truth)
+    assert not rigid.reflected
+    assert rigid.scale == pytest.approx(1, abs=0.1)
+    assert np.median(rigid.errors) < np.median(free.errors)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "nothing places the map"),
+        (["--anchor", "s1=1"], "is not an anchor"),
+        (["--anchor", "s1=0,0", "--anchor", "s2=0,0,0"], "all anchors must have two coordinates"),
+        (["--anchor", "sx=0,0", "--anchor", "s2=0,1"], "anchor sx is no sensor of the map"),
+        (["--anchors", "missing.csv"], "missing.csv"),
+        (["--anchors", "anchors.csv", "-o", "anchors.csv"], "anchors.csv"),
+        (["--anchors", "anchors.csv", "-o", "x.unknown"], "unknown suffix"),
+        (["--anchors", "anchors.csv", "--module", "anchors.csv"], "either --modules"),
+        (["--module-size", "5"], "modules need the positions of their pads"),
+        (["--module", "anchors.csv", "--module-size", "40", "--module-first", "0"], "no such pad"),
+        (["--spacing", "6"], "is not a length"),
+    ],
+)
+def test_what_cannot_be_placed_is_one_message(run, skin_map, tmp_path, arguments, message):
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    done = run("place", skin_map, *arguments)
+    assert done.code == 2
+    assert message in done.err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
