@@ -8,6 +8,7 @@ from tests.documents import collector, run_commands
 _RUNNABLE = [
     "getting-started.md",
     "how-to/compare-two-maps.md",
+    "how-to/contacts-and-spikes.md",
     "how-to/map-a-skin.md",
     "how-to/place-a-map.md",
     "how-to/score-a-map.md",

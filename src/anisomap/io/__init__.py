@@ -2,8 +2,8 @@
 
 `registry` lists every format and reads with it; `writing` writes. `format` describes a format, and
 `stream` the blocks in which recordings are read. `recordings`, `maps` and `ros` hold one module per
-format, and `parsing` the code they share. A new format is one module with its readers and writers,
-and one line in `registry.FORMATS`.
+format, `events` the lists of contacts and spikes, and `parsing` the code they share. A new format
+is one module with its readers and writers, and one line in `registry.FORMATS`.
 """
 
 from anisomap.io.choice import ChoiceError as ChoiceError
