@@ -1,5 +1,6 @@
 """Names from files and of files appear as text: no terminal escapes, no markup, no exit code 70."""
 
+import csv
 import io
 import json
 import os
@@ -74,6 +75,20 @@ def test_files_with_markup_in_their_names(run_map, skin_npz: Path, suffix: str) 
     assert done.code == 0
     assert f"d[/y]{suffix}" in done.out
     assert (folder / f"y]{suffix}").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows allows no such names")
+def test_tables_of_methods_show_file_names_as_text(run, skin_npz: Path, tmp_path: Path) -> None:
+    odd = skin_npz.rename(tmp_path / "=1|<b>\u202e.npz")
+    methods = ("-m", "information-distance", "-m", "isomap-on-r", "-d", 2)
+    assert run("compare", odd, *methods, "-o", "t.md", "-o", "t.csv").code == 0
+    text = (tmp_path / "t.md").read_text(encoding="utf-8")
+    assert "| =1\\|&lt;b&gt;\\u202e | 42 x 1500 |" in text
+    assert "<" not in text
+    assert not unsafe(text.replace("\n", ""))
+    lines = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()
+    row = next(csv.DictReader(lines))
+    assert row["recording"] == "'=1|<b>\\u202e"
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".ply", ".html"])

@@ -6,9 +6,11 @@ import csv
 import io
 import math
 from collections.abc import Sequence
+from html import escape
 
 from anisomap.comparison import Comparison, MethodScore
 from anisomap.evaluation.rivals import RIVALS
+from anisomap.io.parsing.delimited import guard_formula
 from anisomap.wording import printable
 
 _LEGEND = (
@@ -27,7 +29,7 @@ def to_markdown(comparisons: Sequence[Comparison]) -> str:
         best = [comparison.best(stock=stock) for stock in (False, True)]
         lines.append(
             [
-                printable(comparison.name).replace("|", "\\|"),
+                escape(printable(comparison.name), quote=False).replace("|", "\\|"),
                 f"{comparison.n_sensors} x {comparison.n_frames}",
                 f"{comparison.dimensions}D",
                 str(len(comparison.sensors)),
@@ -37,8 +39,10 @@ def to_markdown(comparisons: Sequence[Comparison]) -> str:
                 ),
             ]
         )
-    table = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-    return "\n\n".join([table.rstrip("\n"), _LEGEND, *sentences(comparisons)]) + "\n"
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    stock = "; ".join(f"{m}: {RIVALS[m].summary}" for m in methods if m in RIVALS)
+    said = [*sentences(comparisons), *([f"Stock methods: {stock}."] if stock else [])]
+    return "\n\n".join([table, _LEGEND, *(escape(text, quote=False) for text in said)]) + "\n"
 
 
 def to_csv(comparisons: Sequence[Comparison]) -> str:
@@ -68,7 +72,7 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
         stock = comparison.best(stock=True)
         table.writerow(
             [
-                printable(comparison.name),
+                guard_formula(printable(comparison.name)),
                 f"{comparison.n_sensors} x {comparison.n_frames}",
                 f"{comparison.dimensions}D",
                 len(comparison.sensors),
@@ -100,9 +104,6 @@ def sentences(comparisons: Sequence[Comparison]) -> list[str]:
     for (method, reason), names in reasons.items():
         everywhere = "" if len(names) == len(comparisons) else f" on {', '.join(names)}"
         said.append(f"No score of {method}{everywhere}: {printable(reason)}.")
-    if any(s.method in RIVALS for s in comparisons[0].scores):
-        stock = [s.method for s in comparisons[0].scores if s.is_stock]
-        said.append(f"Stock methods: {'; '.join(f'{m}, {RIVALS[m].summary}' for m in stock)}.")
     return said
 
 
