@@ -219,13 +219,13 @@ def bomb_npz(rng: Generator) -> bytes:
 
 
 def bomb_gzip(rng: Generator) -> bytes:
-    """Compress one line, or lines, of text."""
+    """Compress one line, or lines, of text; fewer of lines, which are read one by one."""
     unit = (b"0", b"1,2,3\n", b" ", b"\n", b"a,b\n", b"1 2 3 ")[rng.integers(6)]
     stream = BytesIO()
     with gzip.GzipFile(fileobj=stream, mode="wb", compresslevel=1, mtime=0) as packed:
         packed.write(b"a,b,c\n1,2,3\n" if rng.integers(2) else b"")
         part = unit * ((1 << 20) // len(unit))
-        for _ in range(BOMB_BYTES >> 20):
+        for _ in range((1 << 24 if unit.endswith(b"\n") else BOMB_BYTES) >> 20):
             packed.write(part)
     return stream.getvalue()
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from cyclopts import App, CycloptsError, Parameter
 
 from anisomap._version import __version__
+from anisomap.cli import INTERRUPTED, INTERRUPTION
 from anisomap.cli.console import (
     console,
     discard_stdout,
@@ -21,7 +22,6 @@ from anisomap.errors import AnisomapError, AnisomapWarning
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70  # EX_SOFTWARE of sysexits.h
-INTERRUPTED = 130
 
 app = App(
     name="anisomap",
@@ -78,11 +78,12 @@ def main(arguments: Iterable[str] | None = None) -> None:
         Always: 0 on success, 1 if a comparison finds a difference, 2 for bad input, 70 for a defect
         in anisomap, 130 if interrupted.
     """
+    sys.exit(run(None if arguments is None else list(arguments)))
+
+
+def run(arguments: list[str] | None) -> int:
+    """Run a command, report any error as one sentence, and return the exit code of `main`."""
     escape_unencodable_output()
-    sys.exit(_exit_code(None if arguments is None else list(arguments)))
-
-
-def _exit_code(arguments: list[str] | None) -> int:
     code = 0
     try:
         code = _run(arguments)
@@ -93,7 +94,7 @@ def _exit_code(arguments: list[str] | None) -> int:
     except MemoryError:
         return _failed("not enough memory; map fewer sensors or frames", BAD_INPUT)
     except KeyboardInterrupt:
-        return _failed("interrupted; no file was left half-written", INTERRUPTED)
+        return _failed(INTERRUPTION, INTERRUPTED)
     except BrokenPipeError:
         discard_stdout()  # the reader has closed the pipe, which is not an error
     except Exception as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from anisomap.errors import FileError
+from anisomap.io.parsing.json_text import read_json
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.parsing.source import open_text, quote
+from anisomap.io.parsing.source import quote
 from anisomap.sensor_map import SensorMap
 
 _KEYS = (b'"skin"', b'"taxels"')
@@ -31,16 +31,7 @@ def read_map(path: Path) -> SensorMap:
     Taxels with address 0, which no module reads, are left out. Repeated addresses are numbered in
     the order of the file, as in recordings.
     """
-    with open_text(path) as stream:
-        content = stream.read()
-    try:
-        document = json.loads(content)
-    except json.JSONDecodeError as error:
-        raise FileError(
-            f"{path}, line {error.lineno}, column {error.colno}: not valid JSON ({error.msg})"
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise FileError(f"{path}: not valid JSON ({error})") from error
+    document = read_json(path)
     skin = document.get("skin") if isinstance(document, dict) else None
     taxels = skin.get("taxels") if isinstance(skin, dict) else None
     if not isinstance(taxels, list):

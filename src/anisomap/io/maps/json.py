@@ -11,9 +11,10 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.comments import to_python_scalar
+from anisomap.io.parsing.json_text import read_json
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.parsing.source import open_text, quote
+from anisomap.io.parsing.source import quote
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNASSESSED, SensorMap
 
@@ -32,16 +33,7 @@ def read_map(path: Path) -> SensorMap:
 
     All other properties that `write_map` writes are optional.
     """
-    with open_text(path) as stream:
-        content = stream.read()
-    try:
-        document = json.loads(content)
-    except json.JSONDecodeError as error:
-        raise FileError(
-            f"{path}, line {error.lineno}, column {error.colno}: not valid JSON ({error.msg})"
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise FileError(f"{path}: not valid JSON ({error})") from error
+    document = read_json(path)
     sensors = document.get("sensors") if isinstance(document, dict) else None
     if not isinstance(sensors, list) or not sensors:
         raise FileError(f"{path} is JSON without a list of sensors, so it is not a map")

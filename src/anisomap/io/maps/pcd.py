@@ -15,7 +15,7 @@ from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
 
 _FIELDS = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
-_MAX_POINTS = 10_000_000
+_MAX_DIGITS = 9  # of a number of points: more are in no file, and Python converts few thousand
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -74,7 +74,7 @@ def read_map(path: Path) -> SensorMap:
         match line.split():
             case ["FIELDS", *names]:
                 fields = names
-            case ["POINTS", text] if text.isdecimal() and int(text) <= _MAX_POINTS:
+            case ["POINTS", text] if text.isdecimal() and len(text) <= _MAX_DIGITS:
                 count = int(text)
             case ["DATA", "ascii"]:
                 break

@@ -27,7 +27,7 @@ from anisomap.sensor_map import SensorMap
 _MAGIC = b"ply"
 _AXES = ("x", "y", "z")
 _NORMAL = ("nx", "ny", "nz")
-_MAX_LINES = 1 << 31
+_MAX_DIGITS = 9  # of a number of elements: more are in no file, and Python converts few thousand
 
 Line = tuple[int, str]
 
@@ -116,7 +116,7 @@ def _read_header(path: Path, lines: Iterator[Line]) -> _Header:
                 raise LineError(path, number, f": the PLY format must be ascii, got {quote(kind)}")
             case ["comment", *_]:
                 remarks.append(line.removeprefix("comment"))
-            case ["element", element, count] if count.isdecimal() and int(count) < _MAX_LINES:
+            case ["element", element, count] if count.isdecimal() and len(count) <= _MAX_DIGITS:
                 counts[element], columns[element] = int(count), []
             case ["property", _, *_, name] if element:
                 columns[element].append(name)
