@@ -39,6 +39,27 @@ def test_lists_of_contacts(put: Put, form: str) -> None:
         np.testing.assert_array_equal(found.times, [0, 0.25, 0.75, 1.25])
 
 
+@pytest.mark.parametrize("delimiter", [" ", ",", "\t", ";"])
+def test_lists_of_contacts_without_a_header(put: Put, delimiter: str) -> None:
+    lines = [delimiter.join(map(str, [time, *ids])) for time, ids in CONTACTS]
+    found = io.read(put("run.txt", "\n".join(lines) + "\n"))
+    assert found.names == NAMES
+    np.testing.assert_array_equal(found.readings, READINGS)
+    np.testing.assert_array_equal(found.times, [0, 0.25, 0.75, 1.25])
+
+
+def test_a_damaged_table_of_integers_is_not_a_list_of_contacts(put: Put) -> None:
+    lines = [f"{i},0,{i % 4},3,0" for i in range(30)]
+    lines[10], lines[20] = "10,0", "20,0,1"
+    with pytest.raises(FileError, match=r"line 11 has 2 fields"):
+        io.read(put("x.csv", "\n".join(lines) + "\n"))
+
+
+def test_a_single_contact(put: Put) -> None:
+    found = io.read(put("run.csv", 'time,taxels\n0.5,"3 17"\n'))
+    np.testing.assert_array_equal(found.readings, [[1, 1]])
+
+
 def test_one_row_per_contact_in_any_order(put: Put) -> None:
     rows = ["1.5,17", "0.25,3", "1.5,3", "0.25,17", "1.0,17", "1.0,", "1.5,4"]
     found = io.read(put("long.csv", "time,taxel\n" + "\n".join(rows) + "\n"))

@@ -2,7 +2,7 @@
 
 A row holds one sensor (``0.12,17``, with an optional value) or a list of them (``0.12,"3 4 17"``,
 ``0.12,[3; 4; 17]``), and an empty list for a moment without contact. Rows of one moment form a
-frame.
+frame. A header names the columns; lists of varying length are recognised without one.
 """
 
 from __future__ import annotations
@@ -41,18 +41,24 @@ _IN_LIST = re.compile(r"[^\s,;|]+")
 _BRACKETS = str.maketrans("[](){}", "      ")
 _DELIMITERS = (";", "\t", ",", None)
 _ROWS_LOOKED_AT = 50
+# Chosen by hand: rows of at least three lengths are not a table with a damaged line.
+_MIN_BARE_ROWS, _MIN_LENGTHS = 4, 3
 _SELECTED = re.compile(r"([^:]+):([^:]+)")
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """Columns of a list of contacts, by index from 0; -1 for no values."""
+    """Columns of a list of contacts, by index from 0; -1 for no values.
+
+    If `ragged`, all fields from the sensor on are sensors.
+    """
 
     delimiter: str | None
     header: tuple[str, ...]
     moment: int
     sensor: int
     value: int = -1
+    ragged: bool = False
 
     @property
     def noun(self) -> str:
@@ -64,20 +70,22 @@ class _Layout:
 def recognises(path: Path, head: bytes) -> bool:
     """Recognise a header of a time or number and of sensors, above rows of whole numbers or lists.
 
-    Further columns, other than a value, make the file a table of readings.
+    Further columns, other than a value, make the file a table of readings. Without a header, rows
+    must hold a number that does not decrease and different whole numbers, and differ in length.
     """
     if b"\0" in head or b"\n" not in head:
         return False
+    lines = head.decode("utf-8-sig", "replace").splitlines(keepends=True)
     # The last line may be incomplete.
-    lines = head.decode("utf-8-sig", "replace").splitlines(keepends=True)[:-1]
+    lines = lines if lines[-1].endswith("\n") else lines[:-1]
     try:
         layout = _find_layout(lines)
         if layout is None:
-            return False
+            return _find_bare_layout(lines) is not None
         rows = itertools.islice(delimited.records(lines, layout.delimiter), 1, _ROWS_LOOKED_AT)
         found = [fields for _, fields in rows]
         width = max(map(len, found), default=0)
-        if not found or (width > len(layout.header) and layout.sensor < len(layout.header) - 1):
+        if not found or (width > len(layout.header) and not layout.ragged):
             return False
         return all(_is_row(layout, fields) for fields in found)
     except csv.Error:
@@ -86,9 +94,10 @@ def recognises(path: Path, head: bytes) -> bool:
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a list of contacts or spikes with a header."""
+    """Open a list of contacts or spikes."""
     with open_text(path) as stream:
-        layout = _find_layout(delimited.read_sample(stream))
+        sample = delimited.read_sample(stream)
+    layout = _find_layout(sample) or _find_bare_layout(sample)
     if layout is None:
         raise FileError(f"{path} lacks a header that names a time and the sensors")
     yield _stream(path, layout, options)
@@ -145,7 +154,32 @@ def _find_layout(lines: Sequence[str]) -> _Layout | None:
         values = [i for i, each in enumerate(words) if each and _VALUES.issuperset(each)]
         sizes = (len(moments), len(sensors), len(header) - len(values))
         if sizes == (1, 1, 2) and len(values) < 2 and moments != sensors:
-            return _Layout(delimiter, header, moments[0], sensors[0], (values or [-1])[0])
+            ragged = sensors[0] == len(header) - 1
+            return _Layout(delimiter, header, moments[0], sensors[0], (values or [-1])[0], ragged)
+    return None
+
+
+def _find_bare_layout(lines: Sequence[str]) -> _Layout | None:
+    """Return the layout of rows without a header: a moment, and a varying number of sensors.
+
+    A table of readings has rows of equal length, or repeated values in a damaged one.
+    """
+    for delimiter in _DELIMITERS:
+        rows = [
+            fields
+            for _, fields in itertools.islice(delimited.records(lines, delimiter), _ROWS_LOOKED_AT)
+        ]
+        if len(rows) < _MIN_BARE_ROWS or max(map(len, rows)) < 3:
+            continue
+        moments = [row[0] for row in rows]
+        ids = [[field.strip() for field in row[1:] if field.strip()] for row in rows]
+        if not all(is_number(moment, ",") for moment in moments):
+            continue
+        at = [parse_number(moment) for moment in moments]
+        different = all(len(set(row)) == len(row) for row in ids)
+        whole = all(map(str.isdecimal, itertools.chain.from_iterable(ids)))
+        if at == sorted(at) and different and whole and len(set(map(len, ids))) >= _MIN_LENGTHS:
+            return _Layout(delimiter, (), 0, 1, ragged=True)
     return None
 
 
@@ -163,10 +197,9 @@ def _is_row(layout: _Layout, fields: Sequence[str]) -> bool:
 
 
 def _ids(layout: _Layout, fields: Sequence[str]) -> list[str]:
-    """Return the ids of a row; fields beyond the header continue a list in the last column."""
-    cells = [*fields[layout.sensor : layout.sensor + 1]]
-    if layout.header and layout.sensor == len(layout.header) - 1:
-        cells = [*fields[layout.sensor :]]
+    """Return the ids of a row; fields beyond the header continue a ragged list."""
+    end = None if layout.ragged else layout.sensor + 1
+    cells = fields[layout.sensor : end]
     return [text for cell in cells for text in _listed(cell)]
 
 
