@@ -178,6 +178,12 @@ def _skin_events(path: Path) -> None:
     path.write_text(_lines(contacts))
 
 
+def _archived_contacts(path: Path) -> None:
+    frames, sensors = np.nonzero(_readings())
+    with path.open("wb") as stream:
+        np.savez(stream, times=frames / 10, sensors=sensors, positions=_readings()[:N_SENSORS, :2])
+
+
 def _spike_trains(path: Path) -> None:
     """The layout of the retinal wave repository: one vector of times, and counts per unit."""
     h5py = pytest.importorskip("h5py")
@@ -258,6 +264,7 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "film.tif": ("images", _images),
     "contacts.csv": ("contacts", _contacts),
     "events.log": ("yarp", _skin_events),
+    "events.npz": ("npz", _archived_contacts),
     "spikes.h5": ("hdf5", _spike_trains),
     "touch.mat": ("mat", _contact_structs),
     "hand.txt": ("cyskin", _cyskin),
@@ -272,6 +279,7 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
 EVENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "contacts.csv": lambda values: values > 0,
     "events.log": lambda values: values > 0,
+    "events.npz": lambda values: (values > 0)[(values > 0).any(axis=1)],
     "spikes.h5": lambda values: np.round(10 * values),
     "touch.mat": lambda values: values > 0,
 }

@@ -417,3 +417,40 @@ class TestMatlab:
         assert path.stat().st_size < 1 << 20
         with pytest.raises(FileError, match=r"touch\.mat: its variables expands to"):
             io.read(path)
+
+
+class TestArchives:
+    """Events in NumPy archives."""
+
+    def test_names_tell_silent_sensors(self, tmp_path: Path) -> None:
+        np.savez(
+            tmp_path / "x.npz", times=[0.5, 0.25, 0.5], taxels=[0, 2, 2], names=list("abcd"),
+            positions=np.eye(4)[:, :2], units="mm",
+        )  # fmt: skip
+        found = io.read(tmp_path / "x.npz")
+        assert found.names == tuple("abcd")
+        np.testing.assert_array_equal(found.readings, [[0, 0, 1, 0], [1, 0, 1, 0]])
+        assert found.units == "mm"
+        np.testing.assert_array_equal(found.positions, np.eye(4)[:, :2])
+
+    def test_spikes_need_bins(self, tmp_path: Path) -> None:
+        np.savez(tmp_path / "x.npz", spike_times=[0.5, 0.25, 2.5], units=[7, 4, 4])
+        with pytest.warns(AnisomapWarning, match="in bins of 1 s"):
+            found = io.read(tmp_path / "x.npz")
+        assert found.names == ("unit4", "unit7")
+        np.testing.assert_array_equal(found.readings, [[1, 1], [0, 0], [1, 0]])
+
+    @pytest.mark.parametrize(
+        ("arrays", "message"),
+        [
+            ({"times": [0.5, 1], "ids": [1]}, "must be lists of equal length"),
+            ({"times": [0.5, 1], "ids": [1, -1]}, "ids must be numbers of sensors from 0"),
+            ({"times": [0.5, 1], "ids": [1, 2], "names": ["a", "b"]}, "holds 2, but there are 2"),
+            ({"times": [0.5, 1], "ids": [1, 0.5]}, "it must be integers"),
+            ({"times": [0.5, np.nan], "ids": [1, 2]}, "the time of an event is not finite"),
+        ],
+    )
+    def test_wrong_arrays(self, tmp_path: Path, arrays: dict[str, object], message: str) -> None:
+        np.savez(tmp_path / "x.npz", **arrays)
+        with pytest.raises(FileError, match=message):
+            io.read(tmp_path / "x.npz")

@@ -2,7 +2,8 @@
 
 A recording has ``readings`` (T, N), and may have ``positions``, ``normals``,
 ``surface_distances``, ``names``, ``times``, ``rate_hz``, ``units``, ``source``. Scalars of other
-names are its metadata, and other arrays are ignored. A map has ``positions`` instead of
+names are its metadata, and other arrays are ignored. A recording of events has ``times`` and
+``taxels``, ``channels`` or the like instead of readings. A map has ``positions`` instead of
 ``readings``. Nothing is unpickled.
 """
 
@@ -13,6 +14,7 @@ import math
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
+from anisomap.io.events.archived_events import holds_events, stream_archived
 from anisomap.io.parsing.archive import NUMBERS, SUFFIX, Archive, open_archive
 from anisomap.io.parsing.comments import to_python_scalar
 from anisomap.io.parsing.frames import increasing_times
@@ -44,8 +47,14 @@ def recognises(path: Path, head: bytes) -> bool:
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in an NPZ archive."""
+    """Open a recording in an NPZ archive: readings, or events."""
     with open_archive(path) as archive:
+        if "readings" not in archive.names and holds_events(archive):
+            yield replace(
+                stream_archived(archive, options.bin_s),
+                units=archive.text("units") if "positions" in archive.names else "",
+            )
+            return
         archive.require("readings", "recording")
         shape = archive.shape("readings", NUMBERS)
         if len(shape) != 2:
