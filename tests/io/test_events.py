@@ -198,9 +198,10 @@ def test_times_far_away_are_refused(put: Put) -> None:
         io.read(path, options=OPTIONS(bin_s=1.0))
 
 
-def test_readings_have_no_bins(put: Put) -> None:
-    with pytest.raises(FileError, match=r"x\.csv .* holds readings, not events; leave out --bin"):
-        io.read(put("x.csv", "a,b\n1,2\n3,4\n"), options=OPTIONS(bin_s=1.0))
+def test_readings_have_no_bins(tmp_path: Path) -> None:
+    np.save(tmp_path / "x.npy", np.eye(3))
+    with pytest.raises(FileError, match=r"x\.npy .* holds readings, not events; leave out --bin"):
+        io.read(tmp_path / "x.npy", options=OPTIONS(bin_s=1.0))
 
 
 def test_sensors_with_a_position_and_no_contact_were_silent(put: Put) -> None:
@@ -352,6 +353,34 @@ class TestSpikeTrains:
         assert io.read(path).n_sensors == 4
         events = io.read(path, options=OPTIONS(select="events", bin_s=1.0))
         np.testing.assert_array_equal(events.readings, [[1, 1], [0, 1]])
+
+
+class TestSpikeTables:
+    """Times of spikes in text, one line or one column per channel, with a width of bins."""
+
+    ROWS = ("0.25,1.5,1.75", "", "0.5,2.25")
+
+    @pytest.mark.parametrize(
+        ("text", "names"),
+        [
+            ("a,0.25,1.5,1.75\nb\nc,0.5,2.25\n", ("a", "b", "c")),
+            ("a 0.25 1.5 1.75\nb \nc 0.5 2.25\n", ("a", "b", "c")),
+            ("a,b,c\n0.25,,0.5\n1.5,,2.25\n1.75,,\n", ("a", "b", "c")),
+            ("0.25;;0.5\n1.5;;2.25\n1.75;;\n", ("channel1", "channel2", "channel3")),
+        ],
+    )
+    def test_layouts(self, put: Put, text: str, names: tuple[str, ...]) -> None:
+        found = io.read(put("spikes.txt", text), options=OPTIONS(bin_s=1.0))
+        assert found.names == names
+        np.testing.assert_array_equal(found.readings, TestSpikeTrains.COUNTS)
+
+    @pytest.mark.parametrize(
+        "text",
+        ["a,b\n1,2\n3,4\n", "a,b\n1.5,2\n0.5,4\n", "a,b\n0.5,1\n,2\n1.5,3\n", "a,b\n0.5,x\n"],
+    )
+    def test_readings_are_not_spikes(self, put: Put, text: str) -> None:
+        with pytest.raises(FileError, match=r"x\.csv .* holds readings, not events.*--bin"):
+            io.read(put("x.csv", text), options=OPTIONS(bin_s=1.0))
 
 
 class TestMatlab:

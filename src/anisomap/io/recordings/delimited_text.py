@@ -21,7 +21,7 @@ import numpy as np
 
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.io.choice import Content, choose
-from anisomap.io.events import contact_text
+from anisomap.io.events import contact_text, spike_tables
 from anisomap.io.parsing import comments, delimited
 from anisomap.io.parsing.columns import (
     ROWS_LOOKED_AT,
@@ -72,6 +72,9 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
             yield contacts
         return
     sample, known, metadata = _read_start(path)
+    if options.bin_s is not None and not known:
+        yield spike_tables.stream_table(path, options.bin_s)
+        return
     preamble = 0 if known else delimited.count_preamble(sample)
     layout = delimited.find_layout(
         sample[preamble:], own_delimiter=_DELIMITERS.get(str(known.get("fields")), "")
