@@ -84,6 +84,13 @@ def test_damaged_calibrations(put: Put, changes: dict[str, object], message: str
         io.read_map(put("handle.json", calibration((7, 8, 9), **changes)))
 
 
+def test_normals_become_unit_vectors(put: Put) -> None:
+    for normal, expected in (([0, 3, 4], [0, 0.6, 0.8]), ([0, 0, 0], [np.nan] * 3), ("up", None)):
+        found = io.read_map(put("handle.json", calibration((7, 8, 9), n=normal)))
+        np.testing.assert_array_equal(found.normals[0], [0, 0, 1])
+        np.testing.assert_allclose(found.normals[1], expected or [np.nan] * 3)
+
+
 def test_calibrations_without_taxels(put: Put) -> None:
     for text, message in (
         ('{"skin": {"taxels": 3}}', "without the taxels of a skin"),

@@ -1,4 +1,7 @@
-"""Calibrations of CySkin: JSON with the address, position and normal of each taxel, in metres."""
+"""Calibrations of CySkin: JSON with the address, position and normal of each taxel, in metres.
+
+Normals become unit vectors; those of zero length are unknown.
+"""
 
 from __future__ import annotations
 
@@ -37,12 +40,13 @@ def read_map(path: Path) -> SensorMap:
     if not isinstance(taxels, list):
         raise FileError(f"{path} is JSON without the taxels of a skin")
     found = [_taxel(path, i, taxel) for i, taxel in enumerate(_flat(taxels))]
-    kept = [(address, position) for address, position in found if address != _NO_ADDRESS]
+    kept = [each for each in found if each[0] != _NO_ADDRESS]
     if not kept:
         raise FileError(f"{path} holds no taxel with an address")
     return SensorMap(
-        np.array([position for _, position in kept]),
-        names=distinct_names(path, [str(address) for address, _ in kept]),
+        np.array([position for _, position, _ in kept]),
+        names=distinct_names(path, [str(address) for address, _, _ in kept]),
+        normals=np.array([normal for _, _, normal in kept]),
         units="m",
     )
 
@@ -56,7 +60,8 @@ def _flat(taxels: list[Any]) -> Iterator[Any]:
             yield taxel
 
 
-def _taxel(path: Path, number: int, taxel: Any) -> tuple[int, list[float]]:
+def _taxel(path: Path, number: int, taxel: Any) -> tuple[int, list[float], list[float]]:
+    """Return the address, position and unit normal of a taxel; NaN without a normal."""
     where = f"{path}, taxel {number}"
     if not isinstance(taxel, dict):
         raise FileError(f"{where}: must be an object with id and x, got {quote(str(taxel))}")
@@ -65,7 +70,11 @@ def _taxel(path: Path, number: int, taxel: Any) -> tuple[int, list[float]]:
         raise FileError(f"{where}: id must be a whole number, got {quote(str(address))}")
     if not isinstance(position, list) or not _is_point(position):
         raise FileError(f"{where}: x must be three finite numbers, got {quote(str(position))}")
-    return address, [float(x) for x in position]
+    normal = taxel.get("n")
+    vector = normal if isinstance(normal, list) and _is_point(normal) else [0.0] * 3
+    length = math.hypot(*vector)
+    unit = [x / length if 0 < length < math.inf else math.nan for x in vector]
+    return address, [float(x) for x in position], unit
 
 
 def _is_point(values: list[Any]) -> bool:
