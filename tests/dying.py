@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,22 @@ class Dying:
         if os.getpid() != self.owner and not self.mark.exists():
             self.mark.touch()
             os.kill(os.getpid(), KILL)
+        return Moments.of(chunk)
+
+
+@dataclass(frozen=True)
+class Slow:
+    """Computes moments of chunks slowly; during the second chunk, a process is killed."""
+
+    mark: Path
+    victim: int
+    signal: int
+
+    def __call__(self, chunk):
+        if self.mark.exists():
+            os.kill(self.victim, self.signal)
+        self.mark.touch()
+        time.sleep(0.5)
         return Moments.of(chunk)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 import tokenize
 import warnings
@@ -9,6 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from hashlib import blake2b
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -16,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.files import atomic_write, check_target
+from anisomap.files import atomic_write, check_target, open_regular
 from anisomap.numerics.similarity.accumulators import CoOccurrences, Moments, StoredCodes
 from anisomap.numerics.similarity.value_counts import ValueCounts
 
@@ -130,14 +132,17 @@ class Checkpoint:
 
     def _read(self) -> dict[str, _Stage]:
         try:
-            with warnings.catch_warnings(), self._path.open("rb") as file:
+            with warnings.catch_warnings(), open_regular(self._path) as file:
                 warnings.simplefilter("ignore")  # of numpy, about headers of other versions
+                _check_stored(file)
                 with np.load(file, allow_pickle=False) as archive:
                     arrays = {name: _array(archive[name]) for name in archive}
             intact = str(arrays.pop("checksum")) == _checksum(arrays)
             subject = str(arrays.pop("subject"))
             stages = {name.split("/")[0] for name in arrays}
             found = {stage: _read_stage(arrays, stage) for stage in stages}
+        except FileError:
+            raise
         except _DAMAGE as error:
             raise FileError(self._damaged()) from error
         if not intact:
@@ -161,6 +166,16 @@ def _array(member: object) -> NDArray[Any]:
     if not isinstance(member, np.ndarray):
         raise TypeError("a member is not an array")
     return member
+
+
+def _check_stored(file: BufferedReader) -> None:
+    """Check that all arrays are uncompressed, as `write` leaves them, so that they fit the file."""
+    size = file.seek(0, io.SEEK_END)
+    with zipfile.ZipFile(file) as archive:
+        held = archive.infolist()
+    if any(info.compress_type != zipfile.ZIP_STORED or info.file_size > size for info in held):
+        raise zipfile.BadZipFile("an array is compressed")
+    file.seek(0)
 
 
 def _checksum(arrays: Mapping[str, NDArray[Any]]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
@@ -14,8 +13,9 @@ from typing import Any, TypeAlias
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from anisomap.errors import InputError, MissingExtraError
+from anisomap.errors import InputError
 from anisomap.large.checkpoints import Checkpoint, ChunkDigests
+from anisomap.large.dask_workers import map_on_dask
 
 Mapper: TypeAlias = Callable[[NDArray[Any]], Any]
 
@@ -86,7 +86,7 @@ def map_reduce(
     Raises
     ------
     InputError
-        If there is no chunk, a worker process dies, or there is no scheduler at the address.
+        If there is no chunk, a worker process dies, or the cluster does not answer.
     FileError
         If the checkpoint was made from other chunks.
     MissingExtraError
@@ -118,7 +118,7 @@ def map_reduce(
 def _results(chunks: Iterable[NDArray[Any]], mapper: Mapper, pool: WorkerPool) -> Iterator[Any]:
     """Yield the accumulator of each chunk, in the order of the chunks."""
     if pool.scheduler:
-        return _on_dask(chunks, mapper, pool.scheduler)
+        return map_on_dask(_call, chunks, (mapper, os.getpid()), pool.scheduler)
     if pool.n_workers != 1:
         return _on_joblib(chunks, mapper, pool.n_workers)
     return map(mapper, chunks)
@@ -126,7 +126,7 @@ def _results(chunks: Iterable[NDArray[Any]], mapper: Mapper, pool: WorkerPool) -
 
 def _on_joblib(chunks: Iterable[NDArray[Any]], mapper: Mapper, n_workers: int) -> Iterator[Any]:
     joblib: Any = import_module("joblib")
-    calls = (joblib.delayed(_call)(mapper, chunk, os.getpid()) for chunk in chunks)
+    calls = (joblib.delayed(_call)(chunk, mapper, os.getpid()) for chunk in chunks)
     # The limit is per process: threads that set and lifted it separately would interfere.
     with threadpool_limits(1), joblib.Parallel(n_workers, prefer="threads", batch_size=1) as pool:
         # Batches, not return_as="generator": joblib runs ahead of a merge that is slower than the
@@ -142,35 +142,7 @@ def _on_joblib(chunks: Iterable[NDArray[Any]], mapper: Mapper, n_workers: int) -
                 ) from error
 
 
-def _on_dask(chunks: Iterable[NDArray[Any]], mapper: Mapper, address: str) -> Iterator[Any]:
-    try:
-        dask: Any = import_module("dask")
-        distributed: Any = import_module("distributed")
-    except ImportError as error:
-        raise MissingExtraError("using a Dask cluster", "cluster") from error
-    try:
-        client = distributed.Client(address, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise InputError(f"no Dask scheduler at {address}: {error}") from error
-    # Chunks are part of the task, not scattered, so the scheduler can rerun it if a worker dies.
-    unlimited = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
-    with unlimited, client:
-        pending: deque[Any] = deque()
-        try:
-            for chunk in chunks:
-                pending.append(client.submit(_call, mapper, chunk, os.getpid(), pure=False))
-                if len(pending) >= _CHUNKS_PER_WORKER * max(1, sum(client.nthreads().values())):
-                    yield pending.popleft().result()
-            while pending:
-                yield pending.popleft().result()
-        except distributed.KilledWorker as error:
-            raise InputError(
-                "several Dask workers died over one chunk of frames, perhaps for lack of memory; "
-                "give them more memory or fewer threads"
-            ) from error
-
-
-def _call(mapper: Mapper, chunk: NDArray[Any], caller: int) -> Any:
+def _call(chunk: NDArray[Any], mapper: Mapper, caller: int) -> Any:
     """Apply `mapper`, with single-threaded BLAS outside the caller's process."""
     if os.getpid() == caller:
         return mapper(chunk)

@@ -332,7 +332,9 @@ def _row(line: str, table: Table, number: int) -> list[float]:
             values.append(_text_to_nan(field) if is_text else parse_number(field))
         except ValueError:
             name = f" ({quote_if_needed(table.names[column])})" if table.names else ""
-            original = _fields(line, table.delimiter)[column].strip()
+            # Cleaning a line may change the number of its fields, such as that of "(1 2),3".
+            originals = _fields(line, table.delimiter)
+            original = (originals if len(originals) == len(fields) else fields)[column].strip()
             problem = "is a number in a column of text" if is_text else "is not a number"
             raise LineError(
                 table.path, number, f", column {column + 1}{name}: {quote(original)} {problem}"

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
+from anisomap.files import open_regular
 from anisomap.io.choice import Content, choose
 from anisomap.io.events import skin_events
 from anisomap.io.joining import join_streams
@@ -33,7 +34,7 @@ _FILE, _INFO = "data.log", "info.log"
 # A line of a log of contacts ends after the stamp if nothing touched the skin.
 _LINE = re.compile(rb"\s*+(\d++)\s++(\d++(?:\.\d*+)?(?:[eE][+-]?\d++)?)(?:\s++([-+.(\dni])|\s*+$)")
 _CONNECTED = "[connected]"
-_INFO_CHARACTERS = 1 << 16
+_INFO_BYTES = 1 << 16
 _LINES_LOOKED_AT, _ROWS_LOOKED_AT = 3, 1000
 # Seconds since 1970: below the stamps of any recording, above any reading.
 _EPOCH = 1e8
@@ -109,9 +110,9 @@ def _part(session: Path, log: Path) -> str:
 def _port(log: Path) -> str:
     """Read the name of the port from info.log; empty if it is not there."""
     try:
-        with (log.parent / _INFO).open(encoding="utf-8", errors="replace") as stream:
-            lines = stream.read(_INFO_CHARACTERS).splitlines()
-    except OSError:
+        with open_regular(log.parent / _INFO) as stream:
+            lines = stream.read(_INFO_BYTES).decode("utf-8", "replace").splitlines()
+    except FileError:
         return ""
     for line in lines:
         before, found, _ = line.partition(_CONNECTED)

@@ -1,0 +1,100 @@
+"""Dask clusters that do not answer, or end."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap.errors import InputError
+from anisomap.large import dask_workers
+from anisomap.large.map_reduce import WorkerPool, map_reduce
+from anisomap.numerics.similarity.accumulators import Moments
+from dying import KILL, Slow
+
+distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+
+CHUNKS = np.random.default_rng(0).random((20, 30, 4))
+
+
+def mapped(address: str, mapper=Moments.of) -> Moments:
+    return map_reduce(lambda: iter(CHUNKS), mapper, pool=WorkerPool(scheduler=address))
+
+
+@pytest.mark.parametrize(
+    "address", ["foo", "tcp://", "tcp://host", "tcp://host:", "foo://host:1", "inproc://x:1", "://"]
+)
+def test_addresses_that_no_scheduler_has(address: str) -> None:
+    with pytest.raises(InputError, match="must be as in tcp://host:8786, got"):
+        mapped(address)
+
+
+def test_encryption_needs_certificates() -> None:
+    with pytest.raises(InputError, match="needs certificates"):
+        mapped("tls://127.0.0.1:8786")
+
+
+def test_a_port_that_never_answers(monkeypatch) -> None:
+    monkeypatch.setattr(dask_workers, "ANSWER_S", 0.3)
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        with pytest.raises(InputError, match=r"no Dask scheduler at .*no answer within 0\.3 s"):
+            mapped(f"tcp://127.0.0.1:{silent.getsockname()[1]}")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_without_workers(monkeypatch) -> None:
+    monkeypatch.setattr(dask_workers, "WORKERS_S", 0.3)
+    with (
+        distributed.LocalCluster(
+            n_workers=0, processes=False, protocol="tcp", dashboard_address=None
+        ) as cluster,
+        pytest.raises(InputError, match=r"no worker for 0\.3 s"),
+    ):
+        mapped(cluster.scheduler_address)
+
+
+@pytest.fixture
+def cluster(tmp_path: Path):
+    """Start a scheduler and a worker as processes; return its address and the two."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    port = address.rpartition(":")[2]
+    paths = os.pathsep.join(map(str, [Path(__file__).parents[1], *sys.path]))
+    options = {"cwd": tmp_path, "env": os.environ | {"PYTHONPATH": paths}, "stderr": -3}
+    common = [sys.executable, "-m"]
+    started = []
+    for arguments in (
+        ["distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"],
+        ["distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
+    ):
+        started.append(subprocess.Popen([*common, *arguments], **options))
+        while not answers(int(port)):
+            time.sleep(0.1)
+    yield address, *started
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("killed", "message"), [(1, "is lost"), (2, "no worker for 2 s")])
+def test_a_cluster_that_is_killed_midway(
+    cluster, tmp_path: Path, monkeypatch, killed: int, message: str
+) -> None:
+    mapped(cluster[0])  # waits for the worker
+    monkeypatch.setattr(dask_workers, "WORKERS_S", 2.0)
+    with pytest.raises(InputError, match=message):
+        mapped(cluster[0], Slow(tmp_path / "started", cluster[killed].pid, KILL))
