@@ -1,15 +1,22 @@
-"""Summary of a recording, and the health of its sensors."""
+"""Summary of a recording, the health of its sensors, and the faults of the whole."""
 
 from anisomap.health.assessment import STATUSES, SensorHealth, assess
 from anisomap.health.behaviour import Matches
+from anisomap.health.findings import Finding
+from anisomap.health.recording_check import CHECKS, Repair, find_faults, repair
 from anisomap.health.summary import RecordingSummary, summarise, weaknesses
 
 __all__ = [
+    "CHECKS",
     "STATUSES",
+    "Finding",
     "Matches",
     "RecordingSummary",
+    "Repair",
     "SensorHealth",
     "assess",
+    "find_faults",
+    "repair",
     "summarise",
     "weaknesses",
 ]

@@ -11,7 +11,7 @@ import numpy as np
 
 from anisomap.errors import InputError
 from anisomap.recording import Recording
-from anisomap.simulation.faults import sensors, timing, wiring
+from anisomap.simulation.faults import boards, sensors, signals, timing, wiring
 from anisomap.simulation.faults.log import ALL_SENSORS
 from anisomap.simulation.faults.sensors import Randomness
 
@@ -27,10 +27,21 @@ FAULTS: Mapping[str, Callable[..., Recording]] = MappingProxyType(
         "quantised": sensors.quantised,
         "thresholded": sensors.thresholded,
         "nan-bursts": sensors.nan_bursts,
+        "inverted": signals.inverted,
+        "warming": signals.warming,
+        "clipped": signals.clipped,
+        "bridged-gaps": signals.bridged_gaps,
+        "rarely-touched": signals.rarely_touched,
+        "cycling": signals.cycling,
         "crosstalk": wiring.crosstalk,
         "swapped": wiring.swapped,
         "mirrored": wiring.mirrored,
         "duplicated": wiring.duplicated,
+        "leaking": boards.leaking,
+        "lagging": boards.lagging,
+        "common-noise": boards.common_noise,
+        "spiking": boards.spiking,
+        "humming": boards.humming,
     }
 )
 """Faults of sensors: functions ``fault(recording, sensors, *, rng=0, **parameters)``.
@@ -44,6 +55,7 @@ FRAME_FAULTS: Mapping[str, Callable[..., Recording]] = MappingProxyType(
         "dropped-frames": timing.dropped_frames,
         "repeated-frames": timing.repeated_frames,
         "clock-jitter": timing.clock_jitter,
+        "separate-regions": timing.separate_regions,
     }
 )
 """Faults of whole frames: functions ``fault(recording, *, rng=0, **parameters)``."""

@@ -68,7 +68,7 @@ def dead(recording: Recording, sensors: Sensors, *, rng: Randomness = 0) -> Reco
     The rest value is the most frequent reading of each sensor, see
     `anisomap.numerics.similarity.rest.Rest`.
     """
-    return _inject(
+    return inject_sensors(
         recording,
         "dead",
         sensors,
@@ -119,7 +119,7 @@ def saturating(
         full_scale = channel.highest if level is None else level
         return channel.overwritten(full_scale, mean_gap, mean_span)
 
-    return _inject(recording, "saturating", sensors, rng, saturate)
+    return inject_sensors(recording, "saturating", sensors, rng, saturate)
 
 
 def noisy(
@@ -140,7 +140,7 @@ def noisy(
         noise = channel.rng.standard_normal(channel.readings.size)
         return np.asarray(channel.readings + level * channel.span * noise)
 
-    return _inject(recording, "noisy", sensors, rng, disturb)
+    return inject_sensors(recording, "noisy", sensors, rng, disturb)
 
 
 def stuck(
@@ -162,7 +162,7 @@ def stuck(
         value = channel.rng.uniform(middle, channel.highest) if level is None else level
         return np.full_like(channel.readings, value)
 
-    return _inject(recording, "stuck", sensors, rng, fix)
+    return inject_sensors(recording, "stuck", sensors, rng, fix)
 
 
 def drifting(
@@ -186,7 +186,7 @@ def drifting(
         furthest = float(np.abs(walk).max()) or 1.0
         return np.asarray(channel.readings + level * channel.span / furthest * walk)
 
-    return _inject(recording, "drifting", sensors, rng, drift)
+    return inject_sensors(recording, "drifting", sensors, rng, drift)
 
 
 def gain_spread(
@@ -209,7 +209,7 @@ def gain_spread(
     def amplify(channel: Channel) -> Column:
         return np.asarray(channel.readings * factor ** channel.rng.uniform(-0.5, 0.5))
 
-    return _inject(recording, "gain-spread", sensors, rng, amplify)
+    return inject_sensors(recording, "gain-spread", sensors, rng, amplify)
 
 
 def hysteresis(
@@ -239,7 +239,7 @@ def hysteresis(
                 lagging[frame] = rest + side * left
         return lagging
 
-    return _inject(recording, "hysteresis", sensors, rng, lag)
+    return inject_sensors(recording, "hysteresis", sensors, rng, lag)
 
 
 def quantised(
@@ -263,7 +263,7 @@ def quantised(
         rounded = np.round((channel.readings - channel.lowest) / step)
         return np.asarray(channel.lowest + step * rounded)
 
-    return _inject(recording, "quantised", sensors, rng, quantise)
+    return inject_sensors(recording, "quantised", sensors, rng, quantise)
 
 
 def thresholded(
@@ -284,7 +284,7 @@ def thresholded(
         touched = np.abs(channel.readings - channel.rest) > level * channel.span
         return np.where(np.isfinite(channel.readings), touched, channel.readings)
 
-    return _inject(recording, "thresholded", sensors, rng, threshold)
+    return inject_sensors(recording, "thresholded", sensors, rng, threshold)
 
 
 def nan_bursts(
@@ -309,7 +309,7 @@ def nan_bursts(
     def lose(channel: Channel) -> tuple[Column, Spans]:
         return channel.overwritten(np.nan, mean_gap, mean_span)
 
-    return _inject(recording, "nan-bursts", sensors, rng, lose)
+    return inject_sensors(recording, "nan-bursts", sensors, rng, lose)
 
 
 def random_spans(
@@ -333,14 +333,25 @@ def random_spans(
     )
 
 
-def _inject(
+def inject_sensors(
     recording: Recording,
     kind: str,
     sensors: Sensors,
     rng: Randomness,
     effect: Callable[[Channel], Column | tuple[Column, Spans]],
 ) -> Recording:
-    """Apply an effect to each sensor and log it; without spans, it affects all frames."""
+    """Apply an effect to each sensor and log it.
+
+    Parameters
+    ----------
+    recording, sensors, rng
+        See `FAULTS`.
+    kind : str
+        Name of the fault in the log.
+    effect : callable
+        Takes a `Channel` and returns its new readings, or these and the affected spans. Without
+        spans, all frames are affected.
+    """
     generator = np.random.default_rng(rng)
     finite = recording.readings[np.isfinite(recording.readings)]
     lowest, highest = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
+from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 from anisomap.simulation.faults.log import (
     ALL_SENSORS,
@@ -124,6 +126,52 @@ def clock_jitter(recording: Recording, *, rng: Randomness = 0, level: float = 0.
     jittered = replace(recording, times=times + np.clip(jitter, -limit, limit))
     fault = Fault("clock-jitter", "", all_frames(recording.n_frames))
     return with_log(jittered, [*injected_faults(recording), fault])
+
+
+def separate_regions(recording: Recording, *, rng: Randomness = 0, regions: int = 2) -> Recording:
+    """Touch one region of the skin after the other, and nothing else meanwhile.
+
+    Parameters
+    ----------
+    recording : Recording
+        With true positions, which define the regions.
+    rng : numpy.random.Generator or int
+        Not used.
+    regions : int
+        Number of regions, at least 2: slices of equal numbers of sensors along the direction in
+        which the skin is longest. The recording is divided into as many runs.
+
+    Returns
+    -------
+    Recording
+        During each run, the sensors outside its region read their rest value.
+
+    Raises
+    ------
+    InputError
+        If the recording has no positions, or `regions` is out of range.
+    """
+    if recording.positions is None:
+        raise InputError("separating regions needs a recording with true positions of its sensors")
+    if not 2 <= regions <= min(recording.n_sensors, recording.n_frames):
+        raise InputError(
+            "regions must be at least 2 and at most the number of sensors and of frames, got "
+            f"{regions}"
+        )
+    centred = recording.positions - recording.positions.mean(axis=0)
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+    parts = np.array_split(np.argsort(along, kind="stable"), regions)
+    edges = np.linspace(0, recording.n_frames, regions + 1).astype(int)
+    rest = estimate_rest(recording.complete("interpolate").readings).value
+    readings = np.array(recording.readings)
+    faults = []
+    for region, (start, stop) in enumerate(pairwise(edges.tolist())):
+        outside = np.concatenate([part for i, part in enumerate(parts) if i != region])
+        readings[start:stop, outside] = rest[outside]
+        faults += [
+            Fault("separate-regions", recording.names[int(i)], ((start, stop),)) for i in outside
+        ]
+    return with_faults(recording, readings, faults)
 
 
 def _check_share(share: float, name: str = "share") -> None:

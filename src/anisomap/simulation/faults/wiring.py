@@ -6,6 +6,7 @@ All functions take a recording, sensors and ``rng``, like the faults of single s
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,8 +114,10 @@ def duplicated(
     *,
     rng: Randomness = 0,
     source: str | int | None = None,
+    factor: float = 1.0,
+    level: float = 0.0,
 ) -> Recording:
-    """Replace the readings of sensors by those of another sensor.
+    """Replace the readings of sensors by those of another sensor, like one wire read twice.
 
     Parameters
     ----------
@@ -122,12 +125,22 @@ def duplicated(
         See `FAULTS`.
     source : str or int, optional
         Sensor to copy from. By default, one of the other sensors is drawn for each copy.
+    factor : float
+        Ratio of the largest to the smallest gain of a copy, at least 1. Gains are distributed
+        uniformly around 1 on a logarithmic scale.
+    level : float
+        Standard deviation of the white noise that is added to each copy, as a share of the standard
+        deviation of the readings that it copies; at least 0.
 
     Raises
     ------
     InputError
-        If no other sensor is left to copy from.
+        If no other sensor is left to copy from, or a parameter is out of range.
     """
+    if not (np.isfinite(factor) and factor >= 1):
+        raise InputError(f"factor must be at least 1, got {factor:g}")
+    if not (np.isfinite(level) and level >= 0):
+        raise InputError(f"level must be at least 0, got {level:g}")
     generator = np.random.default_rng(rng)
     copies = recording.indices(sensors)
     others = np.setdiff1d(np.arange(recording.n_sensors), copies)
@@ -139,7 +152,16 @@ def duplicated(
         sources = [int(i) for i in generator.choice(others, size=len(copies))]
     else:
         sources = [int(recording.indices([source])[0])] * len(copies)
-    return _rewired(recording, "duplicated", [int(i) for i in copies], sources)
+    copied = _rewired(recording, "duplicated", [int(i) for i in copies], sources)
+    if factor == 1 and level == 0:
+        return copied
+    readings = np.array(copied.readings)
+    for i in copies:
+        own = readings[:, i]
+        known = own[np.isfinite(own)]
+        noise = level * (known.std() if known.size else 0) * generator.standard_normal(own.size)
+        readings[:, i] = own * factor ** generator.uniform(-0.5, 0.5) + noise
+    return replace(copied, readings=readings)
 
 
 def _rewired(

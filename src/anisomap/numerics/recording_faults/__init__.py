@@ -1,0 +1,6 @@
+"""Faults of the read-out that concern several sensors or the course of the readings.
+
+Each module finds one fault in readings of shape (T, N), finite, and removes it where possible. Faults
+are searched in at most some thousand frames and some hundred sensors (`excerpt`), and confirmed in
+all.
+"""

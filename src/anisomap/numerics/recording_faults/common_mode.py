@@ -1,0 +1,298 @@
+"""Signals of the electronics that groups of sensors share: noise of a supply or board, and hum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from anisomap.numerics.columns import columns, count_values
+from anisomap.numerics.recording_faults.excerpt import (
+    deviation_from_median,
+    middle_frames,
+    some_sensors,
+)
+from anisomap.numerics.similarity.rest import MIN_REST_SHARE
+
+_MIN_GROUP = 3  # sensors of a board
+_MIN_LINK = 0.3  # correlation of the fast noise of two sensors of a board; chosen by hand
+_CLIP = 3.0  # median absolute deviations; larger changes are contacts
+_MAX_ROUNDS = 6
+_MIN_SHARE = 0.1  # share of the fast noise of the median sensor that is common; chosen by hand
+_MAX_WHITE = -0.5  # autocorrelation of second differences at lag 1: -2/3 for white noise
+_MIN_SMOOTH = 0.2  # autocorrelation of the other part of the readings; chosen by hand
+_MIN_COHERENCE = 0.95  # of the phases of a hum over sensors and over quarters; chosen by hand
+_MIN_LINE = 20.0  # power of a line over the median power beside it; p = 2e-9 for one frequency
+_MIN_SENSORS = 0.8  # share of the sensors that hum; chosen by hand
+_N_PHASES = 8  # parts of a period, for quantiles
+_LOW_AND_HIGH = (0.25, 0.75)
+_MIN_EVEN = 0.6  # shift of low over that of high readings; pulses have 0.2 at most; by hand
+_BESIDE = 50  # frequencies on each side for comparison
+
+
+@dataclass(frozen=True, eq=False)
+class CommonSignal:
+    """A signal that sensors share.
+
+    Attributes
+    ----------
+    sensors : ndarray of int, shape (n,)
+    gains : ndarray of shape (n,)
+        Of each of these sensors.
+    course : ndarray of shape (T,)
+        In units of the readings, if the gain is 1.
+    share : float
+        Standard deviation of the signal over that of the readings; median of the sensors.
+    period : float
+        In frames, for a hum; 0 for noise.
+    """
+
+    sensors: NDArray[np.intp]
+    gains: NDArray[np.float64]
+    course: NDArray[np.float64]
+    share: float
+    period: float = 0.0
+
+    def removed_from(self, readings: NDArray[Any]) -> NDArray[Any]:
+        """Subtract the signal from readings, shape (T, N)."""
+        mended = np.array(readings)
+        mended[:, self.sensors] -= np.outer(self.course, self.gains).astype(readings.dtype)
+        return mended
+
+
+def never_at_rest(readings: NDArray[Any]) -> NDArray[np.intp]:
+    """Find sensors that no value occurs often in: a signal that is always there leaves none.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+
+    Returns
+    -------
+    ndarray of int
+        Sensors whose most frequent value takes less than a tenth of the frames, as for
+        `anisomap.numerics.similarity.rest.Rest`.
+    """
+    part = readings[middle_frames(len(readings))]
+    limit = max(2, MIN_REST_SHARE * len(part))
+    return np.array(
+        [i for i, column in enumerate(columns(part)) if count_values(column)[1].max() < limit],
+        dtype=np.intp,
+    )
+
+
+def find_common_noise(readings: NDArray[Any]) -> tuple[CommonSignal, ...]:
+    """Find white noise that groups of sensors share.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+        Finite.
+
+    Returns
+    -------
+    tuple of CommonSignal
+        One for each group: boards, or one for all sensors.
+
+    Notes
+    -----
+    Contacts are slow compared to the frames; second differences therefore show noise. Sensors are
+    grouped by the correlation of these, limited to 3 median absolute deviations. The noise of a group is
+    the mean of its sensors over their gains, without those that are in contact. It is a finding if
+    it is white, while the rest of the readings is not, and takes 10 % of the fast noise or more.
+    """
+    found = []
+    free = never_at_rest(readings)
+    if free.size < _MIN_GROUP or len(readings) < 100:
+        return ()
+    for group in _groups(readings, free):
+        signal = _common_noise(readings, group)
+        if signal is not None:
+            found.append(signal)
+    return tuple(found)
+
+
+def find_hum(readings: NDArray[Any]) -> CommonSignal | None:
+    """Find a sine of one period and phase with a gain of its own in each sensor.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+        Finite.
+
+    Returns
+    -------
+    CommonSignal or None
+
+    Notes
+    -----
+    The period is that of the strongest line in the median of the sensors' spectra. It is a finding
+    if the power of the line is 20 times that beside it, and if its phase is the same in all sensors
+    and in all quarters of the recording. A body that rolls or walks at an even pace has lines, too,
+    but sensors on different places have different phases.
+    """
+    free = never_at_rest(readings)
+    n_frames = len(readings)
+    if free.size < max(_MIN_GROUP, _MIN_SENSORS * readings.shape[1]) or n_frames < 4 * _BESIDE:
+        return None
+    chosen = free[some_sensors(free.size)]
+    values = readings[:, chosen].astype(np.float64)
+    values -= values.mean(axis=0)
+    values /= values.std(axis=0)
+    window = np.hanning(n_frames)[:, None]
+    power = np.median(np.abs(np.fft.rfft(values * window, axis=0)) ** 2, axis=1)
+    power[:5] = 0
+    peak = int(power.argmax())
+    beside = power[max(5, peak - _BESIDE) : peak + _BESIDE]
+    if power[peak] < _MIN_LINE * np.median(beside):
+        return None
+    frequency = _sharpened(values, peak)
+    waves = np.exp(-2j * np.pi * frequency * np.arange(n_frames))
+    amplitude = 2 * (waves @ values) / n_frames
+    coherence = np.abs(amplitude.sum()) / np.abs(amplitude).sum()
+    quarters = np.array(
+        [
+            (w @ v).sum()
+            for w, v in zip(np.array_split(waves, 4), np.array_split(values, 4), strict=True)
+        ]
+    )
+    steadiness = np.abs(quarters.sum()) / np.abs(quarters).sum()
+    if min(coherence, steadiness) < _MIN_COHERENCE:
+        return None
+    phase = np.angle(amplitude.sum())
+    course = np.cos(2 * np.pi * frequency * np.arange(n_frames) + phase)
+    if not _is_added(values, frequency, float(phase)):
+        return None
+    gains = _sine_gains(readings[:, free], course)
+    shares = gains / np.sqrt(2) / np.maximum(readings[:, free].std(axis=0), 1e-300)
+    return CommonSignal(free, gains, course, float(np.median(shares)), 1 / frequency)
+
+
+def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+    """Yield groups of sensors with common fast noise."""
+    frames = middle_frames(len(readings), 2048)
+    fast = np.diff(readings[frames][:, free].astype(np.float64), 2, axis=0)
+    scale = deviation_from_median(fast)
+    noisy = scale > 0
+    fast, free = fast[:, noisy] / scale[noisy], free[noisy]
+    if free.size < _MIN_GROUP:
+        return
+    np.clip(fast, -_CLIP, _CLIP, out=fast)
+    fast -= fast.mean(axis=0)
+    fast = (fast / fast.std(axis=0)).astype(np.float32)
+    linked = fast.T @ fast / len(fast) > _MIN_LINK
+    n_groups, group = connected_components(linked, directed=False)
+    for number in range(n_groups):
+        members = free[group == number]
+        if members.size >= _MIN_GROUP:
+            yield members
+
+
+def _common_noise(readings: NDArray[Any], group: NDArray[np.intp]) -> CommonSignal | None:
+    values = readings[:, group].astype(np.float64)
+    gains, course = _common_course(values)
+    if (gains <= 0).any():
+        return None
+    left = values - np.outer(course, gains)
+    before, after = (deviation_from_median(np.diff(part, 2, axis=0)) for part in (values, left))
+    share = 1 - np.median(after**2 / np.maximum(before**2, 1e-300))
+    fast = np.diff(course, 2)
+    white = np.sum(fast[1:] * fast[:-1]) / max(np.sum(fast**2), 1e-300)
+    smooth = np.median(_autocorrelation(left))
+    # By chance, the mean of n sensors takes 1 / n of the noise of each.
+    if share < max(_MIN_SHARE, 3 / group.size) or white > _MAX_WHITE or smooth < _MIN_SMOOTH:
+        return None
+    size = gains * course.std() / np.maximum(values.std(axis=0), 1e-300)
+    return CommonSignal(group, gains, course, float(np.median(size)))
+
+
+def _common_course(
+    values: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Fit one course with gains to sensors, without those in contact.
+
+    The median starts, and then the mean of the sensors within 3 deviations of it.
+    """
+    rest = np.median(values, axis=0)
+    fast = np.diff(values, 2, axis=0)
+    gains = deviation_from_median(fast)
+    gains /= np.median(gains)
+    course = np.zeros(len(values))
+    for _ in range(_MAX_ROUNDS):
+        # The lower half: contacts are on one side of rest, and noise is on both.
+        scaled = (values - rest) / gains
+        course = np.median(scaled, axis=1) if not course.any() else course
+        left = scaled - course[:, None]
+        width = np.maximum(np.median(np.abs(left), axis=0), 1e-9)
+        inside = np.abs(left) <= _CLIP * width
+        count = inside.sum(axis=1)
+        mean = np.where(inside, scaled, 0).sum(axis=1) / np.maximum(count, 1)
+        course = np.where(count > 0, mean, course)
+        slow = np.diff(course, 2)
+        clipped = np.clip(fast - np.outer(slow, gains), *_limits(fast - np.outer(slow, gains)))
+        gains = gains + (slow @ clipped) / max(slow @ slow, 1e-300)
+        if (gains <= 0).any():
+            break
+        rest = np.median(values - np.outer(course, gains), axis=0)
+        course = course - np.median(course)
+    return gains, course
+
+
+def _limits(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    width = _CLIP * deviation_from_median(values)
+    return -width, width
+
+
+def _autocorrelation(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    centred = values - values.mean(axis=0)
+    products = np.einsum("ti,ti->i", centred[1:], centred[:-1])
+    return np.asarray(products / np.maximum(np.einsum("ti,ti->i", centred, centred), 1e-300))
+
+
+def _is_added(values: NDArray[np.float64], frequency: float, phase: float) -> bool:
+    """Return whether a line shifts low and high readings alike, as an added sine does.
+
+    A stimulus that comes in time with the line shifts high readings more than low ones.
+    """
+    turns = (frequency * np.arange(len(values)) + phase / (2 * np.pi)) % 1
+    bins = (turns * _N_PHASES).astype(np.intp)
+    waves = np.cos(2 * np.pi * (np.arange(_N_PHASES) + 0.5) / _N_PHASES)
+    levels = np.array(
+        [np.quantile(values[bins == b], _LOW_AND_HIGH, axis=0) for b in range(_N_PHASES)]
+    )
+    low, high = np.tensordot(waves, levels, 1)
+    return bool(np.median(low) >= _MIN_EVEN * np.median(high) > 0)
+
+
+def _sharpened(values: NDArray[np.float64], peak: int) -> float:
+    """Refine the frequency of a line, in cycles per frame, by the power of all sensors."""
+    n_frames = len(values)
+    times = np.arange(n_frames)
+    best, width = peak / n_frames, 1 / n_frames
+    for _ in range(8):
+        trials = best + width * np.linspace(-1, 1, 9)
+        power = [
+            float((np.abs(np.exp(-2j * np.pi * f * times) @ values) ** 2).sum()) for f in trials
+        ]
+        best, width = float(trials[int(np.argmax(power))]), width / 3
+    return best
+
+
+def _sine_gains(readings: NDArray[Any], course: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the amplitude of a sine in each sensor, with contacts limited."""
+    values = readings.astype(np.float64)
+    values -= np.median(values, axis=0)
+    gains = 2 * (course @ values) / len(course)
+    for _ in range(_MAX_ROUNDS):
+        left = values - np.outer(course, gains)
+        left -= np.median(left, axis=0)
+        width = np.maximum(_CLIP * deviation_from_median(left), 1e-9 * np.abs(values).max())
+        inside = np.abs(left) <= width
+        gains = gains + np.where(inside, left, 0).T @ course / np.maximum(
+            inside.T @ course**2, 1e-300
+        )
+    return gains

@@ -1,0 +1,131 @@
+"""Gaps: readings that are missing in blocks, or were replaced by straight lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from anisomap.numerics.gaps import fill_gaps
+from anisomap.numerics.recording_faults.excerpt import standardised
+from anisomap.numerics.similarity.rest import estimate_rest
+
+FALSE_ALARMS = 0.01
+"""Expected number of straight lines that are found by chance."""
+
+_ROUNDING = 1e-6  # share of the largest reading: some steps of float32
+_MIN_RUN = 8  # frames; two contacts of a frame each make shorter lines; chosen by hand
+_MAX_SLOPE_CHANGE = (
+    0.5  # of successive lines of a drift: lines between readings differ by 1 or more
+)
+_N_PARTNERS = 8  # most similar sensors from which readings are estimated; chosen by hand
+_MAX_FRAMES = 20_000  # of a fit
+
+
+def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_]:
+    """Find readings on straight lines that are too long to occur by chance.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+        NaN where missing.
+
+    Returns
+    -------
+    ndarray of bool, shape (T, N)
+        Lines that rise or fall; a sensor at rest is a line, too. Their ends are not marked, since
+        they were read.
+
+    Notes
+    -----
+    If a share p of a sensor's readings continues a line, a line of n readings occurs in T frames of N
+    sensors with probability N T p^n at most. Lines that follow each other with nearly equal slopes are
+    parts of a slow drift.
+    """
+    n_frames, n_sensors = readings.shape
+    bridged = np.zeros(readings.shape, dtype=bool)
+    if n_frames < 2 * _MIN_RUN:
+        return bridged
+    for i in range(n_sensors):
+        column = readings[:, i].astype(np.float64)
+        slope = np.diff(column)
+        largest = np.nanmax(np.abs(column), initial=0)
+        slack = _ROUNDING * largest
+        with np.errstate(invalid="ignore"):
+            on_line = (np.abs(np.diff(slope)) <= 2 * slack) & (np.abs(slope[1:]) > 4 * slack)
+        share = float(np.mean(on_line))
+        if not share or share >= 1:
+            continue
+        enough = math.log(n_frames * n_sensors / FALSE_ALARMS) / -math.log(share)
+        lines = [
+            (start, stop) for start, stop in _runs(on_line) if stop - start >= max(_MIN_RUN, enough)
+        ]
+        if _is_drift(slope[[(start + stop) // 2 for start, stop in lines]]):
+            continue
+        for start, stop in lines:
+            bridged[start + 1 : stop + 1, i] = True
+    return bridged
+
+
+def fill_from_others(
+    readings: NDArray[Any], missing: NDArray[np.bool_]
+) -> tuple[NDArray[Any], NDArray[np.intp]]:
+    """Estimate missing readings of sensors from the other sensors.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+    missing : ndarray of bool, shape (T, N)
+
+    Returns
+    -------
+    readings : ndarray of shape (T, N)
+        Depths of contact of the most similar sensors, times weights of at least 0 that fit the known
+        readings best (non-negative least squares), and at most the greatest depth that was read.
+    left : ndarray of int
+        Sensors without enough known readings to fit; their gaps are interpolated.
+    """
+    values = np.array(readings)
+    values[missing] = np.nan
+    completed = fill_gaps(values)
+    rest = estimate_rest(completed)
+    depth = rest.depth(completed)
+    affected = np.flatnonzero(missing.any(axis=0))
+    standard = standardised(completed)
+    left = []
+    for i in affected.tolist():
+        known = np.flatnonzero(~missing[:, i])
+        known = known[:: max(1, known.size // _MAX_FRAMES)]
+        similarity = standard[known].T @ standard[known, i]
+        similarity[i] = -np.inf
+        partners = np.argsort(-similarity)[:_N_PARTNERS]
+        partners = partners[similarity[partners] > 0]
+        if known.size < 2 * _N_PARTNERS or not partners.size or not depth[known, i].any():
+            left.append(i)
+            continue
+        weights, _ = nnls(depth[np.ix_(known, partners)], depth[known, i])
+        gap = np.flatnonzero(missing[:, i])
+        estimate = np.minimum(depth[np.ix_(gap, partners)] @ weights, depth[known, i].max())
+        noise = rest.threshold[i] * (estimate > 0)
+        completed[gap, i] = rest.value[i] + rest.side[i] * (estimate + noise)
+    return completed, np.array(left, dtype=np.intp)
+
+
+def _is_drift(slopes: NDArray[np.float64]) -> bool:
+    """Return whether the slopes of successive lines are nearly equal."""
+    if slopes.size < 3:
+        return False
+    change = np.abs(np.diff(slopes)) / np.maximum(np.abs(slopes[1:]), np.abs(slopes[:-1]))
+    return bool(np.median(change) <= _MAX_SLOPE_CHANGE)
+
+
+def _runs(marks: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """Yield the first and one past the last index of each run of True."""
+    edges = np.diff(np.concatenate([[False], marks, [False]]).astype(np.int8))
+    yield from zip(
+        np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True
+    )

@@ -1,0 +1,334 @@
+"""Lags: groups of channels, such as boards, that are read some frames later than others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.numerics.columns import columns, rank_columns
+from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors, standardised
+
+MAX_LAG = 40
+"""Greatest lag that is searched, in frames; chosen by hand."""
+
+_MAX_VALUES = 1 << 19  # readings of an excerpt; chosen for about half a second
+_MIN_SENSORS = 8
+_N_PARTNERS = 6  # most similar sensors of each sensor, whose lags are compared
+_CHANGE_COST = 4.0  # of a new lag along the channels, in frames of misfit; tuned on seeds 1 and 2
+_MAX_MISFIT = 6.0  # frames of misfit of one sensor that count
+_SPREAD = 2  # frames by which the lags of a group may differ before they are made equal
+# Limits of a finding, tuned on simulated skins (seeds 1 to 20) and on real recordings.
+_MIN_AGREEMENT = 0.9  # share of the links between groups with the lag of the groups
+_MAX_OPPOSITE = 0.08  # share of the links between groups with a lag of the other sign
+_MIN_EXPLAINED = 0.5  # share of the correlation lost between groups that the lags restore
+_MIN_AGAIN = 0.9  # share of the links for which each part of the recording gives the same lags
+_MIN_GAIN = 0.6  # restored correlation over what the lags would cost links within groups
+_MIN_WITHIN = 0.6  # share of the links within groups without a lag
+_MIN_GROUP = 3.0  # sensors per group, on average
+_MAX_ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Lags:
+    """Lags of all sensors.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (N,)
+        Frames by which each sensor lags; 0 for the largest group.
+    agreement : float
+        Share of the similar pairs in different groups whose own lag is that of the groups.
+    """
+
+    frames: NDArray[np.intp]
+    agreement: float
+
+
+def find_lags(readings: NDArray[Any]) -> Lags | None:
+    """Find groups of sensors that lag.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+        Finite; columns in the order in which they are read.
+
+    Returns
+    -------
+    Lags or None
+
+    Notes
+    -----
+    Ranks of the readings are correlated at all lags up to `MAX_LAG`. The lags of the strongest
+    links, a spanning tree, give a lag to each sensor. Groups are sensors with nearly equal lags that
+    follow each other in the order of the channels, or, if that explains less, wherever they are.
+    Contacts that move also give neighbours a lag, but of either sign, spread over many values, and
+    different from one time to another; a lag of the read-out is the same for all pairs of two
+    groups and in all quarters of the recording. It must restore as much correlation as such a lag costs
+    links within groups.
+    """
+    total: NDArray[np.intp] | None = None
+    agreement = 1.0
+    for _ in range(_MAX_ROUNDS):
+        current = readings if total is None else align(readings, total)
+        found = _find_once(current)
+        if found is None:
+            break
+        total = found.frames if total is None else total + found.frames
+        total -= _most_frequent(total)
+        agreement = found.agreement
+    return None if total is None or not total.any() else Lags(total, agreement)
+
+
+def align(readings: NDArray[Any], lags: NDArray[np.intp]) -> NDArray[Any]:
+    """Shift sensors in time by their lags, and leave out frames that some sensors lack.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+    lags : ndarray of int, shape (N,)
+
+    Returns
+    -------
+    ndarray of shape (T - max(lags) + min(lags), N)
+    """
+    n_frames = len(readings) - int(np.ptp(lags))
+    shifted = np.empty((n_frames, readings.shape[1]), dtype=readings.dtype)
+    for lag in np.unique(lags).tolist():
+        start = lag - int(lags.min())
+        shifted[:, lags == lag] = readings[start : start + n_frames][:, lags == lag]
+    return shifted
+
+
+def _find_once(readings: NDArray[Any]) -> Lags | None:
+    varying = np.flatnonzero(readings.max(axis=0) > readings.min(axis=0))
+    chosen = varying[some_sensors(varying.size)]
+    if chosen.size < _MIN_SENSORS:
+        return None
+    frames = middle_frames(len(readings), max(1024, _MAX_VALUES // chosen.size))
+    values = readings[frames][:, chosen]
+    if len(values) < 8 * MAX_LAG:
+        return None
+    ranks = rank_columns(columns(values), values.shape)
+    n_parts = int(np.clip(len(ranks) // (10 * MAX_LAG), 2, 4))
+    parts = [_Correlations.of(standardised(part)) for part in np.array_split(ranks, n_parts)]
+    whole = _Correlations(np.mean([part.at_lag for part in parts], axis=0))
+    links = whole.strongest_links()
+    tree = whole.lags_along_tree()
+    results = [_fitted(whole, links, groups) for groups in (_in_order(tree), _anywhere(tree))]
+    lags, groups = max(results, key=lambda result: whole.along(links, result[0]).sum())
+    agreement = _check(whole, parts, links, lags, groups)
+    if agreement is None:
+        return None
+    everyone = np.zeros(readings.shape[1], dtype=np.intp)
+    everyone[chosen] = lags
+    if chosen.size < varying.size:
+        everyone = _extended(readings[frames], varying, chosen, everyone)
+    return Lags(everyone - _most_frequent(everyone[varying]), agreement)
+
+
+@dataclass(frozen=True, eq=False)
+class _Correlations:
+    """Correlations of all pairs at all lags: ``at_lag[MAX_LAG + l, i, j]`` of i(t) and j(t + l)."""
+
+    at_lag: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, values: NDArray[np.float32]) -> _Correlations:
+        n_frames, n_sensors = values.shape
+        result = np.empty((2 * MAX_LAG + 1, n_sensors, n_sensors), dtype=np.float32)
+        for lag in range(MAX_LAG + 1):
+            product = values[: n_frames - lag].T @ values[lag:] / (n_frames - lag)
+            np.fill_diagonal(product, -1)
+            result[MAX_LAG + lag], result[MAX_LAG - lag] = product, product.T
+        return cls(result)
+
+    @property
+    def peak(self) -> NDArray[np.float32]:
+        return np.asarray(self.at_lag.max(axis=0))
+
+    @property
+    def peak_lag(self) -> NDArray[np.intp]:
+        return np.asarray(self.at_lag.argmax(axis=0)) - MAX_LAG
+
+    def strongest_links(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return pairs: each sensor and the ones that it is most similar to at any lag."""
+        count = min(_N_PARTNERS, len(self.peak) - 1)
+        partners = np.argsort(-self.peak, axis=1)[:, :count]
+        return np.repeat(np.arange(len(self.peak)), count), partners.ravel()
+
+    def along(
+        self, links: tuple[NDArray[np.intp], NDArray[np.intp]], lags: NDArray[np.intp]
+    ) -> NDArray[np.float32]:
+        """Return the correlation of each link if sensors have the given lags."""
+        i, j = links
+        apart = np.clip(lags[j] - lags[i], -MAX_LAG, MAX_LAG)
+        return np.asarray(self.at_lag[MAX_LAG + apart, i, j])
+
+    def lags_along_tree(self) -> NDArray[np.intp]:
+        """Add up the lags of the links of a maximum spanning tree; Prim's algorithm."""
+        peak, lag = self.peak, self.peak_lag
+        n_sensors = len(peak)
+        outside = np.ones(n_sensors, dtype=bool)
+        outside[0] = False
+        strongest, towards = peak[0].copy(), np.zeros(n_sensors, dtype=np.intp)
+        lags = np.zeros(n_sensors, dtype=np.intp)
+        for _ in range(n_sensors - 1):
+            new = int(np.where(outside, strongest, -np.inf).argmax())
+            lags[new] = lags[towards[new]] + lag[towards[new], new]
+            outside[new] = False
+            closer = (peak[new] > strongest) & outside
+            strongest[closer], towards[closer] = peak[new][closer], new
+        return lags - int(np.median(lags))
+
+
+def _in_order(lags: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Divide sensors along their order into runs of equal lags.
+
+    Returns
+    -------
+    lags, groups : ndarray of int, shape (n,)
+        With the smallest sum of misfits and costs of changes (Viterbi's algorithm).
+    """
+    levels = np.unique(lags)
+    misfit = np.minimum(np.abs(lags[:, None] - levels), _MAX_MISFIT)
+    cost, previous = misfit[0].copy(), []
+    for row in misfit[1:]:
+        cheapest = int(cost.argmin())
+        changes = cost[cheapest] + _CHANGE_COST < cost
+        previous.append(np.where(changes, cheapest, np.arange(levels.size)))
+        cost = np.where(changes, cost[cheapest] + _CHANGE_COST, cost) + row
+    state = int(cost.argmin())
+    states = [state]
+    for row_of_states in reversed(previous):
+        state = int(row_of_states[state])
+        states.append(state)
+    found = levels[np.array(states[::-1])]
+    return found, np.concatenate([[0], np.cumsum(np.diff(found) != 0)])
+
+
+def _anywhere(lags: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Group sensors by lags that differ by at most 2 frames, the most frequent first."""
+    found = lags.copy()
+    left = np.ones(lags.size, dtype=bool)
+    while left.any():
+        levels, counts = np.unique(lags[left], return_counts=True)
+        near = np.abs(levels[:, None] - levels) <= _SPREAD
+        level = levels[np.lexsort((counts, near @ counts))[-1]]
+        members = left & (np.abs(lags - level) <= _SPREAD)
+        found[members], left = level, left & ~members
+    return found, np.unique(found, return_inverse=True)[1]
+
+
+def _fitted(
+    correlations: _Correlations,
+    links: tuple[NDArray[np.intp], NDArray[np.intp]],
+    start: tuple[NDArray[np.intp], NDArray[np.intp]],
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Fit the lag of each group to the correlations of its links, in turn."""
+    lags, groups = start[0].copy(), start[1]
+    i, j = links
+    for _ in range(_MAX_ROUNDS):
+        changed = False
+        for group in np.unique(groups).tolist():
+            begins, ends = groups[i] == group, groups[j] == group
+            leaving, arriving = begins & ~ends, ends & ~begins
+            if not (leaving.any() or arriving.any()):
+                continue
+            steps = np.arange(-MAX_LAG, MAX_LAG + 1)
+            sums = np.zeros(steps.size)
+            for part, sign in ((leaving, -1), (arriving, 1)):
+                apart = (lags[j] - lags[i])[part] + sign * steps[:, None]
+                apart = np.clip(apart, -MAX_LAG, MAX_LAG)
+                sums += correlations.at_lag[MAX_LAG + apart, i[part], j[part]].sum(axis=1)
+            best = steps[np.lexsort((-np.abs(steps), sums.round(6)))[-1]]
+            if best:
+                lags[groups == group] += best
+                changed = True
+        if not changed:
+            break
+    return lags - _most_frequent(lags), groups
+
+
+def _check(
+    whole: _Correlations,
+    parts: list[_Correlations],
+    links: tuple[NDArray[np.intp], NDArray[np.intp]],
+    lags: NDArray[np.intp],
+    groups: NDArray[np.intp],
+) -> float | None:
+    """Return the agreement of links with the lags of their groups; None if there are no lags."""
+    i, j = links
+    expected = lags[j] - lags[i]
+    across = expected != 0
+    if not across.any() or lags.size < _MIN_GROUP * np.unique(groups).size:
+        return None
+    own = whole.peak_lag[i, j]
+    slack = np.maximum(1, 0.15 * np.abs(expected))
+    agreement = float(np.mean(np.abs(own - expected)[across] <= slack[across]))
+    opposite = float(np.mean(np.sign(own[across]) == -np.sign(expected[across])))
+    within = float(np.mean(np.abs(own[~across]) <= 1)) if not across.all() else 1.0
+    without = whole.along(links, np.zeros_like(lags))[across]
+    restored = float((whole.along(links, lags)[across] - without).sum())
+    lost = float((whole.peak[i, j][across] - without).sum())
+    cost = _cost_of_lags(whole, i[~across], j[~across])
+    expected_gain = float(
+        (whole.peak[i, j] * cost[np.minimum(np.abs(expected), MAX_LAG)])[across].sum()
+    )
+    if (
+        restored < _MIN_GAIN * expected_gain
+        or agreement < _MIN_AGREEMENT
+        or opposite > _MAX_OPPOSITE
+        or within < _MIN_WITHIN
+        or restored < _MIN_EXPLAINED * lost
+    ):
+        return None
+    for part in parts:
+        again = _fitted(part, links, (lags, groups))[0]
+        same = np.abs(again[j] - again[i] - expected)[across] <= 1
+        if np.mean(same) < _MIN_AGAIN:
+            return None
+    return agreement
+
+
+def _cost_of_lags(
+    correlations: _Correlations, i: NDArray[np.intp], j: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Return the share of correlation that links within groups lose at each lag from 0 on."""
+    if not i.size:
+        return np.zeros(MAX_LAG + 1)
+    course = correlations.at_lag[:, i, j].astype(np.float64).mean(axis=1)
+    both = (course[MAX_LAG:] + course[MAX_LAG::-1]) / 2
+    return np.asarray(1 - both / max(float(both[0]), 1e-12))
+
+
+def _extended(
+    values: NDArray[Any],
+    varying: NDArray[np.intp],
+    chosen: NDArray[np.intp],
+    lags: NDArray[np.intp],
+) -> NDArray[np.intp]:
+    """Give each other sensor the lag at which it resembles one of the chosen sensors most."""
+    ranks = standardised(rank_columns(columns(values), values.shape))
+    aligned = align(ranks[:, chosen], lags[chosen])
+    start = -int(lags[chosen].min())
+    n_frames = len(aligned) - 2 * MAX_LAG
+    others = np.setdiff1d(varying, chosen)
+    best = np.full(others.size, -np.inf)
+    result = lags.copy()
+    for lag in np.unique(lags[chosen]).tolist():
+        begin = MAX_LAG + start - start + lag - int(lags[chosen].min())
+        part = ranks[begin : begin + n_frames, :][:, others]
+        if len(part) < n_frames:
+            continue
+        match = (part.T @ aligned[MAX_LAG : MAX_LAG + n_frames]).max(axis=1)
+        result[others[match > best]] = lag
+        best = np.maximum(best, match)
+    return result
+
+
+def _most_frequent(lags: NDArray[np.intp]) -> int:
+    levels, counts = np.unique(lags, return_counts=True)
+    return int(levels[counts.argmax()])

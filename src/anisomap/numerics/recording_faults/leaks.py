@@ -1,0 +1,226 @@
+"""Leaks: each channel contains a share of the channel read before it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from anisomap.numerics.columns import columns
+from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors
+from anisomap.numerics.similarity.rest import Rest, estimate_rest
+
+LEVEL = 1e-5
+"""Level of the sign test: the probability of a false finding."""
+
+_QUANTILES = (0.05, 0.25)  # the lower edge of wide contacts, and of brief ones
+_OTHER_OFFSETS = (2, 3, 5, 7)  # channels between which nothing leaks, for comparison
+_MIN_FRAMES = 20  # of strong contact; chosen by hand
+_MAX_FRAMES = 2000  # of strong contact that are used, for speed
+_MAX_EXCERPT = 16384  # frames
+_MIN_LEVELS = 8  # distinct values, for a share to be visible
+_MAX_SHARE = 0.6  # above, a leak cannot be told from a copy; chosen by hand
+_TOLERANCE = 1e-4  # of a share computed from readings without noise, stored as float32
+
+
+@dataclass(frozen=True, eq=False)
+class Leak:
+    """A leak from each channel to the next.
+
+    Attributes
+    ----------
+    share : float
+        Share of the previous reading beyond rest that is added.
+    error : float
+        Its uncertainty.
+    n_pairs, n_forward : int
+        Pairs of adjacent channels that were compared, and those with more signal in the later one.
+    rest : ndarray of shape (N,)
+        Rest values.
+    chained : bool
+        Whether what leaks is the reading of the previous channel including its own leak.
+    """
+
+    share: float
+    error: float
+    n_pairs: int
+    n_forward: int
+    rest: NDArray[np.float64]
+    chained: bool
+
+
+def find_leak(readings: NDArray[Any]) -> Leak | None:
+    """Find a leak from each channel to the next.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+        Finite; columns in the order in which they are read.
+
+    Returns
+    -------
+    Leak or None
+
+    Notes
+    -----
+    Contacts only add to readings. Hence, while channel i - 1 is in contact, the lowest readings of
+    channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise it in both
+    directions alike, a leak in one: the signs of the differences are tested. They must also
+    exceed those of channels that are further apart in order. Where the order follows the skin, most
+    lowest readings are due to contacts, and a leak is not found.
+    """
+    n_sensors = readings.shape[1]
+    last = some_sensors(n_sensors - max(_OTHER_OFFSETS)) + max(_OTHER_OFFSETS)
+    excerpt = readings[middle_frames(len(readings), _MAX_EXCERPT)]
+    if n_sensors <= max(_OTHER_OFFSETS) or not _visible(excerpt).any():
+        return None
+    depths = _Depths(excerpt)
+    for quantile in _QUANTILES:
+        gains = depths.compare(last, 1, quantile)
+        clear = gains[np.abs(gains) > 0]
+        if not clear.size or not 0 < np.median(gains) < _MAX_SHARE:
+            continue
+        n_forward = int(np.count_nonzero(clear > 0))
+        if binomtest(n_forward, clear.size, alternative="greater").pvalue > LEVEL:
+            continue
+        beyond = [np.median(depths.compare(last, k, quantile)) for k in _OTHER_OFFSETS]
+        if np.median(gains) < 2 * max(map(abs, beyond)):
+            continue
+        share, error = depths.share(last, float(np.median(gains)))
+        found = Leak(share, error, clear.size, n_forward, depths.rest.value, chained=False)
+        return _with_chaining(excerpt, found, last)
+    return None
+
+
+def remove_leak(readings: NDArray[Any], leak: Leak) -> NDArray[Any]:
+    """Subtract a leak.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+    leak : Leak
+        From `find_leak`.
+
+    Returns
+    -------
+    ndarray of shape (T, N)
+        Readings that are explained by the leak up to its uncertainty are set to rest.
+    """
+    mended = np.array(readings)
+    rest = leak.rest.astype(readings.dtype)
+    for i in range(1, readings.shape[1]):
+        source = readings if leak.chained else mended
+        leaked = leak.share * (source[:, i - 1] - rest[i - 1])
+        mended[:, i] -= leaked
+        slack = np.abs(leaked) * max(3 * leak.error / leak.share, _TOLERANCE)
+        at_rest = (np.abs(mended[:, i] - rest[i]) <= slack) & (leaked != 0)
+        mended[at_rest, i] = rest[i]
+    return mended
+
+
+def _visible(readings: NDArray[Any]) -> NDArray[np.bool_]:
+    """Mark sensors with enough distinct values to show a share of another."""
+    some = readings[:: max(1, len(readings) // 2048)]
+    return np.array([np.unique(column).size >= _MIN_LEVELS for column in columns(some)])
+
+
+class _Depths:
+    """Depths of contact of the channels, read column by column."""
+
+    def __init__(self, readings: NDArray[Any]) -> None:
+        self.rest: Rest = estimate_rest(readings)
+        beyond = (readings - self.rest.value) * self.rest.side
+        self.columns = list(columns(beyond))
+        self.visible = [
+            np.unique(c[:: max(1, len(c) // 2048)]).size >= _MIN_LEVELS for c in self.columns
+        ]
+        self.strong: dict[int, tuple[NDArray[np.intp], NDArray[np.intp]] | None] = {}
+
+    def frames(self, i: int) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+        """Return the frames of strong contact and of rest of a channel; None if there are few."""
+        if i not in self.strong:
+            depth, threshold = self.columns[i], self.rest.threshold[i]
+            touched = depth > threshold
+            self.strong[i] = None
+            if self.visible[i] and np.count_nonzero(touched) >= 2 * _MIN_FRAMES:
+                deep = np.flatnonzero(depth >= np.median(depth[touched]))
+                quiet = np.flatnonzero(~touched)
+                if quiet.size >= _MIN_FRAMES:
+                    self.strong[i] = (_thinned(deep), _thinned(quiet))
+        return self.strong[i]
+
+    def lowest(self, i: int, source: int, quantile: float) -> float:
+        """Return a low quantile of channel i in units of another while that is in contact."""
+        frames = self.frames(source)
+        if frames is None or not self.visible[i]:
+            return np.nan
+        deep, quiet = frames
+        noise = np.quantile(self.columns[i][quiet], quantile)
+        ratios = (self.columns[i][deep] - noise) / self.columns[source][deep]
+        return float(np.quantile(ratios, quantile))
+
+    def compare(self, last: NDArray[np.intp], offset: int, quantile: float) -> NDArray[np.float64]:
+        """Return the gain forward minus the gain backward of channels `offset` apart."""
+        both = [
+            self.lowest(i, i - offset, quantile) - self.lowest(i - offset, i, quantile)
+            for i in last.tolist()
+        ]
+        found = np.array([gain for gain in both if np.isfinite(gain)])
+        return np.where(np.abs(found) < _TOLERANCE, 0, found) if found.size else np.zeros(1)
+
+    def share(self, last: NDArray[np.intp], start: float) -> tuple[float, float]:
+        """Return the most frequent ratio of adjacent channels near a first estimate."""
+        ratios = []
+        for i in last.tolist():
+            frames = self.frames(i - 1)
+            if frames is not None and self.visible[i]:
+                deep, quiet = frames
+                noise = np.median(self.columns[i][quiet])
+                ratios.append((self.columns[i][deep] - noise) / self.columns[i - 1][deep])
+        pooled = np.sort(np.concatenate(ratios))
+        near = pooled[(pooled > 0.3 * start) & (pooled < 2.5 * start)]
+        share = _half_sample_mode(near)
+        for _ in range(3):
+            width = 3 * np.median(np.abs(near - share)) / 0.6745
+            inside = near[np.abs(near - share) <= max(min(width, 0.5 * share), _TOLERANCE * share)]
+            if inside.size < _MIN_FRAMES:
+                break
+            centre = float(np.median(inside))
+            if abs(centre - share) > 0.2 * share:
+                break  # contacts outweigh the leak: keep the mode
+            share, near = centre, inside
+        return share, float(np.std(near) / np.sqrt(max(1, near.size)))
+
+
+def _with_chaining(readings: NDArray[Any], leak: Leak, last: NDArray[np.intp]) -> Leak:
+    """Decide whether the leak includes that of the previous channel, by what is left two before."""
+    left = []
+    for chained in (False, True):
+        trial = Leak(leak.share, leak.error, leak.n_pairs, leak.n_forward, leak.rest, chained)
+        depths = _Depths(remove_leak(readings, trial))
+        left.append((abs(float(np.median(depths.compare(last, 2, _QUANTILES[1])))), chained))
+    chained = min(left)[1]
+    return Leak(leak.share, leak.error, leak.n_pairs, leak.n_forward, leak.rest, chained)
+
+
+def _half_sample_mode(ordered: NDArray[np.float64]) -> float:
+    """Return the mode of sorted values: the half-sample mode.
+
+    Notes
+    -----
+    Bickel & Fruehwirth (2006), Computational Statistics & Data Analysis 50: 3500-3530,
+    doi:10.1016/j.csda.2005.07.011.
+    """
+    while ordered.size > 3:
+        half = (ordered.size + 1) // 2
+        widths = ordered[half - 1 :] - ordered[: ordered.size - half + 1]
+        begin = int(np.argmin(widths))
+        ordered = ordered[begin : begin + half]
+    return float(np.mean(ordered)) if ordered.size else 0.0
+
+
+def _thinned(frames: NDArray[np.intp]) -> NDArray[np.intp]:
+    return frames[:: -(-frames.size // _MAX_FRAMES)] if frames.size else frames

@@ -1,0 +1,112 @@
+"""Spikes: all sensors of a board jump by the same amount for one frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors
+
+_MIN_GROUP = 5  # sensors of a board; three or four may be touched alike by a flat object
+_MIN_LEVELS = 8  # distinct heights of jumps: sensors with two values always jump by the same
+_MIN_SPIKES = 5  # in a recording
+_MAX_SHARE = 0.15  # of the frames; white noise jumps up in a third of them
+_MIN_LINK = 0.7  # correlation of the jumps of two sensors of a board; chosen by hand
+_MAX_SPREAD = 0.1  # relative spread of the jumps of the sensors of a board; contacts have 0.3
+_MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others are in contact
+
+
+@dataclass(frozen=True, eq=False)
+class Spikes:
+    """Spikes of a group of sensors.
+
+    Attributes
+    ----------
+    sensors : ndarray of int
+    frames : ndarray of int
+    height : float
+        Median height, in units of the readings.
+    """
+
+    sensors: NDArray[np.intp]
+    frames: NDArray[np.intp]
+    height: float
+
+
+def find_spikes(readings: NDArray[Any]) -> tuple[Spikes, ...]:
+    """Find spikes that groups of sensors share.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+        Finite.
+
+    Returns
+    -------
+    tuple of Spikes
+        One for each group.
+
+    Notes
+    -----
+    A contact rises and falls over several frames or is highest in the middle; a spike of a board lasts one
+    frame and is equally high in all of its sensors. Sensors are grouped by the correlation of their
+    jumps, the excess of a reading over both readings beside it.
+    """
+    n_frames, n_sensors = readings.shape
+    if n_frames < 100 or n_sensors < _MIN_GROUP:
+        return ()
+    chosen = np.arange(n_sensors) if n_sensors <= 1024 else some_sensors(n_sensors, 1024)
+    frames = middle_frames(n_frames)
+    jumps = _jumps(readings[frames][:, chosen])
+    jumping = np.count_nonzero(jumps, axis=0) >= _MIN_SPIKES
+    if np.count_nonzero(jumping) < _MIN_GROUP:
+        return ()
+    chosen, jumps = chosen[jumping], jumps[:, jumping]
+    standard = jumps - jumps.mean(axis=0)
+    standard /= np.linalg.norm(standard, axis=0)
+    n_groups, group = connected_components(standard.T @ standard > _MIN_LINK, directed=False)
+    found = []
+    for number in range(n_groups):
+        members = chosen[group == number]
+        if members.size >= _MIN_GROUP:
+            spikes = _shared(_jumps(readings[:, members]), members)
+            if spikes is not None:
+                found.append(spikes)
+    return tuple(found)
+
+
+def remove_spikes(readings: NDArray[Any], spikes: Spikes) -> NDArray[Any]:
+    """Replace readings during spikes by the mean of the frames beside them."""
+    mended = np.array(readings)
+    beside = (readings[spikes.frames - 1] + readings[spikes.frames + 1]) / 2
+    mended[np.ix_(spikes.frames, spikes.sensors)] = beside[:, spikes.sensors]
+    return mended
+
+
+def _jumps(readings: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the excess of readings over both readings beside them, shape (T, n); at least 0."""
+    values = readings.astype(np.float32)
+    jumps = np.zeros_like(values)
+    jumps[1:-1] = np.maximum(values[1:-1] - np.maximum(values[:-2], values[2:]), 0)
+    return jumps
+
+
+def _shared(jumps: NDArray[np.float32], members: NDArray[np.intp]) -> Spikes | None:
+    """Return the spikes of a group; None if its jumps differ, as those of contacts do."""
+    often = np.mean(jumps > 0, axis=1) >= _MIN_AT_ONCE
+    frames = np.flatnonzero(often)
+    if not _MIN_SPIKES <= frames.size <= _MAX_SHARE * len(jumps):
+        return None
+    heights = jumps[frames]
+    height = np.median(heights, axis=1)
+    spread = np.median(np.abs(heights - height[:, None]), axis=1) / np.maximum(height, 1e-30)
+    equal = spread <= _MAX_SPREAD
+    if np.count_nonzero(equal) < max(_MIN_SPIKES, 0.5 * frames.size):
+        return None
+    if np.unique(height[equal].round(6)).size < min(_MIN_LEVELS, equal.sum() / 2):
+        return None
+    return Spikes(members, frames[equal], float(np.median(height[equal])))
