@@ -21,10 +21,10 @@ CHECKS: Mapping[str, Check] = MappingProxyType(
     {
         "clock-jitter": stimulation.CLOCK_JITTER,
         "gaps": stimulation.GAPS,
-        "spikes": electronics.SPIKES,
         "hum": electronics.HUM,
         "one-period": stimulation.ONE_PERIOD,
         "common-noise": electronics.COMMON_NOISE,
+        "spikes": electronics.SPIKES,
         "drift": electronics.DRIFT,
         "saturation": stimulation.SATURATION,
         "inverted": electronics.INVERTED,

@@ -21,7 +21,10 @@ from anisomap.numerics.similarity.rest import MIN_REST_SHARE
 _MIN_GROUP = 3  # sensors of a board
 _MIN_LINK = 0.3  # correlation of the fast noise of two sensors of a board; chosen by hand
 _CLIP = 3.0  # median absolute deviations; larger changes are contacts
-_MAX_ROUNDS = 6
+_MIN_WEIGHTED = 30  # sensors from which they are weighted: of few, one could decide; by hand
+_LEAST_WIDTH = 1e-3  # of the median sensor's, so that no sensor decides alone
+_MAX_ROUNDS = 12
+_MIN_NOISE = 1e-4  # standard deviations of the readings; less is rounding
 _MIN_SHARE = 0.1  # share of the fast noise of the median sensor that is common; chosen by hand
 _MAX_WHITE = -0.5  # autocorrelation of second differences at lag 1: -2/3 for white noise
 _MIN_SMOOTH = 0.2  # autocorrelation of the other part of the readings; chosen by hand
@@ -177,7 +180,7 @@ def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[
     frames = middle_frames(len(readings), 2048)
     fast = np.diff(readings[frames][:, free].astype(np.float64), 2, axis=0)
     scale = deviation_from_median(fast)
-    noisy = scale > 0
+    noisy = scale > _MIN_NOISE * readings[frames][:, free].std(axis=0)
     fast, free = fast[:, noisy] / scale[noisy], free[noisy]
     if free.size < _MIN_GROUP:
         return
@@ -194,7 +197,7 @@ def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[
 
 def _common_noise(readings: NDArray[Any], group: NDArray[np.intp]) -> CommonSignal | None:
     values = readings[:, group].astype(np.float64)
-    gains, course = _common_course(values)
+    gains, course = _common_course(values, weighted=group.size >= _MIN_WEIGHTED)
     if (gains <= 0).any():
         return None
     left = values - np.outer(course, gains)
@@ -211,11 +214,12 @@ def _common_noise(readings: NDArray[Any], group: NDArray[np.intp]) -> CommonSign
 
 
 def _common_course(
-    values: NDArray[np.float64],
+    values: NDArray[np.float64], *, weighted: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit one course with gains to sensors, without those in contact.
 
-    The median starts, and then the mean of the sensors within 3 deviations of it.
+    The median starts, and then the mean of the sensors within 3 deviations of it, optionally
+    weighted by the reciprocals of their variances: sensors that are often in contact then count less.
     """
     rest = np.median(values, axis=0)
     fast = np.diff(values, 2, axis=0)
@@ -227,11 +231,12 @@ def _common_course(
         scaled = (values - rest) / gains
         course = np.median(scaled, axis=1) if not course.any() else course
         left = scaled - course[:, None]
-        width = np.maximum(np.median(np.abs(left), axis=0), 1e-9)
-        inside = np.abs(left) <= _CLIP * width
-        count = inside.sum(axis=1)
-        mean = np.where(inside, scaled, 0).sum(axis=1) / np.maximum(count, 1)
-        course = np.where(count > 0, mean, course)
+        width = np.median(np.abs(left), axis=0)
+        width = np.maximum(width, _LEAST_WIDTH * max(float(np.median(width)), 1e-9))
+        weight = (np.abs(left) <= _CLIP * width) / (width**2 if weighted else 1.0)
+        total = weight.sum(axis=1)
+        mean = (weight * scaled).sum(axis=1) / np.where(total > 0, total, 1)
+        course = np.where(total > 0, mean, course)
         slow = np.diff(course, 2)
         clipped = np.clip(fast - np.outer(slow, gains), *_limits(fast - np.outer(slow, gains)))
         gains = gains + (slow @ clipped) / max(slow @ slow, 1e-300)

@@ -28,6 +28,7 @@ _ROUNDING = 1e-5  # share of the range of a sensor, about 100 steps of float32
 _MIN_POWER = (
     2.0  # limits by which a tenth of the pairs may fail at least; simulated and real: 3 to 9
 )
+_MIN_LEVELS = 32  # distinct values of noise
 _NOISIER, _LEAST_NOISE = 2.0, 0.003  # by which copies are noisier than their source
 _MIN_SOUND = 10  # sensors from which it is seen whether channels follow the skin
 _MIN_TOLD_APART = 0.85  # share of these whose own channels can be told from others
@@ -141,6 +142,8 @@ class _Excerpt:
         third, first, second = self._third(i, j)
         if gain <= 0 or size <= _ROUNDING or not third.any():
             return math.inf
+        if np.unique(rest[: _MIN_LEVELS**2]).size < _MIN_LEVELS:
+            return math.inf  # sensors with few values have no noise of their own
         deviations = math.sqrt(n_frames)
         limit = _normal_maximum(len(self.varying) * int(third.sum()))
         if np.abs(first).max() * deviations < 2 * limit:
@@ -148,7 +151,8 @@ class _Excerpt:
         with_others = float(np.abs(second - gain * first).max()) / size * deviations / limit
         white = max(abs(float(rest[lag:] @ rest[:-lag])) for lag in (1, 2)) / n_frames / size**2
         strength = np.abs(rest) - np.abs(rest).mean()
-        height = np.abs(mine + other / gain)
+        nearest = self.others[third][np.abs(first).argmax()]
+        height = np.abs(self.rows[nearest])  # of contact, without the noise of the pair
         height -= height.mean()
         spread = float(strength.std() * height.std()) * n_frames
         even = abs(float(strength @ height)) / spread if spread else math.inf

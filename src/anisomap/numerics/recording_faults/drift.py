@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter, uniform_filter1d
+from scipy.special import ndtr
 
 from anisomap.numerics.recording_faults.common_mode import never_at_rest
 from anisomap.numerics.recording_faults.excerpt import deviation_from_median
@@ -16,8 +17,8 @@ from anisomap.numerics.recording_faults.excerpt import deviation_from_median
 N_BLOCKS = 20
 """Blocks of frames whose levels at rest are compared; chosen by hand."""
 
-FALSE_ALARMS = 0.01
-"""Expected number of sensors that are found by chance."""
+FALSE_DISCOVERIES = 0.01
+"""Expected share of the sensors that are found by chance."""
 
 _MIN_BLOCK = 20  # frames
 _LEVEL = 25.0  # percentile that lies at rest even if a sensor is touched in most frames of a block
@@ -70,21 +71,17 @@ def find_drift(readings: NDArray[Any], side: NDArray[np.floating] | None = None)
         return None
     signs = contact_side(readings[:, chosen]) if side is None else np.asarray(side)[chosen]
     size = n_frames // N_BLOCKS
-    found, sizes = [], []
-    limit = 2 - _one_sided(FALSE_ALARMS / chosen.size) * math.sqrt(
-        4 * (N_BLOCKS - 2) / (N_BLOCKS**2 - 1)
-    )
-    for i, sign in zip(chosen.tolist(), signs.tolist(), strict=True):
+    ratios, sizes = np.full(chosen.size, 2.0), np.zeros(chosen.size)
+    for k, (i, sign) in enumerate(zip(chosen.tolist(), signs.tolist(), strict=True)):
         values = sign * readings[: size * N_BLOCKS, i].astype(np.float64).reshape(N_BLOCKS, size)
         levels = np.percentile(values, _LEVEL, axis=1)
         left = math.sqrt(float(np.mean((values - levels[:, None]).var(axis=1))))
-        spread = float(levels.var())
-        ratio = float(np.mean(np.diff(levels) ** 2)) / max(spread, 1e-300)
-        extent = float(np.ptp(levels)) / max(left, 1e-300)
-        if ratio <= limit and math.sqrt(spread) >= _MIN_SIZE * left:
-            found.append(i)
-            sizes.append(extent)
-    return Drift(np.array(found), np.array(sizes)) if found else None
+        if levels.std() >= _MIN_SIZE * left:
+            ratios[k] = float(np.mean(np.diff(levels) ** 2)) / float(levels.var())
+            sizes[k] = float(np.ptp(levels)) / max(left, 1e-300)
+    deviations = (ratios - 2) / math.sqrt(4 * (N_BLOCKS - 2) / (N_BLOCKS**2 - 1))
+    drifting = _least(ndtr(deviations))
+    return Drift(chosen[drifting], sizes[drifting]) if drifting.any() else None
 
 
 def remove_drift(readings: NDArray[Any], drift: Drift) -> NDArray[Any]:
@@ -149,8 +146,13 @@ def _window(values: NDArray[np.float64]) -> int:
     return int(np.clip(_WINDOW * time, _MIN_WINDOW, longest)) | 1
 
 
-def _one_sided(probability: float) -> float:
-    """Return the normal deviate that is exceeded with a probability."""
-    from scipy.special import ndtri
+def _least(probabilities: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Select probabilities so that a share of `FALSE_DISCOVERIES` of them are by chance.
 
-    return -float(ndtri(probability))
+    Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57: 289-300,
+    doi:10.1111/j.2517-6161.1995.tb02031.x.
+    """
+    ordered = np.sort(probabilities)
+    limits = FALSE_DISCOVERIES * np.arange(1, ordered.size + 1) / ordered.size
+    below = np.flatnonzero(ordered <= limits)
+    return np.asarray(probabilities <= (limits[below[-1]] if below.size else -1.0))

@@ -19,9 +19,7 @@ FALSE_ALARMS = 0.01
 
 _ROUNDING = 1e-6  # share of the largest reading: some steps of float32
 _MIN_RUN = 8  # frames; two contacts of a frame each make shorter lines; chosen by hand
-_MAX_SLOPE_CHANGE = (
-    0.5  # of successive lines of a drift: lines between readings differ by 1 or more
-)
+_MIN_RISE = 0.03  # of the range: a slow drift rises less between two contacts; chosen by hand
 _N_PARTNERS = 8  # most similar sensors from which readings are estimated; chosen by hand
 _MAX_FRAMES = 20_000  # of a fit
 
@@ -43,8 +41,8 @@ def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_]:
     Notes
     -----
     If a share p of a sensor's readings continues a line, a line of n readings occurs in T frames of N
-    sensors with probability N T p^n at most. Lines that follow each other with nearly equal slopes are
-    parts of a slow drift.
+    sensors with probability N T p^n at most. Lines of a sensor that rise
+    little are parts of a slow drift.
     """
     n_frames, n_sensors = readings.shape
     bridged = np.zeros(readings.shape, dtype=bool)
@@ -64,7 +62,8 @@ def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_]:
         lines = [
             (start, stop) for start, stop in _runs(on_line) if stop - start >= max(_MIN_RUN, enough)
         ]
-        if _is_drift(slope[[(start + stop) // 2 for start, stop in lines]]):
+        rises = [abs(column[stop] - column[start]) for start, stop in lines]
+        if not lines or np.median(rises) < _MIN_RISE * (np.nanmax(column) - np.nanmin(column)):
             continue
         for start, stop in lines:
             bridged[start + 1 : stop + 1, i] = True
@@ -113,14 +112,6 @@ def fill_from_others(
         noise = rest.threshold[i] * (estimate > 0)
         completed[gap, i] = rest.value[i] + rest.side[i] * (estimate + noise)
     return completed, np.array(left, dtype=np.intp)
-
-
-def _is_drift(slopes: NDArray[np.float64]) -> bool:
-    """Return whether the slopes of successive lines are nearly equal."""
-    if slopes.size < 3:
-        return False
-    change = np.abs(np.diff(slopes)) / np.maximum(np.abs(slopes[1:]), np.abs(slopes[:-1]))
-    return bool(np.median(change) <= _MAX_SLOPE_CHANGE)
 
 
 def _runs(marks: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:

@@ -13,7 +13,7 @@ from anisomap.numerics.columns import columns
 from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
 
-LEVEL = 1e-5
+LEVEL = 1e-4
 """Level of the sign test: the probability of a false finding."""
 
 _QUANTILES = (0.05, 0.25)  # the lower edge of wide contacts, and of brief ones
@@ -89,9 +89,15 @@ def find_leak(readings: NDArray[Any]) -> Leak | None:
         beyond = [np.median(depths.compare(last, k, quantile)) for k in _OTHER_OFFSETS]
         if np.median(gains) < 2 * max(map(abs, beyond)):
             continue
-        share, error = depths.share(last, float(np.median(gains)))
-        found = Leak(share, error, clear.size, n_forward, depths.rest.value, chained=False)
-        return _with_chaining(excerpt, found, last)
+        start = float(np.median(gains))
+        trials = [depths.share(last, start, limit) for limit in (2.5 * start, _MAX_SHARE)]
+        found = [
+            Leak(share, error, clear.size, n_forward, depths.rest.value, chained)
+            for share, error in trials
+            for chained in (False, True)
+            if share > 0
+        ]
+        return min(found, key=lambda leak: _asymmetry(excerpt, leak, last), default=None)
     return None
 
 
@@ -171,7 +177,7 @@ class _Depths:
         found = np.array([gain for gain in both if np.isfinite(gain)])
         return np.where(np.abs(found) < _TOLERANCE, 0, found) if found.size else np.zeros(1)
 
-    def share(self, last: NDArray[np.intp], start: float) -> tuple[float, float]:
+    def share(self, last: NDArray[np.intp], start: float, limit: float) -> tuple[float, float]:
         """Return the most frequent ratio of adjacent channels near a first estimate."""
         ratios = []
         for i in last.tolist():
@@ -181,8 +187,8 @@ class _Depths:
                 noise = np.median(self.columns[i][quiet])
                 ratios.append((self.columns[i][deep] - noise) / self.columns[i - 1][deep])
         pooled = np.sort(np.concatenate(ratios))
-        near = pooled[(pooled > 0.3 * start) & (pooled < 2.5 * start)]
-        share = _half_sample_mode(near)
+        near = pooled[(pooled > 0.3 * start) & (pooled < limit)]
+        share = _densest(near)
         for _ in range(3):
             width = 3 * np.median(np.abs(near - share)) / 0.6745
             inside = near[np.abs(near - share) <= max(min(width, 0.5 * share), _TOLERANCE * share)]
@@ -195,31 +201,24 @@ class _Depths:
         return share, float(np.std(near) / np.sqrt(max(1, near.size)))
 
 
-def _with_chaining(readings: NDArray[Any], leak: Leak, last: NDArray[np.intp]) -> Leak:
-    """Decide whether the leak includes that of the previous channel, by what is left two before."""
-    left = []
-    for chained in (False, True):
-        trial = Leak(leak.share, leak.error, leak.n_pairs, leak.n_forward, leak.rest, chained)
-        depths = _Depths(remove_leak(readings, trial))
-        left.append((abs(float(np.median(depths.compare(last, 2, _QUANTILES[1])))), chained))
-    chained = min(left)[1]
-    return Leak(leak.share, leak.error, leak.n_pairs, leak.n_forward, leak.rest, chained)
+def _asymmetry(readings: NDArray[Any], leak: Leak, last: NDArray[np.intp]) -> float:
+    """Return how much more channels contain of earlier than of later ones without a leak."""
+    depths = _Depths(remove_leak(readings, leak))
+    return sum(
+        abs(float(np.mean(np.sign(depths.compare(last, offset, quantile)))))
+        for offset in (1, 2)
+        for quantile in _QUANTILES
+    )
 
 
-def _half_sample_mode(ordered: NDArray[np.float64]) -> float:
-    """Return the mode of sorted values: the half-sample mode.
-
-    Notes
-    -----
-    Bickel & Fruehwirth (2006), Computational Statistics & Data Analysis 50: 3500-3530,
-    doi:10.1016/j.csda.2005.07.011.
-    """
-    while ordered.size > 3:
-        half = (ordered.size + 1) // 2
-        widths = ordered[half - 1 :] - ordered[: ordered.size - half + 1]
-        begin = int(np.argmin(widths))
-        ordered = ordered[begin : begin + half]
-    return float(np.mean(ordered)) if ordered.size else 0.0
+def _densest(values: NDArray[np.float64]) -> float:
+    """Return the middle of the narrowest interval, in proportion, of a tenth of sorted values."""
+    count = max(_MIN_FRAMES, values.size // 10)
+    if values.size <= count:
+        return float(np.median(values)) if values.size else 0.0
+    logarithm = np.log(values)
+    begin = int(np.argmin(logarithm[count:] - logarithm[:-count]))
+    return float(np.median(values[begin : begin + count + 1]))
 
 
 def _thinned(frames: NDArray[np.intp]) -> NDArray[np.intp]:

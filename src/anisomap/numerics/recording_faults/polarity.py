@@ -11,7 +11,8 @@ from anisomap.numerics.recording_faults.excerpt import MAX_FRAMES, standardised
 
 _MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand
 _MIN_SHARE = 0.8  # of the sensors that must be skewed so; chosen by hand
-_MIN_AGREEMENT = 0.9  # share of the strongest correlations whose sign must be explained; by hand
+_MIN_AGREEMENT = 0.7  # share of the strongest correlations whose sign must be explained; by hand
+_MIN_CROSSING = 0.7  # correlation across parts over that within; wired at random they are equal
 _N_PARTNERS = 4
 _MIN_CORRELATION = 0.2  # magnitude of correlations whose sign counts; chosen by hand
 
@@ -33,8 +34,9 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
     -----
     Sensors are at rest most of the time, so contact skews readings to its own side. Sensors of
     both signs are a finding only if correlations agree: the signs of the strongest correlations must
-    be negative between the two parts, and positive within them. Readings that are not skewed,
-    such as those of sensors that are always in contact, are not judged.
+    be negative between the two parts, and positive within them. If most readings are not skewed,
+    such as those of sensors that are often in contact, the parts are those that the signs of the
+    strongest correlations give, along a maximum spanning tree.
     """
     step = max(1, len(readings) // (4 * MAX_FRAMES))
     values = standardised(readings[::step])
@@ -42,24 +44,71 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
     if np.count_nonzero(varying) < 3:
         return np.empty(0, dtype=np.intp)
     skewness = np.einsum("ti,ti,ti->i", values, values, values) / len(values)
-    clear = np.abs(skewness) >= _MIN_SKEWNESS
-    if np.mean(clear[varying]) < _MIN_SHARE:
+    skewed = np.abs(skewness) >= _MIN_SKEWNESS
+    correlation = values.T @ values / len(values)
+    np.fill_diagonal(correlation, 0)
+    skewed_apart = bool(np.mean(skewed[varying]) >= _MIN_SHARE)
+    if skewed_apart:
+        lowered = skewed & (skewness < 0)
+        judged = np.flatnonzero(skewed)
+    else:
+        judged = np.flatnonzero(varying)
+        signs = _signs_along_tree(correlation[np.ix_(judged, judged)])
+        if signs @ skewness[judged] < 0:
+            signs = -signs
+        lowered = np.zeros(varying.size, dtype=bool)
+        lowered[judged[signs < 0]] = True
+    suspects = judged[lowered[judged]]
+    if not skewed_apart and _weaker(correlation, suspects, judged):
         return np.empty(0, dtype=np.intp)
-    negative = np.flatnonzero(clear & (skewness < 0))
-    positive = np.flatnonzero(clear & (skewness > 0))
-    suspects = negative if negative.size <= positive.size else positive
-    if not suspects.size:
-        return suspects
-    others = np.flatnonzero(clear)
-    correlation = values[:, suspects].T @ values[:, others] / len(values)
-    correlation[suspects[:, None] == others] = 0
-    count = min(_N_PARTNERS, others.size - 1)
-    strongest = np.argpartition(-np.abs(correlation), count - 1, axis=1)[:, :count]
-    r = np.take_along_axis(correlation, strongest, axis=1)
-    same = np.isin(others, suspects)[strongest]
+    if 2 * suspects.size > judged.size:
+        suspects = judged[~lowered[judged]]
+    return _confirmed(correlation, suspects, judged)
+
+
+def _signs_along_tree(correlation: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Multiply the signs of correlations along a maximum spanning tree of their magnitudes."""
+    strength = np.abs(correlation)
+    n_sensors = len(strength)
+    outside = np.ones(n_sensors, dtype=bool)
+    outside[0] = False
+    strongest, towards = strength[0].copy(), np.zeros(n_sensors, dtype=np.intp)
+    signs = np.ones(n_sensors)
+    for _ in range(n_sensors - 1):
+        new = int(np.where(outside, strongest, -np.inf).argmax())
+        signs[new] = signs[towards[new]] * (1 if correlation[towards[new], new] >= 0 else -1)
+        outside[new] = False
+        closer = (strength[new] > strongest) & outside
+        strongest[closer], towards[closer] = strength[new][closer], new
+    return signs
+
+
+def _weaker(
+    correlation: NDArray[np.float32], suspects: NDArray[np.intp], judged: NDArray[np.intp]
+) -> bool:
+    """Return whether negative correlations are weaker than positive ones, as between neighbours."""
+    inside = np.isin(judged, suspects)
+    if not inside.any() or inside.all():
+        return False
+    r = correlation[np.ix_(judged, judged)]
+    crossing = np.where(inside[:, None] != inside, -r, -1).max(axis=1)
+    within = np.where(inside[:, None] == inside, r, -1).max(axis=1)
+    return bool(np.median(crossing) < _MIN_CROSSING * np.median(within))
+
+
+def _confirmed(
+    correlation: NDArray[np.float32], suspects: NDArray[np.intp], judged: NDArray[np.intp]
+) -> NDArray[np.intp]:
+    """Select suspects whose strongest correlations have the signs that an inversion gives."""
+    if not suspects.size or judged.size < 3:
+        return np.empty(0, dtype=np.intp)
+    r = correlation[np.ix_(suspects, judged)]
+    count = min(_N_PARTNERS, judged.size - 1)
+    strongest = np.argpartition(-np.abs(r), count - 1, axis=1)[:, :count]
+    r = np.take_along_axis(r, strongest, axis=1)
+    same = np.isin(judged, suspects)[strongest]
     counted = np.abs(r) >= _MIN_CORRELATION
-    explained = counted & ((r > 0) == same)
-    # A touched sensor can correlate negatively with distant ones, but less than with neighbours.
-    confirmed = explained.sum(axis=1) >= _MIN_AGREEMENT * np.maximum(1, counted.sum(axis=1))
-    confirmed &= explained[:, :1].any(axis=1) | (explained.sum(axis=1) > 0)
-    return np.asarray(suspects[confirmed])
+    explained = (counted & ((r > 0) == same)).sum(axis=1)
+    crossing = (counted & ~same).any() or suspects.size == judged.size
+    confirmed = (explained >= _MIN_AGREEMENT * counted.sum(axis=1)) & (explained > 0)
+    return np.asarray(suspects[confirmed]) if crossing else np.empty(0, dtype=np.intp)
