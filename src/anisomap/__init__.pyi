@@ -21,6 +21,8 @@ from .evaluation import align as align
 from .evaluation import mantel as mantel
 from .evaluation import score as score
 from .health import assess as assess
+from .health import find_faults as find_faults
+from .health import repair as repair
 from .health import summarise as summarise
 from .io import read as read
 from .io import read_map as read_map

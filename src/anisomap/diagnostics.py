@@ -23,7 +23,7 @@ from anisomap.evaluation.confidence import (
     expected_mantel_r,
     map_agreement,
 )
-from anisomap.health import SensorHealth, assess, weaknesses
+from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
@@ -40,6 +40,7 @@ def diagnose(
     options: MethodOptions | None = None,
     drop: Iterable[str | int] = (),
     health: Sequence[SensorHealth] | None = None,
+    findings: Sequence[Finding] | None = None,
     with_confidence: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> SensorMap:
@@ -57,6 +58,8 @@ def diagnose(
         Sensors that were left out of the map, by name or index; their faults are not noted.
     health : sequence of SensorHealth, optional
         From `anisomap.assess`, if computed already.
+    findings : sequence of Finding, optional
+        From `anisomap.find_faults`, if computed already.
     with_confidence : bool
         Whether to compute `confidence`, which takes two to four times as long as the map.
     progress : callable, optional
@@ -88,7 +91,8 @@ def diagnose(
     unused = joined.varying() & ~sensor_map.placed  # sensors that were dropped from the map
     dropped = {*joined.indices(drop).tolist(), *np.flatnonzero(unused).tolist()}
     kept = [sensor for i, sensor in enumerate(assessed) if i not in dropped]
-    notes = list(weaknesses(joined, kept))
+    faults = find_faults(runs) if findings is None else findings
+    notes = [*weaknesses(joined, kept), *spoiling(faults)]
     expected = math.nan
     if with_confidence:
         expected = confidence(sensor_map, runs, options=options, progress=progress)

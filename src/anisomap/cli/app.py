@@ -53,6 +53,7 @@ for name, target, summary in (
     ("paper", "paper:paper", "Reproduce every figure and table of the paper."),
     ("coverage", "coverage:coverage", "Estimate how long a skin must be stimulated."),
     ("spoil", "spoil:spoil", "Inject documented faults into a recording."),
+    ("repair", "repair:repair", "Mend the faults of a recording."),
     ("bodies", "listing:bodies", "List the bodies that can be simulated."),
     ("scenarios", "listing:scenarios", "List the scenarios of simulation and their parameters."),
     ("faults", "listing:faults", "List the faults that can be injected."),

@@ -17,16 +17,24 @@ from anisomap.drawing import figures, report
 from anisomap.errors import InputError
 from anisomap.evaluation import Score, confidence_in_words, score
 from anisomap.files import check_distinct
-from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
+from anisomap.health import (
+    Finding,
+    RecordingSummary,
+    SensorHealth,
+    assess,
+    find_faults,
+    repair,
+    summarise,
+)
 from anisomap.large.approximation import SimilarityGraph, map_similarity_graph
 from anisomap.large.streaming import StreamedSimilarity, map_streamed_similarity
 from anisomap.methods import MethodOptions
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
-from anisomap.runs import join_runs
+from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 
-_MAX_SHOWN = 100  # faulty sensors
+_MAX_SHOWN = 12  # faulty sensors; --sensors of anisomap info shows all
 _SHARE_OF_MAP = 0.3  # of the time of a map with confidence; typical, for the progress display
 
 
@@ -63,12 +71,13 @@ class Outputs:
 
 @dataclass(frozen=True)
 class Examined:
-    """A recording, its sensor health and summary, and the runs that it was joined from."""
+    """A recording, its sensor health, summary and faults, and the runs that it was joined from."""
 
     recording: Recording
     health: Sequence[SensorHealth]
     summary: RecordingSummary
     runs: Sequence[Recording] = ()
+    findings: Sequence[Finding] = ()
 
 
 def read(path: Path, how: io.ReadOptions | None = None) -> Recording:
@@ -111,12 +120,30 @@ def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
         printer.record(contents=[asdict(content) for content in contents])
 
 
-def examine(runs: Recording | Sequence[Recording]) -> Examined:
-    """Assess one recording, or several as one, with progress."""
+def repair_runs(runs: Sequence[Recording]) -> tuple[list[Recording], tuple[Finding, ...]]:
+    """Mend the faults of one recording, or of several of one skin, with progress."""
+    with progress("repairing the recording"):
+        repaired = [repair(run) for run in as_runs(list(runs))]
+    findings = tuple(finding for one in repaired for finding in one.findings)
+    return [one.recording for one in repaired], findings
+
+
+def examine(
+    runs: Recording | Sequence[Recording], findings: Sequence[Finding] | None = None
+) -> Examined:
+    """Assess one recording, or several as one, with progress.
+
+    Parameters
+    ----------
+    runs : Recording or sequence of Recording
+    findings : sequence of Finding, optional
+        Faults of the recording, if known, as after a repair.
+    """
     several = [runs] if isinstance(runs, Recording) else list(runs)
     with progress("assessing sensors"):
         joined, health = join_runs(several), assess(several)
-        return Examined(joined, health, summarise(joined, health), tuple(several))
+        found = find_faults(several) if findings is None else findings
+        return Examined(joined, health, summarise(joined, health), tuple(several), found)
 
 
 def make_map(
@@ -144,6 +171,7 @@ def make_map(
             options=options,
             drop=drop,
             health=examined.health,
+            findings=examined.findings,
             with_confidence=with_confidence,
             progress=lambda share: report_progress(_SHARE_OF_MAP + (1 - _SHARE_OF_MAP) * share),
         )
@@ -257,7 +285,27 @@ def print_health(
     for sensor in shown:
         printer.line(f"  {sensor.name}: {sensor.reason}")
     if len(faulty) > len(shown):
-        printer.line(f"  ... and {len(faulty) - len(shown)} more faulty sensors")
+        printer.line(
+            f"  ... and {len(faulty) - len(shown)} more faulty sensors: "
+            "anisomap info --sensors lists all"
+        )
+
+
+def print_findings(
+    printer: Printer, findings: Sequence[Finding], *, repaired: bool = False
+) -> None:
+    """Print the faults of a recording: what was found, and what mends it or did."""
+    printer.record(findings=[asdict(finding) for finding in findings])
+    if not findings:
+        return
+    printer.line("Faults of the recording" + (", mended where possible" if repaired else ""))
+    for finding in findings:
+        printer.line(f"  {finding.kind}: {finding}")
+        if repaired and finding.mended:
+            printer.line(f"    mended: {finding.mended}")
+    mendable = sum(finding.mendable for finding in findings)
+    if mendable and not repaired:
+        printer.line(f"  {mendable} of {len(findings)} can be mended: anisomap map --repair")
 
 
 def _print_map(printer: Printer, sensor_map: SensorMap) -> None:

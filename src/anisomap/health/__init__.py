@@ -4,7 +4,7 @@ from anisomap.health.assessment import STATUSES, SensorHealth, assess
 from anisomap.health.behaviour import Matches
 from anisomap.health.findings import Finding
 from anisomap.health.recording_check import CHECKS, Repair, find_faults, repair
-from anisomap.health.summary import RecordingSummary, summarise, weaknesses
+from anisomap.health.summary import RecordingSummary, spoiling, summarise, weaknesses
 
 __all__ = [
     "CHECKS",
@@ -17,6 +17,7 @@ __all__ = [
     "assess",
     "find_faults",
     "repair",
+    "spoiling",
     "summarise",
     "weaknesses",
 ]

@@ -1,4 +1,4 @@
-"""Checks for what a recording lacks: readings, contacts, and stimulation that tells places apart."""
+"""Checks for what a recording lacks: readings, contacts, stimulation that tells places apart."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _find_gaps(subject: Subject) -> NDArray[np.bool_] | None:
     missing = find_bridged(subject.readings) | ~np.isfinite(subject.readings)
     share = missing.mean(axis=0)
     affected = (share >= _MIN_MISSING) & (share < 1)
-    return np.where(affected, missing, False) if affected.any() else None  # noqa: FBT003
+    return np.where(affected, missing, False) if affected.any() else None
 
 
 def _describe_gaps(recording: Recording, missing: NDArray[np.bool_]) -> tuple[Finding, ...]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisomap.health.assessment import MIN_CONTACTS, SensorHealth, assess
+from anisomap.health.findings import Finding
 from anisomap.recording import Recording
 from anisomap.wording import join_items
 
@@ -131,3 +132,23 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
             f"times: {join_items(rare)}"
         )
     return tuple(found)
+
+
+def spoiling(findings: Sequence[Finding]) -> tuple[str, ...]:
+    """List what spoils a map among the faults of its recording.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        From `anisomap.health.find_faults`.
+
+    Returns
+    -------
+    tuple of str
+        One sentence for each fault, without rarely touched sensors, which `weaknesses` lists.
+    """
+    return tuple(
+        f"{finding}" + ("; repair the recording" if finding.mendable else "")
+        for finding in findings
+        if finding.kind != "few-contacts"
+    )

@@ -20,7 +20,7 @@ def info(
     reading: options.Reading = options.DEFAULT_READING,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
-    """Summarise a recording and flag faulty sensors.
+    """Summarise a recording, and flag faulty sensors and faults of the read-out.
 
     Parameters
     ----------
@@ -37,6 +37,7 @@ def info(
             return
         examined = pipeline.examine(found)
         pipeline.print_recording(printer, examined)
+        pipeline.print_findings(printer, examined.findings)
         pipeline.print_health(printer, examined.health, all_sensors=sensors)
         for weakness in examined.summary.warnings:
             print_warning(weakness)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +13,9 @@ from cyclopts.validators import Number
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, streams
 from anisomap.cli.console import print_warning
+from anisomap.errors import InputError
 from anisomap.evaluation import PERMUTATIONS
+from anisomap.health import Finding
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
@@ -35,6 +39,7 @@ def map_recording(
     ] = 3,
     drop: options.Drop = None,
     missing: options.Missing = "error",
+    repair: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
     mu: Annotated[float, Parameter(group=options.method_group)] = MethodOptions.mu,
     bins: Annotated[int, Parameter(group=options.method_group)] = DEFAULT_BINS,
     n_neighbours: Annotated[int | None, Parameter(group=options.method_group)] = None,
@@ -74,6 +79,9 @@ def map_recording(
         Reconstruction method: see `anisomap methods`.
     dimensions
         Number of coordinates: 2 for flat skins, 3 for bodies.
+    repair
+        Mend faults of the recording first: copies, inverted sensors, lags, leaks, noise and hum
+        that sensors share, drift and gaps. `anisomap info` lists those that it finds.
     mu
         Regularisation of ANISOMAP's reciprocal; with 0, unrelated components stay separate.
     bins
@@ -111,7 +119,13 @@ def map_recording(
     find_method(by)  # report an unknown method before the recording is read
     reference = None if truth is None else pipeline.read_reference(truth)
     found = None
+    mended: Sequence[Finding] = ()
     if large.is_requested or streams.too_large(recordings, how):
+        if repair:
+            raise InputError(
+                "--repair requires a recording in memory, below 512 MiB and without the options "
+                "for large recordings; repair parts of it with anisomap repair"
+            )
         examined, found = streams.examine(
             recordings,
             how,
@@ -122,6 +136,10 @@ def map_recording(
             drop=drop,
             seed=seed,
         )
+    elif repair:
+        runs, mended = pipeline.repair_runs([pipeline.read(path, how) for path in recordings])
+        runs = [pipeline.complete(run, missing) for run in runs]
+        examined = pipeline.examine(runs, [one for one in mended if not one.mendable])
     else:
         examined = pipeline.examine(pipeline.read_runs(recordings, how, missing))
     names = examined.recording.names
@@ -134,6 +152,7 @@ def map_recording(
         )
     with reporting.printer() as printer:
         pipeline.print_recording(printer, examined)
+        pipeline.print_findings(printer, mended if repair else examined.findings, repaired=repair)
         sensor_map = pipeline.make_map(
             examined,
             by,
@@ -143,6 +162,9 @@ def map_recording(
             with_confidence=confidence,
             streamed=found,
         )
+        if done := dict.fromkeys(one.kind for one in mended if one.mendable):
+            provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
+            sensor_map = replace(sensor_map, provenance=provenance)
         pipeline.finish(
             printer,
             outputs,

@@ -24,12 +24,13 @@ _CLIP = 3.0  # median absolute deviations; larger changes are contacts
 _MIN_WEIGHTED = 30  # sensors from which they are weighted: of few, one could decide; by hand
 _LEAST_WIDTH = 1e-3  # of the median sensor's, so that no sensor decides alone
 _MAX_ROUNDS = 12
-_MIN_NOISE = 1e-4  # standard deviations of the readings; less is rounding
+_MIN_NOISE = 1e-3  # standard deviations of the readings; less changes no correlation
+_MAX_GAIN_RATIO = 20.0  # of the sensors of a group; chosen by hand
 _MIN_SHARE = 0.1  # share of the fast noise of the median sensor that is common; chosen by hand
 _MAX_WHITE = -0.5  # autocorrelation of second differences at lag 1: -2/3 for white noise
 _MIN_SMOOTH = 0.2  # autocorrelation of the other part of the readings; chosen by hand
 _MIN_COHERENCE = 0.95  # of the phases of a hum over sensors and over quarters; chosen by hand
-_MIN_LINE = 20.0  # power of a line over the median power beside it; p = 2e-9 for one frequency
+_MIN_LINE = 20.0  # power of a line over the median power beside it; noise: p = 1e-6 for a frequency
 _MIN_SENSORS = 0.8  # share of the sensors that hum; chosen by hand
 _N_PHASES = 8  # parts of a period, for quantiles
 _LOW_AND_HIGH = (0.25, 0.75)
@@ -104,9 +105,10 @@ def find_common_noise(readings: NDArray[Any]) -> tuple[CommonSignal, ...]:
     Notes
     -----
     Contacts are slow compared to the frames; second differences therefore show noise. Sensors are
-    grouped by the correlation of these, limited to 3 median absolute deviations. The noise of a group is
-    the mean of its sensors over their gains, without those that are in contact. It is a finding if
-    it is white, while the rest of the readings is not, and takes 10 % of the fast noise or more.
+    grouped by the correlation of these, limited to 3 median absolute deviations. The noise of a
+    group is the mean of its sensors over their gains, without those that are in contact. It is a
+    finding if it is white, while the rest of the readings is not, and takes 10 % of the fast noise
+    or more.
     """
     found = []
     free = never_at_rest(readings)
@@ -198,7 +200,7 @@ def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[
 def _common_noise(readings: NDArray[Any], group: NDArray[np.intp]) -> CommonSignal | None:
     values = readings[:, group].astype(np.float64)
     gains, course = _common_course(values, weighted=group.size >= _MIN_WEIGHTED)
-    if (gains <= 0).any():
+    if (gains <= 0).any() or gains.max() > _MAX_GAIN_RATIO * gains.min():
         return None
     left = values - np.outer(course, gains)
     before, after = (deviation_from_median(np.diff(part, 2, axis=0)) for part in (values, left))
@@ -219,7 +221,7 @@ def _common_course(
     """Fit one course with gains to sensors, without those in contact.
 
     The median starts, and then the mean of the sensors within 3 deviations of it, optionally
-    weighted by the reciprocals of their variances: sensors that are often in contact then count less.
+    weighted by the reciprocals of their variances: sensors often in contact then count less.
     """
     rest = np.median(values, axis=0)
     fast = np.diff(values, 2, axis=0)
@@ -227,7 +229,6 @@ def _common_course(
     gains /= np.median(gains)
     course = np.zeros(len(values))
     for _ in range(_MAX_ROUNDS):
-        # The lower half: contacts are on one side of rest, and noise is on both.
         scaled = (values - rest) / gains
         course = np.median(scaled, axis=1) if not course.any() else course
         left = scaled - course[:, None]
@@ -239,7 +240,7 @@ def _common_course(
         course = np.where(total > 0, mean, course)
         slow = np.diff(course, 2)
         clipped = np.clip(fast - np.outer(slow, gains), *_limits(fast - np.outer(slow, gains)))
-        gains = gains + (slow @ clipped) / max(slow @ slow, 1e-300)
+        gains = gains + (slow @ clipped) / max(float(np.sum(slow**2)), 1e-300)
         if (gains <= 0).any():
             break
         rest = np.median(values - np.outer(course, gains), axis=0)
@@ -269,8 +270,9 @@ def _is_added(values: NDArray[np.float64], frequency: float, phase: float) -> bo
     levels = np.array(
         [np.quantile(values[bins == b], _LOW_AND_HIGH, axis=0) for b in range(_N_PHASES)]
     )
-    low, high = np.tensordot(waves, levels, 1)
-    return bool(np.median(low) >= _MIN_EVEN * np.median(high) > 0)
+    shifts = np.median(np.tensordot(waves, levels, 1), axis=1)
+    low, high = float(shifts[0]), float(shifts[1])
+    return 0 < _MIN_EVEN * high <= low
 
 
 def _sharpened(values: NDArray[np.float64], peak: int) -> float:

@@ -131,7 +131,9 @@ class _Excerpt:
         """
         third, first, second = self._third(i, j)
         square = float(first @ first)
-        return float(first @ second) / square if square and third.any() else 0.0
+        if not square or not third.any():
+            return 0.0
+        return float(np.sum(first * second, dtype=np.float64)) / square
 
     def misfit(self, i: int, j: int) -> float:
         """Return by how much j differs from i times a gain plus noise, in units of the limits."""
@@ -157,7 +159,7 @@ class _Excerpt:
         spread = float(strength.std() * height.std()) * n_frames
         even = abs(float(strength @ height)) / spread if spread else math.inf
         limit = _normal_maximum(3 * len(self.varying))
-        return max(with_others, max(white, even) * deviations / limit)
+        return max(with_others, float(white) * deviations / limit, even * deviations / limit)
 
     def noise_shares(self, i: int, j: int) -> tuple[float, float]:
         """Return the shares of the variances of two copies that they do not have in common."""

@@ -76,7 +76,7 @@ def find_clipped(readings: NDArray[Any]) -> dict[int, float]:
     reading occurs more often than all readings in the 5 % of its range beside it, and in at least
     10 frames. Sensors with fewer than 16 distinct values are not judged.
     """
-    found = {}
+    found: dict[int, float] = {}
     for i, column in enumerate(columns(readings)):
         lowest, highest = column.min(), column.max()
         for limit, margin in ((highest, -1), (lowest, 1)):
@@ -92,7 +92,7 @@ def find_clipped(readings: NDArray[Any]) -> dict[int, float]:
             values, counts = count_values(column)
             is_rest = values[counts.argmax()] == limit
             if at_limit > near and values.size >= _MIN_LEVELS and not is_rest:
-                found[i] = at_limit / column.size
+                found[i] = float(at_limit) / column.size
     return found
 
 

@@ -60,10 +60,10 @@ def find_drift(readings: NDArray[Any], side: NDArray[np.floating] | None = None)
     Notes
     -----
     The level at rest of a block is the quartile of its readings opposite to contact. Levels of
-    independent blocks have a ratio of von Neumann (mean square of successive differences over the variance)
-    of 2 with a variance of 4 (n - 2) / (n^2 - 1), and less if they drift: von Neumann (1941), Annals
-    of Mathematical Statistics 12: 367-395, doi:10.1214/aoms/1177731677. Sensors that one value
-    occurs often in have no drift.
+    independent blocks have a ratio of von Neumann, the mean square of successive differences over
+    the variance, of 2 with a variance of 4 (n - 2) / (n^2 - 1), and less if they drift: von Neumann
+    (1941), Annals of Mathematical Statistics 12: 367-395, doi:10.1214/aoms/1177731677. Sensors that
+    one value occurs often in have no drift.
     """
     n_frames = len(readings)
     chosen = never_at_rest(readings)

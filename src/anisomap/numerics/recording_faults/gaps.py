@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from anisomap.numerics.columns import columns
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.recording_faults.excerpt import standardised
 from anisomap.numerics.similarity.rest import estimate_rest
@@ -20,6 +21,7 @@ FALSE_ALARMS = 0.01
 _ROUNDING = 1e-6  # share of the largest reading: some steps of float32
 _MIN_RUN = 8  # frames; two contacts of a frame each make shorter lines; chosen by hand
 _MIN_RISE = 0.03  # of the range: a slow drift rises less between two contacts; chosen by hand
+_MIN_MIXED = 0.15  # share of the lines against the direction of the other lines of their sensor
 _N_PARTNERS = 8  # most similar sensors from which readings are estimated; chosen by hand
 _MAX_FRAMES = 20_000  # of a fit
 
@@ -40,34 +42,44 @@ def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_]:
 
     Notes
     -----
-    If a share p of a sensor's readings continues a line, a line of n readings occurs in T frames of N
-    sensors with probability N T p^n at most. Lines of a sensor that rise
-    little are parts of a slow drift.
+    If a share p of a sensor's readings continues a line, a line of n readings occurs in T frames of
+    N sensors with probability N T p^n at most. Lines of a sensor that rise little are parts of a
+    slow drift.
     """
     n_frames, n_sensors = readings.shape
     bridged = np.zeros(readings.shape, dtype=bool)
     if n_frames < 2 * _MIN_RUN:
         return bridged
-    for i in range(n_sensors):
-        column = readings[:, i].astype(np.float64)
-        slope = np.diff(column)
-        largest = np.nanmax(np.abs(column), initial=0)
-        slack = _ROUNDING * largest
-        with np.errstate(invalid="ignore"):
-            on_line = (np.abs(np.diff(slope)) <= 2 * slack) & (np.abs(slope[1:]) > 4 * slack)
-        share = float(np.mean(on_line))
-        if not share or share >= 1:
-            continue
-        enough = math.log(n_frames * n_sensors / FALSE_ALARMS) / -math.log(share)
-        lines = [
-            (start, stop) for start, stop in _runs(on_line) if stop - start >= max(_MIN_RUN, enough)
-        ]
-        rises = [abs(column[stop] - column[start]) for start, stop in lines]
-        if not lines or np.median(rises) < _MIN_RISE * (np.nanmax(column) - np.nanmin(column)):
-            continue
-        for start, stop in lines:
+    lines = {
+        i: found
+        for i, column in enumerate(columns(readings))
+        if (found := _lines(column.astype(np.float64), n_sensors))
+    }
+    rising = [np.array([rises for _, _, rises in found]) for found in lines.values()]
+    fewer = sum(min(np.count_nonzero(up), np.count_nonzero(~up)) for up in rising)
+    if fewer < _MIN_MIXED * sum(up.size for up in rising):
+        return bridged
+    for i, found in lines.items():
+        for start, stop, _ in found:
             bridged[start + 1 : stop + 1, i] = True
     return bridged
+
+
+def _lines(column: NDArray[np.float64], n_sensors: int) -> list[tuple[int, int, bool]]:
+    """Return the first and last reading of each long line of a sensor, and whether it rises."""
+    slope = np.diff(column)
+    slack = _ROUNDING * np.nanmax(np.abs(column), initial=0)
+    with np.errstate(invalid="ignore"):
+        on_line = (np.abs(np.diff(slope)) <= 2 * slack) & (np.abs(slope[1:]) > 4 * slack)
+    share = float(np.mean(on_line))
+    if not 0 < share < 1:
+        return []
+    enough = math.log(column.size * n_sensors / FALSE_ALARMS) / -math.log(share)
+    found = [run for run in _runs(on_line) if run[1] - run[0] >= max(_MIN_RUN, enough)]
+    rises = np.array([column[stop] - column[start] for start, stop in found])
+    if not found or np.median(np.abs(rises)) < _MIN_RISE * (np.nanmax(column) - np.nanmin(column)):
+        return []
+    return [(start, stop, rise > 0) for (start, stop), rise in zip(found, rises, strict=True)]
 
 
 def fill_from_others(
@@ -83,8 +95,9 @@ def fill_from_others(
     Returns
     -------
     readings : ndarray of shape (T, N)
-        Depths of contact of the most similar sensors, times weights of at least 0 that fit the known
-        readings best (non-negative least squares), and at most the greatest depth that was read.
+        Depths of contact of the most similar sensors, times weights of at least 0 that fit the
+        known readings best (non-negative least squares), and at most the greatest depth that was
+        read.
     left : ndarray of int
         Sensors without enough known readings to fit; their gaps are interpolated.
     """

@@ -22,12 +22,14 @@ _MAX_MISFIT = 6.0  # frames of misfit of one sensor that count
 _SPREAD = 2  # frames by which the lags of a group may differ before they are made equal
 # Limits of a finding, tuned on simulated skins (seeds 1 to 20) and on real recordings.
 _MIN_AGREEMENT = 0.9  # share of the links between groups with the lag of the groups
+_MIN_RELATIVE = 0.93  # this share over the share of the links within groups without a lag
 _MAX_OPPOSITE = 0.08  # share of the links between groups with a lag of the other sign
 _MIN_EXPLAINED = 0.5  # share of the correlation lost between groups that the lags restore
 _MIN_AGAIN = 0.9  # share of the links for which each part of the recording gives the same lags
-_MIN_GAIN = 0.6  # restored correlation over what the lags would cost links within groups
+_MIN_GAIN = 0.75  # restored correlation over what the lags would cost links within groups
 _MIN_WITHIN = 0.6  # share of the links within groups without a lag
 _MIN_GROUP = 3.0  # sensors per group, on average
+_CLEARLY_MORE = 1.005  # correlation by which groups that are not adjacent must explain more
 _MAX_ROUNDS = 3
 
 
@@ -62,12 +64,12 @@ def find_lags(readings: NDArray[Any]) -> Lags | None:
     Notes
     -----
     Ranks of the readings are correlated at all lags up to `MAX_LAG`. The lags of the strongest
-    links, a spanning tree, give a lag to each sensor. Groups are sensors with nearly equal lags that
-    follow each other in the order of the channels, or, if that explains less, wherever they are.
-    Contacts that move also give neighbours a lag, but of either sign, spread over many values, and
-    different from one time to another; a lag of the read-out is the same for all pairs of two
-    groups and in all quarters of the recording. It must restore as much correlation as such a lag costs
-    links within groups.
+    links, a spanning tree, give a lag to each sensor. Groups are sensors with nearly equal lags
+    that follow each other in the order of the channels, or, if that explains less, wherever they
+    are. Contacts that move also give neighbours a lag, but of either sign, spread over many values,
+    and different from one time to another; a lag of the read-out is the same for all pairs of two
+    groups and in all quarters of the recording. It must restore as much correlation as such a lag
+    costs links within groups.
     """
     total: NDArray[np.intp] | None = None
     agreement = 1.0
@@ -117,8 +119,13 @@ def _find_once(readings: NDArray[Any]) -> Lags | None:
     whole = _Correlations(np.mean([part.at_lag for part in parts], axis=0))
     links = whole.strongest_links()
     tree = whole.lags_along_tree()
-    results = [_fitted(whole, links, groups) for groups in (_in_order(tree), _anywhere(tree))]
-    lags, groups = max(results, key=lambda result: whole.along(links, result[0]).sum())
+    anywhere = _fitted(whole, links, _anywhere(tree))
+    in_order = max(
+        (_fitted(whole, links, _in_order(lags)) for lags in (tree, anywhere[0])),
+        key=lambda result: whole.along(links, result[0]).sum(),
+    )
+    sums = [float(whole.along(links, lags).sum()) for lags, _ in (in_order, anywhere)]
+    lags, groups = anywhere if sums[1] > _CLEARLY_MORE * sums[0] else in_order
     agreement = _check(whole, parts, links, lags, groups)
     if agreement is None:
         return None
@@ -267,9 +274,10 @@ def _check(
         return None
     own = whole.peak_lag[i, j]
     slack = np.maximum(1, 0.15 * np.abs(expected))
-    agreement = float(np.mean(np.abs(own - expected)[across] <= slack[across]))
-    opposite = float(np.mean(np.sign(own[across]) == -np.sign(expected[across])))
-    within = float(np.mean(np.abs(own[~across]) <= 1)) if not across.all() else 1.0
+    weight = whole.peak[i, j].astype(np.float64) ** 2  # weak links have random lags
+    agreement = _share(np.abs(own - expected) <= slack, weight * across)
+    opposite = _share(np.sign(own) == -np.sign(expected), weight * across)
+    within = _share(np.abs(own) <= 1, weight * ~across) if not across.all() else 1.0
     without = whole.along(links, np.zeros_like(lags))[across]
     restored = float((whole.along(links, lags)[across] - without).sum())
     lost = float((whole.peak[i, j][across] - without).sum())
@@ -279,7 +287,7 @@ def _check(
     )
     if (
         restored < _MIN_GAIN * expected_gain
-        or agreement < _MIN_AGREEMENT
+        or agreement < max(_MIN_AGREEMENT, _MIN_RELATIVE * within)
         or opposite > _MAX_OPPOSITE
         or within < _MIN_WITHIN
         or restored < _MIN_EXPLAINED * lost
@@ -291,6 +299,10 @@ def _check(
         if np.mean(same) < _MIN_AGAIN:
             return None
     return agreement
+
+
+def _share(marked: NDArray[np.bool_], weight: NDArray[np.float64]) -> float:
+    return float(np.sum(weight * marked) / max(float(weight.sum()), 1e-300))
 
 
 def _cost_of_lags(

@@ -67,16 +67,16 @@ def find_leak(readings: NDArray[Any]) -> Leak | None:
     Notes
     -----
     Contacts only add to readings. Hence, while channel i - 1 is in contact, the lowest readings of
-    channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise it in both
-    directions alike, a leak in one: the signs of the differences are tested. They must also
+    channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise it in
+    both directions alike, a leak in one: the signs of the differences are tested. They must also
     exceed those of channels that are further apart in order. Where the order follows the skin, most
     lowest readings are due to contacts, and a leak is not found.
     """
     n_sensors = readings.shape[1]
-    last = some_sensors(n_sensors - max(_OTHER_OFFSETS)) + max(_OTHER_OFFSETS)
     excerpt = readings[middle_frames(len(readings), _MAX_EXCERPT)]
     if n_sensors <= max(_OTHER_OFFSETS) or not _visible(excerpt).any():
         return None
+    last = some_sensors(n_sensors - max(_OTHER_OFFSETS)) + max(_OTHER_OFFSETS)
     depths = _Depths(excerpt)
     for quantile in _QUANTILES:
         gains = depths.compare(last, 1, quantile)

@@ -32,10 +32,10 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
 
     Notes
     -----
-    Sensors are at rest most of the time, so contact skews readings to its own side. Sensors of
-    both signs are a finding only if correlations agree: the signs of the strongest correlations must
-    be negative between the two parts, and positive within them. If most readings are not skewed,
-    such as those of sensors that are often in contact, the parts are those that the signs of the
+    Sensors are at rest most of the time, so contact skews readings to its own side. Sensors of both
+    signs are a finding only if correlations agree: the signs of the strongest correlations must be
+    negative between the two parts, and positive within them. If most readings are not skewed, such
+    as those of sensors that are often in contact, the parts are those that the signs of the
     strongest correlations give, along a maximum spanning tree.
     """
     step = max(1, len(readings) // (4 * MAX_FRAMES))
@@ -45,7 +45,7 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
         return np.empty(0, dtype=np.intp)
     skewness = np.einsum("ti,ti,ti->i", values, values, values) / len(values)
     skewed = np.abs(skewness) >= _MIN_SKEWNESS
-    correlation = values.T @ values / len(values)
+    correlation: NDArray[np.float32] = values.T @ values / np.float32(len(values))
     np.fill_diagonal(correlation, 0)
     skewed_apart = bool(np.mean(skewed[varying]) >= _MIN_SHARE)
     if skewed_apart:

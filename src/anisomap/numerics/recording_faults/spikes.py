@@ -52,9 +52,9 @@ def find_spikes(readings: NDArray[Any]) -> tuple[Spikes, ...]:
 
     Notes
     -----
-    A contact rises and falls over several frames or is highest in the middle; a spike of a board lasts one
-    frame and is equally high in all of its sensors. Sensors are grouped by the correlation of their
-    jumps, the excess of a reading over both readings beside it.
+    A contact rises and falls over several frames or is highest in the middle; a spike of a board
+    lasts one frame and is equally high in all of its sensors. Sensors are grouped by the
+    correlation of their jumps, the excess of a reading over both readings beside it.
     """
     n_frames, n_sensors = readings.shape
     if n_frames < 100 or n_sensors < _MIN_GROUP:

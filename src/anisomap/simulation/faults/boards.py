@@ -1,7 +1,7 @@
 """Faults of read-out electronics that serve several sensors: boards, multiplexers, supplies.
 
-All functions take a recording, sensors and ``rng``, like the faults of single sensors. Levels are in
-units of the median standard deviation of the chosen sensors.
+All functions take a recording, sensors and ``rng``, like the faults of single sensors. Levels are
+in units of the median standard deviation of the chosen sensors.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def lagging(
         delay = frames * number if board else frames
         if delay:
             source = np.maximum(np.arange(recording.n_frames) - delay, 0)
-            readings[:, members] = recording.readings[np.ix_(source, members)]
+            readings[:, members] = recording.readings[source][:, members]
             delayed += members
     return _logged(recording, readings, "lagging", delayed)
 
