@@ -178,6 +178,17 @@ def _skin_events(path: Path) -> None:
     path.write_text(_lines(contacts))
 
 
+def _contacts_as_json(path: Path) -> None:
+    objects = _lines(
+        lambda i, v: json.dumps(
+            {"time": i / 10, "taxels": np.flatnonzero(v).tolist(), "by": "hand"}
+        )
+    )
+    path.write_text(
+        objects if path.suffix == ".jsonl" else json.dumps([*map(json.loads, objects.splitlines())])
+    )
+
+
 def _archived_contacts(path: Path) -> None:
     frames, sensors = np.nonzero(_readings())
     with path.open("wb") as stream:
@@ -188,14 +199,14 @@ def _spike_trains(path: Path) -> None:
     """The layout of the retinal wave repository: one vector of times, and counts per unit."""
     h5py = pytest.importorskip("h5py")
     counts = np.round(10 * _readings()).astype(int)
-    trains = [np.repeat(np.arange(N_FRAMES), counts[:, k]) / 50 for k in range(N_SENSORS)]
+    trains = [np.repeat(np.arange(N_FRAMES), counts[:, k]) for k in range(N_SENSORS)]
     with h5py.File(path, "w") as file:
-        file["spikes"] = np.concatenate(trains) + 0.01
+        file["spikes"] = np.concatenate(trains) + 0.5
         file["sCount"] = [float(len(train)) for train in trains]
         file["epos"] = np.array([np.arange(N_SENSORS), np.zeros(N_SENSORS)])
         file["names"] = np.array([f"ch_{k}a" for k in range(N_SENSORS)], dtype="S")
-        file["recordingtime"] = [0.0, N_FRAMES / 50]
-        file["summary/frate"] = counts.sum(axis=0) / (N_FRAMES / 50)
+        file["recordingtime"] = [0.0, float(N_FRAMES)]
+        file["summary/frate"] = counts.mean(axis=0)
 
 
 def _contact_structs(path: Path) -> None:
@@ -265,6 +276,8 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "contacts.csv": ("contacts", _contacts),
     "events.log": ("yarp", _skin_events),
     "events.npz": ("npz", _archived_contacts),
+    "contacts.json": ("contacts-json", _contacts_as_json),
+    "contacts.jsonl": ("contacts-json", _contacts_as_json),
     "spikes.h5": ("hdf5", _spike_trains),
     "touch.mat": ("mat", _contact_structs),
     "hand.txt": ("cyskin", _cyskin),
@@ -278,6 +291,8 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
 }
 EVENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "contacts.csv": lambda values: values > 0,
+    "contacts.json": lambda values: values > 0,
+    "contacts.jsonl": lambda values: values > 0,
     "events.log": lambda values: values > 0,
     "events.npz": lambda values: (values > 0)[(values > 0).any(axis=1)],
     "spikes.h5": lambda values: np.round(10 * values),
@@ -301,7 +316,11 @@ FOREIGN_MAPS = {"handle.json": _calibration}
 """Examples of maps that anisomap does not write."""
 
 
-@pytest.fixture(params=RECORDINGS)
+_TOLD = {"spikes.h5": pytest.mark.filterwarnings("ignore:.*in bins of 1 s, the default width")}
+_EXAMPLES = [pytest.param(name, marks=_TOLD.get(name, ())) for name in RECORDINGS]
+
+
+@pytest.fixture(params=_EXAMPLES)
 def recording_file(request: pytest.FixtureRequest, tmp_path: Path, recording: Recording) -> Path:
     path = tmp_path / request.param
     make = RECORDINGS[request.param][1]
@@ -310,13 +329,6 @@ def recording_file(request: pytest.FixtureRequest, tmp_path: Path, recording: Re
     else:
         io.write(recording, path)
     return path
-
-
-@pytest.fixture
-def read_example(recording_file: Path) -> Callable[[Path], Recording]:
-    """Read an example, also under another name, with the options that its content needs."""
-    bin_s = 0.02 if recording_file.name == "spikes.h5" else None
-    return lambda path: io.read(path, options=io.ReadOptions(bin_s=bin_s))
 
 
 @pytest.fixture

@@ -441,11 +441,50 @@ class TestMatlab:
         path = saved(readings=np.eye(4), notes=self.cells([np.array([[1.0, 2.0]])]))
         assert io.read(path).n_sensors == 4
 
-    def test_cells_that_unpack_too_far_are_refused(self, saved) -> None:
-        path = saved(big=self.cells([np.zeros((1, 40_000_000))]))
+    def test_cells_that_unpack_too_far_are_refused(self, saved, monkeypatch) -> None:
+        monkeypatch.setattr("anisomap.budget.FREE_BYTES", 1 << 20)
+        path = saved(big=self.cells([np.zeros((1, 4_000_000))]))
         assert path.stat().st_size < 1 << 20
         with pytest.raises(FileError, match=r"touch\.mat: its variables expands to"):
             io.read(path)
+
+
+class TestJson:
+    """Contacts as a list of objects, or one object per line."""
+
+    @pytest.mark.parametrize("listed", [True, False])
+    def test_ids_names_and_values(self, put: Put, listed: bool) -> None:
+        rows = [
+            '{"t_ms": 500, "sensor": "palm", "pressure": 2.5}',
+            '{"t_ms": 250, "sensor": "thumb", "pressure": 1, "where": [1, 2]}',
+            '{"t_ms": 500, "sensor": "thumb", "pressure": 4}',
+        ]
+        text = f"[{', '.join(rows)}]" if listed else "\n".join(rows) + "\n"
+        found = io.read(put("x.json", text))
+        assert found.names == ("palm", "thumb")
+        np.testing.assert_array_equal(found.readings, [[0, 1], [2.5, 4]])
+        np.testing.assert_array_equal(found.times, [0, 0.25])
+
+    @pytest.mark.parametrize(
+        ("row", "message"),
+        [
+            ('{"time": 1, "ids": [1.5]}', "'1.5' must be the id of a sensor"),
+            ('{"time": 1, "ids": [true]}', "'True' must be the id of a sensor"),
+            ('{"time": "late", "ids": [1]}', "time must be a number, got 'late'"),
+            ('{"time": 1}', "must be an object with a time and sensors"),
+            ("3", "must be an object with a time and sensors"),
+            ('{"time": 1, "ids": [1}', "not valid JSON"),
+        ],
+    )
+    def test_damaged_objects(self, put: Put, row: str, message: str) -> None:
+        good = '{"time": 0, "ids": [1, 2]}'
+        for text in (f"{good}\n{row}\n{good}\n", f"[{good}, {row}, {good}]"):
+            with pytest.raises(FileError, match=rf"x\.json, (contact 1|line [12]).*{message}"):
+                io.read(put("x.json", text))
+
+    def test_a_map_is_not_a_list_of_contacts(self, put: Put) -> None:
+        text = '{"time": 3, "units": "mm",\n "sensors": [{"position": [1, 2]}]}'
+        assert io.read_map(put("x.json", text)).n_sensors == 1
 
 
 class TestArchives:

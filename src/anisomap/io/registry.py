@@ -12,7 +12,7 @@ from anisomap.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.errors import FileError, InputError
 from anisomap.io import npz
 from anisomap.io.choice import Content
-from anisomap.io.events import contact_text
+from anisomap.io.events import contact_json, contact_text
 from anisomap.io.format import Format
 from anisomap.io.maps import (
     csv,
@@ -66,6 +66,8 @@ FORMATS = (
     Format("npy", (".npy",), "NumPy array, frames x sensors", npy.recognises, npy.open_recording),
     Format("cyskin-calibration", (), "CySkin calibration (JSON)", cyskin_calibration.recognises,
            read_map=cyskin_calibration.read_map),
+    Format("contacts-json", (".jsonl",), "list of contacts or spikes (JSON)",
+           contact_json.recognises, contact_json.open_recording),
     Format("json", (".json",), "JSON", json.recognises,
            read_map=json.read_map, write_map=json.write_map),
     Format("ply", (".ply",), "PLY point cloud (ASCII)", ply.recognises,

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap.errors import AnisomapWarning, FileError
+from anisomap.io.events.event_columns import find_columns, noun_of
 from anisomap.io.events.event_frames import Events, name_sensors, stream_events
 from anisomap.io.parsing import delimited
 from anisomap.io.parsing.columns import is_time, units_per_second
@@ -27,16 +28,6 @@ from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote
 from anisomap.io.parsing.table import LineError, Lines, is_number, is_skipped, parse_number
 from anisomap.io.stream import ReadOptions, Stream
 
-_NOUNS = {
-    **dict.fromkeys(("id", "ids", "taxel", "taxels", "contact", "contacts", "active"), "taxel"),
-    **dict.fromkeys(("sensor", "sensors"), "sensor"),
-    **dict.fromkeys(("channel", "channels"), "channel"),
-    **dict.fromkeys(("electrode", "electrodes"), "electrode"),
-    **dict.fromkeys(("unit", "units"), "unit"),
-    **dict.fromkeys(("neuron", "neurons"), "neuron"),
-}
-_MOMENTS = {"event", "events", "touch", "frame", "sample", "index", "no", "number"}
-_VALUES = {"value", "values", "pressure", "force", "amplitude", "reading", "weight"}
 _IN_LIST = re.compile(r"[^\s,;|]+")
 _BRACKETS = str.maketrans("[](){}", "      ")
 _DELIMITERS = (";", "\t", ",", None)
@@ -63,8 +54,7 @@ class _Layout:
     @property
     def noun(self) -> str:
         """What a number of a sensor is preceded with in its name."""
-        words = _words(self.header[self.sensor]) if self.header else []
-        return next((_NOUNS[word] for word in words if word in _NOUNS), "taxel")
+        return noun_of(self.header[self.sensor]) if self.header else "taxel"
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -135,27 +125,15 @@ def _column(path: Path, text: str, header: Sequence[str], width: int) -> int:
     raise FileError(f"{path} has no column {quote(text)}; it has {width} columns{names}")
 
 
-def _words(name: str) -> list[str]:
-    return re.findall(r"[^\W\d_]+", name.lower())
-
-
 def _find_layout(lines: Sequence[str]) -> _Layout | None:
     """Return the layout that the header gives, if it names a moment, sensors and perhaps values."""
     for delimiter in _DELIMITERS:
         first = next((fields for _, fields in delimited.records(lines, delimiter)), [])
         header = tuple(field.strip() for field in first)
-        words = [_words(name) for name in header]
-        moments = [
-            i
-            for i, name in enumerate(header)
-            if is_time(name, i) or (words[i] and _MOMENTS.issuperset(words[i]))
-        ]
-        sensors = [i for i, each in enumerate(words) if each and _is_sensor(each)]
-        values = [i for i, each in enumerate(words) if each and _VALUES.issuperset(each)]
-        sizes = (len(moments), len(sensors), len(header) - len(values))
-        if sizes == (1, 1, 2) and len(values) < 2 and moments != sensors:
-            ragged = sensors[0] == len(header) - 1
-            return _Layout(delimiter, header, moments[0], sensors[0], (values or [-1])[0], ragged)
+        columns = find_columns(header)
+        if columns and len(header) == 2 + (columns.value >= 0):
+            ragged = columns.sensor == len(header) - 1
+            return _Layout(delimiter, header, columns.moment, columns.sensor, columns.value, ragged)
     return None
 
 
@@ -181,12 +159,6 @@ def _find_bare_layout(lines: Sequence[str]) -> _Layout | None:
         if at == sorted(at) and different and whole and len(set(map(len, ids))) >= _MIN_LENGTHS:
             return _Layout(delimiter, (), 0, 1, ragged=True)
     return None
-
-
-def _is_sensor(words: Sequence[str]) -> bool:
-    return all(word in _NOUNS or word in ("index", "activated") for word in words) and any(
-        word in _NOUNS for word in words
-    )
 
 
 def _is_row(layout: _Layout, fields: Sequence[str]) -> bool:
