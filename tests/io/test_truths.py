@@ -193,7 +193,7 @@ def test_vertices_need_not_come_first(put: Put) -> None:
         (
             "format ascii",
             "format binary_little_endian",
-            "line 2: the PLY format must be ascii, got bin",
+            "line 2: the PLY format must be ascii, got 'bin",
         ),
         ("end_header\n", "", "is not valid in a PLY header"),
         ("0 0 0 255\n1.5 0 0 128\n0 2.5 1e-3 0\n3 0 1 2\n", "", "0 of 3 vertices"),
