@@ -1,5 +1,6 @@
 """Damaged files give a result or a one-line FileError, and nothing else."""
 
+import os
 import tracemalloc
 import zipfile
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 
 from anisomap import io
 from anisomap.errors import AnisomapError
@@ -129,3 +131,34 @@ def test_a_truncated_log_loses_only_the_truncated_line(tmp_path: Path, tolerantl
 def test_pathological_text(put, tolerantly, name: str, whole: str) -> None:
     for reader in (io.read, io.read_map):
         assert not survives(reader, put(name, whole), tolerantly)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="another process may end")
+@pytest.mark.parametrize("compressed", [False, True])
+def test_no_byte_of_a_matlab_file_ends_the_process(tmp_path, tolerantly, compressed: bool) -> None:
+    """scipy looks up the types of numbers without a check."""
+    path = tmp_path / "skin.mat"
+    rng = np.random.default_rng(5)
+    parts = np.empty(2, dtype=object)
+    parts[:] = [rng.random((2, 2)), "text"]
+    values = {
+        "readings": rng.random((4, 3)),
+        "z": rng.random((2, 2)) + 1j,
+        "sparse": scipy.sparse.eye(3).tocsc(),
+        "cells": parts,
+        "fields": {"taxels": rng.random((3, 2)), "inner": {"a": 1.0}},
+    }
+    scipy.io.savemat(path, values, do_compression=compressed)
+    whole = path.read_bytes()
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            for position in range(128, len(whole)):
+                for value in (0, 14, 200):
+                    path.write_bytes(whole[:position] + bytes([value]) + whole[position + 1 :])
+                    survives(io.read, path, tolerantly)
+            code = 0
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io.choice import Content, choose
 from anisomap.io.events import contact_text, spike_tables
 from anisomap.io.parsing import comments, delimited
@@ -47,6 +47,7 @@ TITLE = "anisomap recording"
 MAP_TITLE = "anisomap map"
 """First words of files written by anisomap, after ``#``."""
 
+_MAX_NAME_LINES = 500  # of the lines from which the layout of a table is detected
 _TIME_COLUMN = "time_s"
 _DELIMITERS = {"separated by commas": ",", "separated by tabs": "\t"}
 _IN_FIRST_COLUMN, _NO_TIMES = "first column, seconds", "none"
@@ -131,6 +132,8 @@ def write_recording(recording: Recording, path: Path) -> None:
     equal. Positions are not written, with a warning. Suffix ``.tsv`` selects tabs, others commas.
     """
     delimiter = "\t" if path.suffix.lower() == ".tsv" else ","
+    if sum(name.count("\n") for name in recording.names) > _MAX_NAME_LINES:
+        raise InputError("the names have too many line ends for a header of text; use .npz")
     if recording.positions is not None:
         warnings.warn(
             f"{path.suffix} cannot store positions, so those of the recording are not written; "

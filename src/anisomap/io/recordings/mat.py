@@ -18,10 +18,13 @@ import scipy
 from numpy.typing import NDArray
 
 from anisomap.budget import Budget, bytes_kept
+from anisomap.errors import FileError
 from anisomap.files import open_regular
 from anisomap.io.choice import Content, choose
 from anisomap.io.events.matlab_lists import Lists, find_lists, stream_lists_of
 from anisomap.io.parsing.libraries import library_errors
+from anisomap.io.parsing.mat_elements import check_sizes, check_variable
+from anisomap.io.parsing.source import quote
 from anisomap.io.recordings.datasets import Dataset, contents_of, stream_of
 from anisomap.io.recordings.hdf5 import open_datasets
 from anisomap.io.stream import ReadOptions, Stream
@@ -93,6 +96,7 @@ def _lists(path: Path) -> list[Lists]:
     with open_regular(path) as stream:
         if not stream.read(len(_MAGIC)).startswith(_MAGIC):
             return []
+    check_sizes(path, Budget(path))
     with library_errors(path), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         names = [name for name, _, kind in scipy.io.whosmat(path) if kind in ("cell", "struct")]
@@ -124,10 +128,11 @@ def _check_unpacked(path: Path) -> None:
 
 
 def _variables(path: Path) -> list[Dataset]:
+    found, budget = [], Budget(path)
+    check_sizes(path, budget)
     with library_errors(path), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         listed = scipy.io.whosmat(path)
-    found, budget = [], Budget(path)
     for name, shape, kind in listed:
         dtype = np.dtype(_TYPES.get(kind, "V"))
         size = math.prod(shape) * dtype.itemsize
@@ -140,9 +145,12 @@ def _variables(path: Path) -> list[Dataset]:
 def _reader(path: Path, name: str) -> Any:
     @functools.cache
     def loaded() -> NDArray[Any]:
+        check_variable(path, name)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = scipy.io.loadmat(path, variable_names=[name])
-        return np.asarray(found[name])
+            found = np.asarray(scipy.io.loadmat(path, variable_names=[name])[name])
+        if np.iscomplexobj(found):  # which the listing does not tell
+            raise FileError(f"{path}: variable {quote(name)} is complex; readings are real")
+        return found
 
     return lambda start, stop: loaded()[start:stop]
