@@ -1,0 +1,159 @@
+"""Agreement of sensors with those around a place, and what it gains by chance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
+
+from anisomap.numerics.layout.evidence import REACH, Evidence, Move
+from anisomap.numerics.precision import Reals
+
+_WIDTH = 1.3  # spacings, of the Gaussian weights of neighbours; chosen by hand
+_MIN_WEIGHT = 0.3  # of all neighbours: about one sensor at 2 spacings; chosen by hand
+
+
+@dataclass(frozen=True, eq=False)
+class Chance:
+    """What shifted readings gain by the free choice of a place.
+
+    Attributes
+    ----------
+    shifted : ndarray of shape (s, n, n)
+        Similarities of each sensor, the row, to the others, after s circular shifts.
+    gains : ndarray of shape (s, n)
+        Largest agreement of a shifted sensor at any place, less that at its stated place.
+    """
+
+    shifted: Reals
+    gains: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, shifted: Reals, evidence: Evidence) -> Chance:
+        """Compute the gains of shifted sensors on a layout."""
+        weights: Any = _neighbour_weights(evidence)
+        return cls(shifted, np.stack([_free_gains(one, weights, evidence) for one in shifted]))
+
+    def of_sensors(self, sensors: NDArray[np.intp]) -> float:
+        """Return the largest mean gain of some sensors that each choose any place."""
+        tested = self.gains[:, sensors]
+        known = np.isfinite(tested)
+        if not known.any():
+            return 0.0
+        means = np.where(known, tested, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+        return float(means.max())
+
+    def of_moves(self, evidence: Evidence, moves: Iterable[Move]) -> float:
+        """Return the largest gain of alternative moves of the same sensors."""
+        alternatives = list(moves)
+        return max(
+            agreement_gain(evidence.with_similarity(one), move)
+            for one in self.shifted
+            for move in alternatives
+        )
+
+
+def agreement(
+    evidence: Evidence, sensors: NDArray[np.intp], places: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the mean similarity of sensors to those around places, which did not move with them.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    sensors : ndarray of int, shape (m,)
+    places : ndarray of shape (m, k)
+
+    Returns
+    -------
+    ndarray of shape (m,)
+        Weighted mean over usable sensors within 2.6 spacings that are not in `sensors`; NaN if
+        there are none.
+    """
+    sums, weights = _weighted_sums(evidence, sensors, places)
+    enough = weights > _MIN_WEIGHT
+    return np.divide(sums, weights, out=np.full(len(sensors), np.nan), where=enough)
+
+
+def agreement_gain(evidence: Evidence, move: Move) -> float:
+    """Return the increase of the mean `agreement` of sensors by a move.
+
+    It is 0 if no place has neighbours after the move; without neighbours before it, agreement is
+    0 before.
+    """
+    here = evidence.positions[move.sensors]
+    before, after = (
+        _weighted_sums(evidence, move.sensors, places) for places in (here, move.places)
+    )
+    if after[1].sum() <= _MIN_WEIGHT:
+        return 0.0
+    stated = before[0].sum() / before[1].sum() if before[1].sum() > _MIN_WEIGHT else 0.0
+    return float(after[0].sum() / after[1].sum() - stated)
+
+
+def own_agreement(evidence: Evidence) -> NDArray[np.float64]:
+    """Return the `agreement` of each sensor alone at its position, shape (n,)."""
+    weights: Any = _neighbour_weights(evidence)
+    sums = weights.multiply(np.asarray(evidence.similarity, dtype=np.float64)).sum(axis=1)
+    total = np.asarray(weights.sum(axis=1))
+    return np.divide(
+        np.asarray(sums), total, out=np.full(len(total), np.nan), where=total > _MIN_WEIGHT
+    )
+
+
+def _weighted_sums(
+    evidence: Evidence, sensors: NDArray[np.intp], places: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    others = evidence.usable.copy()
+    others[sensors] = False
+    weights = _weights(cdist(places, evidence.positions[others]) / evidence.falloff.spacing)
+    weights *= evidence.usable[sensors][:, None]
+    similarity = evidence.similarity[sensors][:, others]
+    return (weights * similarity).sum(axis=1), weights.sum(axis=1)
+
+
+def _weights(distances: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.where(distances <= REACH, np.exp(-((distances / _WIDTH) ** 2) / 2), 0.0)
+
+
+def _neighbour_weights(evidence: Evidence) -> Any:
+    """Return the weights of the usable sensors around each position, without its own sensor."""
+    n_sensors = len(evidence.positions)
+    usable = np.flatnonzero(evidence.usable)
+    pairs = KDTree(evidence.positions[usable]).query_ball_point(
+        evidence.positions, evidence.reach
+    )
+    rows = np.repeat(np.arange(n_sensors), [len(found) for found in pairs])
+    columns = usable[np.concatenate([np.asarray(found, dtype=np.intp) for found in pairs])]
+    other = rows != columns
+    rows, columns = rows[other], columns[other]
+    offsets = evidence.positions[rows] - evidence.positions[columns]
+    weights = _weights(np.linalg.norm(offsets, axis=1) / evidence.falloff.spacing)
+    return csr_array((weights, (rows, columns)), shape=(n_sensors, n_sensors))
+
+
+def _free_gains(shifted: Reals, weights: Any, evidence: Evidence) -> NDArray[np.float64]:
+    """Return the gain of each sensor by the free choice of a place, shape (n,)."""
+    others = np.array(shifted, dtype=np.float64)
+    np.fill_diagonal(others, 0.0)
+    sums = np.asarray(weights @ others.T).T
+    # A sensor is not among its own neighbours at any place.
+    total = np.asarray(weights.sum(axis=1))[None, :] - weights.T.toarray()
+    mean = np.divide(sums, total, out=np.full(sums.shape, np.nan), where=total > _MIN_WEIGHT)
+    best = np.where(np.isnan(mean), -np.inf, mean).max(axis=1)
+    known = evidence.usable & np.isfinite(best)
+    return np.where(known, best - np.nan_to_num(np.diag(mean)), np.nan)
+
+
+def symmetric_moves(
+    evidence: Evidence, sensors: NDArray[np.intp], images: Sequence[tuple[bool, NDArray[np.intp]]]
+) -> list[Move]:
+    """Return the moves of a module onto its own places, one for each symmetry."""
+    places = evidence.positions[sensors]
+    return [Move(sensors, places[order]) for _, order in images]

@@ -1,0 +1,256 @@
+"""Proposals that sensors change places: swaps, turned and exchanged modules, shifted cables.
+
+Each function takes the evidence and returns the proposals that it finds best, whatever their gain,
+so that their gains on shifted readings give the null distribution. To add a kind of fault, add one
+function here and one line to `PROPOSERS`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
+
+from anisomap.numerics.layout.congruence import congruent, symmetries
+from anisomap.numerics.layout.evidence import Evidence, Move, Proposal
+
+_N_SLOTS = 6  # modules whose place another module may have; chosen by hand
+_MIN_VOTES = 0.8  # for the place of another module, relative to its own; chosen by hand
+_N_OUTSIDE = 3  # most similar sensors of other modules that vote for a place; chosen by hand
+_STEPS = (1, -1, 2, -2)  # channels by which a cable may be shifted
+_MIN_RUN = 4  # consecutive channels; fewer are swaps and cycles
+_MIN_SUSPECT_GAIN = 15.0  # nats by which a sensor must fit another place better; as `MIN_GAIN`
+_MAX_SUSPECTS = 200  # sensors that may be in cycles, the worst first
+_N_RUNS = 5  # runs of each step that are evaluated exactly; chosen by hand
+
+
+@dataclass(frozen=True, eq=False)
+class Modules:
+    """Groups of sensors that were mounted together.
+
+    Attributes
+    ----------
+    members : tuple of ndarray of int
+        Sensors of each module, in increasing order.
+    symmetries : tuple of list of (bool, ndarray of int)
+        Of each module: see `anisomap.numerics.layout.congruence.symmetries`.
+    alike : ndarray of bool, shape (M, M)
+        Modules of the same shape, which can be exchanged sensor by sensor.
+    """
+
+    members: tuple[NDArray[np.intp], ...]
+    symmetries: tuple[list[tuple[bool, NDArray[np.intp]]], ...]
+    alike: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, labels: NDArray[np.intp], positions: NDArray[np.float64]) -> Modules:
+        """Describe modules given by labels, shape (n,), with -1 for sensors without a module."""
+        members = tuple(
+            np.flatnonzero(labels == label) for label in np.unique(labels[labels >= 0])
+        )
+        shapes = [positions[inside] for inside in members]
+        alike = np.array(
+            [[congruent(one, other) for other in shapes] for one in shapes], dtype=bool
+        ).reshape(len(members), len(members))
+        return cls(members, tuple(symmetries(shape) for shape in shapes), alike & alike.T)
+
+
+def swaps(evidence: Evidence, modules: Modules) -> list[Proposal]:
+    """Propose the best exchange of each sensor with one other."""
+    fits = _Fits(evidence)
+    proposals = []
+    for i in np.flatnonzero(evidence.usable).tolist():
+        partners = fits.places_near(i)
+        if partners.size:
+            gains = fits.gains(i, partners) + fits.gains_at(i, partners)
+            best = int(gains.argmax())
+            pair = np.array([i, partners[best]])
+            places = evidence.positions[pair[::-1]]
+            proposals.append(Proposal(float(gains[best]), Move(pair, places)))
+    return proposals
+
+
+def cycles(evidence: Evidence, modules: Modules) -> list[Proposal]:
+    """Propose cycles of sensors that each have the place of the next.
+
+    Sensors that fit another place better than their own are assigned to each other's places.
+    """
+    fits = _Fits(evidence)
+    best = np.full(len(evidence.positions), -np.inf)
+    for i in np.flatnonzero(evidence.usable).tolist():
+        places = fits.places_near(i)
+        if places.size:
+            best[i] = fits.gains(i, places).max()
+    suspects = np.argsort(-best, kind="stable")[:_MAX_SUSPECTS]
+    suspects = np.sort(suspects[best[suspects] >= _MIN_SUSPECT_GAIN])
+    if not suspects.size:
+        return []
+    gains = np.stack([fits.gains(i, suspects) for i in suspects.tolist()])
+    np.fill_diagonal(gains, 0.0)
+    assigned = linear_sum_assignment(-gains)[1]
+    proposals = []
+    left = set(range(len(suspects)))
+    while left:
+        cycle = [left.pop()]
+        while (following := int(assigned[cycle[-1]])) != cycle[0]:
+            cycle.append(following)
+            left.discard(following)
+        if len(cycle) > 1:
+            sensors = suspects[cycle]
+            move = Move(sensors, evidence.positions[np.roll(sensors, -1)])
+            proposals.append(Proposal(evidence.gain(move), move))
+    return proposals
+
+
+def turns(evidence: Evidence, modules: Modules) -> list[Proposal]:
+    """Propose the best rotation or reflection of each module on its own places."""
+    proposals = []
+    for members, images in zip(modules.members, modules.symmetries, strict=True):
+        places = evidence.positions[members]
+        moves = [Move(members, places[order]) for _, order in images]
+        if moves:
+            proposals.append(_best(evidence, moves))
+    return proposals
+
+
+def exchanges(evidence: Evidence, modules: Modules) -> list[Proposal]:
+    """Propose the best exchange of each module with another of its shape, in any orientation."""
+    label = np.full(len(evidence.positions), -1)
+    for k, members in enumerate(modules.members):
+        label[members] = k
+    nearby = KDTree(evidence.positions)
+    proposals = []
+    for k, members in enumerate(modules.members):
+        votes: Counter[int] = Counter()
+        for i in members[evidence.usable[members]].tolist():
+            row = np.where(evidence.usable & (label != k), evidence.similarity[i], -np.inf)
+            for j in np.argsort(-row, kind="stable")[:_N_OUTSIDE].tolist():
+                around = nearby.query_ball_point(evidence.positions[j], evidence.reach)
+                votes.update(set(label[around].tolist()))
+        slots = [
+            m
+            for m, count in votes.most_common()
+            if m not in (-1, k) and modules.alike[k, m] and count >= _MIN_VOTES * votes[k]
+        ]
+        found = [_exchange(evidence, modules, k, m) for m in slots[:_N_SLOTS]]
+        if found:
+            proposals.append(max(found, key=lambda proposal: proposal.gain))
+    return proposals
+
+
+def cable_shifts(evidence: Evidence, modules: Modules) -> list[Proposal]:
+    """Propose the best run of consecutive sensors that have each other's places, shifted.
+
+    The gain of every run is the sum of its gains by pair, from two-dimensional cumulative sums.
+    """
+    n_sensors = len(evidence.positions)
+    everyone = np.arange(n_sensors)
+    proposals = []
+    for step in _STEPS:
+        if n_sensors < _MIN_RUN + abs(step):
+            continue
+        places = np.roll(evidence.positions, -step, axis=0)
+        outside = evidence.likelihood_at(everyone, places) - evidence.likelihood
+        inside = evidence.moved(Move(everyone, places)).likelihood - evidence.likelihood
+        # Of the run a to b: gains to all sensors, less those inside, which move, too.
+        single = np.concatenate([[0.0], outside.sum(axis=1).cumsum()])
+        within = np.zeros((n_sensors + 1, n_sensors + 1))
+        within[1:, 1:] = (inside / 2 - outside).cumsum(axis=0).cumsum(axis=1)
+        start, stop = np.triu_indices(n_sensors + 1, _MIN_RUN)
+        gains = single[stop] - single[start]
+        gains += within[stop, stop] - within[start, stop] - within[stop, start]
+        gains += within[start, start]
+        best = np.argsort(-gains, kind="stable")[:_N_RUNS]
+        moves = [_closed_run(evidence, int(start[k]), int(stop[k]), step) for k in best]
+        proposals.append(_best(evidence, [move for move in moves if move is not None]))
+    return proposals
+
+
+PROPOSERS: Mapping[str, Callable[[Evidence, Modules], list[Proposal]]] = MappingProxyType(
+    {
+        "exchanges": exchanges,
+        "turns": turns,
+        "cable shifts": cable_shifts,
+        "cycles": cycles,
+        "swaps": swaps,
+    }
+)
+"""All functions that propose permutations of places."""
+
+
+class _Fits:
+    """Log-likelihoods of single sensors at the places of others."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self._evidence = evidence
+        self._distances = cdist(evidence.positions, evidence.positions)
+        self._total = evidence.likelihood.sum(axis=1)
+
+    def places_near(self, sensor: int) -> NDArray[np.intp]:
+        """Return the usable sensors whose places are near those most similar to a sensor."""
+        evidence = self._evidence
+        near = (self._distances[evidence.similar(sensor)] <= evidence.reach).any(axis=0)
+        return np.flatnonzero(near & evidence.usable & (self._distances[sensor] > 0))
+
+    def gains(self, sensor: int, others: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return the gains of a sensor at the places of others, which are left out."""
+        evidence = self._evidence
+        after = evidence.falloff.log_likelihood(
+            evidence.similarity[sensor], evidence.bins[others]
+        )
+        known = np.repeat(evidence.known[sensor][None], len(others), axis=0)
+        known[np.arange(len(others)), others] = False
+        before = self._total[sensor] - evidence.likelihood[sensor, others]
+        return np.asarray(np.where(known, after, 0.0).sum(axis=1) - before)
+
+    def gains_at(self, sensor: int, others: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return the gains of others at the place of a sensor, which is left out."""
+        evidence = self._evidence
+        after = evidence.falloff.log_likelihood(
+            evidence.similarity[others], evidence.bins[sensor]
+        )
+        known = evidence.known[others]
+        known[:, sensor] = False
+        before = self._total[others] - evidence.likelihood[others, sensor]
+        return np.asarray(np.where(known, after, 0.0).sum(axis=1) - before)
+
+
+def _best(evidence: Evidence, moves: Sequence[Move]) -> Proposal:
+    return max(
+        (Proposal(evidence.gain(move), move) for move in moves), key=lambda proposal: proposal.gain
+    )
+
+
+def _exchange(evidence: Evidence, modules: Modules, first: int, second: int) -> Proposal:
+    """Exchange two modules: each in the orientation that is best given the others, together."""
+    one, two = modules.members[first], modules.members[second]
+    outside = np.ones(len(evidence.positions), dtype=bool)
+    outside[one] = outside[two] = False
+    chosen = []
+    for sensors, slot, images in (
+        (one, two, modules.symmetries[second]),
+        (two, one, modules.symmetries[first]),
+    ):
+        places = [evidence.positions[slot]]
+        places += [evidence.positions[slot][order] for _, order in images]
+        fits = [evidence.likelihood_at(sensors, at)[:, outside].sum() for at in places]
+        chosen.append(places[int(np.argmax(fits))])
+    move = Move(np.concatenate([one, two]), np.concatenate(chosen))
+    return Proposal(evidence.gain(move), move)
+
+
+def _closed_run(evidence: Evidence, start: int, stop: int, step: int) -> Move | None:
+    """Shift the places of a run; sensors at its end take the places that are left over."""
+    if step > 0:
+        start, stop = start, min(stop + step, len(evidence.positions))
+    else:
+        start, stop = max(start + step, 0), stop
+    run = np.arange(start, stop)
+    return Move(run, np.roll(evidence.positions[run], -step, axis=0))

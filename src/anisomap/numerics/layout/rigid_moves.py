@@ -1,0 +1,220 @@
+"""Proposals that a patch of sensors belongs to another place, which no sensor may have yet."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+
+from anisomap.numerics.layout.evidence import Evidence, Move, Proposal
+from anisomap.numerics.layout.permutations import Modules
+
+_MIN_DISPLACEMENT = 3.0  # spacings: contacts of unequal reach pull patches by up to 2.5 spacings
+_MIN_GAP = 0.5  # spacings between sensors of a moved patch and others, which are not in its way
+_MAX_IN_THE_WAY = 0.2  # share of a patch that may come nearer: others may be wrong, too
+
+_MIN_PATCH = 3  # sensors, which have an orientation
+_MIN_RATIO = 2.0  # nats by which a link must favour its distance over a large one; by hand
+_STRETCHED = 3.5  # spacings; larger than the distance of second neighbours; chosen by hand
+_REACH_BIN = 3  # bin of 2.25 to 2.75 spacings: pairs that are more similar should be neighbours
+_VOTE_RADIUS = 1.5  # spacings within which votes for a translation agree; chosen by hand
+_MAX_MODES = 6  # translations that are tried
+_MAX_SWEEPS = 40
+_MIN_ROTATION_GAIN = 15.0  # nats, for a rotation beyond a translation; as the gain of a move
+_N_STARTS = 3  # best translations that are refined; chosen by hand
+_MAX_TRIED = 60  # sensors of a patch that propose translations
+_MAX_SHARE = 0.5  # of the sensors: a patch is smaller than what it is placed against
+_MAX_EVALUATIONS = 150  # per refinement; the simplex then moves by less than 0.05 spacings
+
+
+def patches(evidence: Evidence) -> list[NDArray[np.intp]]:
+    """Divide sensors into patches that neighbours with similar readings hold together.
+
+    Returns
+    -------
+    list of ndarray of int
+        The largest patch first. Sensors that are not usable are in none.
+    """
+    return _held_together(evidence, np.flatnonzero(evidence.usable))
+
+
+def is_possible(evidence: Evidence, move: Move) -> bool:
+    """Return whether a patch moves far enough, to where no other sensors are."""
+    spacing = evidence.falloff.spacing
+    distance = np.linalg.norm(move.places - evidence.positions[move.sensors], axis=1)
+    others = np.ones(len(evidence.positions), dtype=bool)
+    others[move.sensors] = False
+    nearest = KDTree(evidence.positions[others & evidence.usable]).query(move.places)[0]
+    in_the_way = float(np.mean(nearest < _MIN_GAP * spacing))
+    return bool(
+        np.median(distance) >= _MIN_DISPLACEMENT * spacing and in_the_way <= _MAX_IN_THE_WAY
+    )
+
+
+def _held_together(evidence: Evidence, sensors: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Divide sensors into groups connected by near pairs with similar readings."""
+    places = evidence.positions[sensors]
+    distances = cdist(places, places)
+    similarity = evidence.similarity[np.ix_(sensors, sensors)]
+    falloff = evidence.falloff
+    bins = falloff.bins(distances)
+    far = np.full_like(bins, len(falloff.level) - 1)
+    ratio = falloff.log_likelihood(similarity, bins) - falloff.log_likelihood(similarity, far)
+    near = (distances <= evidence.reach) & (ratio > _MIN_RATIO) & (similarity > 0)
+    label = connected_components(csr_array(near), directed=False)[1]
+    groups = [sensors[label == k] for k in range(int(label.max(initial=-1)) + 1)]
+    return sorted(groups, key=lambda group: (-len(group), int(group[0])))
+
+
+def patch_moves(evidence: Evidence, modules: Modules) -> list[Proposal]:
+    """Propose the best place of each patch of three and more sensors, moved as a whole."""
+    apart = [patch for patch in patches(evidence)[1:] if len(patch) >= _MIN_PATCH]
+    return _rigid_moves(evidence, apart) + _translated(evidence)
+
+
+def single_moves(evidence: Evidence, modules: Modules) -> list[Proposal]:
+    """Propose the best place of each sensor, or two, that agree with no neighbour."""
+    return _rigid_moves(evidence, [p for p in patches(evidence)[1:] if len(p) < _MIN_PATCH])
+
+
+def _rigid_moves(evidence: Evidence, groups: list[NDArray[np.intp]]) -> list[Proposal]:
+    largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
+    found = [_best_place(evidence, patch) for patch in groups if len(patch) <= largest]
+    return [proposal for proposal in found if proposal is not None]
+
+
+def _translated(evidence: Evidence) -> list[Proposal]:
+    """Propose patches that one translation brings near the sensors similar to them.
+
+    Pairs that are similar but far apart vote for the translation between them. For each of the
+    translations with most votes, sensors join or leave the patch as long as that raises the
+    log-likelihood: iterated conditional modes, Besag (1986), Journal of the Royal Statistical
+    Society B 48: 259-302.
+    """
+    voters, offsets = _stretched_pairs(evidence)
+    proposals = []
+    for offset in _modes(offsets, evidence.falloff.spacing):
+        close = np.linalg.norm(offsets - offset, axis=1) <= _VOTE_RADIUS * evidence.falloff.spacing
+        grown = _grown(evidence, offset, np.unique(voters[close]))
+        for patch in _held_together(evidence, grown):
+            if _MIN_PATCH <= len(patch) <= _MAX_SHARE * np.count_nonzero(evidence.usable):
+                proposals.append(_refined(evidence, patch, offset))
+    return proposals
+
+
+def _stretched_pairs(evidence: Evidence) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return sensors, and the vectors to similar ones that are not near them."""
+    voters: list[int] = []
+    vectors = [np.empty((0, evidence.positions.shape[1]))]
+    for i in np.flatnonzero(evidence.usable).tolist():
+        similar = evidence.similar(i)
+        vector = evidence.positions[similar] - evidence.positions[i]
+        far = np.linalg.norm(vector, axis=1) > _STRETCHED * evidence.falloff.spacing
+        far &= evidence.similarity[i, similar] > evidence.falloff.level[_REACH_BIN]
+        voters += [i] * int(np.count_nonzero(far))
+        vectors.append(vector[far])
+    return np.array(voters, dtype=np.intp), np.concatenate(vectors)
+
+
+def _modes(offsets: NDArray[np.float64], spacing: float) -> list[NDArray[np.float64]]:
+    """Return the means of the largest clusters of vectors."""
+    left, found = offsets, []
+    while len(found) < _MAX_MODES and len(left):
+        tree = KDTree(left)
+        near = tree.query_ball_point(left, _VOTE_RADIUS * spacing)
+        largest = max(near, key=len)
+        if len(largest) < _MIN_PATCH:
+            break
+        mode = left[largest].mean(axis=0)
+        found.append(mode)
+        left = left[np.linalg.norm(left - mode, axis=1) > 2 * _VOTE_RADIUS * spacing]
+    return found
+
+
+def _grown(
+    evidence: Evidence, offset: NDArray[np.float64], first: NDArray[np.intp]
+) -> NDArray[np.intp]:
+    """Grow or shrink a patch that is translated, until no sensor gains by joining or leaving."""
+    everyone = np.arange(len(evidence.positions))
+    # Pairs of which the first is translated, and the second is not.
+    apart = evidence.likelihood_at(everyone, evidence.positions + offset)
+    together = evidence.likelihood
+    inside = np.zeros(len(everyone), dtype=bool)
+    inside[first] = True
+    for _ in range(_MAX_SWEEPS):
+        joined = (together - apart.T)[:, inside].sum(axis=1)
+        joined += (apart - together)[:, ~inside].sum(axis=1)
+        flips = np.where(inside, -joined, joined)
+        wrong = np.flatnonzero((flips > 0) & evidence.usable)
+        if not wrong.size:
+            break
+        # Half of them at a time: neighbours that all flip at once would flip back.
+        worst = wrong[np.argsort(-flips[wrong], kind="stable")]
+        chosen = worst[: -(-len(worst) // 2)]
+        inside[chosen] = ~inside[chosen]
+    return np.flatnonzero(inside)
+
+
+def _best_place(evidence: Evidence, patch: NDArray[np.intp]) -> Proposal | None:
+    starts = []
+    inside = np.zeros(len(evidence.positions), dtype=bool)
+    inside[patch] = True
+    here = evidence.positions[patch]
+    for i in patch[:: -(-len(patch) // _MAX_TRIED)].tolist():
+        similar = evidence.similar(i)
+        outside = similar[~inside[similar]]
+        if not outside.size:
+            continue
+        offsets = list(evidence.positions[outside[:2]] - evidence.positions[i])
+        weights = np.maximum(evidence.similarity[i, outside], 1e-6)
+        middle = np.average(evidence.positions[outside], axis=0, weights=weights)
+        offsets.append(middle - evidence.positions[i])
+        starts += offsets
+    tried = [(evidence.gain(Move(patch, here + offset)), offset) for offset in starts]
+    tried.sort(key=lambda pair: -pair[0])
+    refined = [_refined(evidence, patch, offset) for _, offset in tried[:_N_STARTS]]
+    return max(refined, key=lambda proposal: proposal.gain) if refined else None
+
+
+def _refined(
+    evidence: Evidence, patch: NDArray[np.intp], offset: NDArray[np.float64]
+) -> Proposal:
+    """Refine a translation, and the rotation of three and more sensors, from a first guess."""
+    here = evidence.positions[patch]
+    spacing, dimensions = evidence.falloff.spacing, here.shape[1]
+    centre = here.mean(axis=0)
+    radius = max(float(np.linalg.norm(here - centre, axis=1).max()), spacing)
+    n_angles = 0 if len(patch) < _MIN_PATCH else 1 if dimensions == 2 else 3
+
+    def placed(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+        moved = here - centre
+        if len(parameters) > dimensions:
+            # A step of 1 in every parameter moves the outermost sensor by about a spacing.
+            angles = parameters[dimensions:] * spacing / radius
+            if dimensions == 2:
+                turn = Rotation.from_rotvec([0, 0, angles[0]]).as_matrix()[:2, :2]
+            else:
+                turn = Rotation.from_rotvec(angles).as_matrix()
+            moved = moved @ turn.T
+        return np.asarray(moved + centre + parameters[:dimensions] * spacing)
+
+    def fit(start: NDArray[np.float64]) -> Proposal:
+        simplex = np.vstack([start, start + np.eye(len(start))])
+        found = minimize(
+            lambda parameters: -evidence.gain(Move(patch, placed(parameters))),
+            start,
+            method="Nelder-Mead",
+            options={"initial_simplex": simplex, "xatol": 0.05, "maxfev": _MAX_EVALUATIONS},
+        )
+        return Proposal(-float(found.fun), Move(patch, placed(found.x)))
+
+    translated = fit(offset / spacing)
+    if not n_angles:
+        return translated
+    turned = fit(np.concatenate([offset / spacing, np.zeros(n_angles)]))
+    return turned if turned.gain > translated.gain + _MIN_ROTATION_GAIN else translated
