@@ -5,6 +5,7 @@ from . import evaluation as evaluation
 from . import health as health
 from . import io as io
 from . import large as large
+from . import layout as layout
 from . import methods as methods
 from . import numerics as numerics
 from . import placement as placement
@@ -27,6 +28,7 @@ from .health import summarise as summarise
 from .io import read as read
 from .io import read_map as read_map
 from .io import write as write
+from .layout import check_layout as check_layout
 from .methods import METHODS as METHODS
 from .methods import MethodOptions as MethodOptions
 from .reconstruction import reconstruct as reconstruct

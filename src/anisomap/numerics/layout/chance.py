@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,7 +78,8 @@ def agreement(
     """
     sums, weights = _weighted_sums(evidence, sensors, places)
     enough = weights > _MIN_WEIGHT
-    return np.divide(sums, weights, out=np.full(len(sensors), np.nan), where=enough)
+    unknown = np.full(len(sensors), np.nan)
+    return np.asarray(np.divide(sums, weights, out=unknown, where=enough))
 
 
 def agreement_gain(evidence: Evidence, move: Move) -> float:
@@ -102,9 +103,8 @@ def own_agreement(evidence: Evidence) -> NDArray[np.float64]:
     weights: Any = _neighbour_weights(evidence)
     sums = weights.multiply(np.asarray(evidence.similarity, dtype=np.float64)).sum(axis=1)
     total = np.asarray(weights.sum(axis=1))
-    return np.divide(
-        np.asarray(sums), total, out=np.full(len(total), np.nan), where=total > _MIN_WEIGHT
-    )
+    unknown = np.full(len(total), np.nan)
+    return np.asarray(np.divide(np.asarray(sums), total, out=unknown, where=total > _MIN_WEIGHT))
 
 
 def _weighted_sums(
@@ -126,7 +126,7 @@ def _neighbour_weights(evidence: Evidence) -> Any:
     """Return the weights of the usable sensors around each position, without its own sensor."""
     n_sensors = len(evidence.positions)
     usable = np.flatnonzero(evidence.usable)
-    pairs = KDTree(evidence.positions[usable]).query_ball_point(
+    pairs: Any = KDTree(evidence.positions[usable]).query_ball_point(
         evidence.positions, evidence.reach
     )
     rows = np.repeat(np.arange(n_sensors), [len(found) for found in pairs])
@@ -149,11 +149,3 @@ def _free_gains(shifted: Reals, weights: Any, evidence: Evidence) -> NDArray[np.
     best = np.where(np.isnan(mean), -np.inf, mean).max(axis=1)
     known = evidence.usable & np.isfinite(best)
     return np.where(known, best - np.nan_to_num(np.diag(mean)), np.nan)
-
-
-def symmetric_moves(
-    evidence: Evidence, sensors: NDArray[np.intp], images: Sequence[tuple[bool, NDArray[np.intp]]]
-) -> list[Move]:
-    """Return the moves of a module onto its own places, one for each symmetry."""
-    places = evidence.positions[sensors]
-    return [Move(sensors, places[order]) for _, order in images]

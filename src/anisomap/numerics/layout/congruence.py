@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,32 @@ Chosen by hand: layouts of curved bodies bend their modules by up to a tenth of 
 """
 
 _MAX_FOLD = 8  # largest order of a rotation that is tried
-_MAX_MODULE = 64  # sensors
+_MAX_MODULE = 64  # channels
+_MIN_REPEATED = 0.5  # share of the sensors that must be on modules of one shape
+_CLEARLY_MORE = 0.1  # a multiple of the true size has a share that is hardly larger
+_MAX_SHAPES = 8  # different shapes, the first ones found, of which one should be frequent
+_MIN_PADS = 4  # three places are congruent too often by chance
 
 
-def symmetries(points: NDArray[np.float64]) -> list[tuple[bool, NDArray[np.intp]]]:
+@dataclass(frozen=True, eq=False)
+class Symmetry:
+    """A rotation or reflection that maps a group of places onto itself.
+
+    Attributes
+    ----------
+    reflected : bool
+    angle : float
+        Of a rotation, in degrees, in (0, 180]; 0 for a reflection.
+    order : ndarray of int, shape (m,)
+        Sensor i takes the place ``order[i]``.
+    """
+
+    reflected: bool
+    angle: float
+    order: NDArray[np.intp]
+
+
+def symmetries(points: NDArray[np.float64]) -> tuple[Symmetry, ...]:
     """Find the rotations and reflections that map a nearly flat group of places onto itself.
 
     Parameters
@@ -29,19 +52,18 @@ def symmetries(points: NDArray[np.float64]) -> list[tuple[bool, NDArray[np.intp]
 
     Returns
     -------
-    list of (bool, ndarray of int)
-        Whether it is a reflection, and the permutation: sensor i takes the place
-        ``permutation[i]``. Without the identity; rotations first.
+    tuple of Symmetry
+        Without the identity; rotations first.
     """
     n_points = len(points)
     if n_points < 3:
-        return []
+        return ()
     centred = points - points.mean(axis=0)
     basis = np.linalg.svd(centred, full_matrices=False)[2][:2]
     flat = centred @ basis.T
     allowed = TOLERANCE * _spacing(flat)
     angles = [2 * math.pi * k / n for n in range(2, _MAX_FOLD + 1) for k in range(1, n)]
-    found: dict[tuple[int, ...], bool] = {tuple(range(n_points)): False}
+    known, found = {tuple(range(n_points))}, []
     radius = np.linalg.norm(flat, axis=1)
     outer = int(radius.argmax())
     alike = np.flatnonzero(np.abs(radius - radius[outer]) <= allowed)
@@ -56,9 +78,11 @@ def symmetries(points: NDArray[np.float64]) -> list[tuple[bool, NDArray[np.intp]
         distances = cdist(image, flat)
         order = linear_sum_assignment(distances**2)[1]
         if distances[np.arange(n_points), order].max() <= allowed:
-            found.setdefault(tuple(order.tolist()), reflected)
-    images = sorted(((flag, order) for order, flag in list(found.items())[1:]), key=lambda x: x[0])
-    return [(flag, np.array(order)) for flag, order in images]
+            if tuple(order.tolist()) not in known:
+                degrees = 0.0 if reflected else math.degrees(min(angle, 2 * math.pi - angle))
+                found.append(Symmetry(reflected, degrees, order))
+            known.add(tuple(order.tolist()))
+    return tuple(found)
 
 
 def congruent(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
@@ -84,10 +108,10 @@ def rigid_repeats(positions: NDArray[np.float64], numbers: NDArray[np.intp]) -> 
         Module of each sensor; -1 for all if shapes do not repeat. The smallest size of a block is
         chosen with which more than half of the sensors are in blocks of the most frequent shape.
     """
-    best, best_share = np.full(len(positions), -1), 0.5
-    for size in range(3, min(_MAX_MODULE, len(positions) // 2) + 1):
+    best, best_share = np.full(len(positions), -1), _MIN_REPEATED
+    for size in range(_MIN_PADS, min(_MAX_MODULE, len(positions) // 2) + 1):
         labels, share = blocks_of_size(positions, numbers, size)
-        if share > best_share + 0.1:  # a multiple of the true size is hardly better
+        if share > best_share + _CLEARLY_MORE:
             best, best_share = labels, share
     return best
 
@@ -130,7 +154,7 @@ def _share_congruent(
     shapes: list[tuple[tuple[int, ...], NDArray[np.float64], int]] = []
     for label in range(int(labels.max()) + 1):
         inside = np.flatnonzero(labels == label)
-        if len(inside) < 3:
+        if len(inside) < _MIN_PADS:
             continue
         channels, places = tuple((numbers[inside] % size).tolist()), positions[inside]
         for k, (known, shape, count) in enumerate(shapes):
@@ -138,7 +162,8 @@ def _share_congruent(
                 shapes[k] = (known, shape, count + len(inside))
                 break
         else:
-            shapes.append((channels, places, len(inside)))
+            if len(shapes) < _MAX_SHAPES:
+                shapes.append((channels, places, len(inside)))
     repeated = [count for _, places, count in shapes if count > len(places)]
     return max(repeated, default=0) / len(positions)
 

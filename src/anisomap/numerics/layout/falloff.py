@@ -18,7 +18,10 @@ _RESOLUTION = 4  # steps per spacing, of which the edges of bins are multiples
 _LARGEST = 1000  # spacings; all larger distances are in the last bin
 # Edges of bins in spacings, chosen by hand: 1.25, 1.75 ... 11.75, and then in equal ratios.
 _EDGES = np.concatenate(
-    [np.arange(1.25, 12, 0.5), np.round(np.geomspace(12.5, _LARGEST, 25) * _RESOLUTION) / _RESOLUTION]
+    [
+        np.arange(1.25, 12, 0.5),
+        np.round(np.geomspace(12.5, _LARGEST, 25) * _RESOLUTION) / _RESOLUTION,
+    ]
 )
 _BIN_OF_STEP = np.searchsorted(
     _EDGES, np.arange(_LARGEST * _RESOLUTION + 1) / _RESOLUTION, side="right"
@@ -78,7 +81,8 @@ def neighbour_spacing(positions: NDArray[np.float64]) -> float:
     places = np.unique(positions, axis=0)
     if len(places) < 2:
         return 0.0
-    return float(np.median(KDTree(places).query(places, k=2)[0][:, 1]))
+    nearest = np.asarray(KDTree(places).query(places, k=2)[0])
+    return float(np.median(nearest[:, 1]))
 
 
 def fit_falloff(similarity: Reals, positions: NDArray[np.float64], spacing: float) -> Falloff:

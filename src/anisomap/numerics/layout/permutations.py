@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from anisomap.numerics.layout.congruence import congruent, symmetries
+from anisomap.numerics.layout.congruence import Symmetry, congruent, symmetries
 from anisomap.numerics.layout.evidence import Evidence, Move, Proposal
 
 _N_SLOTS = 6  # modules whose place another module may have; chosen by hand
@@ -32,37 +32,36 @@ _N_RUNS = 5  # runs of each step that are evaluated exactly; chosen by hand
 
 
 @dataclass(frozen=True, eq=False)
-class Modules:
+class ModuleShapes:
     """Groups of sensors that were mounted together.
 
     Attributes
     ----------
     members : tuple of ndarray of int
-        Sensors of each module, in increasing order.
-    symmetries : tuple of list of (bool, ndarray of int)
+        Sensors of each module, in the order of its pads.
+    symmetries : tuple of tuple of Symmetry
         Of each module: see `anisomap.numerics.layout.congruence.symmetries`.
     alike : ndarray of bool, shape (M, M)
-        Modules of the same shape, which can be exchanged sensor by sensor.
+        Modules of the same shape, which can be exchanged pad by pad.
     """
 
     members: tuple[NDArray[np.intp], ...]
-    symmetries: tuple[list[tuple[bool, NDArray[np.intp]]], ...]
+    symmetries: tuple[tuple[Symmetry, ...], ...]
     alike: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, labels: NDArray[np.intp], positions: NDArray[np.float64]) -> Modules:
-        """Describe modules given by labels, shape (n,), with -1 for sensors without a module."""
-        members = tuple(
-            np.flatnonzero(labels == label) for label in np.unique(labels[labels >= 0])
-        )
+    def of(
+        cls, members: Sequence[NDArray[np.intp]], positions: NDArray[np.float64]
+    ) -> ModuleShapes:
+        """Describe modules, given the sensors of each and the positions of all, (n, k)."""
         shapes = [positions[inside] for inside in members]
         alike = np.array(
             [[congruent(one, other) for other in shapes] for one in shapes], dtype=bool
         ).reshape(len(members), len(members))
-        return cls(members, tuple(symmetries(shape) for shape in shapes), alike & alike.T)
+        return cls(tuple(members), tuple(symmetries(shape) for shape in shapes), alike & alike.T)
 
 
-def swaps(evidence: Evidence, modules: Modules) -> list[Proposal]:
+def swaps(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
     """Propose the best exchange of each sensor with one other."""
     fits = _Fits(evidence)
     proposals = []
@@ -77,7 +76,7 @@ def swaps(evidence: Evidence, modules: Modules) -> list[Proposal]:
     return proposals
 
 
-def cycles(evidence: Evidence, modules: Modules) -> list[Proposal]:
+def cycles(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
     """Propose cycles of sensors that each have the place of the next.
 
     Sensors that fit another place better than their own are assigned to each other's places.
@@ -109,18 +108,18 @@ def cycles(evidence: Evidence, modules: Modules) -> list[Proposal]:
     return proposals
 
 
-def turns(evidence: Evidence, modules: Modules) -> list[Proposal]:
+def turns(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
     """Propose the best rotation or reflection of each module on its own places."""
     proposals = []
     for members, images in zip(modules.members, modules.symmetries, strict=True):
         places = evidence.positions[members]
-        moves = [Move(members, places[order]) for _, order in images]
+        moves = [Move(members, places[image.order]) for image in images]
         if moves:
             proposals.append(_best(evidence, moves))
     return proposals
 
 
-def exchanges(evidence: Evidence, modules: Modules) -> list[Proposal]:
+def exchanges(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
     """Propose the best exchange of each module with another of its shape, in any orientation."""
     label = np.full(len(evidence.positions), -1)
     for k, members in enumerate(modules.members):
@@ -145,7 +144,7 @@ def exchanges(evidence: Evidence, modules: Modules) -> list[Proposal]:
     return proposals
 
 
-def cable_shifts(evidence: Evidence, modules: Modules) -> list[Proposal]:
+def cable_shifts(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
     """Propose the best run of consecutive sensors that have each other's places, shifted.
 
     The gain of every run is the sum of its gains by pair, from two-dimensional cumulative sums.
@@ -173,7 +172,7 @@ def cable_shifts(evidence: Evidence, modules: Modules) -> list[Proposal]:
     return proposals
 
 
-PROPOSERS: Mapping[str, Callable[[Evidence, Modules], list[Proposal]]] = MappingProxyType(
+PROPOSERS: Mapping[str, Callable[[Evidence, ModuleShapes], list[Proposal]]] = MappingProxyType(
     {
         "exchanges": exchanges,
         "turns": turns,
@@ -202,9 +201,7 @@ class _Fits:
     def gains(self, sensor: int, others: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return the gains of a sensor at the places of others, which are left out."""
         evidence = self._evidence
-        after = evidence.falloff.log_likelihood(
-            evidence.similarity[sensor], evidence.bins[others]
-        )
+        after = evidence.falloff.log_likelihood(evidence.similarity[sensor], evidence.bins[others])
         known = np.repeat(evidence.known[sensor][None], len(others), axis=0)
         known[np.arange(len(others)), others] = False
         before = self._total[sensor] - evidence.likelihood[sensor, others]
@@ -213,9 +210,7 @@ class _Fits:
     def gains_at(self, sensor: int, others: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return the gains of others at the place of a sensor, which is left out."""
         evidence = self._evidence
-        after = evidence.falloff.log_likelihood(
-            evidence.similarity[others], evidence.bins[sensor]
-        )
+        after = evidence.falloff.log_likelihood(evidence.similarity[others], evidence.bins[sensor])
         known = evidence.known[others]
         known[:, sensor] = False
         before = self._total[others] - evidence.likelihood[others, sensor]
@@ -228,7 +223,7 @@ def _best(evidence: Evidence, moves: Sequence[Move]) -> Proposal:
     )
 
 
-def _exchange(evidence: Evidence, modules: Modules, first: int, second: int) -> Proposal:
+def _exchange(evidence: Evidence, modules: ModuleShapes, first: int, second: int) -> Proposal:
     """Exchange two modules: each in the orientation that is best given the others, together."""
     one, two = modules.members[first], modules.members[second]
     outside = np.ones(len(evidence.positions), dtype=bool)
@@ -239,7 +234,7 @@ def _exchange(evidence: Evidence, modules: Modules, first: int, second: int) -> 
         (two, one, modules.symmetries[first]),
     ):
         places = [evidence.positions[slot]]
-        places += [evidence.positions[slot][order] for _, order in images]
+        places += [evidence.positions[slot][image.order] for image in images]
         fits = [evidence.likelihood_at(sensors, at)[:, outside].sum() for at in places]
         chosen.append(places[int(np.argmax(fits))])
     move = Move(np.concatenate([one, two]), np.concatenate(chosen))
@@ -249,8 +244,8 @@ def _exchange(evidence: Evidence, modules: Modules, first: int, second: int) -> 
 def _closed_run(evidence: Evidence, start: int, stop: int, step: int) -> Move | None:
     """Shift the places of a run; sensors at its end take the places that are left over."""
     if step > 0:
-        start, stop = start, min(stop + step, len(evidence.positions))
+        stop = min(stop + step, len(evidence.positions))
     else:
-        start, stop = max(start + step, 0), stop
+        start = max(start + step, 0)
     run = np.arange(start, stop)
     return Move(run, np.roll(evidence.positions[run], -step, axis=0))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
@@ -12,7 +14,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from anisomap.numerics.layout.evidence import Evidence, Move, Proposal
-from anisomap.numerics.layout.permutations import Modules
+from anisomap.numerics.layout.permutations import ModuleShapes
 
 _MIN_DISPLACEMENT = 3.0  # spacings: contacts of unequal reach pull patches by up to 2.5 spacings
 _MIN_GAP = 0.5  # spacings between sensors of a moved patch and others, which are not in its way
@@ -29,7 +31,8 @@ _MIN_ROTATION_GAIN = 15.0  # nats, for a rotation beyond a translation; as the g
 _N_STARTS = 3  # best translations that are refined; chosen by hand
 _MAX_TRIED = 60  # sensors of a patch that propose translations
 _MAX_SHARE = 0.5  # of the sensors: a patch is smaller than what it is placed against
-_MAX_EVALUATIONS = 150  # per refinement; the simplex then moves by less than 0.05 spacings
+_MAX_EVALUATIONS = 150  # per refinement
+_PRECISION = 0.05  # spacings; smaller than the distances of the falloff's bins
 
 
 def patches(evidence: Evidence) -> list[NDArray[np.intp]]:
@@ -66,18 +69,19 @@ def _held_together(evidence: Evidence, sensors: NDArray[np.intp]) -> list[NDArra
     far = np.full_like(bins, len(falloff.level) - 1)
     ratio = falloff.log_likelihood(similarity, bins) - falloff.log_likelihood(similarity, far)
     near = (distances <= evidence.reach) & (ratio > _MIN_RATIO) & (similarity > 0)
-    label = connected_components(csr_array(near), directed=False)[1]
+    graph: Any = csr_array(near)
+    label = connected_components(graph, directed=False)[1]
     groups = [sensors[label == k] for k in range(int(label.max(initial=-1)) + 1)]
     return sorted(groups, key=lambda group: (-len(group), int(group[0])))
 
 
-def patch_moves(evidence: Evidence, modules: Modules) -> list[Proposal]:
+def patch_moves(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
     """Propose the best place of each patch of three and more sensors, moved as a whole."""
     apart = [patch for patch in patches(evidence)[1:] if len(patch) >= _MIN_PATCH]
     return _rigid_moves(evidence, apart) + _translated(evidence)
 
 
-def single_moves(evidence: Evidence, modules: Modules) -> list[Proposal]:
+def single_moves(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
     """Propose the best place of each sensor, or two, that agree with no neighbour."""
     return _rigid_moves(evidence, [p for p in patches(evidence)[1:] if len(p) < _MIN_PATCH])
 
@@ -97,13 +101,16 @@ def _translated(evidence: Evidence) -> list[Proposal]:
     Society B 48: 259-302.
     """
     voters, offsets = _stretched_pairs(evidence)
+    largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
     proposals = []
     for offset in _modes(offsets, evidence.falloff.spacing):
         close = np.linalg.norm(offsets - offset, axis=1) <= _VOTE_RADIUS * evidence.falloff.spacing
         grown = _grown(evidence, offset, np.unique(voters[close]))
-        for patch in _held_together(evidence, grown):
-            if _MIN_PATCH <= len(patch) <= _MAX_SHARE * np.count_nonzero(evidence.usable):
-                proposals.append(_refined(evidence, patch, offset))
+        proposals += [
+            _refined(evidence, patch, offset)
+            for patch in _held_together(evidence, grown)
+            if _MIN_PATCH <= len(patch) <= largest
+        ]
     return proposals
 
 
@@ -123,11 +130,12 @@ def _stretched_pairs(evidence: Evidence) -> tuple[NDArray[np.intp], NDArray[np.f
 
 def _modes(offsets: NDArray[np.float64], spacing: float) -> list[NDArray[np.float64]]:
     """Return the means of the largest clusters of vectors."""
-    left, found = offsets, []
+    left = offsets
+    found: list[NDArray[np.float64]] = []
     while len(found) < _MAX_MODES and len(left):
         tree = KDTree(left)
-        near = tree.query_ball_point(left, _VOTE_RADIUS * spacing)
-        largest = max(near, key=len)
+        near: Any = tree.query_ball_point(left, _VOTE_RADIUS * spacing)
+        largest: list[int] = max(near, key=len)
         if len(largest) < _MIN_PATCH:
             break
         mode = left[largest].mean(axis=0)
@@ -181,9 +189,7 @@ def _best_place(evidence: Evidence, patch: NDArray[np.intp]) -> Proposal | None:
     return max(refined, key=lambda proposal: proposal.gain) if refined else None
 
 
-def _refined(
-    evidence: Evidence, patch: NDArray[np.intp], offset: NDArray[np.float64]
-) -> Proposal:
+def _refined(evidence: Evidence, patch: NDArray[np.intp], offset: NDArray[np.float64]) -> Proposal:
     """Refine a translation, and the rotation of three and more sensors, from a first guess."""
     here = evidence.positions[patch]
     spacing, dimensions = evidence.falloff.spacing, here.shape[1]
@@ -204,12 +210,16 @@ def _refined(
         return np.asarray(moved + centre + parameters[:dimensions] * spacing)
 
     def fit(start: NDArray[np.float64]) -> Proposal:
-        simplex = np.vstack([start, start + np.eye(len(start))])
+        options: Any = {
+            "initial_simplex": np.vstack([start, start + np.eye(len(start))]),
+            "xatol": _PRECISION,
+            "maxfev": _MAX_EVALUATIONS,
+        }
         found = minimize(
             lambda parameters: -evidence.gain(Move(patch, placed(parameters))),
             start,
             method="Nelder-Mead",
-            options={"initial_simplex": simplex, "xatol": 0.05, "maxfev": _MAX_EVALUATIONS},
+            options=options,
         )
         return Proposal(-float(found.fun), Move(patch, placed(found.x)))
 

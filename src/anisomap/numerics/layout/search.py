@@ -14,11 +14,10 @@ from anisomap.numerics.layout.chance import (
     Chance,
     agreement_gain,
     own_agreement,
-    symmetric_moves,
 )
 from anisomap.numerics.layout.evidence import Evidence, Move, Proposal
-from anisomap.numerics.layout.falloff import fit_falloff
-from anisomap.numerics.layout.permutations import PROPOSERS, Modules
+from anisomap.numerics.layout.falloff import Falloff, fit_falloff
+from anisomap.numerics.layout.permutations import PROPOSERS, ModuleShapes
 from anisomap.numerics.layout.rigid_moves import is_possible, patch_moves, single_moves
 from anisomap.numerics.layout.statistics import ReadingStatistics
 
@@ -38,7 +37,7 @@ right layouts of nao_torso, nao_head and insole_L, patches gained up to 0.45.
 """
 _LEFT = 0.5  # share of its gain that a move must keep after others have been made; by hand
 
-_Searches: TypeAlias = Mapping[str, Callable[[Evidence, Modules], list[Proposal]]]
+_Searches: TypeAlias = Mapping[str, Callable[[Evidence, ModuleShapes], list[Proposal]]]
 
 SEARCHES: _Searches = MappingProxyType({**PROPOSERS, "patches": patch_moves})
 """Functions that propose moves."""
@@ -91,7 +90,7 @@ class Search:
         Stated positions.
     usable : ndarray of bool, shape (n,)
     spacing : float
-    modules : Modules
+    modules : ModuleShapes
     """
 
     def __init__(
@@ -100,7 +99,7 @@ class Search:
         positions: NDArray[np.float64],
         usable: NDArray[np.bool_],
         spacing: float,
-        modules: Modules,
+        modules: ModuleShapes,
     ) -> None:
         self._statistics = statistics
         self._modules = modules
@@ -116,11 +115,9 @@ class Search:
             self._module[members] = k
         self.rigid: list[NDArray[np.intp]] = []
 
-    def _falloff(self, positions, usable):
+    def _falloff(self, positions: NDArray[np.float64], usable: NDArray[np.bool_]) -> Falloff:
         inside = np.ix_(usable, usable)
-        return fit_falloff(
-            self._statistics.similarity[inside], positions[usable], self._spacing
-        )
+        return fit_falloff(self._statistics.similarity[inside], positions[usable], self._spacing)
 
     def run(self) -> NDArray[np.float64]:
         """Return the positions after all moves that hold."""
@@ -167,9 +164,11 @@ class Search:
         label = int(labels[0])
         within = len(labels) == 1 and label >= 0
         if within and len(self._modules.members[label]) == len(move.sensors):
+            members = self._modules.members[label]
+            places = evidence.positions[members]
             images = self._modules.symmetries[label]
             chance = self._chance.of_moves(
-                evidence, [move, *symmetric_moves(evidence, move.sensors, images)]
+                evidence, [move, *(Move(members, places[image.order]) for image in images)]
             )
         else:
             chance = self._chance.of_sensors(move.sensors)

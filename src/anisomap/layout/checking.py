@@ -1,0 +1,352 @@
+"""Check of stated positions against the readings of a recording."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
+
+from anisomap.errors import InputError
+from anisomap.health.assessment import MIN_CONTACTS
+from anisomap.layout.explanation import Explained, explain
+from anisomap.layout.findings import KINDS, NOT_TESTED, OK, Finding, LayoutCheck, at_positions
+from anisomap.layout.grouping import module_members
+from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.layout.chance import agreement, own_agreement
+from anisomap.numerics.layout.evidence import REACH, Evidence, Move
+from anisomap.numerics.layout.falloff import neighbour_spacing
+from anisomap.numerics.layout.permutations import ModuleShapes
+from anisomap.numerics.layout.search import Search, Verdict
+from anisomap.numerics.layout.statistics import (
+    N_SHIFTS,
+    ReadingStatistics,
+    reading_statistics,
+)
+from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.placement.modules import NO_MODULE, Modules
+from anisomap.recording import Recording
+from anisomap.runs import as_runs, join_runs
+from anisomap.sensor_map import SensorMap
+from anisomap.wording import join_items
+
+logger = logging.getLogger(__name__)
+
+MIN_SENSORS = 4
+"""Minimum number of sensors that can be tested."""
+
+_DOUBLED = 0.98  # least similarity of two sensors with equal readings
+_DOUBLED_RATIO = 0.1  # of their dissimilarity to that of the next most similar sensor, at most
+_MAX_NAMED = 8
+
+
+@dataclass(frozen=True, eq=False)
+class CheckOptions:
+    """Options of `check_layout`.
+
+    Parameters
+    ----------
+    n_shifts : int
+        Number of circular shifts of the null distribution; at least 1.
+    """
+
+    n_shifts: int = N_SHIFTS
+
+    def __post_init__(self) -> None:
+        if self.n_shifts < 1:
+            raise InputError(f"n_shifts must be at least 1, got {self.n_shifts}")
+
+
+def check_layout(
+    layout: SensorMap | ArrayLike,
+    recording: Recording | ArrayLike | Sequence[Recording],
+    *,
+    modules: Modules | int | None = None,
+    options: CheckOptions | None = None,
+    rng: np.random.Generator | int | None = None,
+) -> LayoutCheck:
+    """Find the sensors that do not read as their stated positions say.
+
+    Parameters
+    ----------
+    layout : SensorMap or array_like of shape (N, 2) or (N, 3)
+        Stated positions. A map is matched with the recording by sensor names; if no name is shared
+        and the numbers of sensors agree, by order, with a note.
+    recording : Recording, array_like of shape (T, N), or sequence of Recording
+        At least 40 frames, without missing readings (see `Recording.complete`).
+    modules : Modules or int, optional
+        Modules of the layout, or the number of channels of each; by default, modules are found as
+        rigid repeats: see `anisomap.layout.module_members`.
+    options : CheckOptions, optional
+    rng : numpy.random.Generator or int, optional
+        Draws the circular shifts. 0 by default.
+
+    Returns
+    -------
+    LayoutCheck
+
+    Raises
+    ------
+    InputError
+        If sensors cannot be matched, positions are not in 2 or 3 dimensions or coincide, readings
+        are missing, or fewer than 4 sensors can be tested.
+
+    Notes
+    -----
+    The evidence is how the similarity of two sensors falls with their distance on the layout. A
+    proposed change of places must raise the log-likelihood of all similarities, also in both
+    halves of the recording; and it must raise the agreement of the sensors with those around
+    them, the mean rank correlation, by more than a free choice of places raises it after circular
+    shifts in time. Two sensors closer than 2 to 3 spacings may read alike, so that small
+    displacements are not found.
+    """
+    options = options or CheckOptions()
+    stated = layout if isinstance(layout, SensorMap) else _as_layout(layout)
+    joined = join_runs(as_runs(recording)).complete()
+    if stated.dimensions not in (2, 3):
+        raise InputError(f"a layout must have 2 or 3 coordinates, got {stated.dimensions}")
+    rows, columns, notes = _matched(stated, joined)
+    members = module_members(stated, modules)
+    positions = stated.positions[rows]
+    spacing = neighbour_spacing(positions)
+    if not spacing > 0:
+        raise InputError("all sensors of the layout have the same position; there is no distance")
+    generator = np.random.default_rng(0 if rng is None else rng)
+    logger.info("comparing readings with positions")
+    with limited_blas(len(rows)):
+        checked = _Checked(
+            stated,
+            joined.readings[:, columns],
+            rows=rows,
+            spacing=spacing,
+            members=members,
+            options=options,
+            rng=generator,
+        )
+        return checked.result(notes)
+
+
+class _Checked:
+    """The steps of a check; sensors are numbered as in the columns that were matched."""
+
+    def __init__(
+        self,
+        layout: SensorMap,
+        readings: NDArray[np.floating],
+        *,
+        rows: NDArray[np.intp],
+        spacing: float,
+        members: Sequence[NDArray[np.intp]],
+        options: CheckOptions,
+        rng: np.random.Generator,
+    ) -> None:
+        self._layout = layout
+        self._rows = rows
+        self._spacing = spacing
+        self._positions = layout.positions[rows]
+        self._names = [layout.names[i] for i in rows]
+        column = np.full(layout.n_sensors, -1)
+        column[rows] = np.arange(len(rows))
+        self._label = np.full(layout.n_sensors, NO_MODULE)
+        for k, inside in enumerate(members):
+            self._label[inside] = k
+        present = [column[inside][column[inside] >= 0] for inside in members]
+        self._modules = ModuleShapes.of(
+            [inside for inside in present if len(inside)], self._positions
+        )
+        self._statistics: ReadingStatistics = reading_statistics(
+            readings, rng, n_shifts=options.n_shifts
+        )
+        self._active = _contacts(readings)
+        self._usable = self._statistics.tested & (self._active > 0)
+        self._findings: list[Finding] = []
+
+    def result(self, notes: list[str]) -> LayoutCheck:
+        """Carry out all steps."""
+        self._find_dead()
+        self._find_doubled()
+        if np.count_nonzero(self._usable) < MIN_SENSORS:
+            raise InputError(
+                f"only {np.count_nonzero(self._usable)} of {len(self._rows)} sensors read anything "
+                f"beyond chance, and a check needs {MIN_SENSORS}; record more contacts"
+            )
+        search = Search(
+            self._statistics, self._positions, self._usable, self._spacing, self._modules
+        )
+        stated_agreement = own_agreement(search.evidence)
+        search.run()
+        logger.info("weighing the evidence")
+        proposed = self._explain(search)
+        return self._summary(proposed, stated_agreement, notes)
+
+    def _find_dead(self) -> None:
+        """Find constant sensors of which the neighbours were touched several times."""
+        tree = KDTree(self._positions)
+        for i in np.flatnonzero(self._active == 0).tolist():
+            near = np.array(
+                tree.query_ball_point(self._positions[i], REACH * self._spacing), dtype=np.intp
+            )
+            touched = self._active[near[near != i]]
+            if touched.size and np.median(touched) >= MIN_CONTACTS:
+                text = (
+                    f"{self._names[i]} is constant, although its neighbours were touched "
+                    f"{int(np.median(touched))} times"
+                )
+                self._findings.append(Finding("dead", np.array([i]), text))
+
+    def _find_doubled(self) -> None:
+        """Find pairs with equal readings; the one that fits its place less is the copy."""
+        similarity = np.array(self._statistics.similarity, dtype=np.float64)
+        np.fill_diagonal(similarity, -1)
+        compared = self._usable & (self._active >= MIN_CONTACTS)  # few contacts are equal by chance
+        similarity[~compared] = similarity[:, ~compared] = -1
+        ordered = np.sort(similarity, axis=1)
+        for i, j in np.argwhere(np.triu(similarity >= _DOUBLED)).tolist():
+            following = max(ordered[i, -2], ordered[j, -2]) if len(ordered) > 2 else -1.0
+            # Of three equal sensors, the first two are compared without the third.
+            if 1 - similarity[i, j] > _DOUBLED_RATIO * (1 - following):
+                continue
+            fits = [self._fit_without(k, {i, j}) for k in (i, j)]
+            copy, source = (i, j) if fits[0] < fits[1] else (j, i)
+            text = f"{self._names[copy]} repeats the readings of {self._names[source]}"
+            self._findings.append(Finding("doubled", np.array([copy]), text))
+            self._usable[copy] = False
+
+    def _fit_without(self, sensor: int, pair: set[int]) -> float:
+        """Return the mean similarity of a sensor to its neighbours, without a pair."""
+        tree = KDTree(self._positions)
+        near = tree.query_ball_point(self._positions[sensor], REACH * self._spacing)
+        others = [j for j in near if j not in pair and self._usable[j]]
+        return float(self._statistics.similarity[sensor, others].mean()) if others else -1.0
+
+    def _explain(self, search: Search) -> NDArray[np.float64]:
+        """Explain the new places, keep what the final evidence supports, and return the places."""
+        evidence = search.evidence
+        proposed = evidence.positions.copy()
+        explained = explain(
+            self._positions,
+            proposed,
+            self._modules,
+            spacing=self._spacing,
+            rigid=search.rigid,
+            names=self._names,
+        )
+        for group in explained:
+            move = Move(group.sensors, proposed[group.sensors])
+            before = evidence.moved(Move(group.sensors, self._positions[group.sensors]))
+            verdict = search.judge(before, move, rigid=group.kind == "moved")
+            if not verdict.holds:
+                proposed[group.sensors] = self._positions[group.sensors]
+                continue
+            self._findings.append(self._finding(group, before, move, verdict))
+        return proposed
+
+    def _finding(self, group: Explained, before: Evidence, move: Move, verdict: Verdict) -> Finding:
+        stated = agreement(before, move.sensors, self._positions[move.sensors])
+        there = agreement(before, move.sensors, move.places)
+        distance = np.linalg.norm(move.places - self._positions[move.sensors], axis=1)
+        return Finding(
+            group.kind,
+            group.sensors,
+            group.text,
+            float(np.median(distance)),
+            _mean(stated),
+            _mean(there),
+            verdict.chance,
+            verdict.gain,
+        )
+
+    def _summary(
+        self,
+        proposed: NDArray[np.float64],
+        stated_agreement: NDArray[np.float64],
+        notes: list[str],
+    ) -> LayoutCheck:
+        n_sensors = self._layout.n_sensors
+        status = [NOT_TESTED] * n_sensors
+        for column in np.flatnonzero(self._usable):
+            status[self._rows[column]] = OK
+        order = list(KINDS)
+        findings = sorted(self._findings, key=lambda f: (order.index(f.kind), int(f.sensors.min())))
+        for finding in findings:
+            for column in finding.sensors:
+                status[self._rows[column]] = finding.kind
+        untested = [self._layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
+        if untested:
+            notes = [
+                *notes,
+                f"{len(untested)} of {n_sensors} sensors are not tested, since the recording says "
+                f"nothing of them: {join_items(untested, _MAX_NAMED)}",
+            ]
+        positions = self._layout.positions.copy()
+        positions[self._rows] = proposed
+        values = np.full(n_sensors, np.nan)
+        values[self._rows] = np.where(self._usable, stated_agreement, np.nan)
+        values.setflags(write=False)
+        self._label.setflags(write=False)
+        return LayoutCheck(
+            self._layout,
+            at_positions(self._layout, positions),
+            tuple(status),
+            tuple(replace(f, sensors=self._rows[f.sensors]) for f in findings),
+            values,
+            self._label,
+            self._spacing,
+            tuple(notes),
+        )
+
+
+def _as_layout(positions: ArrayLike) -> SensorMap:
+    try:
+        return SensorMap(np.asarray(positions, dtype=np.float64), units="")
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"a layout must be a SensorMap or an array of shape (N, 2) or (N, 3): {error}"
+        ) from None
+
+
+def _matched(
+    layout: SensorMap, recording: Recording
+) -> tuple[NDArray[np.intp], NDArray[np.intp], list[str]]:
+    """Return rows of the layout, the columns of the same sensors, and notes."""
+    notes = []
+    column = {name: i for i, name in enumerate(recording.names)}
+    shared = [(i, column[name]) for i, name in enumerate(layout.names) if name in column]
+    if not shared:
+        if layout.n_sensors != recording.n_sensors:
+            raise InputError(
+                f"layout and recording share no sensor name, and {layout.n_sensors} positions "
+                f"cannot be matched with {recording.n_sensors} sensors by order; use the same names"
+            )
+        notes.append("layout and recording share no sensor name: matched by order")
+        shared = [(i, i) for i in range(layout.n_sensors)]
+    elif len(shared) < recording.n_sensors:
+        known = set(layout.names)
+        missing = [name for name in recording.names if name not in known]
+        notes.append(
+            f"{len(missing)} sensors of the recording have no position: "
+            f"{join_items(missing, _MAX_NAMED)}"
+        )
+    pairs = np.array(shared, dtype=np.intp)
+    pairs = pairs[layout.placed[pairs[:, 0]]]
+    if len(pairs) < MIN_SENSORS:
+        raise InputError(
+            f"a check needs at least {MIN_SENSORS} sensors with a position and readings, got "
+            f"{len(pairs)}"
+        )
+    order = np.argsort(pairs[:, 1], kind="stable")
+    return pairs[order, 0], pairs[order, 1], notes
+
+
+def _contacts(readings: NDArray[np.floating]) -> NDArray[np.intp]:
+    """Count the contacts of each sensor: runs of frames beyond rest."""
+    active = estimate_rest(readings).active(readings)
+    return np.asarray(active[0] + np.count_nonzero(active[1:] & ~active[:-1], axis=0))
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
