@@ -44,6 +44,7 @@ for name, target, summary in (
         "Compare two maps of one skin: which sensors moved, appeared, were lost.",
     ),
     ("place", "place:place_map", "Place a map in the frame of the robot, in metres."),
+    ("check", "check:check", "Check sensor positions against a recording."),
     ("convert", "convert:convert", "Write a map in another format, or in metres."),
     ("compare", "compare:compare", "Score several methods on recordings with known positions."),
     ("methods", "listing:methods", "List the methods and the similarities."),

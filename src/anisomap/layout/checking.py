@@ -66,6 +66,7 @@ def check_layout(
     *,
     modules: Modules | int | None = None,
     options: CheckOptions | None = None,
+    statistics: ReadingStatistics | None = None,
     rng: np.random.Generator | int | None = None,
 ) -> LayoutCheck:
     """Find the sensors that do not read as their stated positions say.
@@ -81,6 +82,10 @@ def check_layout(
         Modules of the layout, or the number of channels of each; by default, modules are found as
         rigid repeats: see `anisomap.layout.module_members`.
     options : CheckOptions, optional
+    statistics : ReadingStatistics, optional
+        Of all sensors of the recording, from
+        `anisomap.numerics.layout.statistics.reading_statistics`, to check several layouts against
+        one recording. Computed by default.
     rng : numpy.random.Generator or int, optional
         Draws the circular shifts. 0 by default.
 
@@ -117,14 +122,16 @@ def check_layout(
     generator = np.random.default_rng(0 if rng is None else rng)
     logger.info("comparing readings with positions")
     with limited_blas(len(rows)):
+        known = statistics or reading_statistics(
+            joined.readings, generator, n_shifts=options.n_shifts
+        )
         checked = _Checked(
             stated,
             joined.readings[:, columns],
             rows=rows,
             spacing=spacing,
             members=members,
-            options=options,
-            rng=generator,
+            statistics=known.select(columns),
         )
         return checked.result(notes)
 
@@ -140,8 +147,7 @@ class _Checked:
         rows: NDArray[np.intp],
         spacing: float,
         members: Sequence[NDArray[np.intp]],
-        options: CheckOptions,
-        rng: np.random.Generator,
+        statistics: ReadingStatistics,
     ) -> None:
         self._layout = layout
         self._rows = rows
@@ -157,9 +163,7 @@ class _Checked:
         self._modules = ModuleShapes.of(
             [inside for inside in present if len(inside)], self._positions
         )
-        self._statistics: ReadingStatistics = reading_statistics(
-            readings, rng, n_shifts=options.n_shifts
-        )
+        self._statistics = statistics
         self._active = _contacts(readings)
         self._usable = self._statistics.tested & (self._active > 0)
         self._findings: list[Finding] = []

@@ -11,6 +11,7 @@ from anisomap.placement.modules import NO_MODULE, Modules, trailing_numbers
 from anisomap.sensor_map import SensorMap
 
 _MIN_SIZE = 3
+_MAX_GAPS = 100  # channels per sensor
 
 
 def module_members(
@@ -71,4 +72,6 @@ def _channels(layout: SensorMap, sensors: NDArray[np.intp]) -> NDArray[np.intp]:
     found = trailing_numbers(layout.names)
     if None in found or len(set(found)) < len(found):
         return sensors
-    return np.array(found, dtype=np.intp)[sensors]
+    numbers = np.array(found, dtype=np.intp)
+    # Serial numbers far apart are no channels.
+    return numbers[sensors] if np.ptp(numbers) < _MAX_GAPS * len(numbers) else sensors

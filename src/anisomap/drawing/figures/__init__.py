@@ -6,6 +6,7 @@ from anisomap.drawing.figures.displacements import (
     plot_difference,
     plot_placement,
 )
+from anisomap.drawing.figures.layout_check import layout_figure, plot_layout
 from anisomap.drawing.figures.maps import map_figure, plot_distances, plot_map
 from anisomap.drawing.figures.saving import KINDS, check_writable, figure_bytes, save_figure
 
@@ -14,10 +15,12 @@ __all__ = [
     "check_writable",
     "difference_figure",
     "figure_bytes",
+    "layout_figure",
     "map_figure",
     "placement_figure",
     "plot_difference",
     "plot_distances",
+    "plot_layout",
     "plot_map",
     "plot_placement",
     "save_figure",

@@ -21,7 +21,9 @@ _MAX_MODULE = 64  # channels
 _MIN_REPEATED = 0.5  # share of the sensors that must be on modules of one shape
 _CLEARLY_MORE = 0.1  # a multiple of the true size has a share that is hardly larger
 _MAX_SHAPES = 8  # different shapes, the first ones found, of which one should be frequent
-_MIN_PADS = 4  # three places are congruent too often by chance
+_MAX_SIZES = 8  # sizes of modules that are tried, by how periodic the distances are
+_N_NEXT = 3  # following channels of which distances are compared
+_MIN_PADS = 5  # fewer places are congruent too often by chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +91,7 @@ def congruent(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
     """Return whether two groups of places have the same distances, in their given orders."""
     if len(first) != len(second) or len(first) < 2:
         return False
-    own, other = cdist(first, first), cdist(second, second)
-    return float(np.abs(own - other).max()) <= TOLERANCE * _spacing(first)
+    return _congruent(cdist(first, first), cdist(second, second))
 
 
 def rigid_repeats(positions: NDArray[np.float64], numbers: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -109,7 +110,10 @@ def rigid_repeats(positions: NDArray[np.float64], numbers: NDArray[np.intp]) -> 
         chosen with which more than half of the sensors are in blocks of the most frequent shape.
     """
     best, best_share = np.full(len(positions), -1), _MIN_REPEATED
-    for size in range(_MIN_PADS, min(_MAX_MODULE, len(positions) // 2) + 1):
+    sizes = np.arange(_MIN_PADS, min(_MAX_MODULE, len(positions) // 2) + 1)
+    periodic = np.array([_share_periodic(positions, numbers, size) for size in sizes.tolist()])
+    likely = np.argsort(-periodic, kind="stable")[:_MAX_SIZES]
+    for size in sorted(sizes[likely[periodic[likely] >= _MIN_REPEATED]].tolist()):
         labels, share = blocks_of_size(positions, numbers, size)
         if share > best_share + _CLEARLY_MORE:
             best, best_share = labels, share
@@ -136,36 +140,63 @@ def blocks_of_size(
         Share of the sensors in blocks of the most frequent shape.
     """
     best, best_share = np.zeros(len(positions), dtype=np.intp), -1.0
+    distances = cdist(positions, positions)
     for offset in range(size):
-        labels = (numbers - offset) // size
-        labels = np.unique(labels, return_inverse=True)[1]
-        share = _share_congruent(positions, numbers - offset, labels, size)
+        labels = np.unique((numbers - offset) // size, return_inverse=True)[1]
+        share = _share_congruent(distances, (numbers - offset) % size, labels)
         if share > best_share + 1e-9:
             best, best_share = labels, share
     return best, best_share
 
 
+def _share_periodic(positions: NDArray[np.float64], numbers: NDArray[np.intp], size: int) -> float:
+    """Return the share of channels whose next three are as far away as those of `size` later.
+
+    Modules of this size have most distances between nearby channels in common.
+    """
+    order = np.argsort(numbers)
+    channels, places = numbers[order], positions[order]
+    last = channels[-1] - channels[0] + 1
+    row = np.full(last + size + _N_NEXT, -1)
+    row[channels - channels[0]] = np.arange(len(channels))
+    here = row[:last]
+    same = here >= 0
+    compared = np.zeros(last, dtype=bool)
+    for step in range(1, _N_NEXT + 1):
+        ends = (here, row[step:][:last], row[size:][:last], row[size + step :][:last])
+        known = np.all([end >= 0 for end in ends], axis=0)
+        first, second, third, fourth = (places[end[known]] for end in ends)
+        change = np.linalg.norm(first - second, axis=1) - np.linalg.norm(third - fourth, axis=1)
+        same[known] &= np.abs(change) <= TOLERANCE * np.linalg.norm(first - second, axis=1)
+        compared |= known
+    return float(same[compared].mean()) if compared.any() else 0.0
+
+
 def _share_congruent(
-    positions: NDArray[np.float64],
-    numbers: NDArray[np.intp],
-    labels: NDArray[np.intp],
-    size: int,
+    distances: NDArray[np.float64], channels: NDArray[np.intp], labels: NDArray[np.intp]
 ) -> float:
-    shapes: list[tuple[tuple[int, ...], NDArray[np.float64], int]] = []
-    for label in range(int(labels.max()) + 1):
-        inside = np.flatnonzero(labels == label)
+    order = np.argsort(labels, kind="stable")
+    blocks = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+    shapes: list[tuple[bytes, NDArray[np.float64], int]] = []
+    for inside in blocks:
         if len(inside) < _MIN_PADS:
             continue
-        channels, places = tuple((numbers[inside] % size).tolist()), positions[inside]
-        for k, (known, shape, count) in enumerate(shapes):
-            if known == channels and congruent(shape, places):
-                shapes[k] = (known, shape, count + len(inside))
+        present, shape = channels[inside].tobytes(), distances[np.ix_(inside, inside)]
+        for k, (known, other, count) in enumerate(shapes):
+            if known == present and _congruent(other, shape):
+                shapes[k] = (known, other, count + len(inside))
                 break
         else:
             if len(shapes) < _MAX_SHAPES:
-                shapes.append((channels, places, len(inside)))
-    repeated = [count for _, places, count in shapes if count > len(places)]
-    return max(repeated, default=0) / len(positions)
+                shapes.append((present, shape, len(inside)))
+    repeated = [count for _, shape, count in shapes if count > len(shape)]
+    return max(repeated, default=0) / len(labels)
+
+
+def _congruent(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
+    """Return whether two matrices of distances are equal."""
+    others = first + np.diag(np.full(len(first), np.inf))
+    return float(np.abs(first - second).max()) <= TOLERANCE * float(np.median(others.min(axis=0)))
 
 
 def _spacing(points: NDArray[np.float64]) -> float:

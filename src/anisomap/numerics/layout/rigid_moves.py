@@ -209,18 +209,16 @@ def _refined(evidence: Evidence, patch: NDArray[np.intp], offset: NDArray[np.flo
             moved = moved @ turn.T
         return np.asarray(moved + centre + parameters[:dimensions] * spacing)
 
+    def loss(parameters: Any) -> float:
+        return -evidence.gain(Move(patch, placed(parameters)))
+
     def fit(start: NDArray[np.float64]) -> Proposal:
         options: Any = {
             "initial_simplex": np.vstack([start, start + np.eye(len(start))]),
             "xatol": _PRECISION,
             "maxfev": _MAX_EVALUATIONS,
         }
-        found = minimize(
-            lambda parameters: -evidence.gain(Move(patch, placed(parameters))),
-            start,
-            method="Nelder-Mead",
-            options=options,
-        )
+        found: Any = minimize(loss, start, method="Nelder-Mead", options=options)
         return Proposal(-float(found.fun), Move(patch, placed(found.x)))
 
     translated = fit(offset / spacing)

@@ -44,6 +44,18 @@ class ReadingStatistics:
     shifted: Reals
     tested: NDArray[np.bool_]
 
+    def select(self, sensors: NDArray[np.intp]) -> ReadingStatistics:
+        """Return the statistics of some sensors, given as indices, in that order."""
+        if np.array_equal(sensors, np.arange(len(self.tested))):
+            return self
+        inside = np.ix_(sensors, sensors)
+        return ReadingStatistics(
+            self.similarity[inside],
+            np.stack([half[inside] for half in self.halves]),
+            np.stack([one[inside] for one in self.shifted]),
+            self.tested[sensors],
+        )
+
 
 def reading_statistics(
     readings: ArrayLike, rng: np.random.Generator, *, n_shifts: int = N_SHIFTS

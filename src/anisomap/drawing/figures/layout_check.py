@@ -1,0 +1,108 @@
+"""Figure of the check of a layout: arrows from stated to proposed places."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from anisomap.drawing.figures.backend import (
+    MARKERS,
+    PALETTE,
+    Axes,
+    drawing_style,
+    new_figure,
+    write_notes,
+    write_title,
+)
+from anisomap.drawing.figures.displacements import Group, plot_displacements
+from anisomap.drawing.view import printable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from anisomap.layout import LayoutCheck
+
+_WIDTH, _HEIGHT = 8.0, 7.2  # inches
+_MAX_LABELS = 12
+
+# Kinds that are drawn alike: label, colour, marker, statuses of `LayoutCheck`.
+_GROUPS = (
+    ("as stated", "#a9b0b7", MARKERS[0], ("ok",)),
+    ("not tested", "#dfe2e5", MARKERS[0], ("not tested",)),
+    ("turned, mirrored", PALETTE[0], MARKERS[1], ("turned", "mirrored")),
+    ("exchanged, moved", PALETTE[2], MARKERS[2], ("exchanged", "moved")),
+    ("swapped, shifted", PALETTE[1], MARKERS[3], ("swapped", "cycle", "shifted")),
+    ("dead, doubled", PALETTE[3], "X", ("dead", "doubled")),
+)
+
+
+def layout_figure(check: LayoutCheck, title: str = "Check of a layout") -> Figure:
+    """Draw a layout, with arrows from the stated places to those that the readings propose.
+
+    Parameters
+    ----------
+    check : LayoutCheck
+        See `anisomap.check_layout`.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Save it with `save_figure`.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    with drawing_style():
+        figure = new_figure(_WIDTH, _HEIGHT)
+        figure.set_layout_engine("constrained", rect=(0, 0.05, 1, 0.87))
+        axes = figure.add_subplot(projection="3d" if check.layout.dimensions == 3 else None)
+        plot_layout(check, ax=axes)
+        figure.legend(loc="upper right", ncols=3, frameon=False, bbox_to_anchor=(0.99, 0.96))
+        write_title(figure, printable(title, 80))
+        write_notes(
+            figure,
+            ["Arrows lead from where the layout states a sensor to where it reads as if it were."],
+        )
+        return figure
+
+
+def plot_layout(check: LayoutCheck, *, ax: Axes | None = None) -> Axes:
+    """Plot the panel of `layout_figure`.
+
+    Parameters
+    ----------
+    check : LayoutCheck
+    ax : matplotlib Axes, optional
+        Axes to draw into, with ``projection="3d"`` for a layout in 3D. A new figure is created by
+        default.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    InputError
+        If `ax` has another number of dimensions.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    status = np.array(check.status)
+    placed = check.layout.placed
+    groups = []
+    for label, colour, marker, kinds in _GROUPS:
+        chosen = np.flatnonzero(np.isin(status, kinds) & placed)
+        if chosen.size:
+            groups.append(Group(f"{label} ({chosen.size})", chosen, colour, marker))
+    start, end = check.layout.positions, check.corrected.positions
+    changed = (start != end).any(axis=1) & placed
+    labels = {
+        int(finding.sensors[0]): check.layout.names[finding.sensors[0]]
+        for finding in check.findings[:_MAX_LABELS]
+    }
+    arrows = np.where(changed[:, None], end, np.nan)
+    return plot_displacements(start, arrows, groups, labels, units=check.layout.units, ax=ax)
