@@ -64,3 +64,21 @@ def stages(readings, method="covariogram", options=None):
         dissimilarity=dissimilarity,
         metric=recipe.metric(dissimilarity),
     )
+
+
+def triangles(columns: int = 4, rows: int = 2) -> NDArray[np.float64]:
+    """Return triangular modules of 10 sensors that tile a plane, shape (20 * columns * rows, 2).
+
+    Sensors are 1 apart on a module; adjacent modules are 0.3 farther apart. Sensors of a module are
+    consecutive, row by row from its base; every other module is turned by 180 degrees.
+    """
+    height = 3**0.5 / 2
+    pads = np.array([[i + j / 2, j * height] for j in range(4) for i in range(4 - j)])
+    pads -= pads.mean(axis=0)
+    side = 4.5
+    found = []
+    for row in range(rows):
+        for column in range(columns):
+            centre = np.array([side * column + side / 2 * row, side * height * row])
+            found += [pads + centre, centre + np.array([side / 2, side * height / 3]) - pads]
+    return np.vstack(found)

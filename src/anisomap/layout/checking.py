@@ -241,7 +241,7 @@ class _Checked:
         for group in explained:
             move = Move(group.sensors, proposed[group.sensors])
             before = evidence.moved(Move(group.sensors, self._positions[group.sensors]))
-            verdict = search.judge(before, move, rigid=group.kind == "moved")
+            verdict = search.judge(before, move, group.alternatives, rigid=group.kind == "moved")
             if not verdict.holds:
                 proposed[group.sensors] = self._positions[group.sensors]
                 continue
@@ -252,11 +252,12 @@ class _Checked:
         stated = agreement(before, move.sensors, self._positions[move.sensors])
         there = agreement(before, move.sensors, move.places)
         distance = np.linalg.norm(move.places - self._positions[move.sensors], axis=1)
+        changed = distance > 0
         return Finding(
             group.kind,
-            group.sensors,
+            group.sensors[changed],
             group.text,
-            float(np.median(distance)),
+            float(np.median(distance[changed])),
             _mean(stated),
             _mean(there),
             verdict.chance,

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anisomap.numerics.layout.permutations import ModuleShapes
+from anisomap.numerics.layout.evidence import Move
+from anisomap.numerics.layout.permutations import ModuleShapes, shifted_moves, turned_moves
 from anisomap.wording import join_items
 
 _SAME = 1e-6  # spacings between places that count as the same: places of others are taken exactly
@@ -29,12 +30,16 @@ class Explained:
     kind : str
         A key of `anisomap.layout.KINDS`.
     sensors : ndarray of int
+        Those that take part, some perhaps with the place that is stated.
     text : str
+    alternatives : tuple of Move
+        See `anisomap.numerics.layout.evidence.Proposal`.
     """
 
     kind: str
     sensors: NDArray[np.intp]
     text: str
+    alternatives: tuple[Move, ...] = ()
 
 
 def explain(
@@ -64,8 +69,8 @@ def explain(
     """
     target = _targets(stated, proposed, spacing)
     left = target != np.arange(len(stated))
-    found = _of_modules(target, left, modules, names)
-    found += _shifted_runs(target, left)
+    found = _of_modules(target, left, modules, names, stated)
+    found += _shifted_runs(target, left, stated)
     found += _cycles(target, left, names)
     return found + _moved(target, left, rigid, names)
 
@@ -85,6 +90,7 @@ def _of_modules(
     left: NDArray[np.bool_],
     modules: ModuleShapes,
     names: Sequence[str],
+    stated: NDArray[np.float64],
 ) -> list[Explained]:
     slot = {}
     for k, members in enumerate(modules.members):
@@ -106,7 +112,8 @@ def _of_modules(
                         "degrees"
                     )
                     kind = "mirrored" if image.reflected else "turned"
-                    found.append(Explained(kind, members[left[members]], text))
+                    turns = turned_moves(stated, members, modules.symmetries[k])
+                    found.append(Explained(kind, members, text, turns))
                     left[members] = False
     for cycle in _closed({k: m for k, m in slot.items() if k != m}):
         sensors = np.concatenate([modules.members[k] for k in cycle])
@@ -121,7 +128,9 @@ def _of_modules(
     return found
 
 
-def _shifted_runs(target: NDArray[np.intp], left: NDArray[np.bool_]) -> list[Explained]:
+def _shifted_runs(
+    target: NDArray[np.intp], left: NDArray[np.bool_], stated: NDArray[np.float64]
+) -> list[Explained]:
     step = np.where(left & (target >= 0), target - np.arange(len(target)), 0)
     cycles = _closed({int(i): int(target[i]) for i in np.flatnonzero(left) if target[i] >= 0})
     # A run that is shifted by two channels closes in two cycles.
@@ -147,7 +156,8 @@ def _shifted_runs(target: NDArray[np.intp], left: NDArray[np.bool_]) -> list[Exp
                 f"{len(sensors)} consecutive sensors are shifted by {channels}: each has the place "
                 f"of the {order}"
             )
-            found.append(Explained("shifted", np.array(sensors), text))
+            run = np.array(sensors)
+            found.append(Explained("shifted", run, text, shifted_moves(stated, run)))
             left[sensors] = False
     return found
 

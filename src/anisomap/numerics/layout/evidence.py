@@ -45,10 +45,14 @@ class Proposal:
     gain : float
         Increase of the log-likelihood of all similarities, in nats.
     move : Move
+    alternatives : tuple of Move
+        Moves of the same sensors among which it was chosen, itself included; empty if each sensor
+        could have had any place.
     """
 
     gain: float
     move: Move
+    alternatives: tuple[Move, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -112,11 +112,17 @@ def turns(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
     """Propose the best rotation or reflection of each module on its own places."""
     proposals = []
     for members, images in zip(modules.members, modules.symmetries, strict=True):
-        places = evidence.positions[members]
-        moves = [Move(members, places[image.order]) for image in images]
+        moves = turned_moves(evidence.positions, members, images)
         if moves:
-            proposals.append(_best(evidence, moves))
+            proposals.append(replace(_best(evidence, moves), alternatives=moves))
     return proposals
+
+
+def turned_moves(
+    positions: NDArray[np.float64], members: NDArray[np.intp], images: Sequence[Symmetry]
+) -> tuple[Move, ...]:
+    """Return the moves of a module onto its own places, one for each symmetry."""
+    return tuple(Move(members, positions[members][image.order]) for image in images)
 
 
 def exchanges(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
@@ -167,9 +173,18 @@ def cable_shifts(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
         gains += within[stop, stop] - within[start, stop] - within[stop, start]
         gains += within[start, start]
         best = np.argsort(-gains, kind="stable")[:_N_RUNS]
-        moves = [_closed_run(evidence, int(start[k]), int(stop[k]), step) for k in best]
-        proposals.append(_best(evidence, [move for move in moves if move is not None]))
+        found = _best(
+            evidence,
+            [_closed_run(evidence, int(start[k]), int(stop[k]), step) for k in best],
+        )
+        alternatives = shifted_moves(evidence.positions, found.move.sensors)
+        proposals.append(replace(found, alternatives=alternatives))
     return proposals
+
+
+def shifted_moves(positions: NDArray[np.float64], run: NDArray[np.intp]) -> tuple[Move, ...]:
+    """Return the moves of a run of sensors to each other's places, one for each step."""
+    return tuple(Move(run, np.roll(positions[run], -step, axis=0)) for step in _STEPS)
 
 
 PROPOSERS: Mapping[str, Callable[[Evidence, ModuleShapes], list[Proposal]]] = MappingProxyType(
@@ -241,7 +256,7 @@ def _exchange(evidence: Evidence, modules: ModuleShapes, first: int, second: int
     return Proposal(evidence.gain(move), move)
 
 
-def _closed_run(evidence: Evidence, start: int, stop: int, step: int) -> Move | None:
+def _closed_run(evidence: Evidence, start: int, stop: int, step: int) -> Move:
     """Shift the places of a run; sensors at its end take the places that are left over."""
     if step > 0:
         stop = min(stop + step, len(evidence.positions))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TypeAlias
@@ -103,16 +103,12 @@ class Search:
     ) -> None:
         self._statistics = statistics
         self._modules = modules
-        self._stated = positions
         self._spacing = spacing
         self.evidence = Evidence(
             statistics.similarity, positions, usable, self._falloff(positions, usable)
         )
         self._typical = float(np.nanmedian(own_agreement(self.evidence)[usable]))
         self._chance = Chance.of(statistics.shifted, self.evidence)
-        self._module = np.full(len(positions), -1)
-        for k, members in enumerate(modules.members):
-            self._module[members] = k
         self.rigid: list[NDArray[np.intp]] = []
 
     def _falloff(self, positions: NDArray[np.float64], usable: NDArray[np.bool_]) -> Falloff:
@@ -148,30 +144,46 @@ class Search:
             rigid = name not in PROPOSERS
             if rigid and not is_possible(self.evidence, proposal.move):
                 continue
-            if self.judge(self.evidence, proposal.move, rigid=rigid).holds:
+            verdict = self.judge(self.evidence, proposal.move, proposal.alternatives, rigid=rigid)
+            if verdict.holds:
                 self.evidence = self.evidence.moved(proposal.move)
                 changed.update(sensors.tolist())
                 if rigid:
                     self.rigid.append(sensors)
         return bool(changed)
 
-    def judge(self, evidence: Evidence, move: Move, *, rigid: bool = False) -> Verdict:
-        """Weigh the evidence for a move."""
+    def judge(
+        self,
+        evidence: Evidence,
+        move: Move,
+        alternatives: Sequence[Move] = (),
+        *,
+        rigid: bool = False,
+    ) -> Verdict:
+        """Weigh the evidence for a move.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            Before the move.
+        move : Move
+        alternatives : sequence of Move
+            See `Proposal`.
+        rigid : bool
+            Whether the places are free ones, of no sensor.
+
+        Returns
+        -------
+        Verdict
+        """
         halves = tuple(
             evidence.with_similarity(half).gain(move) for half in self._statistics.halves
         )
-        labels = np.unique(self._module[move.sensors])
-        label = int(labels[0])
-        within = len(labels) == 1 and label >= 0
-        if within and len(self._modules.members[label]) == len(move.sensors):
-            members = self._modules.members[label]
-            places = evidence.positions[members]
-            images = self._modules.symmetries[label]
-            chance = self._chance.of_moves(
-                evidence, [move, *(Move(members, places[image.order]) for image in images)]
-            )
-        else:
-            chance = self._chance.of_sensors(move.sensors)
+        chance = (
+            self._chance.of_moves(evidence, alternatives)
+            if alternatives
+            else self._chance.of_sensors(move.sensors)
+        )
         if rigid:
             chance = max(chance, _MIN_RIGID * self._typical)
         return Verdict(evidence.gain(move), halves, agreement_gain(evidence, move), chance)

@@ -1,0 +1,266 @@
+"""Checks of layouts: seeded faults are found and right sensors are not accused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap import InputError, Recording, SensorMap, check_layout
+from anisomap.layout import KINDS, module_members
+from anisomap.layout.checking import CheckOptions
+from anisomap.numerics.layout.congruence import symmetries
+from anisomap.numerics.layout.statistics import reading_statistics
+from anisomap.placement import modules_by_name, modules_by_size
+from skins import rubbed, triangles
+
+TRUTH = triangles()
+NAMES = tuple(f"taxel{i}" for i in range(len(TRUTH)))
+LAYOUT = SensorMap(TRUTH, names=NAMES, units="mm")
+MODULE = 40  # first sensor of a module in the middle
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return Recording(rubbed(TRUTH, 2000, seed=400), names=NAMES)
+
+
+@pytest.fixture(scope="module")
+def statistics(recording):
+    return reading_statistics(recording.readings, np.random.default_rng(0))
+
+
+def with_places(sensors, places):
+    """Return the layout with the true places of some sensors at others."""
+    stated = TRUTH.copy()
+    stated[sensors] = TRUTH[places]
+    return replace(LAYOUT, positions=stated)
+
+
+def images(*, reflected):
+    inside = np.arange(MODULE, MODULE + 10)
+    orders = [s.order for s in symmetries(TRUTH[inside]) if s.reflected == reflected]
+    return inside, inside[orders[0]]
+
+
+def faults():
+    """Return stated layouts, by the kind of finding that each should lead to."""
+    run = np.arange(60, 90)
+    first, second = np.arange(20, 30), np.arange(110, 120)
+    both = np.concatenate([first, second])
+    moved = TRUTH.copy()
+    patch = np.argsort(np.linalg.norm(TRUTH - TRUTH[75], axis=1))[:9]
+    moved[patch] += [4.3, 3.1]
+    return {
+        "swapped": with_places([3, 77], [77, 3]),
+        "cycle": with_places([5, 66, 120], [66, 120, 5]),
+        "shifted": with_places(run, np.roll(run, -1)),
+        "turned": with_places(*images(reflected=False)),
+        "mirrored": with_places(*images(reflected=True)),
+        "exchanged": with_places(both, np.concatenate([second, first])),
+        "moved": replace(LAYOUT, positions=moved),
+    }
+
+
+def test_a_right_layout_is_consistent(recording, statistics):
+    found = check_layout(LAYOUT, recording, statistics=statistics)
+    assert found.consistent
+    assert set(found.status) == {"ok"}
+    assert found.corrected.names == NAMES
+    np.testing.assert_array_equal(found.corrected.positions, TRUTH)
+    assert found.n_modules == 16
+    assert np.median(found.agreement) > 0.5
+
+
+@pytest.mark.parametrize("seed", [401, 402, 403])
+def test_right_layouts_are_not_accused_whatever_the_recording(seed):
+    found = check_layout(LAYOUT, Recording(rubbed(TRUTH, 1200, seed=seed), names=NAMES))
+    assert found.accused.sum() <= 0.01 * len(TRUTH)
+
+
+@pytest.mark.parametrize("kind", faults())
+def test_each_fault_is_found_and_explained(kind, recording, statistics):
+    stated = faults()[kind]
+    wrong = (stated.positions != TRUTH).any(axis=1)
+    found = check_layout(stated, recording, statistics=statistics)
+    assert [finding.kind for finding in found.findings] == [kind]
+    np.testing.assert_array_equal(found.accused, wrong)
+    error = np.linalg.norm(found.corrected.positions - TRUTH, axis=1)
+    assert error.max() < (0.5 if kind == "moved" else 1e-9)
+    (finding,) = found.findings
+    assert finding.gain > 0
+    assert finding.displacement > 0.5
+    assert finding.agreement_proposed > finding.agreement_stated or np.isnan(
+        finding.agreement_stated
+    )
+    assert {found.status[i] for i in finding.sensors} == {kind}
+
+
+def test_every_kind_of_finding_has_a_test():
+    assert set(faults()) | {"dead", "doubled"} == set(KINDS)
+
+
+def test_several_faults_are_told_apart(recording, statistics):
+    stated = TRUTH.copy()
+    for kind in ("turned", "swapped", "exchanged"):
+        wrong = faults()[kind].positions
+        changed = (wrong != TRUTH).any(axis=1)
+        stated[changed] = wrong[changed]
+    found = check_layout(replace(LAYOUT, positions=stated), recording, statistics=statistics)
+    assert [finding.kind for finding in found.findings] == ["turned", "exchanged", "swapped"]
+    np.testing.assert_array_equal(found.corrected.positions, TRUTH)
+    again = check_layout(found.corrected, recording, statistics=statistics)
+    assert again.consistent
+
+
+def test_dead_doubled_and_untouched_sensors(recording):
+    readings = np.array(recording.readings)
+    readings[:, 33] = 0
+    readings[:, 140] = readings[:, 12]
+    far = TRUTH[:, 0] > np.quantile(TRUTH[:, 0], 0.9)
+    readings[:, far] = 0  # never touched, with neighbours that were not touched either
+    found = check_layout(LAYOUT, Recording(readings, names=NAMES))
+    kinds = {NAMES[f.sensors[0]]: f.kind for f in found.findings}
+    assert kinds["taxel33"] == "dead"
+    assert kinds.get("taxel140", kinds.get("taxel12")) == "doubled"
+    corner = int(TRUTH[:, 0].argmax())
+    assert found.status[corner] == "not tested"
+    assert "not tested" in found.notes[0]
+    assert found.n_tested < len(TRUTH)
+    np.testing.assert_array_equal(found.corrected.positions, TRUTH)
+
+
+def test_noise_accuses_nobody():
+    noise = np.random.default_rng(404).normal(size=(800, len(TRUTH)))
+    found = check_layout(LAYOUT, Recording(noise, names=NAMES))
+    assert found.consistent
+    assert found.n_tested < 0.2 * len(TRUTH)
+
+
+def test_the_frame_of_the_layout_does_not_matter(recording, statistics):
+    angle = np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
+    stated = faults()["mirrored"]
+    turned = replace(stated, positions=1e-3 * stated.positions @ angle.T + [0.3, -2])
+    found = check_layout(turned, recording, statistics=statistics)
+    assert [finding.kind for finding in found.findings] == ["mirrored"]
+    expected = 1e-3 * TRUTH @ angle.T + [0.3, -2]
+    np.testing.assert_allclose(found.corrected.positions, expected, atol=1e-12)
+
+
+def test_sensors_are_matched_by_name_or_by_order(recording, statistics):
+    order = np.random.default_rng(405).permutation(len(TRUTH))
+    stated = faults()["swapped"]
+    shuffled = check_layout(stated.select(order), recording, statistics=statistics)
+    (finding,) = shuffled.findings
+    assert sorted(shuffled.names(finding)) == ["taxel3", "taxel77"]
+
+    unnamed = check_layout(stated.positions, recording, statistics=statistics)
+    assert "matched by order" in unnamed.notes[0]
+    assert unnamed.findings[0].sensors.tolist() == [3, 77]
+
+    part = check_layout(stated.select(np.arange(100)), recording, statistics=statistics)
+    assert "60 sensors of the recording have no position" in part.notes[0]
+    assert [f.kind for f in part.findings] == ["swapped"]
+
+
+def test_modules_can_be_given(recording, statistics):
+    stated = faults()["turned"]
+    by_size = modules_by_size(NAMES, 10, first=0)
+    assigned = {name: (str(i // 10), None) for i, name in enumerate(NAMES)}
+    for modules in (10, by_size, modules_by_name(NAMES, assigned)):
+        found = check_layout(stated, recording, modules=modules, statistics=statistics)
+        assert [finding.kind for finding in found.findings] == ["turned"]
+        assert "turned by 120 degrees" in found.findings[0].explanation
+
+
+def test_modules_are_found_with_gaps_in_the_numbers():
+    # Channels 4 and 9 of 12 have no sensor, as the thermal pads of the iCub's triangles.
+    channels = [c for c in range(12) if c not in (4, 9)]
+    numbers = [2749 + 12 * (i // 10) + channels[i % 10] for i in range(len(TRUTH))]
+    layout = SensorMap(TRUTH, names=[f"taxel{n}" for n in numbers])
+    for modules in (None, 12):
+        found = module_members(layout, modules)
+        assert [inside.tolist() for inside in found] == np.arange(160).reshape(16, 10).tolist()
+    scattered = np.random.default_rng(406).normal(size=(60, 2))
+    assert module_members(SensorMap(scattered)) == []
+
+
+def test_the_same_seed_gives_the_same_result(recording):
+    short = Recording(recording.readings[:600], names=NAMES)
+    first, second = (check_layout(faults()["swapped"], short, rng=3) for _ in range(2))
+    assert first.status == second.status
+    assert first.findings[0].chance == second.findings[0].chance
+    assert "<LayoutCheck: 1 findings" in repr(first)
+    assert "swapped" in first._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda r: (LAYOUT, Recording(r.readings[:30], names=NAMES)), "at least 40 frames"),
+        (lambda r: (TRUTH[:30], r), "cannot be matched"),
+        (lambda r: (np.zeros_like(TRUTH), r), "same position"),
+        (lambda r: (np.hstack([TRUTH, TRUTH]), r), "2 or 3 coordinates"),
+        (lambda r: ("layout.csv", r), "must be a SensorMap"),
+        (lambda r: (LAYOUT, Recording(0 * r.readings, names=NAMES)), "record more contacts"),
+        (lambda r: (LAYOUT, Recording(np.where(r.readings > 2.5, np.nan, r.readings))), "NaN"),
+    ],
+)
+def test_bad_input_is_refused(recording, change, expected):
+    with pytest.raises(InputError, match=expected):
+        check_layout(*change(recording))
+
+
+def test_bad_options_are_refused(recording):
+    with pytest.raises(InputError, match="at least 1"):
+        CheckOptions(n_shifts=0)
+    with pytest.raises(InputError, match="size of modules"):
+        check_layout(LAYOUT, recording, modules=100)
+    with pytest.raises(InputError, match="do not fit"):
+        check_layout(LAYOUT, recording, modules=modules_by_size(NAMES[:50], 10, first=0))
+
+
+@pytest.mark.slow
+def test_two_triangles_of_the_torso_are_turned(recordings_folder):
+    """Their pads read like those of adjacent triangles 16 to 25 mm from their stated places.
+
+    After a third of a turn, 4 to 17 mm remain for most of them, as for all other triangles.
+    """
+    whole = anisomap.read(recordings_folder / "icub_torso.npz")
+    layout = SensorMap(np.asarray(whole.positions), names=whole.names, units=whole.units)
+    found = check_layout(layout, whole, modules=12)
+    assert [finding.kind for finding in found.findings] == ["turned", "turned"]
+    assert {found.names(f)[0] for f in found.findings} == {"taxel3073", "taxel3121"}
+    assert check_layout(found.corrected, whole, modules=12).consistent
+
+
+@pytest.mark.slow
+def test_the_triangles_of_the_leg_that_were_corrected(recordings_folder):
+    """The layout of the iCub's upper leg was shipped with turned triangles for years."""
+    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    folder = recordings_folder.parent / "geometry"
+    if not folder.is_dir():
+        pytest.skip("the geometry of the iCub is not here")
+    right, shipped = (
+        np.load(folder / f"icub_left_leg_upper{end}.npz") for end in ("", "_before_904")
+    )
+    names = tuple(f"taxel{i}" for i in right["taxel_index"])
+    body = anisomap.simulation.body_from_points(
+        right["positions"], right["normals"], names=names, units="m"
+    )
+    recording = anisomap.simulate(
+        body, "rubbing", n_frames=4000, seed=1007, hand_size=0.03, detection_radius=0.006,
+        press_depth=0.004,
+    )  # fmt: skip
+    statistics = reading_statistics(recording.readings, np.random.default_rng(0))
+    layouts = [SensorMap(z["positions"], names=names, units="m") for z in (right, shipped)]
+    new, old = (
+        check_layout(layout, recording, modules=12, statistics=statistics) for layout in layouts
+    )
+    assert new.consistent
+    wrong = (np.abs(layouts[0].positions - layouts[1].positions) > 1e-5).any(axis=1)
+    assert {finding.kind for finding in old.findings} == {"turned"}
+    modules = {int(old.module[f.sensors[0]]) for f in old.findings}
+    assert modules == set(old.module[wrong].tolist())
+    np.testing.assert_array_equal(old.accused, wrong)
+    np.testing.assert_allclose(old.corrected.positions, layouts[0].positions, atol=1e-5)
