@@ -8,7 +8,9 @@ moved patches, which have no place of their own to be assigned to), and right se
 Everything is repeated with the first half of the frames. Faults are drawn from seeds that were not
 used for tuning (1 to 300 were).
 
-Usage: ``python -m benchmarks.check RECORDING... -o docs/results/check.csv``
+Usage: ``python -m benchmarks.check RECORDING... -o docs/results/check.csv --table
+docs/check-table.md``. Scores of other recordings in the CSV file are kept; without a recording,
+only the table is written.
 """
 
 from __future__ import annotations
@@ -69,20 +71,25 @@ class Result:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Check all recordings, write the scores and print a summary."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("recordings", type=Path, nargs="+", help="NPZ files with positions")
+    parser = argparse.ArgumentParser(prog="benchmarks.check", description=__doc__)
+    parser.add_argument("recordings", type=Path, nargs="*", help="NPZ files with positions")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--kinds", nargs="+", choices=(*LAYOUT_FAULTS, *READING_FAULTS))
     parser.add_argument("-o", "--output", type=Path, default=Path("check.csv"))
+    parser.add_argument("--table", type=Path, help="file for a summary in Markdown")
     chosen = parser.parse_args(arguments)
     kinds = chosen.kinds or (*LAYOUT_FAULTS, *READING_FAULTS)
     warnings.simplefilter("ignore", anisomap.AnisomapWarning)
-    results: list[Result] = []
+    renewed = {path.stem for path in chosen.recordings}
+    results = [r for r in read_csv(chosen.output) if r.recording not in renewed]
     for path in chosen.recordings:
         for result in checks(path, kinds, range(FIRST_SEED, FIRST_SEED + chosen.seeds)):
             results.append(result)
             write_csv(results, chosen.output)
-    print("\n".join(table(results)))
+    text = "\n".join(table(results))
+    if chosen.table:
+        chosen.table.write_text(text + "\n", encoding="utf-8")
+    print(text)
 
 
 def checks(path: Path, kinds: Sequence[str], seeds: range) -> list[Result]:
@@ -305,7 +312,7 @@ def table(results: Sequence[Result]) -> list[str]:
     keys = dict.fromkeys((r.recording, r.n_frames, r.kind) for r in results)
     for key in keys:
         rows = [r for r in results if (r.recording, r.n_frames, r.kind) == key]
-        lines.append(f"| {key[0]} | {key[1]} | {' | '.join(cells(rows))} |")
+        lines.append(f"| {key[0]} | {key[1]:,} | {' | '.join(cells(rows))} |")
     return lines
 
 
@@ -324,6 +331,18 @@ def cells(rows: Sequence[Result]) -> tuple[str, ...]:
         )),
         f"{accused:.2%}",
     )  # fmt: skip
+
+
+def read_csv(path: Path) -> list[Result]:
+    """Read scores; none if there is no file."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as stream:
+        types = {"recording": str, "kind": str, "share": float}
+        return [
+            Result(**{name: types.get(name, int)(value) for name, value in row.items()})
+            for row in csv.DictReader(stream)
+        ]
 
 
 def write_csv(results: Sequence[Result], path: Path) -> None:

@@ -7,6 +7,7 @@ from tests.documents import collector, run_commands
 # Pages whose commands run, too: they make the files that they use.
 _RUNNABLE = [
     "getting-started.md",
+    "how-to/check-a-layout.md",
     "how-to/compare-two-maps.md",
     "how-to/contacts-and-spikes.md",
     "how-to/map-a-skin.md",
