@@ -65,11 +65,12 @@ def faults():
 def test_a_right_layout_is_consistent(recording, statistics):
     found = check_layout(LAYOUT, recording, statistics=statistics)
     assert found.consistent
-    assert set(found.status) == {"ok"}
+    assert set(found.status) <= {"ok", "not tested"}
+    assert found.n_tested > 0.9 * len(TRUTH)
     assert found.corrected.names == NAMES
     np.testing.assert_array_equal(found.corrected.positions, TRUTH)
     assert found.n_modules == 16
-    assert np.median(found.agreement) > 0.5
+    assert np.nanmedian(found.agreement) > 0.5
 
 
 @pytest.mark.parametrize("seed", [401, 402, 403])
@@ -130,6 +131,19 @@ def test_dead_doubled_and_untouched_sensors(recording):
     np.testing.assert_array_equal(found.corrected.positions, TRUTH)
 
 
+def test_a_sensor_in_the_place_of_a_dead_one(recording):
+    readings = np.array(recording.readings)
+    readings[:, 131] = 0
+    found = check_layout(with_places([30, 131], [131, 30]), Recording(readings, names=NAMES))
+    assert {NAMES[f.sensors[0]]: f.kind for f in found.findings} == {
+        "taxel30": "moved",
+        "taxel131": "dead",
+    }
+    error = np.linalg.norm(found.corrected.positions - TRUTH, axis=1)
+    assert error[30] < 1
+    assert (error[np.setdiff1d(np.arange(len(TRUTH)), [30, 131])] == 0).all()
+
+
 def test_noise_accuses_nobody():
     noise = np.random.default_rng(404).normal(size=(800, len(TRUTH)))
     found = check_layout(LAYOUT, Recording(noise, names=NAMES))
@@ -186,7 +200,7 @@ def test_modules_are_found_with_gaps_in_the_numbers():
 
 
 def test_the_same_seed_gives_the_same_result(recording):
-    short = Recording(recording.readings[:600], names=NAMES)
+    short = Recording(recording.readings[:1200], names=NAMES)
     first, second = (check_layout(faults()["swapped"], short, rng=3) for _ in range(2))
     assert first.status == second.status
     assert first.findings[0].chance == second.findings[0].chance

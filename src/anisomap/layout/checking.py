@@ -106,7 +106,8 @@ def check_layout(
     halves of the recording; and it must raise the agreement of the sensors with those around
     them, the mean rank correlation, by more than a free choice of places raises it after circular
     shifts in time. Two sensors closer than 2 to 3 spacings may read alike, so that small
-    displacements are not found.
+    displacements are not found. Sensors with fewer than 5 contacts are not tested, nor are those
+    that agree with others no more than after a shift.
     """
     options = options or CheckOptions()
     stated = layout if isinstance(layout, SensorMap) else _as_layout(layout)
@@ -165,7 +166,7 @@ class _Checked:
         )
         self._statistics = statistics
         self._active = _contacts(readings)
-        self._usable = self._statistics.tested & (self._active > 0)
+        self._usable = self._statistics.tested & (self._active >= MIN_CONTACTS)
         self._findings: list[Finding] = []
 
     def result(self, notes: list[str]) -> LayoutCheck:
@@ -205,8 +206,7 @@ class _Checked:
         """Find pairs with equal readings; the one that fits its place less is the copy."""
         similarity = np.array(self._statistics.similarity, dtype=np.float64)
         np.fill_diagonal(similarity, -1)
-        compared = self._usable & (self._active >= MIN_CONTACTS)  # few contacts are equal by chance
-        similarity[~compared] = similarity[:, ~compared] = -1
+        similarity[~self._usable] = similarity[:, ~self._usable] = -1
         ordered = np.sort(similarity, axis=1)
         for i, j in np.argwhere(np.triu(similarity >= _DOUBLED)).tolist():
             following = max(ordered[i, -2], ordered[j, -2]) if len(ordered) > 2 else -1.0

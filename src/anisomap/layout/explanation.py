@@ -207,7 +207,7 @@ def _closed(edges: dict[int, int]) -> list[list[int]]:
     found, seen = [], set()
     for start in sorted(edges):
         path = list(itertools.islice(_followed(edges, start), len(edges) + 1))
-        if start not in seen and len(path) <= len(edges) and edges[path[-1]] == start:
+        if start not in seen and len(path) <= len(edges) and edges.get(path[-1]) == start:
             found.append(path)
             seen.update(path)
     return found

@@ -16,17 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
 
 from anisomap.numerics.layout.congruence import Symmetry, congruent, symmetries
 from anisomap.numerics.layout.evidence import Evidence, Move, Proposal
+from anisomap.numerics.layout.place_fits import MIN_GAIN, PlaceFits
 
 _N_SLOTS = 6  # modules whose place another module may have; chosen by hand
 _MIN_VOTES = 0.8  # for the place of another module, relative to its own; chosen by hand
 _N_OUTSIDE = 3  # most similar sensors of other modules that vote for a place; chosen by hand
 _STEPS = (1, -1, 2, -2)  # channels by which a cable may be shifted
 _MIN_RUN = 4  # consecutive channels; fewer are swaps and cycles
-_MIN_SUSPECT_GAIN = 15.0  # nats by which a sensor must fit another place better; as `MIN_GAIN`
 _MAX_SUSPECTS = 200  # sensors that may be in cycles, the worst first
 _N_RUNS = 5  # runs of each step that are evaluated exactly; chosen by hand
 
@@ -63,7 +62,7 @@ class ModuleShapes:
 
 def swaps(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
     """Propose the best exchange of each sensor with one other."""
-    fits = _Fits(evidence)
+    fits = PlaceFits(evidence)
     proposals = []
     for i in np.flatnonzero(evidence.usable).tolist():
         partners = fits.places_near(i)
@@ -81,14 +80,10 @@ def cycles(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
 
     Sensors that fit another place better than their own are assigned to each other's places.
     """
-    fits = _Fits(evidence)
-    best = np.full(len(evidence.positions), -np.inf)
-    for i in np.flatnonzero(evidence.usable).tolist():
-        places = fits.places_near(i)
-        if places.size:
-            best[i] = fits.gains(i, places).max()
+    fits = PlaceFits(evidence)
+    best = fits.best_gains()
     suspects = np.argsort(-best, kind="stable")[:_MAX_SUSPECTS]
-    suspects = np.sort(suspects[best[suspects] >= _MIN_SUSPECT_GAIN])
+    suspects = np.sort(suspects[best[suspects] >= MIN_GAIN])
     if not suspects.size:
         return []
     gains = np.stack([fits.gains(i, suspects) for i in suspects.tolist()])
@@ -197,39 +192,6 @@ PROPOSERS: Mapping[str, Callable[[Evidence, ModuleShapes], list[Proposal]]] = Ma
     }
 )
 """All functions that propose permutations of places."""
-
-
-class _Fits:
-    """Log-likelihoods of single sensors at the places of others."""
-
-    def __init__(self, evidence: Evidence) -> None:
-        self._evidence = evidence
-        self._distances = cdist(evidence.positions, evidence.positions)
-        self._total = evidence.likelihood.sum(axis=1)
-
-    def places_near(self, sensor: int) -> NDArray[np.intp]:
-        """Return the usable sensors whose places are near those most similar to a sensor."""
-        evidence = self._evidence
-        near = (self._distances[evidence.similar(sensor)] <= evidence.reach).any(axis=0)
-        return np.flatnonzero(near & evidence.usable & (self._distances[sensor] > 0))
-
-    def gains(self, sensor: int, others: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the gains of a sensor at the places of others, which are left out."""
-        evidence = self._evidence
-        after = evidence.falloff.log_likelihood(evidence.similarity[sensor], evidence.bins[others])
-        known = np.repeat(evidence.known[sensor][None], len(others), axis=0)
-        known[np.arange(len(others)), others] = False
-        before = self._total[sensor] - evidence.likelihood[sensor, others]
-        return np.asarray(np.where(known, after, 0.0).sum(axis=1) - before)
-
-    def gains_at(self, sensor: int, others: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the gains of others at the place of a sensor, which is left out."""
-        evidence = self._evidence
-        after = evidence.falloff.log_likelihood(evidence.similarity[others], evidence.bins[sensor])
-        known = evidence.known[others]
-        known[:, sensor] = False
-        before = self._total[others] - evidence.likelihood[others, sensor]
-        return np.asarray(np.where(known, after, 0.0).sum(axis=1) - before)
 
 
 def _best(evidence: Evidence, moves: Sequence[Move]) -> Proposal:

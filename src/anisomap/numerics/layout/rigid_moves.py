@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from anisomap.numerics.layout.evidence import Evidence, Move, Proposal
 from anisomap.numerics.layout.permutations import ModuleShapes
+from anisomap.numerics.layout.place_fits import MIN_GAIN, PlaceFits
 
 _MIN_DISPLACEMENT = 3.0  # spacings: contacts of unequal reach pull patches by up to 2.5 spacings
 _MIN_GAP = 0.5  # spacings between sensors of a moved patch and others, which are not in its way
@@ -27,7 +28,6 @@ _REACH_BIN = 3  # bin of 2.25 to 2.75 spacings: pairs that are more similar shou
 _VOTE_RADIUS = 1.5  # spacings within which votes for a translation agree; chosen by hand
 _MAX_MODES = 6  # translations that are tried
 _MAX_SWEEPS = 40
-_MIN_ROTATION_GAIN = 15.0  # nats, for a rotation beyond a translation; as the gain of a move
 _N_STARTS = 3  # best translations that are refined; chosen by hand
 _MAX_TRIED = 60  # sensors of a patch that propose translations
 _MAX_SHARE = 0.5  # of the sensors: a patch is smaller than what it is placed against
@@ -82,8 +82,16 @@ def patch_moves(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
 
 
 def single_moves(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
-    """Propose the best place of each sensor, or two, that agree with no neighbour."""
-    return _rigid_moves(evidence, [p for p in patches(evidence)[1:] if len(p) < _MIN_PATCH])
+    """Propose the best place of single sensors, and of two.
+
+    Candidates agree with no neighbour, or fit a place that is not near theirs better.
+    """
+    small = [patch for patch in patches(evidence)[1:] if len(patch) < _MIN_PATCH]
+    least = _MIN_DISPLACEMENT * evidence.falloff.spacing
+    better = np.flatnonzero(PlaceFits(evidence).best_gains(least) >= MIN_GAIN)
+    apart = {i for patch in small for i in patch.tolist()}
+    single = [np.array([i]) for i in better.tolist() if i not in apart]
+    return _rigid_moves(evidence, small + single)
 
 
 def _rigid_moves(evidence: Evidence, groups: list[NDArray[np.intp]]) -> list[Proposal]:
@@ -225,4 +233,4 @@ def _refined(evidence: Evidence, patch: NDArray[np.intp], offset: NDArray[np.flo
     if not n_angles:
         return translated
     turned = fit(np.concatenate([offset / spacing, np.zeros(n_angles)]))
-    return turned if turned.gain > translated.gain + _MIN_ROTATION_GAIN else translated
+    return turned if turned.gain > translated.gain + MIN_GAIN else translated
