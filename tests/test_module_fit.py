@@ -75,7 +75,7 @@ def test_modules_are_rigid_and_better_than_sensors_alone(k):
         fit = fit_modules(SensorMap(free(noisy, seed)), modules_of(len(truth), pads))
         best = fit_similarity(noisy, truth).apply(noisy)
         ratios.append(
-            np.median(error(fit.map.positions, truth))
+            np.median(align(fit.map.positions, truth).errors)
             / np.median(np.linalg.norm(best - truth, axis=1))
         )
         for module in range(len(truth) // len(pads)):

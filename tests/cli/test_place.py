@@ -92,6 +92,47 @@ def test_modules_give_millimetres_and_the_hand_without_anchors(run, run_map, tmp
     assert np.median(rigid.errors) < np.median(free.errors)
 
 
+def test_a_map_lies_on_the_mesh_of_its_part(run, tmp_path):
+    """A noisy map of a ball of 60 mm, and its mesh in mm."""
+    trimesh = pytest.importorskip("trimesh")
+    ball = trimesh.creation.icosphere(2, 60.0)
+    ball.export(tmp_path / "part.stl")
+    places = np.asarray(ball.triangles_center)[::4] / 1000
+    rng = np.random.default_rng(1)
+    turned = 40 * (places + rng.normal(0, 0.002, places.shape)) @ [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
+    sensor_map = anisomap.SensorMap(turned * [-1, 1, 1])
+    anisomap.write(sensor_map, tmp_path / "map.csv")
+    anchors = anisomap.SensorMap(
+        places[[3, 20, 41, 70]], names=("s3", "s20", "s41", "s70"), units="m"
+    )
+    anisomap.write(anchors, tmp_path / "anchors.csv")
+    done = run("place", "map.csv", "--anchors", "anchors.csv", "--mesh", "part.stl",
+               "--mesh-units", "mm", "-o", "placed.json", "--picture", "placed.png")  # fmt: skip
+    assert done.code == 0, done.err
+    assert "on the mesh" in done.out
+    placed = io.read_map(tmp_path / "placed.json")
+    np.testing.assert_allclose(np.linalg.norm(placed.positions, axis=1), 0.06, rtol=0.04)
+    outward = places / np.linalg.norm(places, axis=1, keepdims=True)
+    assert np.median(np.einsum("nd,nd->n", placed.normals, outward)) > 0.95
+    assert np.median(np.linalg.norm(placed.positions - places, axis=1)) < 0.004
+    far = run("place", "map.csv", "--anchors", "anchors.csv", "--mesh", "part.stl", "-o", "far.csv")
+    assert far.code == 2
+    assert "check the unit and frame of the mesh" in far.err
+    odd = run("place", "map.csv", "--anchors", "anchors.csv", "--mesh", "map.csv", "-o", "far.csv")
+    assert odd.code == 2
+
+
+def test_sensors_worth_measuring_are_suggested(run, skin_map):
+    done = run("place", skin_map, "--suggest", 4, "--json")
+    names = json.loads(done.out)["suggested"]
+    assert len(set(names)) == 4
+    truth = io.read_map(skin_map.parent / "truth.csv")
+    edge = np.ptp(truth.positions, axis=0).max()
+    chosen = truth.positions[truth.indices(names)]
+    assert np.ptp(chosen, axis=0).max() > edge / 3
+    assert not {"s0", "s6", "s35", "s41"} & set(names)  # the corners
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from anisomap.errors import InputError
+from anisomap.numerics.triangles import TriangleSearch
 from anisomap.scene import Mesh
 from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.solids import Solid
-from anisomap.simulation.geometry.triangles import TriangleSearch
 
 seeds = st.integers(0, 2**32 - 1)
 PRIMITIVES: dict[str, Callable[[], Solid]] = {

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from anisomap.simulation.geometry.triangles import nearest_on_triangles
+from anisomap.numerics.triangles import nearest_on_triangles
 from anisomap.simulation.physics.terrain import Terrain, bumpy_terrain
 
 

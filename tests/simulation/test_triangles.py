@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from anisomap.numerics.triangles import TriangleSearch, nearest_on_triangles
 from anisomap.scene import Mesh
-from anisomap.simulation.geometry.triangles import TriangleSearch, nearest_on_triangles
 
 
 @settings(max_examples=30)

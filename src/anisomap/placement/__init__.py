@@ -7,6 +7,7 @@ known rigid modules, and the distance between neighbouring sensors determine the
 from anisomap.placement.anchors import Anchors as Anchors
 from anisomap.placement.anchors import anchors_from_map as anchors_from_map
 from anisomap.placement.anchors import parse_anchor as parse_anchor
+from anisomap.placement.anchors import suggest_anchors as suggest_anchors
 from anisomap.placement.modules import NO_MODULE as NO_MODULE
 from anisomap.placement.modules import Modules as Modules
 from anisomap.placement.modules import modules_by_name as modules_by_name

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from scipy.stats import f as f_distribution
 
 from anisomap.errors import InputError
@@ -30,6 +31,10 @@ _PRIOR_SIGMA, _PRIOR_FREEDOM = 0.5, 4.0
 # Fields of correction that are tried, in sizes of the map and in variances of the field.
 _REACHES, _NOISES = (0.25, 0.5, 1.0), (0.1, 0.3, 1.0)
 _MIN_REACH = 3.0  # spacings; a field that changes faster would change the spacing
+# Anchors that are suggested; tuned on the iCub hexagon and palm, the plantar recording, and halves
+# of rubbed planes and cylinders, seeds 301 to 306.
+_RING = 12  # neighbours that tell whether a sensor is inside
+_SHARE_INSIDE = 0.5  # of the sensors
 _MAX_FOLDS = 50  # groups of anchors that are left out in turn
 
 
@@ -115,6 +120,43 @@ def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:
         )
     placed = np.flatnonzero(layout.placed)
     return Anchors(tuple(layout.names[i] for i in placed), layout.positions[placed] * METRES[unit])
+
+
+def suggest_anchors(sensor_map: SensorMap, count: int = 4) -> tuple[str, ...]:
+    """Choose sensors of which the positions are worth measuring.
+
+    They are far apart, so that they determine the pose well, and inside the skin, where maps are
+    more accurate than at its edge.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+    count : int
+        Number of sensors of each component.
+
+    Returns
+    -------
+    tuple of str
+        Names, the largest component first; fewer than `count` of small components.
+    """
+    found: list[str] = []
+    for part in sensor_map.split():
+        positions, n_sensors = part.positions, part.n_sensors
+        n_neighbours = min(_RING, n_sensors - 1)
+        if n_neighbours < 1:
+            continue
+        distances, near = map(np.asarray, KDTree(positions).query(positions, n_neighbours + 1))
+        centres = positions[near[:, 1:]].mean(axis=1)
+        # Neighbours of a sensor at the edge are on one side of it.
+        lopsided = np.linalg.norm(centres - positions, axis=1) / distances[:, 1:].mean(axis=1)
+        inside = np.flatnonzero(lopsided <= np.quantile(lopsided, _SHARE_INSIDE))
+        middle = positions[inside].mean(axis=0)
+        chosen = [int(inside[np.linalg.norm(positions[inside] - middle, axis=1).argmax()])]
+        while len(chosen) < min(count, len(inside)):
+            gaps = np.linalg.norm(positions[inside][:, None] - positions[chosen], axis=2)
+            chosen.append(int(inside[gaps.min(axis=1).argmax()]))
+        found += [part.names[i] for i in chosen]
+    return tuple(found)
 
 
 @dataclass(frozen=True)

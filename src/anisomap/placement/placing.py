@@ -9,17 +9,19 @@ from numpy.typing import NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.placement.anchors import DECISIVE, Anchors, Known, fit_anchors
+from anisomap.placement.anchors import DECISIVE, AnchorFit, Anchors, Known, fit_anchors
 from anisomap.placement.modules import NO_MODULE, Modules
 from anisomap.placement.orientation import mirrored, pad_to_3d
 from anisomap.placement.rigid_fit import ModuleFit, fit_modules
 from anisomap.placement.scale import METRES, median_spacing, scaled_to_spacing
+from anisomap.placement.surface import Surface, project_on_surface, surface_evidence
+from anisomap.scene import Mesh
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
 
-# Standard deviations of the logarithm of a scale; on the iCub hexagon, modules were 2 % off, and
-# the median spacing of simulated maps 10 %.
-_MODULE_SCALE, _SPACING_SCALE = 0.03, 0.1
+# Standard deviations of the logarithm of a scale. Modules were 1 to 5 % off on the iCub hexagon and
+# on simulated hexagons, seeds 201 to 203; that of the spacing is a guess on the safe side.
+_MODULE_SCALE, _SPACING_SCALE = 0.04, 0.2
 _MIN_PADS = 3
 
 
@@ -56,6 +58,7 @@ def place(
     anchors: Anchors | None = None,
     *,
     modules: Modules | None = None,
+    mesh: Mesh | None = None,
     spacing: tuple[float, str] | None = None,
     handedness: str = "",
 ) -> Placement:
@@ -69,6 +72,9 @@ def place(
         handedness of a map in 3D. Each component needs its own.
     modules : Modules, optional
         Rigid modules with a template: see `fit_modules`.
+    mesh : Mesh, optional
+        Surface of the skin in metres, in the frame of the anchors: sensors are placed on it, with
+        its normals, and its shape may tell the handedness.
     spacing : (float, str), optional
         Median distance between neighbouring sensors and its unit.
     handedness : {"", "same", "mirrored"}
@@ -93,6 +99,8 @@ def place(
         raise InputError(
             f"a map must have 2 or 3 dimensions to be placed, got {sensor_map.dimensions}"
         )
+    if mesh is not None and anchors is None:
+        raise InputError("to place a map on a mesh, give at least 3 anchors")
     stated = None if not handedness else handedness == "mirrored"
     if anchors is None and modules is None and spacing is None and sensor_map.units not in METRES:
         raise InputError(
@@ -101,7 +109,17 @@ def place(
     parts = [_scaled(part, modules, spacing) for part in _components(sensor_map)]
     if anchors is None:
         return _unanchored(sensor_map, parts, stated)
-    return _anchored(sensor_map, parts, anchors, modules, stated)
+    surface = None if mesh is None else Surface(mesh)
+    return _anchored(sensor_map, parts, anchors, _Shape(modules, surface, stated))
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """What is known of the shape of the skin, and its stated handedness."""
+
+    modules: Modules | None
+    surface: Surface | None
+    mirrored: bool | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,60 +207,76 @@ def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) 
     return Placement(result, (), empty, empty, tuple(methods), missing)
 
 
+@dataclass(frozen=True, eq=False)
+class _PlacedPart:
+    """A component in the frame of the robot."""
+
+    fit: AnchorFit
+    positions: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    method: str
+
+
+def _place_part(
+    part: _Part,
+    members: NDArray[np.intp],
+    anchored: NDArray[np.intp],
+    targets: NDArray[np.float64],
+    shape: _Shape,
+) -> _PlacedPart:
+    """Place the sensors `members` of a component by the anchors `anchored`."""
+    k = targets.shape[1]
+    points = part.map.positions[members]
+    points = points if k == points.shape[1] else pad_to_3d(points)
+    index, known = np.searchsorted(members, anchored), part.known(shape.mirrored)
+    if shape.surface is not None and len(index) >= k:
+        evidence = surface_evidence(points, index, targets, shape.surface)
+        known = replace(known, evidence=known.evidence + evidence)
+    fit = fit_anchors(points, index, targets, known)
+    positions, normals = fit.positions, np.full((len(members), 3), np.nan)
+    how = "similarity and smooth field" if fit.warped else "similarity"
+    if shape.surface is not None:
+        positions, normals = project_on_surface(positions, fit.errors, shape.surface)
+        how += " on the mesh"
+    if part.fit is not None and shape.modules is not None:
+        how += " of rigid modules"
+        if fit.warped or shape.surface is not None:
+            positions = _rigid(positions, shape.modules.select(members))
+    return _PlacedPart(fit, positions, normals, f"{how}, {len(index)} anchors")
+
+
 def _anchored(
-    sensor_map: SensorMap,
-    parts: list[_Part],
-    anchors: Anchors,
-    modules: Modules | None,
-    stated: bool | None,
+    sensor_map: SensorMap, parts: list[_Part], anchors: Anchors, shape: _Shape
 ) -> Placement:
     """Place each component by its anchors, all in one frame."""
-    rows = {name: i for i, name in enumerate(sensor_map.names)}
-    unknown = [name for name in anchors.names if name not in rows]
-    if unknown:
-        raise InputError(f"anchor {join_items(unknown)} is no sensor of the map")
-    where = np.array([rows[name] for name in anchors.names], dtype=np.intp)
+    where = _rows(sensor_map, anchors, shape)
     k = max(anchors.positions.shape[1], sensor_map.dimensions)
-    if anchors.positions.shape[1] < sensor_map.dimensions:
-        raise InputError("anchors of a map in 3D must have three coordinates")
-    positions = np.full((sensor_map.n_sensors, k), np.nan)
-    errors = np.full(sensor_map.n_sensors, np.nan)
+    n_sensors = sensor_map.n_sensors
+    positions, normals = np.full((n_sensors, k), np.nan), np.full((n_sensors, 3), np.nan)
+    errors = np.full(n_sensors, np.nan)
     residuals, left_out = (np.full(len(where), np.nan) for _ in range(2))
-    methods, failures = [], []
-    mirror, handed = False, True
+    methods, placed, failures = [], [], []
     for label, part in enumerate(parts):
         here = part.map.placed & (sensor_map.placed <= (sensor_map.component == label))
-        mine = np.flatnonzero(here[where])
-        members = np.flatnonzero(here)
+        mine, members = np.flatnonzero(here[where]), np.flatnonzero(here)
         try:
-            index = np.searchsorted(members, where[mine])
-            points = part.map.positions[members]
-            fit = fit_anchors(
-                points if k == points.shape[1] else pad_to_3d(points),
-                index,
-                anchors.positions[mine],
-                part.known(stated),
-            )
+            found = _place_part(part, members, where[mine], anchors.positions[mine], shape)
         except InputError as error:
             failures.append(error)
             methods.append(f"not placed: {error}")
             continue
-        mirror, handed = mirror or fit.reflected, handed and fit.handed
-        positions[members] = fit.positions
-        errors[members] = fit.errors
-        residuals[mine], left_out[mine] = fit.residuals, fit.left_out
-        how = "similarity and smooth field" if fit.warped else "similarity"
-        known = " of rigid modules" if part.fit else ""
-        methods.append(f"{how}{known}, {len(mine)} anchors")
-        if part.fit is not None and modules is not None and fit.warped:
-            _make_rigid(positions, members, modules)
-    if failures and not np.isfinite(positions).any():
+        placed.append(found.fit)
+        methods.append(found.method)
+        positions[members], normals[members] = found.positions, found.normals
+        errors[members] = found.fit.errors
+        residuals[mine], left_out[mine] = found.fit.residuals, found.fit.left_out
+    if not placed:
         raise failures[0]
-    if modules is None:
+    if shape.modules is None:
         # What was measured is worth more than the map; modules stay rigid instead.
-        measured = where[np.isfinite(residuals)]
-        positions[measured] = anchors.positions[np.isfinite(residuals)]
-        errors[measured] = 0.0
+        measured = np.isfinite(residuals)
+        positions[where[measured]] = anchors.positions[measured]
+        errors[where[measured]] = 0.0
     component = np.where(np.isfinite(positions).all(axis=1), 0, UNPLACED)
     missing = _missing(sensor_map, component)
     result = replace(
@@ -250,30 +284,45 @@ def _anchored(
         positions=positions,
         component=component,
         errors=errors,
+        normals=None if shape.surface is None else normals,
         units="m",
-        handed=handed,
+        handed=all(fit.handed for fit in placed),
         anchored=True,
-        mirrored=sensor_map.mirrored != mirror,
+        mirrored=sensor_map.mirrored != placed[0].reflected,
         notes=(*sensor_map.notes, *_left_out_note(missing)),
         provenance={**sensor_map.provenance, "anchors": len(where), "placed_by": methods[0]},
     )
     return Placement(result, anchors.names, residuals, left_out, tuple(methods), missing)
 
 
-def _make_rigid(
-    positions: NDArray[np.float64], members: NDArray[np.intp], modules: Modules
-) -> None:
-    """Give the modules of a warped map their shape again, in place."""
+def _rows(sensor_map: SensorMap, anchors: Anchors, shape: _Shape) -> NDArray[np.intp]:
+    """Return the rows of the anchors, and check their coordinates."""
+    k = anchors.positions.shape[1]
+    if k < sensor_map.dimensions:
+        raise InputError("anchors of a map in 3D must have three coordinates")
+    if shape.surface is not None and k < 3:
+        raise InputError("anchors on a mesh must have three coordinates")
+    rows = {name: i for i, name in enumerate(sensor_map.names)}
+    unknown = [name for name in anchors.names if name not in rows]
+    if unknown:
+        raise InputError(f"anchor {join_items(unknown)} is no sensor of the map")
+    return np.array([rows[name] for name in anchors.names], dtype=np.intp)
+
+
+def _rigid(positions: NDArray[np.float64], modules: Modules) -> NDArray[np.float64]:
+    """Give the modules of a warped map their shape again."""
     k = positions.shape[1]
     template = modules.offsets[:, :k] * METRES[modules.units]
     offsets = np.pad(template, ((0, 0), (0, k - template.shape[1])))
-    for module in np.unique(modules.index[members]):
-        on_module = members[modules.index[members] == module]
-        if module != NO_MODULE and len(on_module) >= _MIN_PADS:
+    found = positions.copy()
+    for module in np.unique(modules.index[modules.index != NO_MODULE]):
+        members = np.flatnonzero(modules.index == module)
+        if len(members) >= _MIN_PADS:
             rigid = fit_similarity(
-                offsets[on_module], positions[on_module], scaling=False, reflection=False
+                offsets[members], positions[members], scaling=False, reflection=False
             )
-            positions[on_module] = rigid.apply(offsets[on_module])
+            found[members] = rigid.apply(offsets[members])
+    return found
 
 
 def _missing(sensor_map: SensorMap, component: NDArray[np.intp]) -> tuple[str, ...]:

@@ -28,8 +28,11 @@ from anisomap.placement import (
     parse_anchor,
     parse_length,
     place,
+    suggest_anchors,
 )
+from anisomap.scene import Mesh
 from anisomap.sensor_map import SensorMap
+from anisomap.simulation.geometry.mesh_files import read_mesh
 from anisomap.wording import join_items
 
 anchors_group = Group("Anchors", sort_key=2)
@@ -128,8 +131,11 @@ def place_map(
     frame: Annotated[str, Parameter(group=options.outputs_group)] = "",
     known: Annotated[AnchorOptions, Parameter(name="*", group=anchors_group)] = AnchorOptions(),
     rigid: Annotated[ModuleOptions, Parameter(name="*", group=modules_group)] = ModuleOptions(),
+    mesh: Path | None = None,
+    mesh_units: str = "m",
     spacing: str = "",
     handedness: Literal["", "same", "mirrored"] = "",
+    suggest: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Place a map in the frame of the robot, in metres, with an error for each sensor.
@@ -146,24 +152,39 @@ def place_map(
         File for a figure: .png, .svg or .pdf.
     frame
         Name of the frame of the anchors.
+    mesh
+        Mesh of the part, in the frame of the anchors: .stl, .obj, .ply, .off or .glb. Sensors are
+        placed on its surface, with its normals.
+    mesh_units
+        Unit of the mesh.
     spacing
         Median distance between neighbouring sensors, such as 6.5mm.
     handedness
         Whether the map has the handedness of the skin, if you know: same or mirrored. By default
         it follows from anchors and modules.
+    suggest
+        Only name so many sensors of each component that are worth measuring, and place nothing.
     """
+    if suggest:
+        with reporting.printer() as printer:
+            names = suggest_anchors(io.read_map(map_file), suggest)
+            printer.line(f"measure the positions of {join_items(names, len(names))}")
+            printer.record(suggested=names)
+        return
     outputs = output or [Path(f"{map_file.name.split('.')[0]}.placed.csv")]
-    inputs = [map_file, *rigid.files, *([known.anchors] if known.anchors else [])]
+    inputs = [map_file, *rigid.files, *(path for path in (known.anchors, mesh) if path)]
     check_distinct([*outputs, *([picture] if picture else [])], inputs)
     for path in outputs:
         io.check_writable(path)
     if picture:
         figures.check_writable(picture)
     sensor_map, anchors = io.read_map(map_file), known.read()
+    surface = None if mesh is None else _read_mesh(mesh, mesh_units)
     placement = place(
         sensor_map,
         anchors,
         modules=rigid.read(sensor_map),
+        mesh=surface,
         spacing=parse_length(spacing) if spacing else None,
         handedness=handedness,
     )
@@ -174,11 +195,18 @@ def place_map(
         io.write(placement.map, path)
         files.append(("map", path))
     if picture:
-        figures.save_figure(figures.placement_figure(placement, anchors), picture)
+        figures.save_figure(figures.placement_figure(placement, anchors, surface), picture)
         files.append(("picture", picture))
     with reporting.printer() as printer:
         _print(printer, placement, map_file.name)
         pipeline.print_files(printer, files)
+
+
+def _read_mesh(path: Path, units: str) -> Mesh:
+    if units not in METRES:
+        raise InputError(f"--mesh-units must be one of {', '.join(METRES)}, got {units!r}")
+    vertices, faces = read_mesh(path)
+    return Mesh(vertices * METRES[units], faces)
 
 
 def _print(printer: Printer, placement: Placement, name: str) -> None:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from anisomap.evaluation import Difference
     from anisomap.placement import Anchors, Placement
+    from anisomap.scene import Mesh
 
 _MAX_LABELS, _MAX_LABEL = 12, 14
 _WIDTH, _HEIGHT = 8.0, 7.2  # inches
@@ -129,7 +130,9 @@ def plot_difference(difference: Difference, *, ax: Axes | None = None) -> Axes:
     return plot_displacements(before, arrows, groups, labels, units=difference.units, ax=ax)
 
 
-def placement_figure(placement: Placement, anchors: Anchors | None = None) -> Figure:
+def placement_figure(
+    placement: Placement, anchors: Anchors | None = None, mesh: Mesh | None = None
+) -> Figure:
     """Draw a placed map, and where its anchors are.
 
     Parameters
@@ -138,6 +141,8 @@ def placement_figure(placement: Placement, anchors: Anchors | None = None) -> Fi
         See `anisomap.placement.place`.
     anchors : Anchors, optional
         The anchors that were given.
+    mesh : Mesh, optional
+        Surface to draw below the sensors of a map in 3D.
 
     Returns
     -------
@@ -154,7 +159,7 @@ def placement_figure(placement: Placement, anchors: Anchors | None = None) -> Fi
         figure = new_figure(_WIDTH, _HEIGHT)
         figure.set_layout_engine("constrained", rect=(0, 0.05, 1, 0.86))
         axes = figure.add_subplot(projection="3d" if placed.dimensions == 3 else None)
-        plot_placement(placement, anchors, ax=axes)
+        plot_placement(placement, anchors, mesh, ax=axes)
         figure.legend(loc="upper right", ncols=4, frameon=False, bbox_to_anchor=(0.99, 0.96))
         write_title(figure, printable(f"Placed in {placed.frame}: {placement.methods[0]}", 70))
         note = "Positions in metres."
@@ -168,13 +173,17 @@ def placement_figure(placement: Placement, anchors: Anchors | None = None) -> Fi
 
 
 def plot_placement(
-    placement: Placement, anchors: Anchors | None = None, *, ax: Axes | None = None
+    placement: Placement,
+    anchors: Anchors | None = None,
+    mesh: Mesh | None = None,
+    *,
+    ax: Axes | None = None,
 ) -> Axes:
     """Plot the panel of `placement_figure`.
 
     Parameters
     ----------
-    placement, anchors
+    placement, anchors, mesh
         As for `placement_figure`.
     ax : matplotlib Axes, optional
         Axes to draw into, with ``projection="3d"`` for maps in 3D. A new figure is created by
@@ -205,7 +214,17 @@ def plot_placement(
     chosen = np.flatnonzero(placed.placed & known)[:_MAX_LABELS]
     labels = {int(i): placed.names[i] for i in chosen}
     nowhere = np.full_like(placed.positions, np.nan)
-    return plot_displacements(placed.positions, nowhere, groups, labels, units=placed.units, ax=ax)
+    axes = plot_displacements(placed.positions, nowhere, groups, labels, units=placed.units, ax=ax)
+    if mesh is not None and axes.name == "3d":
+        axes.plot_trisurf(
+            *mesh.vertices.T,
+            triangles=mesh.faces,
+            color="#c9cdd2",
+            alpha=0.25,
+            linewidth=0,
+            zorder=0,
+        )
+    return axes
 
 
 def plot_displacements(

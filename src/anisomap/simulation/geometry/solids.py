@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError, MissingExtraError
+from anisomap.numerics.triangles import TriangleSearch
 from anisomap.scene import Mesh, frozen
-from anisomap.simulation.geometry.triangles import TriangleSearch
 
 Points: TypeAlias = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
+from anisomap.numerics.triangles import Points, TriangleSearch
 from anisomap.scene import Mesh, frozen
-from anisomap.simulation.geometry.triangles import Points, TriangleSearch
 
 _TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
 

@@ -1,4 +1,4 @@
-"""Exact signed distances from triangle meshes."""
+"""Exact signed distances from triangle meshes, and the nearest points on them."""
 
 from __future__ import annotations
 
@@ -69,14 +69,48 @@ class TriangleSearch:
             found[chosen] = self._distance_in_block(points[chosen], bound[chosen])
         return found
 
-    def _distance_in_block(self, points: Points, bound: NDArray[np.float64]) -> Points:
+    def nearest(self, points: Points) -> tuple[Points, Points]:
+        """Find the nearest point on the mesh, and the normal there.
+
+        Parameters
+        ----------
+        points : ndarray of shape (n, 3)
+
+        Returns
+        -------
+        nearest : ndarray of shape (n, 3)
+        normals : ndarray of shape (n, 3)
+            Of the triangle that it is on; outward if triangles are counter-clockwise from outside.
+        """
+        bound = (np.asarray(self._vertices.query(points)[0]) + self._largest) * (1 + _ROUNDING)
+        counts = np.asarray(self._centroids.query_ball_point(points, bound, return_length=True))
+        blocks = np.cumsum(counts) // _MAX_PAIRS
+        found, normals = np.empty_like(points), np.empty_like(points)
+        for block in np.unique(blocks):
+            chosen = np.flatnonzero(blocks == block)
+            index, triangle, feet = self._feet(points[chosen], bound[chosen])
+            offset = points[chosen][index] - feet
+            # Sorted by point, then by distance: the first of each point is the nearest.
+            order = np.lexsort((np.einsum("pd,pd->p", offset, offset), index))
+            best = order[np.searchsorted(index[order], np.arange(len(chosen)))]
+            found[chosen], normals[chosen] = feet[best], self._normals[triangle[best]]
+        return found, normals
+
+    def _feet(
+        self, points: Points, bound: NDArray[np.float64]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], Points]:
+        """Return pairs of a point and a triangle within its bound, and the nearest points on it."""
         candidates = self._centroids.query_ball_point(points, bound)
         counts = np.array([len(near) for near in candidates])
         triangle = np.concatenate(candidates).astype(np.intp)
         index = np.repeat(np.arange(len(points)), counts)
-        offset = points[index] - nearest_on_triangles(points[index], self._corners[triangle])
+        return index, triangle, nearest_on_triangles(points[index], self._corners[triangle])
+
+    def _distance_in_block(self, points: Points, bound: NDArray[np.float64]) -> Points:
+        index, triangle, feet = self._feet(points, bound)
+        offset = points[index] - feet
         squared = np.einsum("pd,pd->p", offset, offset)
-        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        first = np.searchsorted(index, np.arange(len(points)))
         least = np.minimum.reduceat(squared, first)
         # Triangles with a common nearest point tie, up to rounding.
         tied = squared <= least[index] * (1 + _ROUNDING) + 1e-300

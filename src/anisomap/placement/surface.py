@@ -1,0 +1,159 @@
+"""A map on the surface of a mesh: its handedness, and the nearest points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anisomap.errors import InputError
+from anisomap.numerics.procrustes import fit_similarity
+from anisomap.numerics.triangles import TriangleSearch
+from anisomap.scene import Mesh
+
+# Tuned on rubbed spheres, cylinders, y-shapes, tori, cubes, hands and tubes, seeds 201 and 202.
+_INDEPENDENT = 20.0  # independent errors of a map, which are correlated between neighbours
+_ANCHOR_WEIGHT = 3.0  # of an anchor against the nearest point of another sensor
+_MAX_ITERATIONS = 60  # of iterated closest points
+_CONVERGED = 1e-4  # largest step, in sizes of the map
+# Points drawn on the mesh, about 1 % of its size apart: far less than the distances compared.
+_N_SAMPLES = 20_000
+
+
+class Surface:
+    """A mesh, searched exactly or, faster, among points drawn on it.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In metres.
+
+    Raises
+    ------
+    InputError
+        If the mesh has no triangles, no area, or a vertex that is not finite.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        corners = mesh.vertices[mesh.faces]
+        if not len(corners) or not np.isfinite(corners).all():
+            raise InputError("a mesh must have triangles with finite vertices")
+        doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = np.linalg.norm(doubled, axis=1)
+        if not areas.sum() > 0:
+            raise InputError("the triangles of a mesh must have an area")
+        rng = np.random.default_rng(0)  # fixed: one mesh is always searched alike
+        drawn = rng.choice(len(areas), _N_SAMPLES, p=areas / areas.sum())
+        # Uniform on a triangle: Osada et al. (2002), ACM Trans. Graphics 21(4): 807-832.
+        root, along = np.sqrt(rng.random(_N_SAMPLES)), rng.random(_N_SAMPLES)
+        weights = np.stack([1 - root, root * (1 - along), root * along])
+        self._points = np.einsum("cs,scd->sd", weights, corners[drawn])
+        self._normals = doubled[drawn] / areas[drawn, None]
+        self._tree = KDTree(self._points)
+        self._search = TriangleSearch(mesh)
+
+    def nearest(
+        self, points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Find the nearest points on the mesh, and the normals there, both of shape (n, 3)."""
+        return self._search.nearest(points)
+
+    def nearly_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Project points onto the planes of the nearest drawn points, shape (n, 3)."""
+        found = np.asarray(self._tree.query(points)[1])
+        normals = self._normals[found]
+        height = np.einsum("nd,nd->n", points - self._points[found], normals)
+        return np.asarray(points - height[:, None] * normals)
+
+
+def surface_evidence(
+    positions: NDArray[np.float64],
+    sensors: NDArray[np.intp],
+    targets: NDArray[np.float64],
+    surface: Surface,
+) -> float:
+    """Compare how well a map and its mirror image fit a surface.
+
+    Parameters
+    ----------
+    positions : ndarray of shape (N, 3)
+        The map.
+    sensors : ndarray of int, shape (n,)
+        Rows of the anchors, at least 3.
+    targets : ndarray of shape (n, 3)
+        Positions of the anchors.
+    surface : Surface
+
+    Returns
+    -------
+    float
+        Log likelihood ratio of the map against its mirror image: the logarithm of the ratio of
+        their distances from the surface after iterated closest points, times the number of
+        independent errors.
+
+    Notes
+    -----
+    Besl & McKay (1992), IEEE Trans. PAMI 14(2): 239-256, from the fit to the anchors.
+    """
+    size = float(np.sqrt(np.sum(np.var(targets, axis=0))))
+    misfits = [_misfit(positions, sensors, targets, surface, hand) for hand in (False, True)]
+    same, mirrored = np.maximum(misfits, np.finfo(float).eps * size)
+    return float(_INDEPENDENT * np.log(mirrored / same))
+
+
+def project_on_surface(
+    positions: NDArray[np.float64], errors: NDArray[np.float64], surface: Surface
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Move placed sensors to the nearest points of a surface.
+
+    Parameters
+    ----------
+    positions : ndarray of shape (N, 3)
+    errors : ndarray of shape (N,)
+        Radius within which most sensors are expected.
+    surface : Surface
+
+    Returns
+    -------
+    positions : ndarray of shape (N, 3)
+    normals : ndarray of shape (N, 3)
+
+    Raises
+    ------
+    InputError
+        If most sensors are farther from the surface than their errors.
+    """
+    nearest, normals = surface.nearest(positions)
+    off = np.linalg.norm(nearest - positions, axis=1)
+    if np.median(off - errors) > 0:
+        raise InputError(
+            f"the placed map is {np.median(off):.3g} m off the mesh (median), farther than its "
+            f"error of {np.median(errors):.3g} m; check the unit and frame of the mesh, and map "
+            "curved skins in 3D"
+        )
+    return nearest, normals
+
+
+def _misfit(
+    positions: NDArray[np.float64],
+    sensors: NDArray[np.intp],
+    targets: NDArray[np.float64],
+    surface: Surface,
+    reflection: bool,
+) -> float:
+    """Return the weighted RMS distance from the surface and the anchors."""
+    weights = np.ones(len(positions))
+    weights[sensors] = _ANCHOR_WEIGHT
+    placed = fit_similarity(positions[sensors], targets, reflection=reflection).apply(positions)
+    size = float(np.ptp(placed))
+    for _ in range(_MAX_ITERATIONS):
+        goal = surface.nearly_nearest(placed)
+        goal[sensors] = targets
+        before = placed
+        placed = fit_similarity(positions, goal, weights, reflection=reflection).apply(positions)
+        if np.abs(placed - before).max() < _CONVERGED * size:
+            break
+    goal = surface.nearly_nearest(placed)
+    goal[sensors] = targets
+    squares = np.sum((placed - goal) ** 2, axis=1)
+    return float(np.sqrt(weights @ squares / weights.sum()))

@@ -1,0 +1,92 @@
+"""Placing maps on meshes: sensors on the surface, normals, handedness, refusals."""
+
+import numpy as np
+import pytest
+from benchmarks.placement import outline
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import special_ortho_group
+
+from anisomap import SensorMap, align
+from anisomap.errors import InputError
+from anisomap.numerics.triangles import TriangleSearch
+from anisomap.placement import Anchors, place
+from anisomap.scene import Mesh
+from anisomap.simulation import find_body
+
+BODIES = ("cylinder", "y-shape")
+
+
+@pytest.fixture(scope="module", params=BODIES)
+def body(request):
+    found = find_body(request.param)
+    return found, outline(found)
+
+
+def mapped(body, seed, noise=0.2):
+    """A noisy map of a body in a frame of its own; the noise in spacings."""
+    rng = np.random.default_rng(seed)
+    noisy = body.positions + rng.normal(0, noise * body.spacing, body.positions.shape)
+    turn = special_ortho_group.rvs(3, random_state=rng)
+    turn[0] *= rng.choice([-1, 1])
+    return SensorMap(17 * noisy @ turn.T + rng.normal(size=3))
+
+
+def test_three_anchors_place_a_map_on_its_mesh_or_it_is_refused(body):
+    found, mesh = body
+    surface = TriangleSearch(mesh)
+    errors, inside, refused = [], [], 0
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        rows = rng.choice(found.n_sensors, 3, replace=False)
+        anchors = Anchors(tuple(f"s{i}" for i in rows), found.positions[rows])
+        sensor_map = mapped(found, seed)
+        try:
+            placement = place(sensor_map, anchors, mesh=mesh)
+        except InputError as error:
+            assert "mirror image" in str(error) or "line" in str(error)  # noqa: PT017
+            refused += 1
+            continue
+        placed = placement.map
+        assert placed.mirrored == align(sensor_map.positions, found.positions).reflected
+        nearest, _ = surface.nearest(placed.positions)
+        np.testing.assert_allclose(placed.positions, nearest, atol=1e-2 * found.spacing)
+        off = np.linalg.norm(placed.positions - found.positions, axis=1)
+        errors.append(np.median(off) / found.spacing)
+        inside.append(np.einsum("nd,nd->n", placed.normals, found.normals))
+    assert refused < 8
+    assert np.median(errors) < 0.5
+    assert np.median(np.concatenate(inside)) > 0.9
+
+
+@given(st.integers(0, 1000))
+@settings(max_examples=25)
+def test_the_nearest_points_of_a_mesh_are_the_nearest_of_all(seed):
+    rng = np.random.default_rng(seed)
+    mesh = Mesh(rng.normal(size=(12, 3)), rng.integers(0, 12, (9, 3)))
+    points = rng.normal(size=(20, 3))
+    nearest, normals = TriangleSearch(mesh).nearest(points)
+    weights = rng.dirichlet([0.5, 0.5, 0.5], (400, 9))
+    somewhere = np.einsum("sfc,fcd->sfd", weights, mesh.vertices[mesh.faces]).reshape(-1, 3)
+    distances = np.linalg.norm(points - nearest, axis=1)
+    others = np.linalg.norm(points[:, None] - somewhere, axis=2).min(axis=1)
+    assert (distances <= others + 1e-9).all()
+    off, _ = TriangleSearch(mesh).nearest(nearest)
+    np.testing.assert_allclose(off, nearest, atol=1e-9)
+    assert normals.shape == (20, 3)
+
+
+def test_a_mesh_that_does_not_fit_is_refused():
+    found = find_body("sphere")
+    mesh = outline(found)
+    rows = [0, 20, 41, 55, 13]
+    anchors = Anchors(tuple(f"s{i}" for i in rows), found.positions[rows])
+    with pytest.raises(InputError, match="check the unit and frame of the mesh"):
+        place(mapped(found, 0), anchors, mesh=Mesh(1000 * mesh.vertices, mesh.faces))
+    with pytest.raises(InputError, match="give at least 3 anchors"):
+        place(mapped(found, 0), mesh=mesh)
+    with pytest.raises(InputError, match="triangles with finite vertices"):
+        place(mapped(found, 0), anchors, mesh=Mesh(mesh.vertices, np.empty((0, 3), int)))
+    flat = SensorMap(mapped(found, 0).positions[:, :2])
+    with pytest.raises(InputError, match="anchors on a mesh must have three coordinates"):
+        place(flat, Anchors(anchors.names, anchors.positions[:, :2]), mesh=mesh)
