@@ -111,8 +111,11 @@ def _describe_jitter(_: Recording, clock: _Clock) -> tuple[Finding, ...]:
 
 def _find_rare(subject: Subject) -> NDArray[np.intp] | None:
     active, recording = subject.active, subject.recording
-    contacts = active[0] + np.count_nonzero(active[1:] & ~active[:-1], axis=0)
-    rare = np.flatnonzero((contacts < _MIN_CONTACTS) & recording.varying())
+    runs = active[0] + np.count_nonzero(active[1:] & ~active[:-1], axis=0)
+    suspects = np.flatnonzero((runs < _MIN_CONTACTS) & recording.varying())
+    if not suspects.size:
+        return None
+    rare = suspects[subject.contacts(suspects) < _MIN_CONTACTS]
     return rare if rare.size > _MAX_SHARE_RARE * recording.n_sensors else None
 
 
@@ -132,7 +135,11 @@ def _describe_rare(recording: Recording, rare: NDArray[np.intp]) -> tuple[Findin
 
 
 def _find_regions(subject: Subject) -> Regions | None:
-    return find_regions(subject.active)
+    found = find_regions(subject.active)
+    if found is None:
+        return None
+    step = -(-subject.recording.n_frames // len(subject.active))
+    return replace(found, frame=found.frame * step)
 
 
 def _describe_regions(recording: Recording, found: Regions) -> tuple[Finding, ...]:

@@ -12,6 +12,8 @@ from scipy.sparse.csgraph import connected_components
 
 from anisomap.numerics.columns import columns, count_values
 from anisomap.numerics.recording_faults.excerpt import (
+    MAX_FRAMES,
+    MAX_SENSORS,
     deviation_from_median,
     middle_frames,
     some_sensors,
@@ -32,6 +34,7 @@ _MIN_SMOOTH = 0.2  # autocorrelation of the other part of the readings; chosen b
 _MIN_COHERENCE = 0.95  # of the phases of a hum over sensors and over quarters; chosen by hand
 _MIN_LINE = 20.0  # power of a line over the median power beside it; noise: p = 1e-6 for a frequency
 _MIN_SENSORS = 0.8  # share of the sensors that hum; chosen by hand
+_N_LISTENED = 64  # sensors in which a hum is searched
 _N_PHASES = 8  # parts of a period, for quantiles
 _LOW_AND_HIGH = (0.25, 0.75)
 _MIN_EVEN = 0.6  # shift of low over that of high readings; pulses have 0.2 at most; by hand
@@ -144,7 +147,7 @@ def find_hum(readings: NDArray[Any]) -> CommonSignal | None:
     n_frames = len(readings)
     if free.size < max(_MIN_GROUP, _MIN_SENSORS * readings.shape[1]) or n_frames < 4 * _BESIDE:
         return None
-    chosen = free[some_sensors(free.size)]
+    chosen = free[some_sensors(free.size, _N_LISTENED)]
     values = readings[:, chosen].astype(np.float64)
     values -= values.mean(axis=0)
     values /= values.std(axis=0)
@@ -198,6 +201,11 @@ def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[
 
 
 def _common_noise(readings: NDArray[Any], group: NDArray[np.intp]) -> CommonSignal | None:
+    if len(readings) > 2 * MAX_FRAMES or group.size > 2 * MAX_SENSORS:
+        some = group[some_sensors(group.size)]
+        excerpt = readings[middle_frames(len(readings))][:, some]
+        if _common_noise(excerpt, np.arange(some.size)) is None:
+            return None
     values = readings[:, group].astype(np.float64)
     gains, course = _common_course(values, weighted=group.size >= _MIN_WEIGHTED)
     if (gains <= 0).any() or gains.max() > _MAX_GAIN_RATIO * gains.min():

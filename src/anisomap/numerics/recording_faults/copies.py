@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
 from anisomap.numerics.recording_faults.excerpt import (
+    MAX_FRAMES,
     middle_frames,
     some_sensors,
     standardised,
@@ -21,6 +22,8 @@ from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 FALSE_ALARMS = 0.01
 """Expected number of false findings in a recording."""
 
+_MANY_SENSORS = 512  # above, fewer frames are compared, for speed
+_MAX_CONFIRMED = 1 << 15  # frames in which copies are confirmed
 _N_PARTNERS = 2  # most similar sensors that are tested
 _MIN_CORRELATION = 0.5  # of a copy: with noise as strong as the signal, r is 0.7
 _MIN_CHANGES = 10  # of a sensor's value, 5 contacts: fewer agree by chance; chosen by hand
@@ -84,7 +87,8 @@ def find_copies(readings: NDArray[Any]) -> tuple[Copies, ...]:
     varying = np.flatnonzero(readings.max(axis=0) > readings.min(axis=0))
     if len(readings) < 3 or varying.size < 3:
         return ()
-    excerpt = _Excerpt(readings, varying)
+    most = MAX_FRAMES if varying.size <= _MANY_SENSORS else MAX_FRAMES // 2
+    excerpt = _Excerpt(readings, varying, most)
     pairs = list(excerpt.similar_pairs())
     groups = DisjointSet(varying.tolist())
     noise: dict[int, float] = {}
@@ -106,8 +110,8 @@ def find_copies(readings: NDArray[Any]) -> tuple[Copies, ...]:
 class _Excerpt:
     """Standardised readings of some frames, and their covariances with some sensors."""
 
-    def __init__(self, readings: NDArray[Any], varying: NDArray[np.intp]) -> None:
-        values = standardised(readings[middle_frames(len(readings))][:, varying])
+    def __init__(self, readings: NDArray[Any], varying: NDArray[np.intp], most: int) -> None:
+        values = standardised(readings[middle_frames(len(readings), most)][:, varying])
         self.rows = np.ascontiguousarray(values.T)
         self.varying = varying
         self.number = {int(i): k for k, i in enumerate(varying)}
@@ -209,9 +213,13 @@ def _noisy(
     failed = misfits[(misfits > 1) & np.isfinite(misfits)]
     if failed.size >= _MIN_FAILED and np.quantile(failed, 0.1) < _MIN_POWER:
         return
-    for (i, j), misfit in zip(pairs, misfits.tolist(), strict=True):
-        if misfit <= 1:
-            yield i, j
+    passed = [pair for pair, misfit in zip(pairs, misfits.tolist(), strict=True) if misfit <= 1]
+    if passed and excerpt.rows.shape[1] < len(readings):
+        others = excerpt.varying[excerpt.others]
+        sensors = np.union1d(others, np.array(passed, dtype=np.intp).ravel())
+        longer = _Excerpt(readings, sensors, _MAX_CONFIRMED)
+        passed = [(i, j) for i, j in passed if longer.misfit(i, j) <= 1]
+    yield from passed
 
 
 def _normal_maximum(count: int) -> float:

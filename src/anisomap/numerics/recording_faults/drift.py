@@ -20,7 +20,7 @@ N_BLOCKS = 20
 FALSE_DISCOVERIES = 0.01
 """Expected share of the sensors that are found by chance."""
 
-_MIN_BLOCK = 20  # frames
+_MIN_BLOCK, _MAX_BLOCK = 20, 250  # frames of a block, and those that are used
 _LEVEL = 25.0  # percentile that lies at rest even if a sensor is touched in most frames of a block
 _MIN_SIZE = 0.1  # standard deviations of the readings; less changes no correlation; by hand
 _WINDOW = 8  # times the time that readings stay alike, over which the level at rest is taken
@@ -71,9 +71,11 @@ def find_drift(readings: NDArray[Any], side: NDArray[np.floating] | None = None)
         return None
     signs = contact_side(readings[:, chosen]) if side is None else np.asarray(side)[chosen]
     size = n_frames // N_BLOCKS
+    step = -(-size // _MAX_BLOCK)
     ratios, sizes = np.full(chosen.size, 2.0), np.zeros(chosen.size)
     for k, (i, sign) in enumerate(zip(chosen.tolist(), signs.tolist(), strict=True)):
-        values = sign * readings[: size * N_BLOCKS, i].astype(np.float64).reshape(N_BLOCKS, size)
+        column = readings[: size * N_BLOCKS, i].astype(np.float64)
+        values = sign * column.reshape(N_BLOCKS, size)[:, ::step]
         levels = np.percentile(values, _LEVEL, axis=1)
         left = math.sqrt(float(np.mean((values - levels[:, None]).var(axis=1))))
         if levels.std() >= _MIN_SIZE * left:
@@ -129,7 +131,7 @@ def level_at_rest(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def contact_side(readings: NDArray[Any]) -> NDArray[np.float64]:
     """Return the sign of the skewness of fast changes from the median: 1 or -1, shape (N,)."""
-    values = readings[:: max(1, len(readings) // 8192)].astype(np.float64)
+    values = readings[:: -(-len(readings) // 4096)].astype(np.float32)
     window = max(3, len(values) // N_BLOCKS) | 1
     values = values - uniform_filter1d(values, window, axis=0, mode="nearest")
     return np.where((values**3).sum(axis=0) < 0, -1.0, 1.0)

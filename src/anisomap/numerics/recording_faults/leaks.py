@@ -21,6 +21,7 @@ _OTHER_OFFSETS = (2, 3, 5, 7)  # channels between which nothing leaks, for compa
 _MIN_FRAMES = 20  # of strong contact; chosen by hand
 _MAX_FRAMES = 2000  # of strong contact that are used, for speed
 _MAX_EXCERPT = 16384  # frames
+_MAX_CHANNELS = 256  # the first ones, in which a leak is searched
 _MIN_LEVELS = 8  # distinct values, for a share to be visible
 _MAX_SHARE = 0.6  # above, a leak cannot be told from a copy; chosen by hand
 _TOLERANCE = 1e-4  # of a share computed from readings without noise, stored as float32
@@ -38,8 +39,6 @@ class Leak:
         Its uncertainty.
     n_pairs, n_forward : int
         Pairs of adjacent channels that were compared, and those with more signal in the later one.
-    rest : ndarray of shape (N,)
-        Rest values.
     chained : bool
         Whether what leaks is the reading of the previous channel including its own leak.
     """
@@ -48,7 +47,6 @@ class Leak:
     error: float
     n_pairs: int
     n_forward: int
-    rest: NDArray[np.float64]
     chained: bool
 
 
@@ -73,7 +71,8 @@ def find_leak(readings: NDArray[Any]) -> Leak | None:
     lowest readings are due to contacts, and a leak is not found.
     """
     n_sensors = readings.shape[1]
-    excerpt = readings[middle_frames(len(readings), _MAX_EXCERPT)]
+    n_sensors = min(n_sensors, _MAX_CHANNELS)
+    excerpt = readings[middle_frames(len(readings), _MAX_EXCERPT), :n_sensors]
     if n_sensors <= max(_OTHER_OFFSETS) or not _visible(excerpt).any():
         return None
     last = some_sensors(n_sensors - max(_OTHER_OFFSETS)) + max(_OTHER_OFFSETS)
@@ -92,7 +91,7 @@ def find_leak(readings: NDArray[Any]) -> Leak | None:
         start = float(np.median(gains))
         trials = [depths.share(last, start, limit) for limit in (2.5 * start, _MAX_SHARE)]
         found = [
-            Leak(share, error, clear.size, n_forward, depths.rest.value, chained)
+            Leak(share, error, clear.size, n_forward, chained)
             for share, error in trials
             for chained in (False, True)
             if share > 0
@@ -116,7 +115,9 @@ def remove_leak(readings: NDArray[Any], leak: Leak) -> NDArray[Any]:
         Readings that are explained by the leak up to its uncertainty are set to rest.
     """
     mended = np.array(readings)
-    rest = leak.rest.astype(readings.dtype)
+    rest = estimate_rest(readings[:: -(-len(readings) // _MAX_EXCERPT)]).value.astype(
+        readings.dtype
+    )
     for i in range(1, readings.shape[1]):
         source = readings if leak.chained else mended
         leaked = leak.share * (source[:, i - 1] - rest[i - 1])

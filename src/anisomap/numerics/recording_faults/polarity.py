@@ -38,16 +38,19 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
     as those of sensors that are often in contact, the parts are those that the signs of the
     strongest correlations give, along a maximum spanning tree.
     """
-    step = max(1, len(readings) // (4 * MAX_FRAMES))
+    step = -(-len(readings) // MAX_FRAMES)
     values = standardised(readings[::step])
     varying = values.any(axis=0)
     if np.count_nonzero(varying) < 3:
         return np.empty(0, dtype=np.intp)
     skewness = np.einsum("ti,ti,ti->i", values, values, values) / len(values)
     skewed = np.abs(skewness) >= _MIN_SKEWNESS
+    skewed_apart = bool(np.mean(skewed[varying]) >= _MIN_SHARE)
+    sides = np.unique(np.sign(skewness[skewed]))
+    if skewed_apart and sides.size < 2:
+        return np.empty(0, dtype=np.intp)
     correlation: NDArray[np.float32] = values.T @ values / np.float32(len(values))
     np.fill_diagonal(correlation, 0)
-    skewed_apart = bool(np.mean(skewed[varying]) >= _MIN_SHARE)
     if skewed_apart:
         lowered = skewed & (skewness < 0)
         judged = np.flatnonzero(skewed)

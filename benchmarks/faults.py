@@ -1,0 +1,243 @@
+"""Faults of recordings: found, falsely found, and mended (``make faults``).
+
+Each fault is injected into recordings of simulated skins that are wired at random, on seeds that
+were not used for tuning (1 to 300 were), and into the recordings in a folder. The output is a table
+in Markdown and all results as CSV: whether the fault was found, what else was found, and the
+accuracy (Mantel r) of maps of the undamaged, the damaged and the repaired recording.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import os
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+import anisomap
+from anisomap.simulation import inject, parse_fault
+
+BODIES = (
+    ("sphere", "bombardment"),
+    ("torus", "rubbing"),
+    ("hexagon", "rubbing"),
+    ("hand", "bombardment"),
+    ("cylinder", "locomotion"),
+)
+FIRST_SEED = 301
+FRAMES = 2000
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A fault with its size.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of the finding that is right.
+    fault : str
+        As for ``anisomap spoil``; ``{sd}`` stands for one standard deviation of the median sensor
+        as a share of the range of the recording, times the number after it.
+    also : tuple of str
+        Further kinds of findings that are right.
+    """
+
+    kind: str
+    fault: str
+    also: tuple[str, ...] = ()
+
+
+DAMAGES: Mapping[str, Damage] = MappingProxyType(
+    {
+        "5 % of the sensors are copies": Damage("copies", "duplicated:5%"),
+        "10 % are copies, other gains, 10 % noise": Damage(
+            "copies", "duplicated:10%,factor=3,level=0.1"
+        ),
+        "10 % are copies, other gains, 40 % noise": Damage(
+            "copies", "duplicated:10%,factor=3,level=0.4"
+        ),
+        "5 % leak into the next channel": Damage("leak", "leaking:*,share=0.05"),
+        "20 % leak into the next channel": Damage("leak", "leaking:*,share=0.2"),
+        "boards of 12 lag by 1 frame each": Damage("lags", "lagging:*,board=12,frames=1"),
+        "boards of 12 lag by 3 frames each": Damage("lags", "lagging:*,board=12,frames=3"),
+        "boards of 12 lag by 10 frames each": Damage("lags", "lagging:*,board=12,frames=10"),
+        "half of the sensors lag by 10 frames": Damage("lags", "lagging:50%,frames=10"),
+        "half of the sensors lag by 30 frames": Damage("lags", "lagging:50%,frames=30"),
+        "30 % of the sensors are inverted": Damage("inverted", "inverted:30%"),
+        "50 % of the sensors are inverted": Damage("inverted", "inverted:50%"),
+        "common noise of 1 sd": Damage("common-noise", "common-noise:*,level=1"),
+        "common noise of 3 sd": Damage("common-noise", "common-noise:*,level=3"),
+        "noise of boards of 12, 1 sd": Damage("board-noise", "common-noise:*,level=1,board=12"),
+        "spikes of boards of 12 in 2 % of the frames": Damage("spikes", "spiking:*,board=12"),
+        "hum of 1 sd": Damage("hum", "humming:*,level=1"),
+        "hum of 3 sd": Damage("hum", "humming:*,level=3"),
+        "baselines wander by 0.5 sd": Damage("drift", "drifting:*,level={sd}0.5"),
+        "baselines wander by 1 sd": Damage("drift", "drifting:*,level={sd}1"),
+        "baselines warm up by 1 sd": Damage("drift", "warming:*,level={sd}1"),
+        "half of the readings of 30 % interpolated": Damage("gaps", "bridged-gaps:30%"),
+        "half of the readings of 30 % missing": Damage(
+            "gaps", "nan-bursts:30%,mean_gap=50,mean_span=50"
+        ),
+        "30 % of the sensors clipped at 0.3": Damage("saturation", "clipped:30%,level=0.3"),
+        "20 % of the sensors touched twice": Damage("few-contacts", "rarely-touched:20%"),
+        "two regions touched one after the other": Damage(
+            "separate-regions", "separate-regions", also=("few-contacts",)
+        ),
+        "sines of one period": Damage("one-period", "cycling:*"),
+        "clock jitter of 20 %": Damage("clock-jitter", "clock-jitter"),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """Findings about a damaged recording, and the accuracy of its maps."""
+
+    recording: str
+    damage: str
+    found: bool
+    falsely_found: str
+    undamaged: float
+    damaged: float
+    repaired: float
+    share_of_sensors: float
+
+
+def main() -> None:
+    """Damage, examine, repair and map all recordings, and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--recordings", type=Path, help="folder of NPZ files with positions")
+    parser.add_argument("-o", "--output", type=Path, default=Path("faults"))
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    chosen = parser.parse_args()
+    chosen.output.mkdir(parents=True, exist_ok=True)
+    files = sorted(chosen.recordings.glob("*.npz")) if chosen.recordings else []
+    seeds = range(FIRST_SEED, FIRST_SEED + chosen.seeds)
+    results: list[Result] = []
+    with ProcessPoolExecutor(chosen.workers) as pool:
+        jobs = [
+            *(pool.submit(of_simulation, *body, seed) for seed in seeds for body in BODIES),
+            *(pool.submit(of_file, path) for path in files),
+        ]
+        for number, job in enumerate(jobs, start=1):
+            results += job.result()
+            write_csv(results, chosen.output / "faults.csv")
+            print(f"\r{number} of {len(jobs)} recordings", end="", flush=True)
+    print()
+    text = table(results)
+    (chosen.output / "faults.md").write_text(text, encoding="utf-8")
+    print(text)
+
+
+def of_simulation(body: str, scenario: str, seed: int) -> list[Result]:
+    """Examine one simulated skin, wired at random, with every damage."""
+    recording = anisomap.simulate(body, scenario, n_frames=FRAMES, seed=seed)
+    order = np.random.default_rng(seed).permutation(recording.n_sensors)
+    name = f"{body}, {scenario}, seed {seed}"
+    return list(examined(name, recording.select(order), seed, dimensions=3))
+
+
+def of_file(path: Path) -> list[Result]:
+    """Examine a recording with known positions with every damage; its order is kept."""
+    recording = anisomap.read(path)
+    if recording.positions is None or not np.isfinite(recording.positions).all():
+        return []
+    size = np.linalg.svd(recording.positions - recording.positions.mean(axis=0))[1]
+    dimensions = int(np.count_nonzero(size > 0.02 * size[0]))
+    return list(examined(path.stem, recording, 1, dimensions))
+
+
+def examined(
+    name: str, recording: anisomap.Recording, seed: int, dimensions: int
+) -> Iterator[Result]:
+    """Yield the result of a sound recording, and of each damage."""
+    with warnings.catch_warnings(), threadpool_limits(1):
+        warnings.simplefilter("ignore", anisomap.AnisomapWarning)
+        sound = accuracy(recording, dimensions)
+        kinds = sorted({one.kind for one in anisomap.find_faults(recording)})
+        yield Result(
+            name, "none", found=False, falsely_found=" ".join(kinds), undamaged=sound,
+            damaged=sound, repaired=sound, share_of_sensors=1.0,
+        )  # fmt: skip
+        for text, damage in DAMAGES.items():
+            try:
+                damaged = inject(recording, [parse_fault(sized(damage.fault, recording))], seed)
+            except anisomap.InputError:
+                continue  # no positions or times
+            repaired = anisomap.repair(damaged)
+            found = {one.kind for one in repaired.findings}
+            yield Result(
+                recording=name,
+                damage=text,
+                found=damage.kind in found,
+                falsely_found=" ".join(sorted(found - {damage.kind, *damage.also})),
+                undamaged=sound,
+                damaged=accuracy(damaged, dimensions),
+                repaired=accuracy(repaired.recording, dimensions),
+                share_of_sensors=repaired.recording.n_sensors / recording.n_sensors,
+            )
+
+
+def sized(fault: str, recording: anisomap.Recording) -> str:
+    """Replace a level in standard deviations by a share of the range."""
+    before, mark, number = fault.partition("{sd}")
+    if not mark:
+        return fault
+    deviation = float(np.median(recording.readings.std(axis=0)))
+    return f"{before}{float(number) * deviation / float(np.ptp(recording.readings)):.6f}"
+
+
+def accuracy(recording: anisomap.Recording, dimensions: int) -> float:
+    """Return the Mantel r of a map of a recording; NaN if there is none."""
+    try:
+        made = anisomap.reconstruct(recording.complete("interpolate"), dimensions=dimensions)
+        return anisomap.score(made, np.asarray(recording.positions), permutations=0).mantel.r
+    except anisomap.InputError:
+        return math.nan
+
+
+def table(results: Sequence[Result]) -> str:
+    """Return a table of all damages, one line each."""
+    header = [
+        "fault", "recordings", "found", "something else found", "r undamaged", "r damaged",
+        "r repaired", "worst loss after repair", "sensors mapped",
+    ]  # fmt: skip
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    for text in dict.fromkeys(one.damage for one in results):
+        group = [one for one in results if one.damage == text]
+        r = np.array([(one.undamaged, one.damaged, one.repaired) for one in group])
+        found = "-" if text == "none" else str(sum(one.found for one in group))
+        share = np.mean([one.share_of_sensors for one in group])
+        cells = [
+            text,
+            str(len(group)),
+            found,
+            str(sum(bool(one.falsely_found) for one in group)),
+            *(f"{value:.3f}" for value in np.nanmedian(r, axis=0)),
+            f"{np.nanmax(r[:, 0] - r[:, 2]):.3f}",
+            f"{share:.0%}",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def write_csv(results: Sequence[Result], path: Path) -> None:
+    """Write all results."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow([field.name for field in fields(Result)])
+        writer.writerows(astuple(one) for one in results)
+
+
+if __name__ == "__main__":
+    main()
