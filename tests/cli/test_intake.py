@@ -164,3 +164,27 @@ def test_a_grid_with_dead_cells(run_map, skin, tmp_path):
     assert made.code == 0, made.err
     assert json.loads(made.out)["map"]["placed"] == skin.n_sensors
     assert json.loads(made.out)["score"]["mantel_r"] > 0.95
+
+
+@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("large", [(), ("--workers", "2")])
+def test_positions_of_sensors_that_a_preset_names(run_map, skin, tmp_path, several, large):
+    """A board of the iCub: the positions have the names of the preset."""
+    pads = [12 * triangle + pad for triangle in range(4) for pad in range(12) if pad not in (6, 10)]
+    values = np.full((skin.n_frames, 192), 255)
+    values[:, pads] = 240 - np.round(100 * skin.readings[:, : len(pads)])
+    for name in ("one.log", "two.log"):
+        rows = (" ".join(map(str, row)) for row in values.tolist())
+        lines = [f"{i} {1.7e9 + i / 20:.6f} {row}" for i, row in enumerate(rows)]
+        (tmp_path / name).write_text("\n".join(lines) + "\n")
+    names = [f"b0.t{pad // 12}.k{pad % 12}" for pad in pads]
+    rows = [f"{name},{x},{y}" for name, (x, y) in zip(names, skin.positions.tolist(), strict=False)]
+    (tmp_path / "truth.csv").write_text("\n".join(["name,x,y", *rows]) + "\n")
+    made = run_map(
+        *(("one.log", "two.log") if several else ("one.log",)), "--preset", "icub", "-d", 2,
+        "--positions", "truth.csv", "-o", "m.csv", "--json", "--permutations", 0, *large,
+    )  # fmt: skip
+    assert made.code == 0, made.err
+    score = json.loads(made.out)["score"]
+    assert score["sensors_compared"] == len(pads)
+    assert score["mantel_r"] > 0.9

@@ -96,8 +96,9 @@ def read_runs(
     """
     if len(paths) == 1 or not how.preset:
         return [complete(read(path, how), missing) for path in paths]
-    runs = [complete(read(path, replace(how, preset="")), missing) for path in paths]
-    return [io.apply_preset(join_runs(runs), how.preset)]
+    unnamed = replace(how, preset="", positions=None)
+    runs = [complete(read(path, unnamed), missing) for path in paths]
+    return [io.attach_positions(io.apply_preset(join_runs(runs), how.preset), how.positions)]
 
 
 def complete(recording: Recording, missing: MissingPolicy) -> Recording:

@@ -135,6 +135,7 @@ def examine(
         files = _Files(tuple(paths), how, like.names, missing, report_progress)
         if how.preset:
             like, kept = _apply_preset(files, like, how.preset)
+            like = io.attach_positions(like, how.positions)
             files = replace(files, kept=kept)
         found: StreamedSimilarity | SimilarityGraph
         if large.approximate:

@@ -13,6 +13,7 @@ from anisomap.io.maps.modules import read_modules as read_modules
 from anisomap.io.recordings.presets import apply_preset as apply_preset
 from anisomap.io.recordings.presets import numbering as numbering
 from anisomap.io.registry import FORMATS as FORMATS
+from anisomap.io.registry import attach_positions as attach_positions
 from anisomap.io.registry import contents as contents
 from anisomap.io.registry import open_stream as open_stream
 from anisomap.io.registry import read as read

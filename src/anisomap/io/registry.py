@@ -151,10 +151,8 @@ def read(
     options = options or ReadOptions()
     with _open(Path(path), options) as stream, file_errors(stream.path):
         found = apply_preset(with_grid(assemble(stream, progress), options.grid), options.preset)
-        if options.positions is None or not options.preset:
-            return found
         # A preset renames the sensors, so their positions are known after it.
-        return with_recorded_positions(found, read_map(options.positions), options.positions)
+        return attach_positions(found, options.positions) if options.preset else found
 
 
 @contextmanager
@@ -258,6 +256,30 @@ def read_map(path: str | os.PathLike[str]) -> SensorMap:
         if found.component.min() < UNPLACED or found.component.max() >= found.n_sensors:
             raise FileError(f"{file}: components must be numbered from 0, with -1 for unplaced")
         return found
+
+
+def attach_positions(recording: Recording, positions: Path | None) -> Recording:
+    """Give the sensors of a recording the true positions in a file.
+
+    Parameters
+    ----------
+    recording : Recording
+    positions : pathlib.Path or None
+        As `ReadOptions.positions`; None returns the recording unchanged.
+
+    Returns
+    -------
+    Recording
+        Positions are NaN for sensors that the file lacks.
+
+    Raises
+    ------
+    FileError
+        If the file holds no positions, or none of a sensor of the recording.
+    """
+    if positions is None:
+        return recording
+    return with_recorded_positions(recording, read_map(positions), positions)
 
 
 @contextmanager
