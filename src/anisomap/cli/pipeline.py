@@ -28,6 +28,7 @@ from anisomap.health import (
 )
 from anisomap.large.approximation import SimilarityGraph, map_similarity_graph
 from anisomap.large.streaming import StreamedSimilarity, map_streamed_similarity
+from anisomap.memory import check_pair_memory
 from anisomap.methods import MethodOptions
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
@@ -139,8 +140,15 @@ def examine(
     runs : Recording or sequence of Recording
     findings : sequence of Finding, optional
         Faults of the recording, if known, as after a repair.
+
+    Raises
+    ------
+    InputError
+        If a map of all pairs of sensors does not fit into memory.
     """
     several = [runs] if isinstance(runs, Recording) else list(runs)
+    # Comparing all pairs of so many sensors that no map fits into memory takes hours.
+    check_pair_memory(max(run.n_sensors for run in several), refined=False)
     with progress("assessing sensors"):
         joined, health = join_runs(several), assess(several)
         found = find_faults(several) if findings is None else findings

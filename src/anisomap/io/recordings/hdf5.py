@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import functools
+import math
+import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.budget import Budget, bytes_kept
+from anisomap.budget import FREE_BYTES, Budget, bytes_kept
+from anisomap.errors import FileError
 from anisomap.files import check_regular
 from anisomap.io.choice import Content
 from anisomap.io.parsing.libraries import import_extra, library_errors
@@ -21,6 +25,8 @@ EXTRA = "hdf5"
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 _NUMBERS = "biuf"
+_DEFLATE, _LZF, _STEP = 1, 32000, 1 << 20
+_COMPRESSING = {_DEFLATE, _LZF}
 _MAX_RATIO, _HEADERS = 1032, 1 << 12
 _MAX_DATASETS = 1000
 
@@ -96,8 +102,14 @@ def _dataset(path: Path, item: Any, frames_last: bool) -> Dataset:
     if frames_last:
         shape, chunks = shape[::-1], chunks[::-1]
 
-    def read(start: int, stop: int) -> NDArray[Any]:
+    @functools.cache
+    def check() -> None:
         _check_size(path, item, name)
+        if item.chunks:
+            _check_chunks(path, item, name)
+
+    def read(start: int, stop: int) -> NDArray[Any]:
+        check()
         if not shape:
             return np.asarray(item[()]).reshape(1)
         if not frames_last:
@@ -118,3 +130,35 @@ def _check_size(path: Path, item: Any, name: str) -> None:
     budget = Budget(path)
     packed = min(item.id.get_storage_size(), budget.size) + _HEADERS
     budget.check(item.nbytes, f"dataset {name}", reachable=_MAX_RATIO * packed)
+
+
+def _check_chunks(path: Path, item: Any, name: str) -> None:
+    """Unpack chunks that could expand far beyond their size, since HDF5 has no limit.
+
+    Raises
+    ------
+    FileError
+        If a chunk unpacks to more than its size, or is compressed twice.
+    """
+    filters = item.id.get_create_plist()
+    codes = [filters.get_filter(i)[0] for i in range(filters.get_nfilters())]
+    if sum(code in _COMPRESSING for code in codes) > 1:
+        raise FileError(f"{path}: dataset {name} is compressed twice, which is not supported")
+    if _DEFLATE not in codes:
+        return
+    chunks: list[Any] = []
+    item.id.chunk_iter(chunks.append)
+    limit = item.dtype.itemsize * math.prod(item.chunks)
+    for chunk in chunks:
+        if chunk.filter_mask or _MAX_RATIO * chunk.size < FREE_BYTES:
+            continue
+        _, packed = item.id.read_direct_chunk(chunk.chunk_offset)
+        unpacker, n_bytes = zlib.decompressobj(), 0
+        with suppress(zlib.error):  # which HDF5 reports
+            while packed and n_bytes <= limit and not unpacker.eof:
+                n_bytes += len(unpacker.decompress(packed, _STEP))
+                packed = unpacker.unconsumed_tail
+        if n_bytes > limit:
+            raise FileError(
+                f"{path} is damaged: a chunk of dataset {name} expands to more than {limit} bytes"
+            )
