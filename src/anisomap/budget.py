@@ -43,7 +43,8 @@ class Budget:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.size = size_on_disk(path)
-        self.limit = max(FREE_BYTES, MAX_RATIO * self.size)
+        self.free = FREE_BYTES
+        self.limit = max(self.free, MAX_RATIO * self.size)
         self._spent = 0
 
     def check(self, n_bytes: float, what: str, *, reachable: float = np.inf) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.budget import FREE_BYTES, Budget, bytes_kept
+from anisomap.budget import Budget, bytes_kept
 from anisomap.errors import FileError
 from anisomap.files import check_regular
 from anisomap.io.choice import Content
@@ -148,9 +148,10 @@ def _check_chunks(path: Path, item: Any, name: str) -> None:
         return
     chunks: list[Any] = []
     item.id.chunk_iter(chunks.append)
+    free = Budget(path).free
     limit = item.dtype.itemsize * math.prod(item.chunks)
     for chunk in chunks:
-        if chunk.filter_mask or _MAX_RATIO * chunk.size < FREE_BYTES:
+        if chunk.filter_mask or _MAX_RATIO * chunk.size < free:
             continue
         _, packed = item.id.read_direct_chunk(chunk.chunk_offset)
         unpacker, n_bytes = zlib.decompressobj(), 0

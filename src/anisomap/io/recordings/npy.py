@@ -72,7 +72,7 @@ def _blocks(path: Path, stream: BufferedReader, header: _Header) -> Iterator[Blo
     (n_frames, n_sensors), fortran_order, dtype = header
     first = stream.tell()
     # In Fortran order, a block takes one read per sensor, so blocks are larger.
-    n_bytes = _BLOCK_BYTES << 4 if fortran_order else _BLOCK_BYTES
+    n_bytes = _BLOCK_BYTES << 2 if fortran_order else _BLOCK_BYTES
     step = max(1, n_bytes // (n_sensors * dtype.itemsize))
     for start in range(0, n_frames, step):
         count = min(step, n_frames - start)

@@ -1,0 +1,209 @@
+"""Files that unpack, or claim to unpack, to far more than their size are refused early."""
+
+import gzip
+import io as streams
+import subprocess
+import sys
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisomap import budget, io
+from anisomap.errors import FileError
+
+MIB = 1 << 20
+LARGE, SMALL = 160 * MIB, 2 * MIB
+"""Bytes of the readings in a bomb, as float32."""
+MAX_PEAK = 200 * MIB
+
+
+def _shape(kept: int) -> tuple[int, int]:
+    return kept // 4096, 1024
+
+
+def _npz(path: Path, kept: int) -> None:
+    header = streams.BytesIO()
+    form = {"descr": "|u1", "fortran_order": False, "shape": _shape(kept)}
+    np.lib.format.write_array_header_1_0(header, form)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("readings.npy", header.getvalue() + bytes(kept // 4))
+
+
+def _names(path: Path, kept: int) -> None:
+    """Short names, each stored at the length of a long one."""
+    size = kept // 16
+    header = streams.BytesIO()
+    form = {"descr": f"<U{size}", "fortran_order": False, "shape": (4,)}
+    np.lib.format.write_array_header_1_0(header, form)
+    with path.open("wb") as stream:
+        np.savez(stream, readings=np.eye(4))
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("names.npy", header.getvalue() + bytes(16 * size))
+
+
+def _hdf5(path: Path, kept: int) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file.create_dataset("a", data=np.zeros(_shape(kept), "u1"), compression="gzip")
+
+
+def _chunk(path: Path, kept: int) -> None:
+    """A chunk of 640 bytes that HDF5 would unpack to any size."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset("a", (64, 10), "u1", chunks=(64, 10), compression="gzip")
+        dataset.id.write_direct_chunk((0, 0), zlib.compress(bytes(2 * kept), 9))
+
+
+def _matlab(path: Path, kept: int) -> None:
+    scipy_io = pytest.importorskip("scipy.io")
+    scipy_io.savemat(path, {"a": np.zeros(_shape(kept), "u1")}, do_compression=True)
+
+
+def _line(path: Path, kept: int) -> None:
+    path.write_bytes(gzip.compress(b"11," * max(kept // 3, 4 * MIB)))
+
+
+def _text(path: Path, kept: int) -> None:
+    path.write_bytes(gzip.compress(b"1,2,3\n" * 9 + (b" " * 65_535 + b"\n") * (kept >> 16)))
+
+
+def _arrow(path: Path, kept: int) -> None:
+    arrow = pytest.importorskip("pyarrow")
+    lists = arrow.FixedSizeListArray.from_arrays(arrow.array(np.zeros(kept // 4, "f4")), 1024)
+    batch = arrow.record_batch({"a": lists})
+    options = arrow.ipc.IpcWriteOptions(compression="zstd")
+    make = arrow.ipc.new_file if path.suffix == ".feather" else arrow.ipc.new_stream
+    with make(str(path), batch.schema, options=options) as writer:
+        writer.write_batch(batch)
+
+
+def _parquet(path: Path, kept: int) -> None:
+    arrow = pytest.importorskip("pyarrow")
+    lists = arrow.FixedSizeListArray.from_arrays(arrow.array(np.zeros(kept // 4, "f4")), 1 << 15)
+    pytest.importorskip("pyarrow.parquet").write_table(
+        arrow.table({"a": lists}), path, compression="zstd"
+    )
+
+
+def _bag(path: Path, kept: int, mode: str) -> None:
+    bags = pytest.importorskip("bags")
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    bag = bags.Bag("mcap")
+    kind = "MCAP" if path.name.startswith("mcap") else "SQLITE3"
+    writer = rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin[kind])
+    writer.set_compression(rosbag2.CompressionMode[mode], rosbag2.CompressionFormat.ZSTD)
+    name = "std_msgs/msg/Float64MultiArray"
+    message = bytes(bag.store.serialize_cdr(bag.array(np.zeros(kept // 160)), name))
+    with writer:
+        connection = writer.add_connection("/skin", name, typestore=bag.store)
+        for i in range(40):
+            writer.write(connection, bags.START + i, message)
+
+
+def _tiff(path: Path, kept: int) -> None:
+    pillow = pytest.importorskip("PIL.Image")
+    page = pillow.fromarray(np.zeros((kept // 4096, 1024), "u1"))
+    page.save(path, save_all=True, append_images=[page], compression="tiff_adobe_deflate")
+
+
+def _gif(path: Path, kept: int) -> None:
+    pillow = pytest.importorskip("PIL.Image")
+    pages = [pillow.fromarray(np.full((kept // 4096, 128), i % 2, "u1")) for i in range(8)]
+    pages[0].save(path, save_all=True, append_images=pages[1:])
+
+
+BOMBS: dict[str, Callable[[Path, int], None]] = {
+    "readings.npz": _npz,
+    "names.npz": _names,
+    "zeros.h5": _hdf5,
+    "chunk.h5": _chunk,
+    "zeros.mat": _matlab,
+    "line.csv.gz": _line,
+    "blanks.csv.gz": _text,
+    "zeros.feather": _arrow,
+    "zeros.arrows": _arrow,
+    "zeros.parquet": _parquet,
+    "mcap-file": lambda path, kept: _bag(path, kept, "FILE"),
+    "mcap-message": lambda path, kept: _bag(path, kept, "MESSAGE"),
+    "mcap-storage": lambda path, kept: _bag(path, kept, "STORAGE"),
+    "db3-file": lambda path, kept: _bag(path, kept, "FILE"),
+    "db3-message": lambda path, kept: _bag(path, kept, "MESSAGE"),
+    "pages.tif": _tiff,
+    "frames.gif": _gif,
+}
+
+READ_ALL = """
+import resource, sys
+from pathlib import Path
+from anisomap import io
+from anisomap.errors import FileError
+
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+for path in map(Path, sys.argv[1:]):
+    before = peak()
+    try:
+        io.read(path)
+        said = "read"
+    except FileError as error:
+        said = str(error)
+    print(path.name, peak() - before, said, sep="|")
+"""
+
+
+def is_refusal(said: str) -> bool:
+    reasons = ("decompression bomb", "expands to more", "not a table", "at most")
+    return any(reason in said for reason in reasons)
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_small_bombs_are_refused(tmp_path: Path, monkeypatch, name: str) -> None:
+    monkeypatch.setattr(budget, "FREE_BYTES", MIB)
+    monkeypatch.setattr(budget, "MAX_RATIO", 50)
+    BOMBS[name](tmp_path / name, SMALL)
+    with pytest.raises(FileError) as caught:
+        io.read(tmp_path / name)
+    assert is_refusal(str(caught.value)), caught.value
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the peak of memory is in KiB on Linux")
+def test_bombs_are_refused_in_little_memory(tmp_path: Path) -> None:
+    """Read in a process of its own, in which nothing has used memory before."""
+    paths = [tmp_path / name for name in BOMBS]
+    for path in paths:
+        BOMBS[path.name](path, LARGE)
+        assert budget.size_on_disk(path) < MIB, path.name
+    ran = subprocess.run(
+        [sys.executable, "-c", READ_ALL, *paths], check=True, capture_output=True, text=True
+    )
+    found = [line.split("|") for line in ran.stdout.splitlines()]
+    assert [name for name, _, _ in found] == list(BOMBS)
+    for name, more, said in found:
+        assert is_refusal(said), (name, said)
+        assert int(more) < MAX_PEAK, name
+    assert sum(int(more) for _, more, _ in found) < MAX_PEAK
+
+
+def test_a_skin_that_nothing_touches_is_no_bomb(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "skin.npz", readings=np.zeros((5000, 500), "u1"))
+    assert (tmp_path / "skin.npz").stat().st_size < 10_000
+    assert io.read(tmp_path / "skin.npz").readings.nbytes == 10_000_000
+
+
+def test_readings_are_counted_while_they_are_read(tmp_path: Path, monkeypatch) -> None:
+    """Whatever a file declares: text declares nothing, and its readings take twice its size."""
+    (tmp_path / "skin.csv").write_text("1,2,3\n" * 100_000)
+    assert io.read(tmp_path / "skin.csv").n_frames == 100_000
+    monkeypatch.setattr(budget, "FREE_BYTES", 0)
+    monkeypatch.setattr(budget, "MAX_RATIO", 1)
+    with io.open_stream(tmp_path / "skin.csv") as stream:
+        assert len(next(stream.blocks).readings) == 8192
+        with pytest.raises(FileError, match="its table of readings expands to"):
+            list(stream.blocks)
