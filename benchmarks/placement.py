@@ -34,7 +34,7 @@ from anisomap.simulation import Body, find_body
 
 Result = TypeVar("Result")
 
-DRAWS = 100
+DRAWS = 30
 BODIES = ("sphere", "cylinder", "y-shape", "torus", "cube", "hand", "tube", "hemisphere")
 SEEDS = (401, 402, 403)
 _MM = 1e-3

@@ -130,6 +130,7 @@ class _Part:
     scale_sigma: float
     evidence: float
     fit: ModuleFit | None
+    how: str = ""
 
     def known(self, stated: bool | None) -> Known:
         return Known(median_spacing(self.map), self.scale_sigma, self.evidence, stated)
@@ -152,11 +153,21 @@ def _scaled(part: SensorMap, modules: Modules | None, spacing: tuple[float, str]
     elsewhere = part.placed
     if modules is not None and _has_module(part, modules):
         fit = fit_modules(part, modules)
-        return _Part(_in_metres(fit.map), _MODULE_SCALE, abs(fit.evidence), fit)
+        return _Part(
+            _in_metres(fit.map), _MODULE_SCALE, abs(fit.evidence), fit, "scaled by its modules"
+        )
     if spacing is not None and np.count_nonzero(elsewhere) > 1:
-        return _Part(_in_metres(scaled_to_spacing(part, *spacing)), _SPACING_SCALE, 0.0, None)
+        return _Part(
+            _in_metres(scaled_to_spacing(part, *spacing)),
+            _SPACING_SCALE,
+            0.0,
+            None,
+            "scaled by its spacing",
+        )
     if part.units in METRES:
-        return _Part(_in_metres(part), _SPACING_SCALE, 0.0, None)
+        return _Part(
+            _in_metres(part), _SPACING_SCALE, 0.0, None, f"in {part.units}, converted to m"
+        )
     return _Part(part, np.inf, 0.0, None)
 
 
@@ -191,7 +202,7 @@ def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) 
         handed = handed and hand
         fresh = known.placed & (sensor_map.placed <= (sensor_map.component == label))
         positions[fresh], component[fresh] = known.positions[fresh], label
-        methods.append("scaled by its modules" if part.fit else "scaled by its spacing")
+        methods.append(part.how)
     labels = np.unique(component[component != UNPLACED])
     renumbered = np.where(component == UNPLACED, UNPLACED, np.searchsorted(labels, component))
     missing = _missing(sensor_map, renumbered)
