@@ -147,7 +147,7 @@ def confidence(
     if (
         method is None
         or method.refine is None
-        or sensor_map.similarity != method.similarity
+        or sensor_map.similarity not in (method.similarity, method.contact_similarity)
         or len(runs) > 1
         or np.count_nonzero(largest) < MIN_SENSORS
     ):

@@ -11,7 +11,7 @@ similarity, add one line to `anisomap.stages.pairs.SIMILARITIES`.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -19,6 +19,7 @@ import numpy as np
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions
+from anisomap.numerics.contacts.contact_agreement import shows_single_contacts
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.graph.connectivity import (
     neighbour_graph,
@@ -34,6 +35,7 @@ from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.significance import remove_insignificant_links
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.recording import Recording
 from anisomap.stages.pairs import PairStatistics
 from anisomap.stages.refinement import Refined, refine_by_contacts, refine_by_covariogram
 
@@ -125,6 +127,9 @@ class Method:
         a `Refined`. None if the scaled positions are the result.
     takes_even_spacing : bool
         Whether `refine` can use declared even spacing of neighbours.
+    contact_similarity : str, optional
+        Similarity that takes the place of `similarity` for readings that are on or off and show
+        one contact at a time.
     """
 
     summary: str
@@ -133,6 +138,14 @@ class Method:
     metric: Callable[[Reals], Reals]
     refine: Callable[[PairStatistics, Reals, Reals, MethodOptions], Refined] | None = None
     takes_even_spacing: bool = False
+    contact_similarity: str | None = None
+
+    def similarity_of(self, runs: Sequence[Recording]) -> str:
+        """Return the key of the similarity for some recordings."""
+        if self.contact_similarity is None:
+            return self.similarity
+        single = all(shows_single_contacts(run.readings) for run in runs)
+        return self.contact_similarity if single else self.similarity
 
 
 def _reciprocal(pairs: PairStatistics, options: MethodOptions) -> Reals:
@@ -202,6 +215,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             metricise,
             _covariogram,
             takes_even_spacing=True,
+            contact_similarity="contact-agreement",
         ),
         "contact-fit": Method(
             "the covariogram map, refined by a fit of the contacts that caused the readings",
@@ -209,6 +223,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             _direct,
             metricise,
             _contact_fit,
+            contact_similarity="contact-agreement",
         ),
         "r-anisomap": _anisomap("pearson", "ANISOMAP on linear correlation"),
         "i-anisomap": _anisomap("mutual-information", "ANISOMAP on mutual information"),

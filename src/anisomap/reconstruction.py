@@ -118,8 +118,9 @@ def reconstruct(
     complete = [run.complete() for run in select_sensors(runs, names)]
 
     with limited_blas(len(names)):
+        similarity = recipe.similarity_of(complete)
         pairs = compare(
-            complete, recipe.similarity, bins=options.bins, with_noise=recipe.refine is not None
+            complete, similarity, bins=options.bins, with_noise=recipe.refine is not None
         )
         dissimilarity = dissimilarities(pairs, method, options)
         metric = recipe.metric(dissimilarity)

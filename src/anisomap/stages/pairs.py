@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
+from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.blending import blended_correlation
@@ -33,10 +34,13 @@ class Similarity:
     summary : str
     compute : callable
         ``compute(readings, bins)`` returns the similarity, shape (n, n).
+    variance : callable
+        ``variance(readings)`` returns its sampling variance for unrelated sensors, shape (n, n).
     """
 
     summary: str
     compute: Callable[[ArrayLike, int], Reals]
+    variance: Callable[[ArrayLike], Reals] = sampling_variance
 
 
 SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
@@ -52,6 +56,11 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
         "blended-correlation": Similarity(
             "linear correlation where it is reliable, else rank correlation",
             lambda x, _: blended_correlation(x),
+        ),
+        "contact-agreement": Similarity(
+            "agreement over distinct contacts (kappa), for readings that are on or off",
+            lambda x, _: contact_agreement(x),
+            lambda x: sampling_variance(distinct_contacts(x)),
         ),
     }
 )
@@ -187,12 +196,12 @@ def compare(
     PairStatistics
     """
     logger.info("comparing all pairs of sensors (%s)", similarity)
-    compute = SIMILARITIES[similarity].compute
+    compute, variance = SIMILARITIES[similarity].compute, SIMILARITIES[similarity].variance
     if len({frozenset(run.names) for run in runs}) == 1:
         readings = _joined(runs, runs[0].names)
         return PairStatistics.from_similarity(
             compute(readings, bins),
-            noise=sampling_variance(readings) if with_noise else np.nan,
+            noise=variance(readings) if with_noise else np.nan,
             readings=readings if with_noise else None,
             statistic=similarity,
         )
@@ -204,7 +213,7 @@ def compare(
         in_group = shared[inside] == runs_of_pair
         values[inside] = np.where(in_group, compute(readings, bins), values[inside])
         if with_noise:
-            noise[inside] = np.where(in_group, sampling_variance(readings), noise[inside])
+            noise[inside] = np.where(in_group, variance(readings), noise[inside])
     return PairStatistics.from_similarity(
         values, noise=noise, known=shared > 0, statistic=similarity
     )

@@ -19,6 +19,7 @@ from anisomap.numerics.geodesic.geodesic_refinement import (
 from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import typical_variance
+from anisomap.stages.consensus import combine_with_paths
 from anisomap.stages.pairs import PairStatistics
 
 logger = logging.getLogger(__name__)
@@ -45,6 +46,10 @@ _NOT_EVEN = (
     "the declared even spacing could not be used: do not trust the map's scale along one "
     "direction relative to another"
 )
+_UNEXPLAINED = (
+    "no single function of distance explains the correlations ({:.0%} of their variance is left), "
+    "so contacts differ between places: neighbourhoods may be right, but do not rely on proportions"
+)
 _TOO_FEW = "even spacing was declared, but there are too few sensors or frames to use it"
 
 
@@ -63,12 +68,19 @@ class RefinementFacts:
         Neighbours lie at very unequal distances, and nothing corrected them.
     n_contacts : int or None
         Number of fitted contacts; 0 if the fit was rejected, None if it was not tried.
+    unexplained : float or None
+        Share of the variance of the similarity that no function of distance explains, if this is
+        too much for the covariogram alone.
+    path_weight : float
+        Weight of distances along paths of neighbours in the map.
     """
 
     contact_peaks: bool = False
     even_spacing: bool | None = None
     uneven: bool = False
     n_contacts: int | None = None
+    unexplained: float | None = None
+    path_weight: float = 0.0
 
     @property
     def elongated(self) -> bool:
@@ -140,9 +152,10 @@ def refine_by_covariogram(
     )
     readings = pairs.readings if positions.shape[1] > 1 else None  # a line has no directions
     if readings is None or len(readings) < _MIN_FRAMES:
-        return replace(unused, positions=fit.positions)
+        return _combined(pairs, replace(unused, positions=fit.positions))
     correct = refine_by_even_spacing if evenly_spaced else refine_by_contact_peaks
-    found = correct(readings, fit.positions, similarity=pairs.similarity)
+    correlations = pairs.similarity if pairs.statistic == "blended-correlation" else None
+    found = correct(readings, fit.positions, similarity=correlations)
     logger.debug("unevenness %.2f; geodesic lengths used: %s", found.unevenness, found.applied)
     if evenly_spaced:
         facts = RefinementFacts(even_spacing=found.applied)
@@ -150,8 +163,22 @@ def refine_by_covariogram(
     if found.applied:
         return Refined(found.positions, RefinementFacts(contact_peaks=True), (_CONTACT_PEAKS,))
     if found.unevenness > GeodesicOptions.max_unevenness:
-        return Refined(found.positions, RefinementFacts(uneven=True), (_NOT_CORRECTED,))
-    return Refined(found.positions)
+        uneven = Refined(found.positions, RefinementFacts(uneven=True), (_NOT_CORRECTED,))
+        return _combined(pairs, uneven)
+    return _combined(pairs, Refined(found.positions))
+
+
+def _combined(pairs: PairStatistics, mapped: Refined) -> Refined:
+    """Combine a covariogram map with path lengths where it leaves correlations unexplained."""
+    consensus = combine_with_paths(pairs, mapped.positions)
+    logger.debug("unexplained share %.3f", consensus.unexplained)
+    if not consensus.path_weight:
+        return mapped
+    facts = replace(
+        mapped.facts, unexplained=consensus.unexplained, path_weight=consensus.path_weight
+    )
+    note = _UNEXPLAINED.format(consensus.unexplained)
+    return Refined(consensus.positions, facts, (*mapped.notes, note))
 
 
 def unexamined_unevenness(

@@ -1,0 +1,142 @@
+"""Agreement of the contacts of every pair of sensors, for readings that are on or off."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
+
+from anisomap.numerics.graph.connectivity import neighbour_graph
+from anisomap.numerics.precision import Reals, mirror
+from anisomap.numerics.similarity.correlation import pearson
+
+MIN_CONTACTS = 50
+"""Minimum number of distinct contacts for an agreement; fewer leave a variance above 1 / 50."""
+
+MIN_SINGLE = 0.8
+"""Minimum share of the frames with a single contact for an agreement.
+
+At least .87 where one body touches the skin (iCub, Nao, rolling, rubbing and pressing); at most .54
+where several do (bombardment, steps).
+"""
+
+_N_NEIGHBOURS = 8  # of the graph on which a contact is connected; 6 gives the same decisions
+_SAMPLED_CONTACTS = 600  # regularly sampled; their share has a standard error below .02
+_CONTACTS_AT_ONCE = 4096  # contacts multiplied at a time; bounds the memory
+
+
+def is_on_off(readings: ArrayLike) -> bool:
+    """Return whether every sensor takes at most two values, for shape (T, N)."""
+    values = np.asarray(readings)
+    lowest, highest = values.min(axis=0), values.max(axis=0)
+    return all(
+        bool(((part == lowest) | (part == highest)).all())
+        for part in np.array_split(values, max(1, len(values) // _CONTACTS_AT_ONCE))
+    )
+
+
+def distinct_contacts(readings: ArrayLike) -> NDArray[np.bool_]:
+    """Find the different sets of at least two sensors that were active together.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings, on or off. Active is the higher value of each sensor, or the lower if most
+        readings are high.
+
+    Returns
+    -------
+    ndarray of bool, shape (C, N)
+        Active sensors of each contact, in the order of its first frame.
+    """
+    values = np.asarray(readings)
+    active = values > values.min(axis=0)
+    if 2 * np.count_nonzero(active) > active.size:
+        active = values < values.max(axis=0)
+    together = active[np.count_nonzero(active, axis=1) > 1]
+    if not len(together):
+        return np.asarray(together)
+    _, first = np.unique(np.packbits(together, axis=1), axis=0, return_index=True)
+    return np.asarray(together[np.sort(first)])
+
+
+def shows_single_contacts(readings: ArrayLike) -> bool:
+    """Return whether readings are on or off and show one contact at a time.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings.
+
+    Returns
+    -------
+    bool
+        False for fewer than 50 distinct contacts. The active sensors of a single contact are
+        connected on the graph of the 8 best-correlated neighbours.
+    """
+    if not is_on_off(readings):
+        return False
+    contacts = distinct_contacts(readings)
+    if len(contacts) < MIN_CONTACTS:
+        return False
+    linked = neighbour_graph(pearson(contacts.astype(np.float32)), _N_NEIGHBOURS)
+    sampled = contacts[:: max(1, len(contacts) // _SAMPLED_CONTACTS)]
+    single = [
+        connected_components(linked[np.ix_(active, active)], directed=False)[0] == 1
+        for active in sampled
+    ]
+    return float(np.mean(single)) >= MIN_SINGLE
+
+
+def contact_agreement(readings: ArrayLike) -> Reals:
+    """Compute the chance-corrected agreement of every pair of sensors over distinct contacts.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings, on or off.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        Cohen's kappa, in [-1, 1]; exactly symmetric, ones on the diagonal. 0 for sensors without
+        contacts and for sensors that are part of all contacts.
+
+    Notes
+    -----
+    Cohen (1960), doi:10.1177/001316446002000104. With p_i the weighted share of contacts in which
+    sensor i is active, and p_ij that in which i and j are::
+
+        kappa_ij = 2 (p_ij - p_i p_j) / (p_i + p_j - 2 p_i p_j)
+
+    The correlation of readings that are on or off depends on how long contacts last and on touches
+    of single sensors, and wide contacts dominate it. Here every set of active sensors counts once,
+    however long it lasts; a contact of m sensors has weight 1 / m; and frames with a single active
+    sensor, which are evidence of no pair, do not count.
+    """
+    contacts = distinct_contacts(readings)
+    together = _weighted_shares(contacts)
+    share = np.diag(together)
+    by_chance = np.outer(share, share)
+    disagreement = np.add.outer(share, share) - 2 * by_chance
+    agreement = 2 * (together - by_chance)
+    np.divide(agreement, disagreement, out=agreement, where=disagreement > 0)
+    agreement[disagreement <= 0] = 0.0
+    np.clip(agreement, -1, 1, out=agreement)
+    np.fill_diagonal(agreement, 1.0)
+    return agreement
+
+
+def _weighted_shares(contacts: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the weighted share of contacts in which each pair is active, shape (N, N)."""
+    n_sensors = contacts.shape[1]
+    together = np.zeros((n_sensors, n_sensors))
+    total = np.finfo(np.float64).tiny
+    for begin in range(0, len(contacts), _CONTACTS_AT_ONCE):
+        part = contacts[begin : begin + _CONTACTS_AT_ONCE].astype(np.float64)
+        weights = 1 / part.sum(axis=1)
+        total += float(weights.sum())
+        part *= np.sqrt(weights)[:, None]
+        together += part.T @ part
+    mirror(together, upper=True)
+    return together / total

@@ -1,0 +1,55 @@
+"""Distances along paths of neighbours."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+from sklearn.manifold import Isomap
+
+from anisomap.numerics.covariogram.misfit import unexplained_share
+from anisomap.numerics.graph.local_paths import local_path_lengths
+
+
+def scattered(seed, n_sensors=80):
+    return np.random.default_rng(seed).uniform(0, 5, (n_sensors, 2))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_paths_equal_those_of_isomap_on_a_gaussian_covariogram(seed):
+    places = scattered(seed)
+    distances = cdist(places, places)
+    paths = local_path_lengths(np.exp(-((distances / 2) ** 2)), 10)
+    oracle = Isomap(n_neighbors=10, metric="precomputed").fit(distances / 2).dist_matrix_
+    assert paths == pytest.approx(oracle, abs=1e-9)
+
+
+def test_paths_cross_gaps_and_are_symmetric():
+    places = scattered(4)
+    places[40:] += 100
+    similarity = np.exp(-(cdist(places, places) ** 2))
+    similarity[:40, 40:] = similarity[40:, :40] = 0
+    paths = local_path_lengths(similarity)
+    assert np.isfinite(paths).all()
+    assert np.array_equal(paths, paths.T)
+    assert paths[:40, 40:].min() > np.median(paths[:40, :40])
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("noise", [0.02, 0.05])
+def test_noise_alone_leaves_nothing_unexplained(seed, noise):
+    generator, places = np.random.default_rng(seed), scattered(seed, 120)
+    expected = 0.9 * np.exp(-cdist(places, places))
+    error = noise * (1 - expected**2) * generator.normal(size=expected.shape)
+    similarity = expected + (np.triu(error, 1) + np.triu(error, 1).T)
+    assert abs(unexplained_share(similarity, places, noise**2)) < 0.015
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_contacts_of_two_widths_stay_unexplained(seed):
+    places = scattered(seed, 120)
+    width = np.where(places[:, 0] < 2.5, 0.5, 1.5)
+    similarity = np.exp(-cdist(places, places) / np.sqrt(np.outer(width, width)))
+    assert unexplained_share(similarity, places, 1e-4) > 0.1
+
+
+def test_few_pairs_determine_no_share():
+    assert unexplained_share(np.eye(5), np.arange(10.0).reshape(5, 2), 0.01) == 0
