@@ -188,3 +188,13 @@ def test_positions_of_sensors_that_a_preset_names(run_map, skin, tmp_path, sever
     score = json.loads(made.out)["score"]
     assert score["sensors_compared"] == len(pads)
     assert score["mantel_r"] > 0.9
+
+
+@pytest.mark.parametrize("command", [("map",), ("compare",)])
+def test_the_file_of_positions_is_not_overwritten(run, skin, tmp_path, command):
+    contacts_as_text(skin, tmp_path / "contacts.csv")
+    (tmp_path / "truth.csv").write_text("name,x,y\ntaxel0,0,0\n")
+    found = run(*command, "contacts.csv", "--positions", "truth.csv", "-o", "truth.csv")
+    assert found.code == 2
+    assert "truth.csv" in found.err
+    assert (tmp_path / "truth.csv").read_text() == "name,x,y\ntaxel0,0,0\n"

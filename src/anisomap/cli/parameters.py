@@ -61,6 +61,11 @@ class ReadingOptions:
     positions: Path | None = None
     bin: str = ""
 
+    @property
+    def inputs(self) -> list[Path]:
+        """The files that are read beside the recording, which no output may overwrite."""
+        return [*self.msg, *([self.positions] if self.positions else [])]
+
     def checked(self) -> ReadOptions:
         """Convert to the options of the library."""
         grid = _rows_and_columns(self.grid) if self.grid else None

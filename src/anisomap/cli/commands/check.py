@@ -77,7 +77,7 @@ def check(
     """
     outputs = [path for path in (output, picture) if path]
     inputs = [path for path in (layout_file, recording_file, modules) if path]
-    check_distinct(outputs, inputs)
+    check_distinct(outputs, [*inputs, *reading.inputs])
     if output:
         io.check_writable(output)
     if picture:

@@ -74,7 +74,7 @@ def compare(
             raise FileError(
                 f"cannot write {path}: give a name that ends in {' or '.join(_WRITERS)}"
             )
-    check_distinct(outputs, [file for file, _ in _files(recordings)])
+    check_distinct(outputs, [*(file for file, _ in _files(recordings)), *reading.inputs])
     comparisons = []
     for path, recording in _read(recordings, reading, missing):
         for k in dimensions or (None,):

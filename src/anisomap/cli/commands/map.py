@@ -105,7 +105,7 @@ def map_recording(
         checkpoint=large.checkpoint,
         placing=placing,
     )
-    outputs.check(*recordings, *([truth] if truth else []))
+    outputs.check(*recordings, *reading.inputs, *([truth] if truth else []))
     placing.check(outputs.maps)
     how = reading.checked()
     chosen = MethodOptions(

@@ -32,7 +32,7 @@ def repair(
     output
         NPZ file to write.
     """
-    check_distinct([output], [recording])
+    check_distinct([output], [recording, *reading.inputs])
     io.check_writable(output)
     if output.suffix.lower() != ".npz":
         raise InputError(f"recordings are written as NPZ: {output} must end in .npz")
