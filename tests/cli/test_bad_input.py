@@ -1,6 +1,7 @@
 """Bad input: one sentence, exit code 2, no traceback, no partial output."""
 
 import io
+import os
 import zipfile
 
 import numpy as np
@@ -163,3 +164,15 @@ def test_an_unknown_method_is_reported_before_the_recording_is_read(run):
     found = run("map", "missing.csv", "-m", "pca")
     assert found.code == 2
     assert "no method 'pca'" in found.err
+
+
+def test_too_many_sensors_are_refused_before_they_are_compared(run, tmp_path, monkeypatch):
+    """Comparing a million sensors with one another takes hours, and their map terabytes."""
+    np.savez_compressed(tmp_path / "many.npz", readings=np.eye(20, 100_000, dtype=np.uint8))
+    answers = {"SC_PAGE_SIZE": 1, "SC_PHYS_PAGES": 24 << 30}
+    ask = os.sysconf
+    monkeypatch.setattr(os, "sysconf", lambda name: answers.get(name) or ask(name))
+    for command in ("info", "map"):
+        found = run(command, "many.npz")
+        assert found.code == 2
+        assert "100000 sensors needs about 298.0 GiB of memory" in found.err

@@ -213,3 +213,18 @@ def test_missing_libraries_name_the_extra(
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtraError, match=rf"pip install 'anisomap\[{extra}\]'"):
         io.read(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "feather"])
+@pytest.mark.parametrize("values", [np.arange(6.0), [[1.0, 2.0]] * 6])
+def test_columns_of_the_same_name(tmp_path: Path, suffix: str, values) -> None:
+    columns = [arrow.array(values), arrow.array(range(6)), arrow.array(range(6))]
+    repeated = arrow.Table.from_arrays(columns, names=["a", "b", "b"])
+    path = tmp_path / f"skin.{suffix}"
+    if suffix == "parquet":
+        parquet.write_table(repeated, path)
+    else:
+        with arrow.ipc.new_file(str(path), repeated.schema) as writer:
+            writer.write_table(repeated)
+    with pytest.raises(FileError, match=r"skin\.\w+ has 2 columns with the name 'b'"):
+        io.read(path)

@@ -280,3 +280,15 @@ def test_duplicate_names_are_made_distinct(saved) -> None:
     for reader in (io.read, io.read_map):
         with pytest.warns(AnisomapWarning, match="several sensors have the name a"):
             assert reader(path).names == ("a", "b", "a_2")
+
+
+@pytest.mark.parametrize("shape", ["(True, 3)", "(3, True)"])
+def test_true_is_a_length_of_one(tmp_path: Path, shape: str) -> None:
+    """numpy accepts it in a header, but not as a length."""
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}"
+    path = packed(header, np.arange(3.0).tobytes(), tmp_path / "skin.npz")
+    assert sorted(io.read(path).readings.shape) == [1, 3]
+    single = tmp_path / "skin.npy"
+    with zipfile.ZipFile(path) as archive:
+        single.write_bytes(archive.read("readings.npy"))
+    assert io.read(single).readings.ravel().tolist() == [0, 1, 2]

@@ -2,6 +2,7 @@
 
 import sqlite3
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -311,3 +312,21 @@ def test_decompression_bombs_in_chunks(
         warnings.simplefilter("ignore", AnisomapWarning)
         with pytest.raises(FileError, match="decompression bomb"):
             io.read(path)
+
+
+@pytest.mark.parametrize("packed", ["LZ4", "BZ2"])
+def test_damaged_chunks_of_truncated_bags(tmp_path: Path, packed: str) -> None:
+    """The first chunk is unpacked for its connections before rosbags opens the file."""
+    rng = np.random.default_rng(0)
+    bag = Bag("bag")
+    for i in range(40):
+        bag.add("/skin", bag.array((rng.random(8000) < 0.1) * 1.0), i)
+    path = bag.write(tmp_path / "run.bag", packed)
+    whole = path.read_bytes()
+    for at in rng.integers(5000, len(whole) // 3, 20):
+        damaged = bytearray(whole[: int(0.9 * len(whole))])
+        damaged[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        with warnings.catch_warnings(), suppress(FileError):
+            warnings.simplefilter("ignore", AnisomapWarning)
+            assert 0 < io.read(path).n_frames <= 40

@@ -251,3 +251,11 @@ class TestContacts:
     def test_a_log_without_contact(self, put: Put) -> None:
         with pytest.raises(FileError, match=r"data\.log"):
             io.read(put("data.log", self.log("", "", "")))
+
+
+@pytest.mark.parametrize("first", ["(0.25 0 0.75),1", "(1,2) 3", "0,(1)2"])
+def test_values_beside_brackets(tmp_path: Path, first: str) -> None:
+    rows = [f"{i} {1.3e9 + i / 50:.2f} {first}" for i in range(20)]
+    (tmp_path / "data.log").write_text("\n".join(rows) + "\n")
+    with pytest.raises(FileError, match=r"data\.log, line 1, column \d+: .* is not a number"):
+        io.read(tmp_path / "data.log")

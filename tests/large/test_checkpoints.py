@@ -1,6 +1,7 @@
 """Interrupted runs resume to the same result, and checkpoints of other data are refused."""
 
 import io
+import os
 import subprocess
 import sys
 import time
@@ -249,3 +250,22 @@ def test_pickles_are_never_loaded(tmp_path):
         np.lib.format.write_array(member, np.array([print], dtype=object), allow_pickle=True)
     with pytest.raises(FileError, match="damaged or not a checkpoint"):
         similarity(PARTS, file)
+
+
+def test_compressed_archives_are_refused(tmp_path):
+    """Checkpoints are not compressed, so that one that is may expand to any size."""
+    file = tmp_path / "counts.npz"
+    similarity(PARTS, file)
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    np.savez_compressed(file, **arrays)
+    with pytest.raises(FileError, match="damaged or not a checkpoint"):
+        similarity(PARTS, file)
+
+
+def test_pipes_are_refused(tmp_path):
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("named pipes need POSIX")
+    os.mkfifo(tmp_path / "counts.npz")
+    with pytest.raises(FileError, match="not a regular file"):
+        similarity(PARTS, tmp_path / "counts.npz")
