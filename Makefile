@@ -9,7 +9,7 @@ LARGE ?=
 ARGS ?=
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
-.PHONY: help demo paper numbers test test-all coverage check format bench quality faults tables docs clean
+.PHONY: help demo paper numbers test test-all coverage check format bench quality faults fuzz tables docs clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -69,8 +69,11 @@ tables: $(READY)  ## update the tables of accuracy in README and docs from the r
 faults: $(READY)  ## measure which faults of recordings are found and mended, in faults/ (RECORDINGS=folder)
 	$(BIN)/python -m benchmarks.faults -o faults $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
+fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/ (ARGS="--cases 5000 --formats npz")
+	$(BIN)/python -m fuzzing $(ARGS)
+
 docs: $(READY)  ## build the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
 clean:  ## remove the output of all targets
-	rm -rf .venv demo bench quality faults paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov
+	rm -rf .venv demo bench fuzz quality faults paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from fuzzing.subjects import Subject, subjects
 from fuzzing.table import write
-from fuzzing.workers import Tally, run_cases
+from fuzzing.workers import Tally, run_cases, warm_up
 
 _LOADED = (
     *("h5py", "pyarrow.parquet", "pyarrow.feather", "rosbags.rosbag1", "rosbags.rosbag2", "mujoco"),
@@ -31,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for module in _LOADED:
         import_module(module)
     tried = [s for s in subjects() if not chosen.formats or s.name in chosen.formats]
+    warm_up(tried)
     chosen.output.mkdir(parents=True, exist_ok=True)
     tallies: dict[str, Tally] = {}
     end = time.monotonic() + chosen.seconds

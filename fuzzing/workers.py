@@ -13,9 +13,11 @@ import traceback
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -34,8 +36,9 @@ ADDRESS_SPACE = 8 << 30
 """Bytes that a worker may reserve, so that a defect does not take the memory of the machine."""
 
 _BATCH = 500  # cases per process, so that leaks of libraries do not add up
-_BY_COMMAND, _IS_ODD, _IS_BOMB, _IS_SPLICED, _IS_WHOLE = 0.08, 0.15, 0.002, 0.03, 0.01
-_N_BOMBS = 4
+_BY_COMMAND, _IS_ODD, _IS_BOMB, _IS_SPLICED, _IS_WHOLE = 0.08, 0.15, 0.001, 0.03, 0.01
+_N_BOMBS = 2
+_N_USES = 12  # of each format, to reach all commands
 _CHECKS: Mapping[str, tuple[Any, Any]] = {
     "file": (checks.check_file, checks.check_file_by_command),
     "body": (checks.check_body, checks.check_body_by_command),
@@ -127,6 +130,24 @@ def run_case(
     return found
 
 
+def warm_up(tried: Sequence[Subject]) -> None:
+    """Read whole files by the library and the commands, so that forked processes find all loaded.
+
+    Modules are imported, and compiled functions loaded, when they are used first.
+    """
+    with (
+        tempfile.TemporaryDirectory(prefix="anisomap-fuzz-") as name,
+        Path(os.devnull).open("w") as nowhere,
+        redirect_stdout(nowhere),
+        redirect_stderr(nowhere),
+    ):
+        for use, subject in product(range(_N_USES), tried):
+            folder = Path(name) / f"{use}-{subject.name}"
+            folder.mkdir()
+            rng = np.random.default_rng(use)
+            run_case(subject, subject.seeds[0], folder, rng, by_command=bool(use % 2))
+
+
 def run_cases(
     subject: Subject, seed: int, indices: Sequence[int], keep: Path, *, until: float
 ) -> Tally:
@@ -147,6 +168,9 @@ def run_cases(
     Tally
     """
     tally = Tally()
+    if subject.name in odd.BOMBS and len(indices) > _BATCH:
+        for index in range(_N_BOMBS):
+            _bomb(subject.name, index)  # once, before processes are forked
     position = 0
     while position < len(indices) and time.monotonic() < until:
         batch = indices[position : position + _BATCH]

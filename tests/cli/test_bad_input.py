@@ -176,3 +176,42 @@ def test_too_many_sensors_are_refused_before_they_are_compared(run, tmp_path, mo
         found = run(command, "many.npz")
         assert found.code == 2
         assert "100000 sensors needs about 298.0 GiB of memory" in found.err
+
+
+def test_components_are_not_written_over_the_input(run, tmp_path):
+    components = [0, 0, 0, 1, 1, 1]
+    made = anisomap.SensorMap(np.random.default_rng(0).random((6, 3)), component=components)
+    anisomap.write(made, tmp_path / "skin-1.csv")
+    before = (tmp_path / "skin-1.csv").read_bytes()
+    found = run("convert", "skin-1.csv", "skin.csv", "--split-components")
+    assert found.code == 2
+    assert "skin-1.csv is also an input" in found.err
+    assert (tmp_path / "skin-1.csv").read_bytes() == before
+    assert not (tmp_path / "skin-2.csv").exists()
+
+
+@pytest.mark.parametrize("name", ["[1].npz", "[a", '{"a": 1}.npz', "[]"])
+def test_names_that_look_like_json_are_paths(run_map, skin_npz, tmp_path, name):
+    path = skin_npz.rename(tmp_path / name)
+    done = run_map(path.name, "-m", "r-anisomap", "-o", "[map].csv")
+    assert done.code == 0
+    assert (tmp_path / "[map].csv").exists()
+
+
+def test_a_checkpoint_is_neither_an_input_nor_another_output(run, skin_npz, tmp_path):
+    before = skin_npz.read_bytes()
+    for path in ("skin.npz", "map.csv"):
+        found = run("map", skin_npz, "-o", "map.csv", "--checkpoint", path)
+        assert found.code == 2
+        assert f"{path} is" in found.err
+    assert skin_npz.read_bytes() == before
+    assert not (tmp_path / "map.csv").exists()
+
+
+def test_errors_about_long_names_have_at_most_300_characters(run, skin_npz):
+    found = run("map", skin_npz, "--drop", "x" * 9000)
+    errors = [line for line in found.err.splitlines() if line.startswith("error: ")]
+    assert found.code == 2
+    assert len(errors) == 1
+    assert len(errors[0]) <= len("error: ") + 300
+    assert errors[0].startswith("error: there is no sensor 'xxx")

@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from anisomap import io
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io.parsing.table import parse_number
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
 
 Put = Callable[[str, str | bytes], Path]
 
@@ -453,3 +455,20 @@ def test_commas_that_may_separate_thousands_give_a_warning(tmp_path: Path) -> No
         io.read(path)
     path.write_text("a\tb\n1,234\t5\n0,5\t6\n")
     assert io.read(path).readings[0, 0] == 1.234
+
+
+def test_a_header_longer_than_the_sample_does_not_hide_the_numbers(put) -> None:
+    names = [f"sensor {i:040d}" for i in range(100_000)]
+    row = ",".join(["1"] * 99_999)
+    found = io.read(put("wide.csv", ",".join(names) + "\n" + f"{row},2\n{row},3\n"))
+    assert found.names == tuple(names)
+    np.testing.assert_array_equal(found.readings[:, -1], [2, 3])
+
+
+def test_names_too_long_for_a_field_are_refused_before_they_are_written(tmp_path) -> None:
+    path = tmp_path / "map.csv"
+    with pytest.raises(InputError, match="200000 characters is too long"):
+        io.write(SensorMap(np.eye(3), names=["a" * 200_000, "b", "c"]), path)
+    with pytest.raises(InputError, match="too many line ends"):
+        io.write(Recording(np.eye(3), names=["a\n" * 600, "b", "c"]), path)
+    assert not path.exists()

@@ -180,3 +180,18 @@ def test_errors_about_meshes_are_short(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="cannot be read as a mesh") as error:
         load_body(path, 10)
     assert len(str(error.value).replace(str(tmp_path), "")) <= 300
+
+
+@pytest.mark.parametrize("value", ["nan", "1e308", "-1e30"])
+def test_models_out_of_range_leave_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], value: str
+) -> None:
+    """MuJoCo would print warnings and append them to MUJOCO_LOG.TXT in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "part.xml").write_text(
+        f"<mujoco><worldbody><geom size='1' pos='0 0 {value}'/></worldbody></mujoco>"
+    )
+    with pytest.raises(InputError, match=r"part"):
+        load_body(tmp_path / "part.xml", 4)
+    assert [path.name for path in tmp_path.iterdir()] == ["part.xml"]
+    assert capfd.readouterr() == ("", "")

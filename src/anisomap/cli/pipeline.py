@@ -41,15 +41,16 @@ _SHARE_OF_MAP = 0.3  # of the time of a map with confidence; typical, for the pr
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files to write: maps in any format, a picture, a report, a checkpoint."""
+    """Files to write: maps in any format, a picture, a report, a checkpoint; and all inputs."""
 
     maps: tuple[Path, ...] = ()
     picture: Path | None = None
     report: Path | None = None
     checkpoint: Path | None = None
+    inputs: tuple[Path, ...] = ()
     placing: PlacingOptions = DEFAULT_PLACING
 
-    def check(self, *inputs: Path) -> None:
+    def check(self) -> None:
         """Check, before the map is computed, that all files can be written.
 
         Raises
@@ -61,7 +62,7 @@ class Outputs:
             If a picture or report needs a library that is not installed.
         """
         others = (self.picture, self.report, self.checkpoint)
-        check_distinct([path for path in (*self.maps, *others) if path], inputs)
+        check_distinct([path for path in (*self.maps, *others) if path], self.inputs)
         for path in self.maps:
             io.check_writable(path)
         if self.picture:
@@ -433,7 +434,8 @@ def write_outputs(
     written: list[tuple[str, Path]] = []
     with progress("writing"):
         for path in outputs.maps:
-            written += [("map", file) for file in outputs.placing.write(sensor_map, path)]
+            files = outputs.placing.write(sensor_map, path, outputs.inputs)
+            written += [("map", file) for file in files]
         figure = (
             figures.map_figure(sensor_map, result) if outputs.picture or outputs.report else None
         )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TypeVar
 
 from anisomap.errors import FileError, InputError
-from anisomap.files import atomic_write, check_target
+from anisomap.files import atomic_write, check_distinct, check_target
 from anisomap.io.parsing.encoding import check_encodable, texts_of
 from anisomap.io.registry import FORMATS
 from anisomap.recording import Recording
@@ -54,7 +54,12 @@ def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
         raise InputError(f"write needs a SensorMap or a Recording, got {type(data).__name__}")
 
 
-def write_components(sensor_map: SensorMap, path: str | os.PathLike[str]) -> tuple[Path, ...]:
+def write_components(
+    sensor_map: SensorMap,
+    path: str | os.PathLike[str],
+    *,
+    inputs: Iterable[str | os.PathLike[str]] = (),
+) -> tuple[Path, ...]:
     """Write each connected component of a map to a separate file.
 
     Parameters
@@ -64,6 +69,8 @@ def write_components(sensor_map: SensorMap, path: str | os.PathLike[str]) -> tup
     path : path-like
         Template of the file names: ``skin.urdf`` gives ``skin-1.urdf``, ``skin-2.urdf``, ..., in
         order of decreasing component size. Existing files are replaced.
+    inputs : iterable of path-like
+        Files that must not be replaced.
 
     Returns
     -------
@@ -84,6 +91,7 @@ def write_components(sensor_map: SensorMap, path: str | os.PathLike[str]) -> tup
     length = max(map(len, suffixes))
     stem, suffix = template.name[:-length], template.name[-length:]
     files = tuple(template.with_name(f"{stem}-{i + 1}{suffix}") for i in range(len(components)))
+    check_distinct(files, inputs)
     for component, file in zip(components, files, strict=True):
         write(component, file)
     return files

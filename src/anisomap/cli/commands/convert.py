@@ -39,7 +39,7 @@ def convert(
         if placed.units in METRES:
             with suppress(InputError):  # a single sensor has no spacing
                 spacing = median_spacing(placed)
-        written = placing.write(placed, output)
+        written = placing.write(placed, output, [map_file])
         if spacing is not None:
             facts["median spacing"] = f"{spacing:.4g} {placed.units}"
         facts["known up to"] = placed.known_up_to

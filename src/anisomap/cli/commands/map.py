@@ -103,9 +103,10 @@ def map_recording(
         picture=picture,
         report=report,
         checkpoint=large.checkpoint,
+        inputs=(*recordings, *reading.inputs, *([truth] if truth else [])),
         placing=placing,
     )
-    outputs.check(*recordings, *reading.inputs, *([truth] if truth else []))
+    outputs.check()
     placing.check(outputs.maps)
     how = reading.checked()
     chosen = MethodOptions(

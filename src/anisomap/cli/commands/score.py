@@ -55,8 +55,8 @@ def score_map(
             "give one file of reference positions: anisomap score MAP REFERENCE, or --truth FILE"
         )
     chosen = given[0]
-    outputs = pipeline.Outputs(picture=picture, report=report)
-    outputs.check(map_file, chosen)
+    outputs = pipeline.Outputs(picture=picture, report=report, inputs=(map_file, chosen))
+    outputs.check()
     sensor_map, reference = io.read_map(map_file), pipeline.read_reference(chosen, units)
     left_out = options.sensors(exclude, sensor_map.names)
     with reporting.printer() as printer:

@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TextIO
 
+from anisomap.errors import InputError
 from anisomap.io.parsing.source import GZIP_ERRORS
 from anisomap.io.parsing.table import is_number, is_skipped
 
@@ -72,7 +73,14 @@ def guard_formula(name: str) -> str:
     """Precede a name that a spreadsheet would run as a formula with an apostrophe.
 
     `unguard_formula` restores every name; names of apostrophes before a formula get one more.
+
+    Raises
+    ------
+    InputError
+        If the name is longer than a field that Python's csv module reads.
     """
+    if len(name) >= csv.field_size_limit():
+        raise InputError(f"a name of {len(name)} characters is too long for delimited text")
     return f"'{name}" if name.lstrip("'").startswith(FORMULA_STARTS) else name
 
 
