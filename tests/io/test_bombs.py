@@ -207,3 +207,17 @@ def test_readings_are_counted_while_they_are_read(tmp_path: Path, monkeypatch) -
         assert len(next(stream.blocks).readings) == 8192
         with pytest.raises(FileError, match="its table of readings expands to"):
             list(stream.blocks)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("map.json", "[],"), ("map.csv", "1\n"), ("map.pcd", "#\n"), ("map.icub.txt", "\n")],
+)
+def test_objects_of_text_are_counted(tmp_path: Path, monkeypatch, name: str, unit: str) -> None:
+    """A list of JSON takes 20 times its text in memory, and a line 150 times."""
+    start = {"map.json": '{"a":[', "map.pcd": "VERSION 0.7\n"}.get(name, "1\n")
+    packed = gzip.compress((start + unit * 100_000).encode())
+    (tmp_path / name).write_bytes(packed)
+    monkeypatch.setattr(budget, "FREE_BYTES", MIB)
+    with pytest.raises(FileError, match=r"its text expands to .* decompression bomb"):
+        io.read_map(tmp_path / name)

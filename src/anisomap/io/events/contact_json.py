@@ -17,7 +17,7 @@ from anisomap.errors import FileError
 from anisomap.io.events.event_columns import EventColumns, find_columns, noun_of
 from anisomap.io.events.event_frames import Events, name_sensors, stream_events
 from anisomap.io.parsing.columns import is_time, units_per_second
-from anisomap.io.parsing.source import open_text, quote
+from anisomap.io.parsing.source import check_json, open_text, quote
 from anisomap.io.parsing.table import LineError, Lines
 from anisomap.io.stream import ReadOptions, Stream
 
@@ -77,6 +77,7 @@ def _objects(path: Path) -> Iterator[tuple[str, Any]]:
     with open_text(path) as stream:
         if start.lstrip("\ufeff \t").startswith("["):
             content = stream.read()
+            check_json(path, content)
             try:
                 document = json.loads(content)
             except json.JSONDecodeError as error:

@@ -25,7 +25,7 @@ from anisomap.errors import FileError
 from anisomap.io.parsing import comments, delimited
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.parsing.source import open_text, quote
+from anisomap.io.parsing.source import quote, read_lines
 from anisomap.io.parsing.table import LineError, is_number, parse_number
 from anisomap.io.recordings.delimited_text import MAP_TITLE
 from anisomap.recording import Scalar
@@ -63,8 +63,7 @@ def read_map(path: Path) -> SensorMap:
     Units come from the comments or the header (``x [mm]``), else they are empty. Errors give line
     and column.
     """
-    with open_text(path) as stream:
-        lines = list(stream)
+    lines = read_lines(path)
     delimiter = delimited.find_delimiter(lines)
     rows = _without_trailing_columns(list(delimited.records(lines, delimiter)))
     if not rows:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError
-from anisomap.io.parsing.source import open_text, quote
+from anisomap.io.parsing.source import quote, read_lines
 from anisomap.io.parsing.table import LineError, parse_number
 from anisomap.placement import to_taxels
 from anisomap.sensor_map import SensorMap
@@ -61,8 +61,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
 def read_map(path: Path) -> SensorMap:
     """Read the taxels, named by port index (``taxel97``), without values that have no taxel."""
-    with open_text(path) as stream:
-        lines = [line.strip() for line in stream]
+    lines = [line.strip() for line in read_lines(path)]
     if "[calibration]" not in lines:
         raise FileError(f"{path} lacks the line [calibration] that precedes the positions")
     start = lines.index("[calibration]") + 1

@@ -8,7 +8,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing import comments
-from anisomap.io.parsing.source import open_text, quote
+from anisomap.io.parsing.source import quote, read_lines
 from anisomap.io.parsing.table import LineError, parse_number
 from anisomap.placement import pad_to_3d, surface_normals
 from anisomap.recording import Scalar
@@ -63,8 +63,7 @@ def read_map(path: Path) -> SensorMap:
 
     Files written by anisomap restore the names; in other files they are s0, s1, ...
     """
-    with open_text(path) as stream:
-        lines = list(enumerate(stream, start=1))
+    lines = list(enumerate(read_lines(path), start=1))
     remarks = [line.lstrip("# ") for _, line in lines if line.startswith("#")]
     known = dict(comments.read_comments(remarks, "")[0])
     fields: list[str] = []

@@ -8,7 +8,7 @@ from typing import Any
 
 from anisomap.budget import size_on_disk
 from anisomap.errors import FileError
-from anisomap.io.parsing.source import open_text
+from anisomap.io.parsing.source import check_json, open_text
 
 MAX_RATIO = 100
 """Maximum ratio of characters to bytes on disk.
@@ -45,6 +45,7 @@ def read_json(path: Path) -> Any:
             f"{path} unpacks to more than {limit} characters, too many for its size on disk; it is "
             "damaged or a decompression bomb (if not, unpack it first)"
         )
+    check_json(path, content)
     try:
         return json.loads(content)
     except json.JSONDecodeError as error:
