@@ -23,6 +23,8 @@ from anisomap.io.parsing.source import (
     quote_if_needed,
 )
 
+# Limits memory for very wide tables; columns are told apart by at least eight rows.
+_MIN_FIRST_ROWS, _MAX_FIRST_CELLS = 8, 1 << 22
 _BLOCK_LINES, _BLOCK_CHARACTERS = 512, 1 << 22
 
 
@@ -176,11 +178,14 @@ def read_blocks(
 def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
     """Read the first `n_rows` rows, or all if there are fewer, ignoring damage after them.
 
+    Of tables with thousands of columns, fewer rows are read.
+
     Raises
     ------
     LineError
         As `read_blocks`.
     """
+    n_rows = min(n_rows, max(_MIN_FIRST_ROWS, _MAX_FIRST_CELLS // max(table.n_columns, 1)))
     held = [np.empty((0, table.n_columns))]
     with suppress(*GZIP_ERRORS):
         for rows, _ in read_blocks(table, warn_if_truncated=False):
