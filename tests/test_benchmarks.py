@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks import comparison, measuring, paths, scalings, similarities, whole_maps
+from benchmarks import comparison, measuring, paths, placement, scalings, similarities, whole_maps
 from benchmarks.__main__ import main
 from benchmarks.comparison import Comparison, Reference, Row, run
 from benchmarks.inputs import flat_skin, round_skin, rubbed_skin, tiled_torso
@@ -193,3 +193,13 @@ def test_tiles_are_connected_and_shifted_in_time(recordings):
     alike = np.corrcoef(tiled.T)
     assert alike[:n_sensors, n_sensors : 2 * n_sensors].max() > 0.5  # across the joint
     assert np.abs(alike[:10, 2 * n_sensors :]).max() < 0.5  # far apart
+
+
+@pytest.mark.slow
+def test_placed_maps_are_measured(tmp_path):
+    output = tmp_path / "placement.csv"
+    placement.main(["--bodies", "sphere", "--draws", "6", "-o", str(output)])
+    found = {row["measure"]: row for row in rows_of(output)}
+    error = found["mesh and 3 anchors: median error (spacings)"]
+    assert 0 < float(error["median"]) < 1
+    assert float(found["mesh and 3 anchors: share of the right hand where placed"]["median"]) == 1

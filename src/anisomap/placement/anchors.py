@@ -35,7 +35,7 @@ _MIN_REACH = 3.0  # spacings; a field that changes faster would change the spaci
 # of rubbed planes and cylinders, seeds 301 to 306.
 _RING = 12  # neighbours that tell whether a sensor is inside
 _SHARE_INSIDE = 0.5  # of the sensors
-_MAX_FOLDS = 50  # groups of anchors that are left out in turn
+_MAX_FOLDS, _MANY, _FEW_FOLDS = 50, 200, 10  # groups left out in turn; fewer of many anchors
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,7 +407,7 @@ def _choose_kernel(
     n = len(x)
     predictions = np.empty((len(kernels), *y.shape))
     relative = np.empty((len(kernels), n))
-    for fold in np.array_split(np.arange(n), min(n, _MAX_FOLDS)):
+    for fold in np.array_split(np.arange(n), min(n, _FEW_FOLDS if n > _MANY else _MAX_FOLDS)):
         rest = np.setdiff1d(np.arange(n), fold)
         fit = _fit(x[rest], y[rest], known, reflected)
         for i, kernel in enumerate(kernels):

@@ -14,7 +14,12 @@ from anisomap.placement.modules import NO_MODULE, Modules
 from anisomap.placement.orientation import mirrored, pad_to_3d
 from anisomap.placement.rigid_fit import ModuleFit, fit_modules
 from anisomap.placement.scale import METRES, median_spacing, scaled_to_spacing
-from anisomap.placement.surface import Surface, project_on_surface, surface_evidence
+from anisomap.placement.surface import (
+    Surface,
+    fit_to_surface,
+    project_on_surface,
+    surface_evidence,
+)
 from anisomap.scene import Mesh
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
@@ -190,7 +195,7 @@ def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) 
     """Combine components in metres, each in a frame of its own."""
     positions = np.full_like(sensor_map.positions, np.nan)
     component = np.full(sensor_map.n_sensors, UNPLACED)
-    methods, handed = [], True
+    methods, handed, mirror = [], True, sensor_map.mirrored
     for label, part in enumerate(parts):
         if part.map.units != "m":
             methods.append("not placed: no module has 3 of its sensors")
@@ -200,6 +205,7 @@ def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) 
         if not hand and stated is not None:
             known, hand = (mirrored(known) if stated else known), True
         handed = handed and hand
+        mirror = known.mirrored if label == 0 else mirror
         fresh = known.placed & (sensor_map.placed <= (sensor_map.component == label))
         positions[fresh], component[fresh] = known.positions[fresh], label
         methods.append(part.how)
@@ -212,6 +218,7 @@ def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) 
         component=renumbered,
         units="m",
         handed=handed,
+        mirrored=mirror,
         notes=(*sensor_map.notes, *_left_out_note(missing)),
     )
     empty = np.empty(0)
@@ -247,6 +254,10 @@ def _place_part(
     positions, normals = fit.positions, np.full((len(members), 3), np.nan)
     how = "similarity and smooth field" if fit.warped else "similarity"
     if shape.surface is not None:
+        if not fit.warped:
+            positions = fit_to_surface(
+                points, index, targets, shape.surface, reflection=fit.reflected
+            )
         positions, normals = project_on_surface(positions, fit.errors, shape.surface)
         how += " on the mesh"
     if part.fit is not None and shape.modules is not None:
@@ -267,6 +278,7 @@ def _anchored(
     errors = np.full(n_sensors, np.nan)
     residuals, left_out = (np.full(len(where), np.nan) for _ in range(2))
     methods, placed, failures = [], [], []
+    mirror: bool | None = None
     for label, part in enumerate(parts):
         here = part.map.placed & (sensor_map.placed <= (sensor_map.component == label))
         mine, members = np.flatnonzero(here[where]), np.flatnonzero(here)
@@ -277,6 +289,8 @@ def _anchored(
             methods.append(f"not placed: {error}")
             continue
         placed.append(found.fit)
+        if mirror is None:
+            mirror = part.map.mirrored != found.fit.reflected
         methods.append(found.method)
         positions[members], normals[members] = found.positions, found.normals
         errors[members] = found.fit.errors
@@ -299,7 +313,7 @@ def _anchored(
         units="m",
         handed=all(fit.handed for fit in placed),
         anchored=True,
-        mirrored=sensor_map.mirrored != placed[0].reflected,
+        mirrored=bool(mirror),
         notes=(*sensor_map.notes, *_left_out_note(missing)),
         provenance={**sensor_map.provenance, "anchors": len(where), "placed_by": methods[0]},
     )

@@ -13,7 +13,7 @@ from anisomap.scene import Mesh
 
 # Tuned on rubbed spheres, cylinders, y-shapes, tori, cubes, hands and tubes, seeds 201 and 202.
 _INDEPENDENT = 20.0  # independent errors of a map, which are correlated between neighbours
-_ANCHOR_WEIGHT = 3.0  # of an anchor against the nearest point of another sensor
+_ANCHOR_WEIGHT = 3.0  # of an anchor against the nearest point of a sensor, to compare hands
 _MAX_ITERATIONS = 60  # of iterated closest points
 _CONVERGED = 1e-4  # largest step, in sizes of the map
 # Points drawn on the mesh, about 1 % of its size apart: far less than the distances compared.
@@ -134,16 +134,35 @@ def project_on_surface(
     return nearest, normals
 
 
-def _misfit(
+def fit_to_surface(
     positions: NDArray[np.float64],
     sensors: NDArray[np.intp],
     targets: NDArray[np.float64],
     surface: Surface,
+    *,
     reflection: bool,
-) -> float:
-    """Return the weighted RMS distance from the surface and the anchors."""
-    weights = np.ones(len(positions))
-    weights[sensors] = _ANCHOR_WEIGHT
+    anchor_weight: float | None = None,
+) -> NDArray[np.float64]:
+    """Fit a similarity to anchors and to the nearest points of a surface.
+
+    Parameters
+    ----------
+    positions, sensors, targets, surface
+        As for `surface_evidence`.
+    reflection : bool
+        Whether the map is a mirror image.
+    anchor_weight : float, optional
+        Weight of an anchor against the nearest point of a sensor. By default all anchors together
+        count as much as the surface.
+
+    Returns
+    -------
+    ndarray of shape (N, 3)
+        The map in the frame of the anchors, near the surface.
+    """
+    n_sensors = len(positions)
+    weights = np.ones(n_sensors)
+    weights[sensors] = n_sensors / len(sensors) if anchor_weight is None else anchor_weight
     placed = fit_similarity(positions[sensors], targets, reflection=reflection).apply(positions)
     size = float(np.ptp(placed))
     for _ in range(_MAX_ITERATIONS):
@@ -153,7 +172,28 @@ def _misfit(
         placed = fit_similarity(positions, goal, weights, reflection=reflection).apply(positions)
         if np.abs(placed - before).max() < _CONVERGED * size:
             break
+    return placed
+
+
+def _misfit(
+    positions: NDArray[np.float64],
+    sensors: NDArray[np.intp],
+    targets: NDArray[np.float64],
+    surface: Surface,
+    reflection: bool,
+) -> float:
+    """Return the weighted RMS distance from the surface and the anchors."""
+    placed = fit_to_surface(
+        positions,
+        sensors,
+        targets,
+        surface,
+        reflection=reflection,
+        anchor_weight=_ANCHOR_WEIGHT,
+    )
     goal = surface.nearly_nearest(placed)
     goal[sensors] = targets
+    weights = np.ones(len(positions))
+    weights[sensors] = _ANCHOR_WEIGHT
     squares = np.sum((placed - goal) ** 2, axis=1)
     return float(np.sqrt(weights @ squares / weights.sum()))
