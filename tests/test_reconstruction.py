@@ -192,7 +192,9 @@ def test_rejected_contact_fits_keep_the_covariogram_map_with_a_note():
     np.testing.assert_array_equal(found.positions, reconstruct(skin, "covariogram", 2).positions)
 
 
-@pytest.mark.parametrize("fact", ["contact_peaks", "uneven", "even_spacing"])
+@pytest.mark.parametrize(
+    "fact", ["contact_peaks", "uneven", "unresolved", "curved", "even_spacing"]
+)
 def test_contact_fits_are_rejected_for_elongated_contacts(fact):
     skin = flat_skin()
     alike = np.eye(42)

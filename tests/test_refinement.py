@@ -11,8 +11,9 @@ from anisomap import MethodOptions, Recording, confidence, reconstruct, reconstr
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.methods import METHODS
 from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.simulation import find_body
 from anisomap.stages.refinement import RefinementFacts, refine_by_covariogram
-from skins import flat_skin, seeing_patch, stages
+from skins import flat_skin, lattice, seeing_patch, stages, swept
 
 EVEN = MethodOptions(even_spacing=True)
 UNTRUSTED = "do not trust the map's scale along one direction"
@@ -29,9 +30,11 @@ def mapped(recording, **arguments):
         return reconstruct(recording, **arguments)
 
 
-def rolled(seed):
+def rolled(seed, n_sensors=60, placement="columns"):
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
-    return anisomap.simulate("cylinder", "locomotion", n_frames=2000, seed=seed)
+    options = {"seed": seed} if placement == "random" else {}
+    body = find_body("cylinder", n_sensors, placement=placement, **options)
+    return anisomap.simulate(body, "locomotion", n_frames=2000, seed=seed)
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +58,53 @@ def test_a_rolling_cylinder_keeps_its_length(seed, rolling):
     assert declared.provenance["even_spacing"] is True
     assert "contact_peaks" not in declared.provenance
     assert any("declared, not measured" in note for note in declared.notes)
+
+
+@pytest.mark.parametrize(
+    ("n_sensors", "seed"),
+    [
+        (60, 301),
+        *(pytest.param(n, s, marks=pytest.mark.slow) for n in (60, 120) for s in (302, 303)),
+    ],
+)
+def test_a_rolling_cylinder_without_columns_keeps_its_length(n_sensors, seed):
+    recording = rolled(seed, n_sensors, "fibonacci")
+    found = mapped(recording)
+    assert mantel_r(found, recording) > 0.9
+    assert found.provenance["contact_peaks"] is True
+    assert mantel_r(reconstruct(recording, "r-anisomap"), recording) < 0.6
+
+
+@pytest.mark.parametrize(
+    "seed", [301, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (302, 303))]
+)
+def test_heights_that_do_not_resolve_a_gap_are_said_to(seed):
+    recording = rolled(seed, 30, "random")
+    found = mapped(recording)
+    assert mantel_r(found, recording) > 0.9 or (
+        found.uneven
+        and np.isnan(confidence(found, recording))
+        and any("do not trust" in note for note in found.notes)
+    )
+
+
+def test_a_skin_swept_by_a_long_bar_keeps_its_width():
+    places = lattice(8, 8) + np.random.default_rng(301).uniform(-0.3, 0.3, (64, 2))
+    recording = Recording(swept(places, seed=301), positions=places)
+    found = mapped(recording, dimensions=2)
+    assert mantel_r(found, recording) > 0.95
+    assert mantel_r(reconstruct(recording, "r-anisomap", 2), recording) < 0.85
+    assert found.provenance["contact_peaks"] is True
+    assert not found.uneven
+
+
+def test_a_thresholded_sweep_is_a_curve_that_is_not_trusted():
+    places = lattice(8, 8) + np.random.default_rng(301).uniform(-0.3, 0.3, (64, 2))
+    pressed = Recording((swept(places, seed=301) > 2).astype(np.uint8))
+    found = mapped(pressed, dimensions=2)
+    assert found.provenance["curved"] is True
+    assert np.isnan(confidence(found, pressed))
+    assert any("must not be trusted" in note for note in found.notes)
 
 
 def test_contact_peaks_do_not_depend_on_units(rolling):

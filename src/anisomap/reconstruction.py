@@ -342,7 +342,7 @@ def _as_map(
         similarity=similarity,
         stress=configuration.stress,
         n_iterations=configuration.n_iterations,
-        uneven=configuration.facts.uneven,
+        uneven=configuration.facts.distorted,
         notes=all_notes,
         provenance=provenance
         | {"iterations": configuration.n_iterations}

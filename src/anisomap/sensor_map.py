@@ -68,8 +68,9 @@ class SensorMap:
     approximate : bool
         Whether only some pairs of sensors were compared.
     uneven : bool
-        Whether neighbours in the largest component lie at very unequal distances that the
-        refinement could not correct.
+        Whether the largest component is distorted in a way that the refinement could not correct
+        and that confidence cannot see: neighbours lie at very unequal distances, sensors lie along
+        a curve, or contacts are long in one direction.
     mirrored : bool
         Whether the map was reflected after it was made.
     handed : bool

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.simulation import find_body
 from anisomap.simulation.bodies import BODIES, Body
-from anisomap.simulation.bodies.lattice import sphere
+from anisomap.simulation.bodies.lattice import CYLINDER_PLACEMENTS, sphere
 from anisomap.simulation.geometry import solids
 
 
@@ -79,3 +80,40 @@ def test_a_body_is_immutable() -> None:
         body.positions[0] = 0
     with pytest.raises(ValueError, match="read-only"):
         body.normals[0] = 0
+
+
+@pytest.mark.parametrize("placement", CYLINDER_PLACEMENTS)
+def test_placements_of_a_cylinder_cover_its_side(placement):
+    body = find_body("cylinder", 500, placement=placement)
+    assert body.distance(body.positions) == pytest.approx(0, abs=1e-9)
+    np.testing.assert_allclose(np.hypot(*body.positions[:, :2].T), body.solids[0].size[0])
+    # Uniform around and along: the mean direction and the mean height of any cover are near 0.
+    np.testing.assert_allclose(body.positions.mean(axis=0), 0, atol=0.12)
+    assert np.ptp(body.positions[:, 2]) > 0.95 * 2
+
+
+def test_fibonacci_places_share_neither_height_nor_angle():
+    positions = find_body("cylinder", 120, placement="fibonacci").positions
+    assert np.unique(positions[:, 2].round(6)).size == 120
+    assert np.unique(np.arctan2(positions[:, 1], positions[:, 0]).round(6)).size == 120
+
+
+def test_random_places_depend_on_the_seed_alone():
+    first, again, other = (
+        find_body("cylinder", placement="random", seed=seed).positions for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize(
+    ("body", "options", "message"),
+    [
+        ("cylinder", {"placement": "spiral"}, "columns, fibonacci, random"),
+        ("sphere", {"placement": "random"}, "the body sphere has no option placement"),
+        (sphere(), {"placement": "random"}, "cannot be given with the body sphere"),
+    ],
+)
+def test_unknown_options_of_bodies_are_refused(body, options, message):
+    with pytest.raises(InputError, match=message):
+        find_body(body, **options)

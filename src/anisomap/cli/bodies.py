@@ -12,7 +12,7 @@ from anisomap.simulation import BODIES, Body, body_from_points, find_body, load_
 from anisomap.simulation.bodies.imported import MESH_SUFFIXES, MODEL_SUFFIXES
 
 
-def find(body: str, sensors: str | None) -> Body:
+def find(body: str, sensors: str | None, **options: Any) -> Body:
     """Make a body from its name or file.
 
     Parameters
@@ -21,6 +21,8 @@ def find(body: str, sensors: str | None) -> Body:
         Name of a body, or path of a mesh, a MuJoCo model or a file of positions.
     sensors : str or None
         Number of sensors, or path of a file with their positions.
+    **options
+        Options of a named body, see `anisomap.simulation.find_body`.
 
     Returns
     -------
@@ -34,10 +36,14 @@ def find(body: str, sensors: str | None) -> Body:
     given = _parse_sensors(sensors)
     if body in BODIES:
         if given is None or isinstance(given, int):
-            return find_body(body, given)
+            return find_body(body, given, **options)
         raise InputError(
             f"--sensors must be the number of sensors of the body {body}, which has predefined "
             f"positions, got {sensors}"
+        )
+    if options:
+        raise InputError(
+            f"--{next(iter(options))} is an option of named bodies, and {body} is none of them"
         )
     path = Path(body)
     if path.suffix.lower() in (*MESH_SUFFIXES, *MODEL_SUFFIXES) and not _contains_only_points(path):

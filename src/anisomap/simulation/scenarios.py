@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from inspect import signature
 from multiprocessing import get_context
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -33,6 +34,7 @@ from anisomap.simulation.physics.bombardment import BombardmentOptions, bombardm
 from anisomap.simulation.physics.driving import LocomotionOptions
 from anisomap.simulation.physics.locomotion import can_roll, locomotion
 from anisomap.simulation.result import Progress, ScenarioResult, no_progress
+from anisomap.wording import join_items
 
 Entry = TypeVar("Entry")
 
@@ -294,22 +296,37 @@ def find_scenario(name: str) -> Scenario:
     return _find("scenario", SCENARIOS, name)
 
 
-def find_body(body: str | Body, n_sensors: int | None = None) -> Body:
+def find_body(body: str | Body, n_sensors: int | None = None, **options: Any) -> Body:
     """Create a body by name. A `Body` is returned unchanged.
+
+    Parameters
+    ----------
+    body : str or Body
+    n_sensors : int, optional
+    **options
+        Further arguments of the function of the body, such as ``placement`` of the cylinder.
 
     Raises
     ------
     InputError
-        If there is no such body, or `n_sensors` is given with a `Body`.
+        If there is no such body, it has no such option, or `n_sensors` or an option is given with a
+        `Body`.
     """
     if isinstance(body, Body):
+        if options:
+            raise InputError(f"{join_items([*options])} cannot be given with the body {body.name}")
         if n_sensors is not None:
             raise InputError(
                 f"n_sensors must be left out: the body {body.name} has {body.n_sensors} sensors"
             )
         return body
     make = _find("body", BODIES, body)
-    return make() if n_sensors is None else make(n_sensors)
+    known = [name for name in signature(make).parameters if name != "n_sensors"]
+    if unknown := [name for name in options if name not in known]:
+        raise InputError(
+            f"the body {body} has no option {unknown[0]}; it has {join_items(known) or 'none'}"
+        )
+    return make(**options) if n_sensors is None else make(n_sensors, **options)
 
 
 def _simulate_seed(

@@ -13,10 +13,14 @@ from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.geodesic.geodesic_refinement import (
     GeodesicOptions,
-    refine_by_contact_peaks,
     refine_by_even_spacing,
 )
-from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
+from anisomap.numerics.geodesic.height_refinement import refine_by_contact_heights
+from anisomap.numerics.geodesic.neighbours import (
+    local_dimension,
+    neighbour_graph,
+    unevenness,
+)
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.stages.consensus import combine_with_paths
@@ -26,11 +30,23 @@ logger = logging.getLogger(__name__)
 
 _MIN_SENSORS = 8  # fewer have hardly more pairs than coordinates
 _MIN_FRAMES = 40  # in fewer frames, contacts cannot be distinguished
+# At most 1.49 on rolling cylinders of 60 and 120 sensors that are thresholded; at least 1.98 on
+# other skins, simulated (seed 1) and real, and 1.66 on a strip of 3 x 20 sensors.
+_MAX_CURVE_DIMENSION = 1.55
 
 _UNEVEN = "the covariogram map has very unequal distances between neighbours"
+_LONG_CONTACTS = "contacts appear to be long in one direction"
 _CONTACT_PEAKS = (
-    f"{_UNEVEN}, so its lengths were taken from the peak heights of contacts that pass over "
+    f"{_LONG_CONTACTS}, so lengths were taken from the peak heights of contacts that pass over "
     "neighbours; this assumes that ground or touch is equally rough in both directions"
+)
+_UNRESOLVED = (
+    f"{_LONG_CONTACTS}, and the heights of contacts do not resolve it reliably: do not trust the "
+    "map's scale along one direction relative to another, nor the map as a whole"
+)
+_CURVE = (
+    "the sensors lie along a curve on the map: unless they form a line on the skin, "
+    f"{_LONG_CONTACTS}, and the map must not be trusted"
 )
 _NOT_CORRECTED = (
     f"{_UNEVEN}, and contacts give no better ones: neighbourhoods may be right, but do not trust "
@@ -66,6 +82,10 @@ class RefinementFacts:
         used, None if it was not declared.
     uneven : bool
         Neighbours lie at very unequal distances, and nothing corrected them.
+    unresolved : bool
+        The heights of contacts contradict the covariogram map, but do not give a reliable one.
+    curved : bool
+        Sensors lie along a curve on the map.
     n_contacts : int or None
         Number of fitted contacts; 0 if the fit was rejected, None if it was not tried.
     unexplained : float or None
@@ -78,14 +98,21 @@ class RefinementFacts:
     contact_peaks: bool = False
     even_spacing: bool | None = None
     uneven: bool = False
+    unresolved: bool = False
+    curved: bool = False
     n_contacts: int | None = None
     unexplained: float | None = None
     path_weight: float = 0.0
 
     @property
+    def distorted(self) -> bool:
+        """Whether the map is distorted in a way that maps of halves of the recording share."""
+        return self.uneven or self.unresolved or self.curved
+
+    @property
     def elongated(self) -> bool:
         """Whether contacts appear elongated, whereas a fit of contacts assumes compact ones."""
-        return self.contact_peaks or bool(self.even_spacing) or self.uneven
+        return self.contact_peaks or bool(self.even_spacing) or self.distorted
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,19 +180,30 @@ def refine_by_covariogram(
     readings = pairs.readings if positions.shape[1] > 1 else None  # a line has no directions
     if readings is None or len(readings) < _MIN_FRAMES:
         return _combined(pairs, replace(unused, positions=fit.positions))
-    correct = refine_by_even_spacing if evenly_spaced else refine_by_contact_peaks
     correlations = pairs.similarity if pairs.statistic == "blended-correlation" else None
-    found = correct(readings, fit.positions, similarity=correlations)
-    logger.debug("unevenness %.2f; geodesic lengths used: %s", found.unevenness, found.applied)
     if evenly_spaced:
-        facts = RefinementFacts(even_spacing=found.applied)
-        return Refined(found.positions, facts, (_EVEN if found.applied else _NOT_EVEN,))
-    if found.applied:
-        return Refined(found.positions, RefinementFacts(contact_peaks=True), (_CONTACT_PEAKS,))
-    if found.unevenness > GeodesicOptions.max_unevenness:
-        uneven = Refined(found.positions, RefinementFacts(uneven=True), (_NOT_CORRECTED,))
-        return _combined(pairs, uneven)
-    return _combined(pairs, Refined(found.positions))
+        spaced = refine_by_even_spacing(readings, fit.positions, similarity=correlations)
+        logger.debug("unevenness %.2f; spacing used: %s", spaced.unevenness, spaced.applied)
+        facts = RefinementFacts(even_spacing=spaced.applied)
+        return Refined(spaced.positions, facts, (_EVEN if spaced.applied else _NOT_EVEN,))
+    found = refine_by_contact_heights(readings, fit.positions, similarity=correlations)
+    logger.debug("unevenness %.2f; heights used: %s", found.unevenness, found.applied)
+    notes = {
+        _CONTACT_PEAKS: found.applied,
+        _UNRESOLVED: not found.trusted,
+        _NOT_CORRECTED: not found.applied
+        and found.trusted
+        and found.unevenness > GeodesicOptions.max_unevenness,
+        _CURVE: local_dimension(found.positions) < _MAX_CURVE_DIMENSION,
+    }
+    facts = RefinementFacts(
+        contact_peaks=found.applied,
+        uneven=notes[_NOT_CORRECTED],
+        unresolved=notes[_UNRESOLVED],
+        curved=notes[_CURVE],
+    )
+    refined = Refined(found.positions, facts, tuple(n for n, holds in notes.items() if holds))
+    return refined if found.applied else _combined(pairs, refined)
 
 
 def _combined(pairs: PairStatistics, mapped: Refined) -> Refined:

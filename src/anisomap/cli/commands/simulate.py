@@ -31,6 +31,7 @@ def simulate_body(
     seed: Annotated[int, Parameter(validator=Number(gte=0))] = 1,
     frames: Annotated[int, Parameter(validator=Number(gte=1))] = 2000,
     sensors: str | None = None,
+    placement: str | None = None,
     parameter: Annotated[list[str] | None, Parameter(alias="-p", negative=())] = None,
     runs: Annotated[int, Parameter(validator=Number(gte=1))] = 1,
     picture: Annotated[Path | None, Parameter(group=_looks)] = None,
@@ -57,6 +58,8 @@ def simulate_body(
         Number of frames to record.
     sensors
         Number of sensors, or a file with their positions in the frame and unit of the body.
+    placement
+        Places of the sensors of the cylinder: columns (the default), fibonacci or random.
     parameter
         NAME=VALUE, a parameter of the scenario; may be repeated. `anisomap scenarios SCENARIO`
         lists them.
@@ -71,7 +74,7 @@ def simulate_body(
     view
         Show the run in MuJoCo's viewer.
     """
-    skin = bodies.find(body, sensors)
+    skin = bodies.find(body, sensors, **({"placement": placement} if placement else {}))
     target = output or Path(f"{skin.name}-{scenario}.npz")
     _check_outputs(target, picture, video, body)
     settings = {"n_frames": frames, **bodies.parse_parameters(parameter or [])}

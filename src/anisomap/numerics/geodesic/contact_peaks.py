@@ -34,14 +34,25 @@ def contact_peaks(raised: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.float
         Readings at the peaks.
     """
     values = np.asarray(raised, dtype=np.float64)
-    level = _CONTACT_THRESHOLD * max(float(np.quantile(values, _RANGE_QUANTILE)), 0.0)
-    touched = np.flatnonzero(values > level)
-    begins = np.flatnonzero(np.diff(touched, prepend=-2) > 1)
+    touched, begins = _contacts(values)
     heights = np.maximum.reduceat(values[touched], begins) if begins.size else np.empty(0)
     contact = np.repeat(np.arange(begins.size), np.diff(begins, append=touched.size))
     highest = np.flatnonzero(values[touched] == heights[contact])
     first = np.searchsorted(contact[highest], np.arange(begins.size))
     return touched[highest[first]], heights
+
+
+def contact_durations(raised: ArrayLike) -> NDArray[np.intp]:
+    """Return the number of frames of each contact of one sensor, see `contact_peaks`."""
+    touched, begins = _contacts(np.asarray(raised, dtype=np.float64))
+    return np.asarray(np.diff(begins, append=touched.size))
+
+
+def _contacts(values: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the frames of all contacts, and the index of the first frame of each among them."""
+    level = _CONTACT_THRESHOLD * max(float(np.quantile(values, _RANGE_QUANTILE)), 0.0)
+    touched = np.flatnonzero(values > level)
+    return touched, np.flatnonzero(np.diff(touched, prepend=-2) > 1)
 
 
 def peak_lengths(readings: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ _MIN_SIMILARITY = 1e-3
 """Clipping of S before -log S, chosen by hand: smaller values are indistinguishable from 0."""
 
 _MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
+_N_NEAREST = 16  # neighbours, of `local_dimension`; 12 gave a smaller margin
 _MIN_SENSORS = 3  # three pairs, the fewest that correlate
 
 
@@ -157,6 +158,35 @@ def unevenness(positions: ArrayLike, adjacency: ArrayLike) -> float:
         of them are four times as long as the others. It is scale-free.
     """
     return float(np.log(edge_distances(positions, adjacency)).std())
+
+
+def local_dimension(positions: ArrayLike) -> float:
+    """Estimate the dimension of the set of sensors: about 1 on a curve, 2 on a surface.
+
+    Parameters
+    ----------
+    positions : array_like of shape (N, k)
+
+    Returns
+    -------
+    float
+        Maximum-likelihood estimate from the 16 nearest neighbours of each sensor. NaN if fewer than
+        32 sensors have distinct positions.
+
+    Notes
+    -----
+    Levina & Bickel 2004, Advances in Neural Information Processing Systems 17, eq. 8, with the mean
+    taken before the reciprocal (MacKay & Ghahramani 2005).
+    """
+    points = np.asarray(positions, dtype=np.float64)
+    if len(points) < 2 * _N_NEAREST:
+        return float("nan")
+    nearest = np.sort(cdist(points, points), axis=1)[:, 1 : _N_NEAREST + 1]
+    nearest = nearest[nearest[:, 0] > 0]
+    if len(nearest) < 2 * _N_NEAREST:
+        return float("nan")
+    mean_log = float(np.mean(np.log(nearest[:, -1:] / nearest[:, :-1])))
+    return 1 / mean_log if mean_log > 0 else float("nan")
 
 
 def edge_distances(positions: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:

@@ -7,6 +7,9 @@ InputError if `n_sensors` does not fit the lattice.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +17,11 @@ from anisomap.errors import InputError
 from anisomap.simulation.bodies.body import Body, straight_lines
 from anisomap.simulation.checks import check_count
 from anisomap.simulation.geometry import solids
+
+Floats = NDArray[np.float64]
+
+GOLDEN_ANGLE = float(np.pi * (3 - np.sqrt(5)))
+"""Angle between successive points of a Fibonacci lattice, in rad."""
 
 SPHERE_RADIUS = 1.0  # m, the reference of all other lengths
 
@@ -62,28 +70,59 @@ def sphere(n_sensors: int = 60) -> Body:
     )
 
 
-def cylinder(n_sensors: int = 60) -> Body:
-    """Make a cylinder with columns of sensors on its side and none on its ends.
+def cylinder(n_sensors: int = 60, *, placement: str = "columns", seed: int = 0) -> Body:
+    """Make a cylinder with sensors on its side and none on its ends.
 
     Parameters
     ----------
     n_sensors : int
-        A multiple of 10, the number of columns. 60 in the paper, 6 per column.
+        60 in the paper, 6 per column. With columns, a multiple of 10, their number.
+    placement : str
+        A key of `CYLINDER_PLACEMENTS`: ``"columns"`` of equal spacing, as in the paper;
+        ``"fibonacci"``, even without columns or rings; or ``"random"``, uniform.
+    seed : int
+        Of random places.
 
     Returns
     -------
     Body
     """
-    n_rows = _divided(n_sensors, CYLINDER_COLUMNS, "number of columns")
-    normals = ring_directions(CYLINDER_COLUMNS)
-    heights = midpoints(n_rows, CYLINDER_LENGTH)
-    around, up = np.repeat(normals, n_rows, axis=0), np.tile(heights, CYLINDER_COLUMNS)
+    if placement not in CYLINDER_PLACEMENTS:
+        raise InputError(
+            f"there is no placement {placement!r}; choose from {', '.join(CYLINDER_PLACEMENTS)}"
+        )
+    check_count("n_sensors", n_sensors)
+    angles, heights = CYLINDER_PLACEMENTS[placement](n_sensors, np.random.default_rng(seed))
+    around = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n_sensors)])
     return Body(
-        name="cylinder",
-        positions=CYLINDER_RADIUS * around + up[:, None] * [0, 0, 1],
+        name="cylinder" if placement == "columns" else f"cylinder-{placement}",
+        positions=CYLINDER_RADIUS * around + heights[:, None] * [0, 0, 1],
         normals=around,
         solids=[solids.cylinder(CYLINDER_RADIUS, CYLINDER_LENGTH / 2)],
     )
+
+
+def _columns(n_sensors: int, _: np.random.Generator) -> tuple[Floats, Floats]:
+    n_rows = _divided(n_sensors, CYLINDER_COLUMNS, "number of columns")
+    angles = 2 * np.pi * np.arange(CYLINDER_COLUMNS) / CYLINDER_COLUMNS
+    heights = midpoints(n_rows, CYLINDER_LENGTH)
+    return np.repeat(angles.astype(np.float64), n_rows), np.tile(heights, CYLINDER_COLUMNS)
+
+
+def _fibonacci(n_sensors: int, _: np.random.Generator) -> tuple[Floats, Floats]:
+    angles = np.asarray(GOLDEN_ANGLE * np.arange(n_sensors), dtype=np.float64)
+    return angles, midpoints(n_sensors, CYLINDER_LENGTH)
+
+
+def _random(n_sensors: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    angles = rng.uniform(0, 2 * np.pi, n_sensors)
+    return angles, rng.uniform(-CYLINDER_LENGTH / 2, CYLINDER_LENGTH / 2, n_sensors)
+
+
+CYLINDER_PLACEMENTS: Mapping[str, Callable[[int, np.random.Generator], tuple[Floats, Floats]]] = (
+    MappingProxyType({"columns": _columns, "fibonacci": _fibonacci, "random": _random})
+)
+"""Angles and heights of the sensors of a cylinder, given their number and a generator."""
 
 
 def y_shape(n_sensors: int = 105) -> Body:
@@ -151,7 +190,7 @@ def fibonacci_cap(n: int, lowest: float = -1.0) -> NDArray[np.float64]:
     """Return n evenly spaced unit vectors with z of at least `lowest`, shape (n, 3)."""
     index = np.arange(n)
     height = 1 - (1 - lowest) * (index + 0.5) / n
-    angle = np.pi * (3 - np.sqrt(5)) * index
+    angle = GOLDEN_ANGLE * index
     radius = np.sqrt(1 - height**2)
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
 

@@ -1,0 +1,208 @@
+"""Similarity of sensors by the heights of their contacts, and how well a map explains it.
+
+Correlations of readings are high where sensors are touched in the same frames. A contact that is
+long in one direction touches distant sensors at once, and their correlations do not resolve that
+direction. The heights of matching contacts resolve it: they differ as much as the ground, or any
+other object that touches the skin, differs over the distance of the sensors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import maximum_filter1d
+from scipy.optimize import isotonic_regression
+from scipy.spatial.distance import pdist
+from scipy.stats import rankdata
+
+from anisomap.errors import InputError
+from anisomap.numerics.geodesic.contact_peaks import MIN_PEAKS, contact_durations, contact_peaks
+from anisomap.numerics.reliability.split_half import split_blocks
+from anisomap.numerics.similarity.rest import estimate_rest
+
+Matrix = NDArray[np.float64]
+
+_WINDOW = 0.75  # of the median duration of contacts, to each side of a peak; chosen by hand
+_MIN_HEIGHTS = 4  # distinct heights per sensor; readings with fewer levels have no order of heights
+_MIN_VARIANCE = 1e-9  # of relative ranks, whose variance is 1/12 without ties; rounding error
+_RIDGE = 1.0  # of the partial correlations, as for correlations of readings
+_MIN_TOUCHED = 0.5  # share of a sensor's contacts that another shares, to be its possible neighbour
+_MIN_PAIRS = 50  # of which the explained share is computed; chosen by hand
+
+
+@dataclass(frozen=True, eq=False)
+class HeightSimilarity:
+    """Similarity of sensors by the heights of their contacts.
+
+    Attributes
+    ----------
+    similarity : ndarray of shape (N, N)
+        Correlation of the ranks of the heights of matching contacts, in [-1, 1].
+    partial : ndarray of shape (N, N)
+        Partial correlation given the other sensors that share the contacts: high only between
+        neighbours.
+    n_contacts : ndarray of shape (N, N)
+        Number of contacts of either sensor.
+    """
+
+    similarity: Matrix
+    partial: Matrix
+    n_contacts: Matrix
+
+
+@dataclass(frozen=True)
+class Explained:
+    """How far the distances on a map explain the similarity of heights.
+
+    Attributes
+    ----------
+    reliability : float
+        Correlation of the similarities in the halves of the recording.
+    share : float
+        Share of their covariance that one decreasing function of the distances explains; NaN if
+        there are too few pairs. Errors of sampling differ between the halves and do not enter.
+    """
+
+    reliability: float
+    share: float
+
+
+class ContactHeights:
+    """Heights of the contacts of all sensors.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings in temporal order.
+    """
+
+    def __init__(self, readings: ArrayLike) -> None:
+        values = np.asarray(readings, dtype=np.float64)
+        if values.ndim != 2:
+            raise InputError(f"readings must have shape (T, N), got {values.shape}")
+        rest = estimate_rest(values)
+        raised = np.maximum(rest.side * (values - rest.value), 0)
+        found = [contact_peaks(column) for column in raised.T]
+        self._peaks = [frames for frames, _ in found]
+        self._has_heights = [np.unique(heights).size >= _MIN_HEIGHTS for _, heights in found]
+        durations = np.concatenate([contact_durations(column) for column in raised.T])
+        half = max(1, round(_WINDOW * float(np.median(durations)))) if durations.size else 1
+        # The highest reading around a frame is the height of the contact that matches a peak there;
+        # it is 0, a tie, where the sensor is not touched.
+        self._ranks = rankdata(maximum_filter1d(raised, 2 * half + 1, axis=0), axis=0)
+        self._ranks /= len(values)
+        self._lowest = self._ranks.min(axis=0)
+
+    @property
+    def usable(self) -> bool:
+        """Whether most sensors have contacts of different heights."""
+        return bool(np.mean(self._has_heights) > _MIN_TOUCHED)
+
+    def compare(self, frames: ArrayLike | None = None) -> HeightSimilarity:
+        """Compare the heights of the contacts of all pairs of sensors.
+
+        Parameters
+        ----------
+        frames : array_like of int, optional
+            Frames of which contacts are used; all by default.
+
+        Returns
+        -------
+        HeightSimilarity
+
+        Notes
+        -----
+        The contacts of a pair are those of either sensor. The other sensor's height is that of its
+        highest reading around the peak. Ranks are taken over the recording.
+        """
+        used = np.ones(len(self._ranks), dtype=bool)
+        if frames is not None:
+            used[:] = False
+            used[np.asarray(frames)] = True
+        n = self._ranks.shape[1]
+        sums, squares, products = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+        partial, counts = np.zeros((n, n)), np.zeros(n)
+        for i, peaks in enumerate(self._peaks):
+            at = peaks[used[peaks]]
+            ranks = self._ranks[at]
+            counts[i] = len(at)
+            sums[i], squares[i] = ranks.sum(axis=0), (ranks**2).sum(axis=0)
+            products[i] = ranks[:, i] @ ranks
+            partial[i] = self._partial(i, ranks)
+        # Row i of each sum is over the contacts of sensor i.
+        pooled = np.maximum(counts[:, None] + counts, 1.0)
+        mean = (np.diag(sums)[:, None] + sums.T) / pooled
+        variance = (np.diag(squares)[:, None] + squares.T) / pooled - mean**2
+        covariance = (products + products.T) / pooled - mean * mean.T
+        varying = (variance > _MIN_VARIANCE) & (variance.T > _MIN_VARIANCE)
+        scale = np.sqrt(np.where(varying, variance * variance.T, 1.0))
+        similarity = np.where(varying, covariance / scale, 0.0)
+        np.fill_diagonal(similarity, 1.0)
+        return HeightSimilarity(similarity, (partial + partial.T) / 2, pooled)
+
+    def _partial(self, sensor: int, ranks: Matrix) -> Matrix:
+        """Return the partial correlations of a sensor with those that share its contacts."""
+        found = np.zeros(ranks.shape[1])
+        if len(ranks) < MIN_PEAKS:
+            return found
+        sharing = np.mean(ranks > self._lowest, axis=0) > _MIN_TOUCHED
+        sharing[sensor] = True
+        chosen = np.flatnonzero(sharing)
+        centred = ranks[:, chosen] - ranks[:, chosen].mean(axis=0)
+        spread = centred.std(axis=0)
+        centred /= np.where(spread > 0, spread, 1.0)
+        covariance = centred.T @ centred / len(ranks) + _RIDGE * np.eye(len(chosen))
+        precision = np.linalg.inv(covariance)
+        own = int(np.searchsorted(chosen, sensor))
+        scale = np.sqrt(np.diag(precision))
+        found[chosen] = -precision[own] / (scale * scale[own])
+        found[sensor] = 0.0
+        return found
+
+
+def height_halves(heights: ContactHeights, n_frames: int) -> list[HeightSimilarity]:
+    """Compare the heights in the two halves of a recording (`split_blocks`)."""
+    return [heights.compare(frames) for frames in split_blocks(n_frames)]
+
+
+def explained_share(
+    halves: Sequence[HeightSimilarity], positions: ArrayLike, sharing: ArrayLike
+) -> Explained:
+    """Measure how far the distances on a map explain the similarity of heights.
+
+    Parameters
+    ----------
+    halves : sequence of two HeightSimilarity
+        From `height_halves`.
+    positions : array_like of shape (N, k)
+    sharing : array_like of bool, shape (N, N)
+        Pairs that share contacts; others are not compared.
+
+    Returns
+    -------
+    Explained
+
+    Notes
+    -----
+    With the similarities A and B of the halves and the decreasing functions a and b of distance
+    that fit each best (isotonic regression), the share is
+    ``1 - cov(A - a, B - b) / cov(A, B)``.
+    """
+    upper = np.triu_indices(len(np.asarray(positions)), 1)
+    enough = [half.n_contacts[upper] >= 2 * MIN_PEAKS for half in halves]
+    used = enough[0] & enough[1] & np.asarray(sharing, dtype=bool)[upper]
+    if np.count_nonzero(used) < _MIN_PAIRS:
+        return Explained(np.nan, np.nan)
+    order = np.argsort(pdist(np.asarray(positions))[used], kind="stable")
+    first, second = (half.similarity[upper][used][order] for half in halves)
+    if np.ptp(first) == 0 or np.ptp(second) == 0:
+        return Explained(np.nan, np.nan)
+    shared = float(np.cov(first, second)[0, 1])
+    if shared <= 0:
+        return Explained(float(np.corrcoef(first, second)[0, 1]), np.nan)
+    residuals = [x - isotonic_regression(x, increasing=False).x for x in (first, second)]
+    unexplained = float(np.cov(*residuals)[0, 1]) / shared
+    return Explained(float(np.corrcoef(first, second)[0, 1]), 1 - unexplained)

@@ -1,0 +1,191 @@
+"""Heights of contacts: they resolve the direction along a bar; only compressed maps use them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.distance import cdist, pdist
+
+from anisomap.errors import InputError
+from anisomap.numerics.geodesic.contact_heights import (
+    ContactHeights,
+    HeightSimilarity,
+    explained_share,
+    height_halves,
+)
+from anisomap.numerics.geodesic.height_map import (
+    HeightMapOptions,
+    fit_height_map,
+    linear_share,
+    weakest_link,
+)
+from anisomap.numerics.geodesic.height_refinement import refine_by_contact_heights
+from anisomap.numerics.geodesic.neighbours import local_dimension
+from skins import flat_skin, lattice, swept
+
+SEEDS = range(301, 304)
+
+
+def mantel_r(x, y):
+    return float(np.corrcoef(pdist(x), pdist(y))[0, 1])
+
+
+def scattered(seed):
+    """Return an uneven flat skin of 64 sensors, without columns."""
+    return lattice(8, 8) + np.random.default_rng(seed).uniform(-0.3, 0.3, (64, 2))
+
+
+def compressed(positions, factor=0.05):
+    return positions * [1, factor]
+
+
+def exact(positions, reach=2.0, n_contacts=1e4):
+    """Return the similarity of heights on smooth ground without errors of sampling."""
+    similarity = np.exp(-((cdist(positions, positions) / reach) ** 2))
+    partial = -np.linalg.inv(similarity + np.eye(len(similarity)))
+    np.fill_diagonal(partial, 0)
+    return HeightSimilarity(similarity, partial, np.full(similarity.shape, n_contacts))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_heights_resolve_the_direction_that_readings_do_not(seed):
+    places = scattered(seed)
+    readings = swept(places, seed=seed)
+    along = [(i, j) for i in range(64) for j in range(i) if abs(places[i, 0] - places[j, 0]) < 0.4]
+    first, second = np.transpose(along)
+    distance = np.abs(places[first, 1] - places[second, 1])
+    by_reading = np.corrcoef(readings.T)[first, second]
+    by_height = ContactHeights(readings).compare().similarity[first, second]
+    assert by_reading.min() > 0.6
+    assert np.corrcoef(distance[distance < 3], by_height[distance < 3])[0, 1] < -0.85
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 50))
+def test_heights_do_not_depend_on_gain_offset_and_sign(seed):
+    readings, rng = swept(lattice(4, 4), 20, seed=seed), np.random.default_rng(seed)
+    gains = 2.0 ** rng.integers(-5, 6, 16) * rng.choice([-1, 1], 16)
+    again = ContactHeights(readings * gains).compare()
+    found = ContactHeights(readings).compare()
+    np.testing.assert_allclose(again.similarity, found.similarity, atol=1e-9)
+    np.testing.assert_allclose(again.partial, found.partial, atol=1e-9)
+
+
+def test_heights_are_equivariant_to_labels():
+    readings, order = swept(lattice(4, 4), 30), np.random.default_rng(0).permutation(16)
+    found, again = (ContactHeights(x).compare() for x in (readings, readings[:, order]))
+    np.testing.assert_allclose(again.similarity, found.similarity[np.ix_(order, order)])
+    np.testing.assert_allclose(again.partial, found.partial[np.ix_(order, order)], atol=1e-9)
+
+
+def test_thresholded_readings_have_no_heights():
+    readings = swept(lattice(4, 4), 30)
+    assert ContactHeights(readings).usable
+    assert not ContactHeights(readings > 1).usable
+    assert not ContactHeights(np.zeros((50, 4))).usable
+
+
+def test_readings_of_one_dimension_are_refused():
+    with pytest.raises(InputError, match="shape"):
+        ContactHeights(np.zeros(5))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_map_explains_heights_unless_it_is_compressed_or_scrambled(seed):
+    places = scattered(seed)
+    readings = swept(places, seed=seed)
+    halves = height_halves(ContactHeights(readings), len(readings))
+    sharing = np.corrcoef(readings.T) > 0.05
+    right = explained_share(halves, places, sharing)
+    assert right.reliability > 0.7
+    assert right.share > 0.9
+    scrambled = places[np.random.default_rng(seed).permutation(64)]
+    for wrong in (compressed(places), scrambled):
+        assert explained_share(halves, wrong, sharing).share < 0.5
+
+
+def test_heights_without_common_variation_explain_nothing():
+    halves = [exact(lattice(8, 8))] * 2
+    none = np.zeros((64, 64), dtype=bool)
+    assert np.isnan(explained_share(halves, lattice(8, 8), none).share)
+    flat = HeightSimilarity(np.ones((64, 64)), np.zeros((64, 64)), np.full((64, 64), 99.0))
+    assert np.isnan(explained_share([flat] * 2, lattice(8, 8), ~none).share)
+
+
+@pytest.mark.parametrize("factor", [0.05, 0.5, 1.0])
+def test_exact_similarities_give_the_map_from_a_compressed_guide(factor):
+    places = scattered(301)
+    found = fit_height_map(exact(places), compressed(places, factor))
+    assert mantel_r(found.positions, places) > 0.99
+    lengths = cdist(places, places)[found.links]
+    assert lengths.max() < 2.5, "no shortcuts"
+
+
+def test_the_weakest_link_is_the_similarity_of_the_longest_gap():
+    far = lattice(4, 4)
+    far[:, 0] += 9
+    gap, even = np.concatenate([lattice(4, 4), far]), lattice(8, 8)
+    for places, reach, expected in ((gap, 4.0, np.exp(-((5.5 / 4) ** 2))), (even, 2.0, 0.77)):
+        heights = exact(places, reach)
+        found = weakest_link(heights, fit_height_map(heights, places).links)
+        assert found == pytest.approx(expected, abs=0.05)
+
+
+@given(st.integers(0, 99))
+def test_linear_images_are_explained_and_other_maps_are_not(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(30, 3))
+    image = points @ rng.normal(size=(3, 3)) + rng.normal(size=3)
+    assert linear_share(points, image) == pytest.approx(1)
+    assert linear_share(points, image[rng.permutation(30)]) < 0.7
+    assert linear_share(points, np.zeros((30, 2))) == 0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_compressed_map_of_a_swept_skin_is_corrected(seed):
+    places = scattered(seed)
+    found = refine_by_contact_heights(swept(places, seed=seed), compressed(places))
+    assert found.applied
+    assert mantel_r(found.positions, places) > 0.95 > mantel_r(compressed(places), places) + 0.1
+    # The direction that was not compressed keeps its size.
+    assert np.ptp(found.positions @ np.linalg.svd(found.positions)[2][:2].T) < 3 * np.ptp(places)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_right_maps_and_skins_touched_by_compact_contacts_are_left_alone(seed):
+    places = scattered(seed)
+    for readings, given_map in (
+        (swept(places, seed=seed), places),
+        (flat_skin(seed=seed).readings, lattice()),
+    ):
+        found = refine_by_contact_heights(readings, given_map)
+        assert not found.applied
+        assert found.trusted
+        np.testing.assert_array_equal(found.positions, given_map)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_spikes_of_boards_are_not_taken_for_heights(seed):
+    rng = np.random.default_rng(seed)
+    skin = flat_skin(seed=seed)
+    board = rng.permutation(42) % 4
+    spikes = (rng.random((len(skin.readings), 4)) < 0.02) * rng.uniform(3, 9)
+    found = refine_by_contact_heights(skin.readings + spikes[:, board], lattice())
+    assert not found.applied
+
+
+def test_a_curve_has_one_dimension_and_a_surface_two():
+    angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
+    ring = np.column_stack([np.cos(angle), np.sin(angle), 0.02 * np.cos(40 * angle)])
+    assert local_dimension(ring) < 1.4
+    assert local_dimension(scattered(0)) > 1.8
+    assert local_dimension(lattice(6, 10)) > 1.8
+    ball = np.random.default_rng(0).normal(size=(400, 3))
+    assert local_dimension(ball / np.linalg.norm(ball, axis=1, keepdims=True)) > 1.8
+    assert np.isnan(local_dimension(lattice(5, 5)))
+    assert np.isnan(local_dimension(np.zeros((60, 2))))
+
+
+def test_the_step_ratio_is_at_least_one():
+    with pytest.raises(InputError, match="max_step_ratio"):
+        HeightMapOptions(max_step_ratio=0.9)
