@@ -60,11 +60,12 @@ bench: $(READY)  ## time each stage and whole maps against other libraries, in b
 quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDINGS=folders adds real recordings)
 	$(BIN)/python -m benchmarks.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
-tables: $(READY)  ## update the tables of accuracy in README and docs from the results of make quality
+tables: $(READY)  ## update the tables of accuracy in README and docs from the results of make quality and make faults
 	cp quality/*-table.md docs/
 	cp quality/quality.png docs/_static/
 	cp quality/quality.csv docs/results/
 	$(BIN)/python -m anisomap.paper.numbers quality docs/results README.md
+	if [ -d faults ]; then cp faults/faults-table.md docs/; cp faults/faults.csv docs/results/; fi
 
 faults: $(READY)  ## measure which faults of recordings are found and mended, in faults/ (RECORDINGS=folder)
 	$(BIN)/python -m benchmarks.faults -o faults $(if $(RECORDINGS),--recordings $(RECORDINGS))

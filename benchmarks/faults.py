@@ -135,7 +135,7 @@ def main() -> None:
             print(f"\r{number} of {len(jobs)} recordings", end="", flush=True)
     print()
     text = table(results)
-    (chosen.output / "faults.md").write_text(text, encoding="utf-8")
+    (chosen.output / "faults-table.md").write_text(text, encoding="utf-8")
     print(text)
 
 

@@ -157,8 +157,10 @@ def _describe_common(
                 "share of the standard deviation",
                 f"{who} share noise, {signal.share:.0%} of the standard deviation of a sensor",
                 "they look alike wherever they are",
-                mendable=True,
-                mended="the common signal was estimated in each frame and subtracted",
+                mendable=signal.separable,
+                mended="the common signal was estimated in each frame and subtracted"
+                if signal.separable
+                else "",
             )
         )
     return tuple(findings)
@@ -167,7 +169,8 @@ def _describe_common(
 def _remove_common(recording: Recording, signals: tuple[CommonSignal, ...]) -> Recording:
     readings = recording.readings
     for signal in signals:
-        readings = signal.removed_from(readings)
+        if signal.separable:
+            readings = signal.removed_from(readings)
     return replace(recording, readings=readings)
 
 

@@ -25,11 +25,13 @@ _MIN_LINK = 0.3  # correlation of the fast noise of two sensors of a board; chos
 _CLIP = 3.0  # median absolute deviations; larger changes are contacts
 _MIN_WEIGHTED = 30  # sensors from which they are weighted: of few, one could decide; by hand
 _LEAST_WIDTH = 1e-3  # of the median sensor's, so that no sensor decides alone
+_LOW = 0.35  # quantile of readings that are at rest
 _MAX_ROUNDS = 12
 _MIN_NOISE = 1e-3  # standard deviations of the readings; less changes no correlation
 _MAX_GAIN_RATIO = 20.0  # of the sensors of a group; chosen by hand
 _MIN_SHARE = 0.1  # share of the fast noise of the median sensor that is common; chosen by hand
 _MAX_WHITE = -0.5  # autocorrelation of second differences at lag 1: -2/3 for white noise
+_MAX_AUTOCORRELATION = 0.1  # of white noise: 4 standard errors in 1,600 frames
 _MIN_SMOOTH = 0.2  # autocorrelation of the other part of the readings; chosen by hand
 _MIN_COHERENCE = 0.95  # of the phases of a hum over sensors and over quarters; chosen by hand
 _MIN_LINE = 20.0  # power of a line over the median power beside it; noise: p = 1e-6 for a frequency
@@ -56,6 +58,9 @@ class CommonSignal:
         Standard deviation of the signal over that of the readings; median of the sensors.
     period : float
         In frames, for a hum; 0 for noise.
+    separable : bool
+        Whether the course holds nothing but the signal. If contacts cover most of the skin, they
+        cannot be told from what sensors share.
     """
 
     sensors: NDArray[np.intp]
@@ -63,6 +68,7 @@ class CommonSignal:
     course: NDArray[np.float64]
     share: float
     period: float = 0.0
+    separable: bool = True
 
     def removed_from(self, readings: NDArray[Any]) -> NDArray[Any]:
         """Subtract the signal from readings, shape (T, N)."""
@@ -220,7 +226,8 @@ def _common_noise(readings: NDArray[Any], group: NDArray[np.intp]) -> CommonSign
     if share < max(_MIN_SHARE, 3 / group.size) or white > _MAX_WHITE or smooth < _MIN_SMOOTH:
         return None
     size = gains * course.std() / np.maximum(values.std(axis=0), 1e-300)
-    return CommonSignal(group, gains, course, float(np.median(size)))
+    separable = abs(float(_autocorrelation(course[:, None])[0])) <= _MAX_AUTOCORRELATION
+    return CommonSignal(group, gains, course, float(np.median(size)), separable=separable)
 
 
 def _common_course(
@@ -228,19 +235,21 @@ def _common_course(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit one course with gains to sensors, without those in contact.
 
-    The median starts, and then the mean of the sensors within 3 deviations of it, optionally
+    A low quantile starts, which is at rest even if contacts cover half of the skin, and then the
+    mean of the sensors within 3 deviations of it, optionally
     weighted by the reciprocals of their variances: sensors often in contact then count less.
     """
-    rest = np.median(values, axis=0)
+    low = _LOW if np.median(((values - values.mean(axis=0)) ** 3).sum(axis=0)) >= 0 else 1 - _LOW
+    side = 1.0 if low < 0.5 else -1.0
+    rest = np.quantile(values, low, axis=0)
     fast = np.diff(values, 2, axis=0)
     gains = deviation_from_median(fast)
     gains /= np.median(gains)
-    course = np.zeros(len(values))
+    course = np.quantile((values - rest) / gains, low, axis=1)
     for _ in range(_MAX_ROUNDS):
         scaled = (values - rest) / gains
-        course = np.median(scaled, axis=1) if not course.any() else course
         left = scaled - course[:, None]
-        width = np.median(np.abs(left), axis=0)
+        width = _one_sided_width(side * left)
         width = np.maximum(width, _LEAST_WIDTH * max(float(np.median(width)), 1e-9))
         weight = (np.abs(left) <= _CLIP * width) / (width**2 if weighted else 1.0)
         total = weight.sum(axis=1)
@@ -251,9 +260,16 @@ def _common_course(
         gains = gains + (slow @ clipped) / max(float(np.sum(slow**2)), 1e-300)
         if (gains <= 0).any():
             break
-        rest = np.median(values - np.outer(course, gains), axis=0)
+        rest = np.quantile(values - np.outer(course, gains), low, axis=0)
         course = course - np.median(course)
     return gains, course
+
+
+def _one_sided_width(left: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the median deviation of each column to the side that contacts do not reach."""
+    below = np.sort(np.minimum(left, 0), axis=0)
+    counts = np.count_nonzero(left <= 0, axis=0)
+    return np.asarray(-below[counts // 2, np.arange(left.shape[1])])
 
 
 def _limits(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

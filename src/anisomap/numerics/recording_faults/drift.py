@@ -12,7 +12,6 @@ from scipy.ndimage import percentile_filter, uniform_filter1d
 from scipy.special import ndtr
 
 from anisomap.numerics.recording_faults.common_mode import never_at_rest
-from anisomap.numerics.recording_faults.excerpt import deviation_from_median
 
 N_BLOCKS = 20
 """Blocks of frames whose levels at rest are compared; chosen by hand."""
@@ -23,6 +22,12 @@ FALSE_DISCOVERIES = 0.01
 _MIN_BLOCK, _MAX_BLOCK = 20, 250  # frames of a block, and those that are used
 _LEVEL = 25.0  # percentile that lies at rest even if a sensor is touched in most frames of a block
 _MIN_SIZE = 0.1  # standard deviations of the readings; less changes no correlation; by hand
+_MIN_REST = 0.3  # share of the frames at rest, for the level to be known; chosen by hand
+_NOISE = 3.0  # standard deviations of the readings at rest
+_N_ROUNDS, _MIN_NEAR = 3, 0.05  # of the running line, and its share of readings at rest
+_MIN_SPREAD = 0.005  # variance of their times, in windows, for a slope; 1/12 in a full window
+_MIN_WIDTH = 0.03  # of the same, so that a line fits a curve; chosen by hand
+_MAX_WIDTH = 0.5  # of the noise at rest, in standard deviations of the readings; by hand
 _WINDOW = 8  # times the time that readings stay alike, over which the level at rest is taken
 _MIN_WINDOW = 41  # frames
 _MAX_CORRELATED = 0.2  # autocorrelation at which readings count as unlike
@@ -99,34 +104,70 @@ def remove_drift(readings: NDArray[Any], drift: Drift) -> NDArray[Any]:
     Returns
     -------
     ndarray of shape (T, N)
-        The drifting sensors are at rest at their median level before.
+        Drifting sensors are at rest at their median level before, without noise. Those that are
+        hardly ever at rest are not changed.
     """
     mended = np.array(readings)
     signs = contact_side(readings[:, drift.sensors])
     for i, sign in zip(drift.sensors.tolist(), signs.tolist(), strict=True):
         values = sign * readings[:, i].astype(np.float64)
-        level = level_at_rest(values)
-        mended[:, i] = sign * (values - level + np.median(level))
+        level, noise = level_at_rest(values)
+        left = values - level
+        at_rest = np.abs(left) <= noise
+        if np.mean(at_rest) >= _MIN_REST and np.median(noise) <= _MAX_WIDTH * left.std():
+            mended[:, i] = sign * (np.where(at_rest, 0, left) + np.median(level))
     return mended
 
 
-def level_at_rest(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the level at rest of a sensor over time, shape (T,); contact raises its readings.
+def level_at_rest(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the level at rest of a sensor and the width of its noise over time, shape (T,).
 
-    The level is a running quartile, then a running mean of the readings near it.
+    Contact raises readings. The level is a running quartile, then a running line through the
+    readings near it.
     """
     window = _window(values)
     level = percentile_filter(values, _LEVEL, size=window, mode="nearest")
-    for _ in range(3):
+    for _ in range(_N_ROUNDS):
         left = values - level
-        noise = 3 * float(np.median(np.abs(np.minimum(left, 0))[left <= 0])) / 0.6745
-        near = (
-            np.abs(left) <= max(noise, float(deviation_from_median(left[:, None])[0]) * 0.1)
-        ).astype(float)
-        weight = uniform_filter1d(near, window // 4 | 1, mode="nearest")
-        mean = uniform_filter1d(near * values, window // 4 | 1, mode="nearest")
-        level = np.where(weight > 0.05, mean / np.maximum(weight, 1e-12), level)
-    return np.asarray(level)
+        level = _local_line(values, np.abs(left) <= _width_at_rest(left), window // 4 | 1, level)
+    return level, _width_at_rest(values - level)
+
+
+def _width_at_rest(left: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the width of the noise at rest over time, from the side that contact does not reach.
+
+    It differs between blocks, since a level follows a fast drift less closely than a slow one.
+    """
+    blocks = np.array_split(left, N_BLOCKS)
+    medians = [
+        float(np.median(np.abs(block[block <= 0]))) if (block <= 0).any() else 0.0
+        for block in blocks
+    ]
+    widths = np.maximum(_NOISE * np.array(medians) / 0.6745, _MIN_WIDTH * left.std())
+    return np.repeat(widths, [block.size for block in blocks])
+
+
+def _local_line(
+    values: NDArray[np.float64], used: NDArray[np.bool_], window: int, instead: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Fit a line to the used values in a window about each frame, and return it at the frame.
+
+    A mean would be biased at the ends of a recording, for all sensors alike.
+    """
+    times = (np.arange(values.size) - values.size / 2) / window
+    weight = used.astype(np.float64)
+
+    def mean(products: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(uniform_filter1d(products, window, mode="constant"))
+
+    total = mean(weight)
+    safe = np.maximum(total, 1e-12)
+    middle, level = mean(weight * times) / safe, mean(weight * values) / safe
+    spread = mean(weight * times**2) / safe - middle**2
+    slope = mean(weight * times * values) / safe - middle * level
+    slope = np.where(spread > _MIN_SPREAD, slope / np.maximum(spread, _MIN_SPREAD), 0)
+    share = total / mean(np.ones_like(weight))
+    return np.where(share > _MIN_NEAR, level + slope * (times - middle), instead)
 
 
 def contact_side(readings: NDArray[Any]) -> NDArray[np.float64]:

@@ -21,12 +21,12 @@ _CHANGE_COST = 4.0  # of a new lag along the channels, in frames of misfit; tune
 _MAX_MISFIT = 6.0  # frames of misfit of one sensor that count
 _SPREAD = 2  # frames by which the lags of a group may differ before they are made equal
 # Limits of a finding, tuned on simulated skins (seeds 1 to 20) and on real recordings.
-_MIN_AGREEMENT = 0.9  # share of the links between groups with the lag of the groups
+_MIN_AGREEMENT = 0.8  # share of the links between groups with the lag of the groups
 _MIN_RELATIVE = 0.93  # this share over the share of the links within groups without a lag
 _MAX_OPPOSITE = 0.08  # share of the links between groups with a lag of the other sign
 _MIN_EXPLAINED = 0.5  # share of the correlation lost between groups that the lags restore
 _MIN_AGAIN = 0.9  # share of the links for which each part of the recording gives the same lags
-_MIN_GAIN = 0.75  # restored correlation over what the lags would cost links within groups
+_MIN_GAIN = 0.8  # restored correlation over what the lags would cost links within groups
 _MIN_WITHIN = 0.6  # share of the links within groups without a lag
 _MIN_GROUP = 3.0  # sensors per group, on average
 _CLEARLY_MORE = 1.005  # correlation by which groups that are not adjacent must explain more

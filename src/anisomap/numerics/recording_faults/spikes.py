@@ -16,6 +16,7 @@ _MIN_LEVELS = 8  # distinct heights of jumps: sensors with two values always jum
 _MIN_SPIKES = 5  # in a recording
 _MAX_SHARE = 0.15  # of the frames; white noise jumps up in a third of them
 _MIN_LINK = 0.7  # correlation of the jumps of two sensors of a board; chosen by hand
+_MIN_HEIGHT = 0.1  # standard deviations of the readings; less changes no correlation
 _MAX_SPREAD = 0.1  # relative spread of the jumps of the sensors of a board; contacts have 0.3
 _MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others are in contact
 
@@ -73,7 +74,11 @@ def find_spikes(readings: NDArray[Any]) -> tuple[Spikes, ...]:
     for number in range(n_groups):
         members = chosen[group == number]
         if members.size >= _MIN_GROUP:
-            spikes = _shared(_jumps(readings[:, members]), members)
+            spikes = _shared(
+                _jumps(readings[:, members]),
+                members,
+                float(np.median(readings[:, members].std(axis=0))),
+            )
             if spikes is not None:
                 found.append(spikes)
     return tuple(found)
@@ -95,7 +100,9 @@ def _jumps(readings: NDArray[Any]) -> NDArray[np.float32]:
     return jumps
 
 
-def _shared(jumps: NDArray[np.float32], members: NDArray[np.intp]) -> Spikes | None:
+def _shared(
+    jumps: NDArray[np.float32], members: NDArray[np.intp], deviation: float
+) -> Spikes | None:
     """Return the spikes of a group; None if its jumps differ, as those of contacts do."""
     often = np.mean(jumps > 0, axis=1) >= _MIN_AT_ONCE
     frames = np.flatnonzero(often)
@@ -108,5 +115,7 @@ def _shared(jumps: NDArray[np.float32], members: NDArray[np.intp]) -> Spikes | N
     if np.count_nonzero(equal) < max(_MIN_SPIKES, 0.5 * frames.size):
         return None
     if np.unique(height[equal].round(6)).size < min(_MIN_LEVELS, equal.sum() / 2):
+        return None
+    if np.median(height[equal]) < _MIN_HEIGHT * deviation:
         return None
     return Spikes(members, frames[equal], float(np.median(height[equal])))
