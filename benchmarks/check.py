@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 import csv
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
@@ -94,11 +94,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(text)
 
 
-def checks(path: Path, kinds: Sequence[str], seeds: range) -> list[Result]:
+def checks(path: Path, kinds: Sequence[str], seeds: range) -> Iterator[Result]:
     """Score checks of one recording: all frames and half of them, every kind, share and seed."""
     whole = anisomap.read(path)
     layout = anisomap.SensorMap(np.asarray(whole.positions), names=whole.names, units=whole.units)
-    results = []
     corrected = None
     for n_frames in (whole.n_frames, whole.n_frames // 2):
         recording = replace(whole, readings=whole.readings[:n_frames], times=None)
@@ -113,6 +112,7 @@ def checks(path: Path, kinds: Sequence[str], seeds: range) -> list[Result]:
         skin = Skin(positions, neighbour_spacing(positions), module_members(corrected))
         for kind in kinds:
             for share in SHARES:
+                rows = []
                 for seed in seeds if kind in LAYOUT_FAULTS else seeds[:1]:
                     rng = np.random.default_rng(seed)
                     if kind in LAYOUT_FAULTS:
@@ -125,12 +125,9 @@ def checks(path: Path, kinds: Sequence[str], seeds: range) -> list[Result]:
                         spoilt, groups = READING_FAULTS[kind](recording, share, rng)
                         found = check_layout(corrected, spoilt)
                         counts = score_sensors(found, groups)
-                    results.append(Result(path.stem, n_frames, kind, share, seed, *counts))
-                rows = [
-                    r for r in results if (r.n_frames, r.kind, r.share) == (n_frames, kind, share)
-                ]
+                    rows.append(Result(path.stem, n_frames, kind, share, seed, *counts))
+                    yield rows[-1]
                 print(" ", *cells(rows), flush=True)
-    return results
 
 
 def score_places(

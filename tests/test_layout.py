@@ -135,13 +135,24 @@ def test_a_sensor_in_the_place_of_a_dead_one(recording):
     readings = np.array(recording.readings)
     readings[:, 131] = 0
     found = check_layout(with_places([30, 131], [131, 30]), Recording(readings, names=NAMES))
-    assert {NAMES[f.sensors[0]]: f.kind for f in found.findings} == {
-        "taxel30": "moved",
-        "taxel131": "dead",
-    }
+    swapped, dead = found.findings
+    assert (swapped.kind, dead.kind) == ("swapped", "dead")
+    assert swapped.explanation == (
+        "taxel30 and taxel131 have each other's places (taxel131 not tested)"
+    )
+    assert found.names(dead) == ("taxel131",)
+    np.testing.assert_array_equal(found.corrected.positions, TRUTH)
+
+
+def test_a_sensor_on_a_place_of_its_own(recording, statistics):
+    stated = TRUTH.copy()
+    stated[44] = TRUTH[135] + [0.5, 0.3]
+    found = check_layout(replace(LAYOUT, positions=stated), recording, statistics=statistics)
+    (finding,) = found.findings
+    assert (finding.kind, found.names(finding)) == ("moved", ("taxel44",))
     error = np.linalg.norm(found.corrected.positions - TRUTH, axis=1)
-    assert error[30] < 1
-    assert (error[np.setdiff1d(np.arange(len(TRUTH)), [30, 131])] == 0).all()
+    assert error[44] < 0.7
+    assert (np.delete(error, 44) == 0).all()
 
 
 def test_noise_accuses_nobody():

@@ -253,10 +253,14 @@ class _Checked:
         there = agreement(before, move.sensors, move.places)
         distance = np.linalg.norm(move.places - self._positions[move.sensors], axis=1)
         changed = distance > 0
+        untested = [self._names[i] for i in group.sensors[changed] if not self._usable[i]]
+        text = group.text
+        if untested:
+            text += f" ({join_items(untested, _MAX_NAMED)} not tested)"
         return Finding(
             group.kind,
             group.sensors[changed],
-            group.text,
+            text,
             float(np.median(distance[changed])),
             _mean(stated),
             _mean(there),

@@ -30,10 +30,10 @@ class PlaceFits:
         self._total = evidence.likelihood.sum(axis=1)
 
     def places_near(self, sensor: int) -> NDArray[np.intp]:
-        """Return the usable sensors whose places are near those most similar to a sensor."""
+        """Return the sensors, usable or not, whose places are near those most similar to one."""
         evidence = self._evidence
         near = (self._distances[evidence.similar(sensor)] <= evidence.reach).any(axis=0)
-        return np.flatnonzero(near & evidence.usable & (self._distances[sensor] > 0))
+        return np.flatnonzero(near & (self._distances[sensor] > 0))
 
     def gains(self, sensor: int, others: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return the gains of a sensor at the places of others, which are left out."""

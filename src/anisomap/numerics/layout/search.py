@@ -23,6 +23,7 @@ from anisomap.numerics.layout.rigid_moves import is_possible, patch_moves, singl
 from anisomap.numerics.layout.statistics import ReadingStatistics
 
 _MAX_ROUNDS = 12
+_PAIR = 2
 _MIN_RIGID = 0.5
 """Least gain of agreement of a patch on free places, relative to the median agreement.
 
@@ -135,14 +136,16 @@ class Search:
                 continue
             if self.evidence.gain(proposal.move) < _LEFT * proposal.gain:
                 continue
-            rigid = name not in PROPOSERS
+            # Without the readings of both, a swap is no stronger evidence than a free place.
+            half = len(sensors) == _PAIR and not self.evidence.usable[sensors].all()
+            rigid = name not in PROPOSERS or half
             if rigid and not is_possible(self.evidence, proposal.move):
                 continue
             verdict = self.judge(self.evidence, proposal.move, proposal.alternatives, rigid=rigid)
             if verdict.holds:
                 self.evidence = self.evidence.moved(proposal.move)
                 changed.update(sensors.tolist())
-                if rigid:
+                if name not in PROPOSERS:
                     self.rigid.append(sensors)
         return bool(changed)
 
