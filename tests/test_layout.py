@@ -270,9 +270,7 @@ def test_the_triangles_of_the_leg_that_were_corrected(recordings_folder):
         np.load(folder / f"icub_left_leg_upper{end}.npz") for end in ("", "_before_904")
     )
     names = tuple(f"taxel{i}" for i in right["taxel_index"])
-    body = anisomap.simulation.body_from_points(
-        right["positions"], right["normals"], names=names, units="m"
-    )
+    body = anisomap.simulation.body_from_points(right["positions"], names=names, units="m")
     recording = anisomap.simulate(
         body, "rubbing", n_frames=4000, seed=1007, hand_size=0.03, detection_radius=0.006,
         press_depth=0.004,

@@ -61,11 +61,21 @@ class ModuleShapes:
 
 
 def swaps(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
-    """Propose the best exchange of each sensor with one other."""
+    """Propose the best exchange of each sensor with one other, by the readings of both."""
+    return _swaps(evidence, evidence.usable)
+
+
+def half_swaps(evidence: Evidence, modules: ModuleShapes) -> list[Proposal]:
+    """Propose the best exchange of each sensor with one of which the readings say nothing."""
+    return _swaps(evidence, ~evidence.usable)
+
+
+def _swaps(evidence: Evidence, allowed: NDArray[np.bool_]) -> list[Proposal]:
     fits = PlaceFits(evidence)
     proposals = []
     for i in np.flatnonzero(evidence.usable).tolist():
         partners = fits.places_near(i)
+        partners = partners[allowed[partners]]
         if partners.size:
             gains = fits.gains(i, partners) + fits.gains_at(i, partners)
             best = int(gains.argmax())

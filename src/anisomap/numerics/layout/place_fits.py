@@ -30,7 +30,7 @@ class PlaceFits:
         self._total = evidence.likelihood.sum(axis=1)
 
     def places_near(self, sensor: int) -> NDArray[np.intp]:
-        """Return the sensors, usable or not, whose places are near those most similar to one."""
+        """Return the sensors whose places are near those most similar to a sensor."""
         evidence = self._evidence
         near = (self._distances[evidence.similar(sensor)] <= evidence.reach).any(axis=0)
         return np.flatnonzero(near & (self._distances[sensor] > 0))

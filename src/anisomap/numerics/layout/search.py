@@ -17,13 +17,13 @@ from anisomap.numerics.layout.chance import (
 )
 from anisomap.numerics.layout.evidence import Evidence, Move, Proposal
 from anisomap.numerics.layout.falloff import Falloff, fit_falloff
-from anisomap.numerics.layout.permutations import PROPOSERS, ModuleShapes
+from anisomap.numerics.layout.permutations import PROPOSERS, ModuleShapes, half_swaps
 from anisomap.numerics.layout.place_fits import MIN_GAIN
 from anisomap.numerics.layout.rigid_moves import is_possible, patch_moves, single_moves
 from anisomap.numerics.layout.statistics import ReadingStatistics
 
 _MAX_ROUNDS = 12
-_PAIR = 2
+_OF_PATCHES = ("patches", "sensors")  # searches that do not permute places
 _MIN_RIGID = 0.5
 """Least gain of agreement of a patch on free places, relative to the median agreement.
 
@@ -37,10 +37,13 @@ _Searches: TypeAlias = Mapping[str, Callable[[Evidence, ModuleShapes], list[Prop
 SEARCHES: _Searches = MappingProxyType({**PROPOSERS, "patches": patch_moves})
 """Functions that propose moves."""
 
-LAST_SEARCHES: _Searches = MappingProxyType({"sensors": single_moves})
-"""Functions that propose moves once no other is left.
+LAST_SEARCHES: tuple[_Searches, ...] = (
+    MappingProxyType({"half swaps": half_swaps}),
+    MappingProxyType({"sensors": single_moves}),
+)
+"""Functions that propose moves of one sensor, each used once no other move is left.
 
-Most sensors that agree with no neighbour have changed places with others.
+Most sensors that fit another place have changed places with others that say where they belong.
 """
 
 
@@ -113,7 +116,7 @@ class Search:
     def run(self) -> NDArray[np.float64]:
         """Return the positions after all moves that hold."""
         for _ in range(_MAX_ROUNDS):
-            if not (self._round(SEARCHES) or self._round(LAST_SEARCHES)):
+            if not any(self._round(searches) for searches in (SEARCHES, *LAST_SEARCHES)):
                 break
             evidence = self.evidence
             self.evidence = replace(
@@ -137,15 +140,14 @@ class Search:
             if self.evidence.gain(proposal.move) < _LEFT * proposal.gain:
                 continue
             # Without the readings of both, a swap is no stronger evidence than a free place.
-            half = len(sensors) == _PAIR and not self.evidence.usable[sensors].all()
-            rigid = name not in PROPOSERS or half
+            rigid = name not in PROPOSERS
             if rigid and not is_possible(self.evidence, proposal.move):
                 continue
             verdict = self.judge(self.evidence, proposal.move, proposal.alternatives, rigid=rigid)
             if verdict.holds:
                 self.evidence = self.evidence.moved(proposal.move)
                 changed.update(sensors.tolist())
-                if name not in PROPOSERS:
+                if name in _OF_PATCHES:
                     self.rigid.append(sensors)
         return bool(changed)
 
