@@ -188,6 +188,22 @@ def test_sensors_are_matched_by_name_or_by_order(recording, statistics):
     assert [f.kind for f in part.findings] == ["swapped"]
 
 
+def test_normals_stay_with_the_places(recording, statistics):
+    angle = TRUTH[:, 0] / TRUTH[:, 0].max()
+    normals = np.column_stack([np.sin(angle), np.zeros(len(angle)), np.cos(angle)])
+    stated = faults()["cycle"]
+    layout = SensorMap(
+        np.column_stack([stated.positions, np.zeros(len(TRUTH))]),
+        names=NAMES,
+        normals=normals[
+            [int(np.flatnonzero((p == TRUTH).all(axis=1))[0]) for p in stated.positions]
+        ],
+    )
+    found = check_layout(layout, recording, statistics=statistics)
+    np.testing.assert_array_equal(found.corrected.positions[:, :2], TRUTH)
+    np.testing.assert_allclose(found.corrected.normals, normals, atol=1e-12)
+
+
 def test_modules_can_be_given(recording, statistics):
     stated = faults()["turned"]
     by_size = modules_by_size(NAMES, 10, first=0)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from anisomap.sensor_map import SensorMap
 from anisomap.wording import html_table
@@ -147,5 +148,17 @@ class LayoutCheck:
 
 
 def at_positions(layout: SensorMap, positions: NDArray[np.float64]) -> SensorMap:
-    """Return a layout with other positions for the sensors that have one."""
-    return replace(layout, positions=np.where(layout.placed[:, None], positions, np.nan))
+    """Return a layout with other positions for the sensors that have one.
+
+    A sensor with another position takes the normal of the nearest stated place, if normals are
+    known.
+    """
+    normals = layout.normals
+    placed = np.flatnonzero(layout.placed)
+    changed = placed[(positions[placed] != layout.positions[placed]).any(axis=1)]
+    if normals is not None and changed.size:
+        nearest = KDTree(layout.positions[placed]).query(positions[changed])[1]
+        normals = normals.copy()
+        normals[changed] = normals[placed[nearest]]
+    moved = np.where(layout.placed[:, None], positions, np.nan)
+    return replace(layout, positions=moved, normals=normals)
