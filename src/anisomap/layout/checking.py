@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +41,7 @@ MIN_SENSORS = 4
 
 _DOUBLED = 0.98  # least similarity of two sensors with equal readings
 _DOUBLED_RATIO = 0.1  # of their dissimilarity to that of the next most similar sensor, at most
+_LEAST_SENSITIVE = 0.05  # quantile of the contacts of sensors, relative to their neighbours
 _MAX_NAMED = 8
 
 
@@ -188,19 +190,29 @@ class _Checked:
         return self._summary(proposed, stated_agreement, notes)
 
     def _find_dead(self) -> None:
-        """Find constant sensors of which the neighbours were touched several times."""
+        """Find constant sensors that should have been touched, as their neighbours were.
+
+        Sensors differ in sensitivity: at least as many contacts are expected as the least sensitive
+        of the others have, relative to their neighbours.
+        """
         tree = KDTree(self._positions)
-        for i in np.flatnonzero(self._active == 0).tolist():
-            near = np.array(
-                tree.query_ball_point(self._positions[i], REACH * self._spacing), dtype=np.intp
+        near: Any = tree.query_ball_point(self._positions, REACH * self._spacing)
+        around = np.array(
+            [
+                np.median(self._active[[j for j in n if j != i]]) if len(n) > 1 else 0.0
+                for i, n in enumerate(near)
+            ]
+        )
+        alive = (self._active > 0) & (around > 0)
+        if not alive.any():
+            return
+        least = float(np.quantile(self._active[alive] / around[alive], _LEAST_SENSITIVE))
+        for i in np.flatnonzero((self._active == 0) & (around * least >= MIN_CONTACTS)).tolist():
+            text = (
+                f"{self._names[i]} is constant, although its neighbours were touched "
+                f"{around[i]:.0f} times"
             )
-            touched = self._active[near[near != i]]
-            if touched.size and np.median(touched) >= MIN_CONTACTS:
-                text = (
-                    f"{self._names[i]} is constant, although its neighbours were touched "
-                    f"{int(np.median(touched))} times"
-                )
-                self._findings.append(Finding("dead", np.array([i]), text))
+            self._findings.append(Finding("dead", np.array([i]), text))
 
     def _find_doubled(self) -> None:
         """Find pairs with equal readings; the one that fits its place less is the copy."""
