@@ -309,7 +309,11 @@ def table(results: Sequence[Result]) -> list[str]:
         "| recording | frames | fault | share | faults | found | placed | right sensors accused |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    keys = dict.fromkeys((r.recording, r.n_frames, r.kind) for r in results)
+    order = [*LAYOUT_FAULTS, *READING_FAULTS]
+    keys = sorted(
+        {(r.recording, r.n_frames, r.kind) for r in results},
+        key=lambda key: (key[0], -key[1], order.index(key[2])),
+    )
     for key in keys:
         rows = [r for r in results if (r.recording, r.n_frames, r.kind) == key]
         lines.append(f"| {key[0]} | {key[1]:,} | {' | '.join(cells(rows))} |")
