@@ -140,7 +140,7 @@ def test_a_flat_map_lies_in_space_where_its_anchors_are():
 def test_stating_the_hand_places_what_would_be_refused():
     truth = body(3)
     sensor_map, three = mapped(truth, 0, mirror=True), anchors_at(truth, [0, 8, 66])
-    with pytest.raises(InputError, match="a fourth anchor off their plane, --mesh"):
+    with pytest.raises(InputError, match="map a flat skin in 2D"):
         place(sensor_map, three)
     found = place(sensor_map, three, handedness="mirrored")
     np.testing.assert_allclose(found.map.positions, truth, atol=1e-9)

@@ -321,10 +321,14 @@ def _choose_hand(
     apart = fits[0].apply(positions) - fits[1].apply(positions)
     if float(np.mean(apart**2)) < sigma**2:
         return bool(better), False
-    more = "a third anchor off their line" if k == 2 else "a fourth anchor off their plane"
+    more = (
+        "a third anchor off their line"
+        if k == 2
+        else "a fourth anchor off their plane (map a flat skin in 2D)"
+    )
     raise InputError(
-        f"the anchors do not tell the map from its mirror image; give {more}, --mesh, --module, "
-        "or --handedness same or mirrored"
+        f"the anchors do not tell the map from its mirror image; give {more}, --mesh, --module, or "
+        "--handedness same or mirrored"
     )
 
 
