@@ -2,6 +2,7 @@
 
 Constants were tuned on the iCub hexagon and palm, the plantar recording, and simulations of seeds
 201 to 203 and 301 to 306; the figures are of the iCub torso and of simulations from seed 401 on.
+Results on the torso were seen during development, but no constant was fitted to it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Placed maps of a real skin: the torso of an iCub, which served to tune nothing of placement."""
+"""Placed maps of a real skin: the torso of an iCub, to which no constant was fitted."""
 
 import numpy as np
 import pytest
