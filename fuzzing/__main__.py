@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         indices = range(chosen.first, chosen.first + share)
         tallies[subject.name] = run_cases(subject, chosen.seed, indices, chosen.output, until=until)
         _print(subject, tallies[subject.name])
-    write(tallies, chosen.output / "reliability-table.md", chosen.seed)
+        write(tallies, chosen.output / "reliability-table.md", chosen.seed)  # also if interrupted
     return 1 if any(tally.n_failed for tally in tallies.values()) else 0
 
 

@@ -38,7 +38,7 @@ ADDRESS_SPACE = 8 << 30
 _BATCH = 500  # cases per process, so that leaks of libraries do not add up
 _BY_COMMAND, _IS_ODD, _IS_BOMB, _IS_SPLICED, _IS_WHOLE = 0.08, 0.15, 0.001, 0.03, 0.01
 _N_BOMBS = 2
-_N_USES = 12  # of each format, to reach all commands
+_N_USES = 4  # of each format, to reach all commands
 _CHECKS: Mapping[str, tuple[Any, Any]] = {
     "file": (checks.check_file, checks.check_file_by_command),
     "body": (checks.check_body, checks.check_body_by_command),
