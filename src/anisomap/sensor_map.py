@@ -70,7 +70,7 @@ class SensorMap:
     uneven : bool
         Whether the largest component is distorted in a way that the refinement could not correct
         and that confidence cannot see: neighbours lie at very unequal distances, sensors lie along
-        a curve, or contacts are long in one direction.
+        a curve, contacts are long in one direction, or contacts differ between places.
     mirrored : bool
         Whether the map was reflected after it was made.
     handed : bool

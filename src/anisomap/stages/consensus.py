@@ -66,7 +66,8 @@ def combine_with_paths(pairs: PairStatistics, positions: Reals) -> Consensus:
     are biased by noise, but assume nothing about distant regions. The average of both was closer
     to the truth than either on most real skins.
     """
-    share = unexplained_share(pairs.similarity, positions, typical_variance(pairs.noise))
+    noise = typical_variance(pairs.noise)
+    share = unexplained_share(pairs.similarity, positions, noise, known=pairs.known)
     weight = PATH_WEIGHT * float(np.clip((share - EXPLAINED) / (UNEXPLAINED - EXPLAINED), 0, 1))
     if weight == 0:
         return Consensus(positions, share, 0.0)

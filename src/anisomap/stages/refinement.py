@@ -107,12 +107,16 @@ class RefinementFacts:
     @property
     def distorted(self) -> bool:
         """Whether the map is distorted in a way that maps of halves of the recording share."""
-        return self.uneven or self.unresolved or self.curved
+        return self._along_curves or self.path_weight > 0
 
     @property
     def elongated(self) -> bool:
         """Whether contacts appear elongated, whereas a fit of contacts assumes compact ones."""
-        return self.contact_peaks or bool(self.even_spacing) or self.distorted
+        return self.contact_peaks or bool(self.even_spacing) or self._along_curves
+
+    @property
+    def _along_curves(self) -> bool:
+        return self.uneven or self.unresolved or self.curved
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,13 @@ _MIN_VARIANCE_FACTOR = 1e-4  # of correlations of nearly 1; bounds rounding erro
 _MIN_PAIRS = 30  # fewer significant pairs determine no share; chosen by hand
 
 
-def unexplained_share(similarity: ArrayLike, positions: ArrayLike, noise: float) -> float:
+def unexplained_share(
+    similarity: ArrayLike,
+    positions: ArrayLike,
+    noise: float,
+    *,
+    known: ArrayLike | None = None,
+) -> float:
     """Estimate the share of the variance of correlations that distances do not explain.
 
     Parameters
@@ -23,6 +29,8 @@ def unexplained_share(similarity: ArrayLike, positions: ArrayLike, noise: float)
     positions : array_like of shape (N, k)
     noise : float
         Sampling variance of the correlation of unrelated sensors.
+    known : array_like of bool, shape (N, N), optional
+        Mask of the known correlations; all by default.
 
     Returns
     -------
@@ -41,7 +49,11 @@ def unexplained_share(similarity: ArrayLike, positions: ArrayLike, noise: float)
     step = -(-len(values) // _MAX_SENSORS)
     values, points = values[::step, ::step], points[::step]
     distances = pdist(points)
-    correlations = values[np.triu_indices(len(values), 1)].astype(np.float64)
+    pairs = np.triu_indices(len(values), 1)
+    correlations = values[pairs].astype(np.float64)
+    if known is not None:
+        among = np.asarray(known)[::step, ::step][pairs]
+        distances, correlations = distances[among], correlations[among]
     order = np.argsort(distances, kind="stable")
     fitted = np.empty_like(correlations)
     fitted[order] = isotonic_regression(correlations[order], increasing=False).x
