@@ -19,8 +19,9 @@ from anisomap.stages.pairs import PairStatistics
 EXPLAINED, UNEXPLAINED = 0.02, 0.04
 """Unexplained shares up to which a covariogram map is kept, and from which paths have full weight.
 
-The share was at most .02 on simulated skins (seeds 101 to 103, 2,000 and 8,000 frames) and on the
-iCub's skin, and .045 to .54 on whole bodies and arrays with contacts of different sizes.
+The share was at most .02 on bombarded, rolling and rubbed bodies (seeds 101 to 103 and 312, 2,000
+and 8,000 frames) and on the iCub's skin, and .045 to .54 on real bodies and arrays with contacts of
+different sizes. Rollers, presses and self-touch of closed bodies are on either side.
 """
 
 PATH_WEIGHT = 0.5
