@@ -134,7 +134,9 @@ def test_inverted_sensors_are_mirrored_at_rest(seed, inverted):
     readings = np.array(clean.readings)
     readings[:, sorted(inverted)] *= -1
     found = repair(Recording(readings))
-    (finding,) = found.findings
+    # Some sensors of these recordings have few contacts, which is found as well.
+    (finding,) = (f for f in found.findings if f.kind == "inverted")
+    assert kinds(found.findings) <= {"inverted", "few-contacts"}
     assert set(finding.sensors) == {f"s{i}" for i in inverted}
     np.testing.assert_array_equal(found.recording.readings, clean.readings)
 

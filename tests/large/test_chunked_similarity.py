@@ -47,11 +47,12 @@ def in_one_pass(name, parts):
 
 
 def test_every_similarity_can_be_computed_in_chunks():
-    assert set(CHUNKED) == set(SIMILARITIES)
+    # Distinct contacts are those of the whole recording.
+    assert set(CHUNKED) == set(SIMILARITIES) - {"contact-agreement"}
 
 
 @pytest.mark.parametrize("many", [1, 10**6], ids=["compiled", "numpy"])
-@pytest.mark.parametrize("name", SIMILARITIES)
+@pytest.mark.parametrize("name", CHUNKED)
 @given(seed=st.integers(0, 20), cuts=rows, data=st.data())
 @settings(max_examples=15, deadline=None)
 def test_chunks_give_the_similarity_of_the_whole(name, many, seed, cuts, data):

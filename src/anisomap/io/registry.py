@@ -353,7 +353,7 @@ def _folder_message(folder: Path) -> str:
         return f"{folder} is a folder without data.log, bag or images; give a file"
     return (
         f"{folder} is a folder; give its files instead to read them as several runs of one skin: "
-        f"{join_items(files, _MAX_LISTED)}"
+        f"{join_items([path.name for path in files], _MAX_LISTED)}"
     )
 
 
