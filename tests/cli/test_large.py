@@ -118,6 +118,7 @@ def test_gaps_and_robots_are_treated_as_in_whole_recordings(run, robots, nan, ca
         assert found.n_sensors == 30
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("all_is_large")
 def test_unsupported_options_of_large_recordings_are_refused(run, parts, robots, monkeypatch):
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT", "1s")

@@ -90,7 +90,9 @@ MAP = [sys.executable, "-c", "from anisomap.cli import main; main()", "map", "sk
 
 
 @pytest.mark.usefixtures("_files")
-@pytest.mark.parametrize("option", ["--no-confidence", "--json"])
+@pytest.mark.parametrize(
+    "option", ["--no-confidence", pytest.param("--json", marks=pytest.mark.slow)]
+)
 def test_the_map_is_written_if_the_reader_closes_the_pipe(tmp_path, option):
     started = subprocess.Popen(
         [*MAP, "-o", "piped.csv", "--permutations", "0", option],

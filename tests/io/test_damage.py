@@ -134,7 +134,7 @@ def test_pathological_text(put, tolerantly, name: str, whole: str) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="another process may end")
-@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("compressed", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_no_byte_of_a_matlab_file_ends_the_process(tmp_path, tolerantly, compressed: bool) -> None:
     """scipy looks up the types of numbers without a check."""
     path = tmp_path / "skin.mat"

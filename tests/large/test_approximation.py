@@ -29,7 +29,7 @@ def found():
         return made()
 
 
-@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("dimensions", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_approximate_maps_resemble_exact_maps(dimensions):
     exact = reconstruct(Recording(READINGS), "r-anisomap", dimensions)
     approximate = made(dimensions=dimensions)
