@@ -107,8 +107,8 @@ def interrupted(folder, command, delay):
 
 
 def check_interruption(code, said):
-    """Before the command line is reached, the interpreter itself reports the interruption."""
-    started = "cli/__init__.py" in said or "Traceback" not in said
+    """Before `main` of the command line runs, the interpreter itself reports the interruption."""
+    started = ", in main" in said or "Traceback" not in said
     if started:
         assert code in (0, 130, -signal.SIGINT)
         assert "Traceback" not in said
