@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -74,19 +75,12 @@ def difference_figure(
     MissingExtraError
         If matplotlib is not installed.
     """
-    with drawing_style():
-        figure = new_figure(_WIDTH, _HEIGHT)
-        figure.set_layout_engine("constrained", rect=(0, 0.05, 1, 0.87))
-        k = min(3, difference.before.shape[1])
-        axes = figure.add_subplot(projection="3d" if k == 3 else None)
-        plot_difference(difference, ax=axes)
-        figure.legend(loc="upper right", ncols=4, frameon=False, bbox_to_anchor=(0.99, 0.96))
-        write_title(figure, printable(title, 80))
-        write_notes(
-            figure,
-            ["Arrows lead from the first map to the second, which is aligned with the first."],
-        )
-        return figure
+    return legend_figure(
+        lambda axes: plot_difference(difference, ax=axes),
+        dimensions=difference.before.shape[1],
+        title=printable(title, 80),
+        note="Arrows lead from the first map to the second, which is aligned with the first.",
+    )
 
 
 def plot_difference(difference: Difference, *, ax: Axes | None = None) -> Axes:
@@ -155,21 +149,17 @@ def placement_figure(
         If matplotlib is not installed.
     """
     placed = placement.map
-    with drawing_style():
-        figure = new_figure(_WIDTH, _HEIGHT)
-        figure.set_layout_engine("constrained", rect=(0, 0.05, 1, 0.86))
-        axes = figure.add_subplot(projection="3d" if placed.dimensions == 3 else None)
-        plot_placement(placement, anchors, mesh, ax=axes)
-        figure.legend(loc="upper right", ncols=4, frameon=False, bbox_to_anchor=(0.99, 0.96))
-        write_title(figure, printable(f"Placed in {placed.frame}: {placement.methods[0]}", 70))
-        note = "Positions in metres."
-        if np.isfinite(placed.errors).any():
-            error = float(np.nanmedian(placed.errors))
-            note = (
-                f"{note} 90 % of the sensors are within their error, {error:.2g} m in the median."
-            )
-        write_notes(figure, [note])
-        return figure
+    note = "Positions in metres."
+    if np.isfinite(placed.errors).any():
+        error = float(np.nanmedian(placed.errors))
+        note = f"{note} 90 % of the sensors are within their error, {error:.2g} m in the median."
+    return legend_figure(
+        lambda axes: plot_placement(placement, anchors, mesh, ax=axes),
+        dimensions=placed.dimensions,
+        title=printable(f"Placed in {placed.frame}: {placement.methods[0]}", 70),
+        note=note,
+        height=0.86,
+    )
 
 
 def plot_placement(
@@ -225,6 +215,45 @@ def plot_placement(
             zorder=0,
         )
     return axes
+
+
+def legend_figure(
+    plot: Callable[[Axes], object],
+    *,
+    dimensions: int,
+    title: str,
+    note: str,
+    n_columns: int = 4,
+    height: float = 0.87,
+) -> Figure:
+    """Draw one panel with its legend above it and a note below it.
+
+    Parameters
+    ----------
+    plot : callable
+        ``plot(axes)`` draws the panel.
+    dimensions : int
+        Number of coordinates; from three on, the axes are in 3D.
+    title, note : str
+    n_columns : int
+        Columns of the legend.
+    height : float
+        Height of the panel as a share of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    with drawing_style():
+        figure = new_figure(_WIDTH, _HEIGHT)
+        figure.set_layout_engine("constrained", rect=(0, 0.05, 1, height))
+        plot(figure.add_subplot(projection="3d" if dimensions >= 3 else None))
+        figure.legend(
+            loc="upper right", ncols=n_columns, frameon=False, bbox_to_anchor=(0.99, 0.96)
+        )
+        write_title(figure, title)
+        write_notes(figure, [note])
+        return figure
 
 
 def plot_displacements(

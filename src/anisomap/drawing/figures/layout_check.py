@@ -10,12 +10,8 @@ from anisomap.drawing.figures.backend import (
     MARKERS,
     PALETTE,
     Axes,
-    drawing_style,
-    new_figure,
-    write_notes,
-    write_title,
 )
-from anisomap.drawing.figures.displacements import Group, plot_displacements
+from anisomap.drawing.figures.displacements import Group, legend_figure, plot_displacements
 from anisomap.drawing.view import printable
 
 if TYPE_CHECKING:
@@ -23,7 +19,6 @@ if TYPE_CHECKING:
 
     from anisomap.layout import LayoutCheck
 
-_WIDTH, _HEIGHT = 8.0, 7.2  # inches
 _MAX_LABELS = 12
 
 # Kinds that are drawn alike: label, colour, marker, statuses of `LayoutCheck`.
@@ -56,18 +51,13 @@ def layout_figure(check: LayoutCheck, title: str = "Check of a layout") -> Figur
     MissingExtraError
         If matplotlib is not installed.
     """
-    with drawing_style():
-        figure = new_figure(_WIDTH, _HEIGHT)
-        figure.set_layout_engine("constrained", rect=(0, 0.05, 1, 0.87))
-        axes = figure.add_subplot(projection="3d" if check.layout.dimensions == 3 else None)
-        plot_layout(check, ax=axes)
-        figure.legend(loc="upper right", ncols=3, frameon=False, bbox_to_anchor=(0.99, 0.96))
-        write_title(figure, printable(title, 80))
-        write_notes(
-            figure,
-            ["Arrows lead from where the layout states a sensor to where it reads as if it were."],
-        )
-        return figure
+    return legend_figure(
+        lambda axes: plot_layout(check, ax=axes),
+        dimensions=check.layout.dimensions,
+        title=printable(title, 80),
+        note="Arrows lead from where the layout states a sensor to where it reads as if it were.",
+        n_columns=3,
+    )
 
 
 def plot_layout(check: LayoutCheck, *, ax: Axes | None = None) -> Axes:
