@@ -1,6 +1,7 @@
 """The default method on real skins, beside the methods that users would take instead."""
 
 import warnings
+from functools import cache
 
 import pytest
 
@@ -13,6 +14,7 @@ LOSS = 0.01
 """Mantel r by which the default method may be behind the best plain method on any recording."""
 
 
+@cache  # two tests look at the same comparison
 def compared(path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # maps of these skins carry caveats
