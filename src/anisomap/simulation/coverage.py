@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import score
+from anisomap.health.touch_coverage import NEIGHBOUR_RADIUS, count_contacts
 from anisomap.methods import DEFAULT_METHOD, find_method
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.reconstruction import reconstruct
@@ -29,9 +30,6 @@ LENGTHS = (62, 125, 250, 500, 1000, 2000)
 
 QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Quantiles of the contact counts over the sensors: minimum, quartiles and maximum."""
-
-# Times the distance to the nearest sensor: includes the diagonals of a square lattice (1.41).
-_NEIGHBOUR_RADIUS = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +128,7 @@ def coverage_curve(
         rate_hz=first.rate_hz or 1.0,
         touched=_frozen([on.any(axis=0).mean() for _, _, on in cells], shape),
         contacts=_frozen(
-            [np.quantile(_count_contacts(on), QUANTILES) for _, _, on in cells], (*shape, -1)
+            [np.quantile(count_contacts(on), QUANTILES) for _, _, on in cells], (*shape, -1)
         ),
         n_pairs=len(neighbours),
         pairs=_frozen([_count_coactive(on, neighbours) for _, _, on in cells], shape),
@@ -164,14 +162,8 @@ def neighbouring_pairs(recording: Recording) -> NDArray[np.intp]:
         distances = np.linalg.norm(recording.positions[:, None] - recording.positions, axis=2)
     others = distances + np.diag(np.full(len(distances), np.inf))
     nearest = others.min(axis=1)
-    within = others <= _NEIGHBOUR_RADIUS * np.maximum(nearest[:, None], nearest)
+    within = others <= NEIGHBOUR_RADIUS * np.maximum(nearest[:, None], nearest)
     return np.argwhere(np.triu(within & np.isfinite(others), k=1))
-
-
-def _count_contacts(active: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Count the onsets of contact of each sensor, shape (N,)."""
-    before = np.vstack([np.zeros_like(active[:1]), active[:-1]])
-    return np.asarray(np.count_nonzero(active & ~before, axis=0))
 
 
 def _count_coactive(active: NDArray[np.bool_], pairs: NDArray[np.intp]) -> int:
