@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import math
 import os
 import warnings
 from collections.abc import Iterable, Sequence
@@ -99,7 +98,6 @@ def write(
         texts["quality-table.md"] = quality_tables.tables(simulated)
         texts["simulated.csv"] = quality_tables.summary(simulated, DEFAULT_FRAMES)
         quality_figure.draw(simulated, folder / "quality.png")
-    texts["confidence-table.md"] = quality_tables.calibration([*real, *simulated])
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
         if name.endswith(".md"):
@@ -123,7 +121,7 @@ def score_simulation(
             compared = compare_methods(
                 beginning, tuple(methods), 3, name=f"{body}, {scenario}", seed=seed
             )
-            results += judged_scores(compared, beginning, seed)
+            results += all_scores(compared, seed)
         return results
 
 
@@ -137,33 +135,26 @@ def score_file(path: Path) -> tuple[Comparison | None, list[Result]]:
         except anisomap.AnisomapError as error:
             print(f"skipped {path.name}: {error}")
             return None, []
-        results = judged_scores(compared, recording, 0)
+        results = all_scores(compared, 0)
     scores = tuple(replace(s, sensor_map=None) for s in compared.scores)
     return replace(compared, scores=scores), results
 
 
-def judged_scores(compared: Comparison, recording: anisomap.Recording, seed: int) -> list[Result]:
-    """Return the scores of all methods, with the confidence of the map by the default method."""
-    results = []
-    for s in compared.scores:
-        expected = math.nan
-        if s.sensor_map is not None and s.method == DEFAULT_METHOD:
-            mapped = recording.select(recording.indices(s.sensor_map.names))
-            expected = anisomap.confidence(s.sensor_map, mapped)
-        results.append(
-            Result(
-                compared.name,
-                compared.n_frames,
-                seed,
-                s.method,
-                s.mantel_r,
-                s.rms_in_spacings,
-                expected,
-                s.n_placed / compared.n_sensors,
-                len(compared.sensors) / compared.n_sensors,
-            )
+def all_scores(compared: Comparison, seed: int) -> list[Result]:
+    """Return the scores of all methods."""
+    return [
+        Result(
+            compared.name,
+            compared.n_frames,
+            seed,
+            s.method,
+            s.mantel_r,
+            s.rms_in_spacings,
+            s.n_placed / compared.n_sensors,
+            len(compared.sensors) / compared.n_sensors,
         )
-    return results
+        for s in compared.scores
+    ]
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,7 +36,6 @@ class Result:
     method: str
     mantel_r: float
     rms_in_spacings: float
-    confidence: float
     share_placed: float
     share_scored: float
 
@@ -159,29 +157,6 @@ def summary(results: Sequence[Result], n_frames: int) -> str:
             ]
         )
     return text.getvalue()
-
-
-def calibration(results: Sequence[Result]) -> str:
-    """Return a table of Mantel r by confidence."""
-    judged = [r for r in results if math.isfinite(r.confidence) and math.isfinite(r.mantel_r)]
-    edges = (0.0, 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 1.01)
-    header = ["confidence", "maps", "Mantel r: median", "10 %", "90 %", "below 0.9"]
-    lines = [row(header), row(["---"] * len(header))]
-    for low, high in itertools.pairwise(edges):
-        r = np.array([q.mantel_r for q in judged if low <= q.confidence < high])
-        if r.size:
-            tenth, median, ninetieth = np.quantile(r, (0.1, 0.5, 0.9))
-            figures = (
-                f"{median:.3f}",
-                f"{tenth:.3f}",
-                f"{ninetieth:.3f}",
-                f"{np.mean(r < 0.9):.0%}",
-            )
-            lines.append(row([f"{low:.2f} to {min(high, 1):.2f}", str(r.size), *figures]))
-    if judged:
-        error = np.median([abs(q.mantel_r - q.confidence) for q in judged])
-        lines += ["", f"Half of the maps are within {error:.3f} of their confidence."]
-    return "\n".join(lines) + "\n"
 
 
 def row(texts: Iterable[str]) -> str:

@@ -160,7 +160,7 @@ def check_file_by_command(path: Path, found: Findings, rng: Generator) -> None:
     elif use == 4:
         found.command("score", path, path, "--permutations", "0")
     else:
-        quick = ("--no-confidence", "--permutations", "0")
+        quick = ("--no-verdict", "--permutations", "0")
         found.command("map", path, "-o", found.folder / "output.csv", "-m", "r-anisomap", *quick)
 
 

@@ -16,7 +16,7 @@ from skins import flat_skin
 
 
 def result(method, r, *, seed=1, recording="sphere, bombardment", n_frames=2000):
-    return Result(recording, n_frames, seed, method, r, 0.5, 0.95, 1.0, 1.0)
+    return Result(recording, n_frames, seed, method, r, 0.5, 1.0, 1.0)
 
 
 RESULTS = [
@@ -61,21 +61,12 @@ def test_the_summary_for_documents_has_the_numbers_of_the_table():
     assert quality_tables.summary(RESULTS, 500).count("\n") == 1
 
 
-def test_the_table_of_confidence_counts_each_map_once():
-    text = quality_tables.calibration(RESULTS)
-    assert "| 0.95 to 0.97 | 7 | 0.900 |" in text
-    assert "Half of the maps are within 0.050 of their confidence." in text
-
-
 def test_recordings_are_compared_and_written_with_the_simulated_ones(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "umap", None)  # compiling it takes some 10 s
     skin = flat_skin(n_frames=120)
     anisomap.write(skin, tmp_path / "skin.npz")
     comparison, results = quality.score_file(tmp_path / "skin.npz")
     assert [q.method for q in results] == list(COMPARED)
-    assert [not math.isnan(q.confidence) for q in results] == [
-        q.method == DEFAULT_METHOD for q in results
-    ]
     anisomap.write(anisomap.Recording(skin.readings), tmp_path / "unknown.npz")
     assert quality.score_file(tmp_path / "unknown.npz") == (None, [])
     simulated = [

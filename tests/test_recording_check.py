@@ -231,9 +231,7 @@ def test_what_spoils_a_map_is_among_its_notes():
     bad = spoilt(wired_at_random(13), "leaking:*,share=0.2")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)
-        made = anisomap.diagnose(
-            anisomap.reconstruct(bad, dimensions=2), bad, with_confidence=False
-        )
+        made = anisomap.diagnose(anisomap.reconstruct(bad, dimensions=2), bad, with_verdict=False)
     (note,) = spoiling(find_faults(bad))
     assert note in made.notes
     assert "leak into the next" in note

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap import MethodOptions, Recording, confidence, reconstruct, reconstruct_from, score
+from anisomap import MethodOptions, Recording, diagnose, reconstruct, reconstruct_from, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.methods import METHODS
 from anisomap.numerics.scaling.stress_minimisation import smacof
@@ -83,7 +83,7 @@ def test_heights_that_do_not_resolve_a_gap_are_said_to(seed):
     found = mapped(recording)
     assert mantel_r(found, recording) > 0.9 or (
         found.uneven
-        and np.isnan(confidence(found, recording))
+        and diagnose(found, recording).verdict.level != "usable"
         and any("do not trust" in note for note in found.notes)
     )
 
@@ -103,7 +103,7 @@ def test_a_thresholded_sweep_is_a_curve_that_is_not_trusted():
     pressed = Recording((swept(places, seed=301) > 2).astype(np.uint8))
     found = mapped(pressed, dimensions=2)
     assert found.provenance["curved"] is True
-    assert np.isnan(confidence(found, pressed))
+    assert diagnose(found, pressed).verdict.level != "usable"
     assert any("must not be trusted" in note for note in found.notes)
 
 
@@ -210,7 +210,7 @@ def test_unused_even_spacing_is_noted(n_frames, n_sensors):
     assert any("too few sensors or frames" in note for note in found.notes)
 
 
-def test_uneven_maps_have_no_confidence(rolling):
+def test_uneven_maps_are_usable_locally_at_most(rolling):
     touched = replace(rolling, readings=(rolling.readings > 0).astype(np.uint8))
-    assert np.isnan(confidence(mapped(touched), touched))
-    assert confidence(mapped(rolling), rolling) > 0.9
+    assert diagnose(mapped(touched), touched).verdict.level != "usable"
+    assert diagnose(mapped(rolling), rolling).verdict.level == "usable"

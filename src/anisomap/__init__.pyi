@@ -11,7 +11,6 @@ from . import numerics as numerics
 from . import placement as placement
 from . import simulation as simulation
 from ._version import __version__ as __version__
-from .diagnostics import confidence as confidence
 from .diagnostics import diagnose as diagnose
 from .errors import AnisomapError as AnisomapError
 from .errors import AnisomapWarning as AnisomapWarning
@@ -38,3 +37,4 @@ from .runs import join_runs as join_runs
 from .sensor_map import SensorMap as SensorMap
 from .simulation import simulate as simulate
 from .stages.pairs import SIMILARITIES as SIMILARITIES
+from .usability import Verdict as Verdict

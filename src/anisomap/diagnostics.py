@@ -1,36 +1,37 @@
-"""Diagnosis of a map: sensor health, split-half confidence, and the notes that follow from them.
+"""Diagnosis of a map: sensor health, the verdict, and the notes that follow from them.
 
 All are computed from a map and its recording; none changes a position.
 """
 
 from __future__ import annotations
 
+import itertools
 import logging
-import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import pdist
 
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation.confidence import (
-    DOUBTFUL,
-    MIN_SENSORS,
-    N_HALVES,
-    agreement_of_halves,
-    expected_mantel_r,
-    map_agreement,
-)
+from anisomap.evaluation import median_spacing
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
+from anisomap.usability import Verdict
+from anisomap.verdict import Doubt, Evidence, judge
+from anisomap.verdict.halves import MIN_FRAMES, MIN_SENSORS, N_HALVES, repeatability_of_halves
 
 logger = logging.getLogger(__name__)
+
+# Chosen by hand: distorted maps are usable locally, maps of spoilt recordings are not usable.
+_DISTORTED, _SPOILT = 2.0, 1.5
+_MIN_LARGEST = 0.9  # share of the sensors in the largest component; chosen by hand
 
 
 def diagnose(
@@ -41,10 +42,10 @@ def diagnose(
     drop: Iterable[str | int] = (),
     health: Sequence[SensorHealth] | None = None,
     findings: Sequence[Finding] | None = None,
-    with_confidence: bool = True,
+    with_verdict: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> SensorMap:
-    """Add sensor health, a confidence and the notes that follow from them to a map.
+    """Add sensor health, a verdict and the notes that follow from them to a map.
 
     Parameters
     ----------
@@ -60,8 +61,9 @@ def diagnose(
         From `anisomap.assess`, if computed already.
     findings : sequence of Finding, optional
         From `anisomap.find_faults`, if computed already.
-    with_confidence : bool
-        Whether to compute `confidence`, which takes two to four times as long as the map.
+    with_verdict : bool
+        Whether to judge the map by maps of halves of the recording, which takes two to four times
+        as long as the map.
     progress : callable, optional
         Called with the completed share, from 0 to 1.
 
@@ -93,92 +95,98 @@ def diagnose(
     kept = [sensor for i, sensor in enumerate(assessed) if i not in dropped]
     faults = find_faults(runs) if findings is None else findings
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
-    expected = math.nan
-    if with_confidence:
-        expected = confidence(sensor_map, runs, options=options, progress=progress)
-    notes += _insufficient(expected)
+    verdict = Verdict()
+    if with_verdict:
+        verdict = judge(_evidence(sensor_map, runs, faults, options, progress))
+    notes += [reason for reason in verdict.reasons if reason.startswith("insufficient evidence")]
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
     return replace(
         sensor_map,
         health=tuple(sensor.status for sensor in assessed),
-        confidence=expected,
+        verdict=verdict,
         notes=(*sensor_map.notes, *notes),
+        provenance={**sensor_map.provenance, "verdict": verdict.summary},
     )
 
 
-def confidence(
+def _evidence(
     sensor_map: SensorMap,
-    recording: Recording | ArrayLike | Sequence[Recording],
-    *,
-    options: MethodOptions | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> float:
-    """Estimate the Mantel r between a map and the truth from maps of halves of the recording.
-
-    Parameters
-    ----------
-    sensor_map, recording, options, progress
-        See `diagnose`.
-
-    Returns
-    -------
-    float
-        Confidence of the largest component, in [0, 1]. NaN for methods without refinement,
-        precomputed stages, maps of chunks and approximate maps, runs with different sensors, fewer
-        than 12 sensors or 80 frames, and for uneven maps if the halves agree, since both share the
-        same distortion.
-
-    Raises
-    ------
-    InputError
-        If a reading is missing.
-
-    Notes
-    -----
-    Halves are mapped by the default method, for which the relation between agreement and Mantel r
-    was calibrated: see `anisomap.evaluation.confidence.expected_mantel_r`. The agreement is that of
-    the halves with each other or with the map, whichever is lower.
-    """
-    runs = as_runs(recording)
-    method = METHODS.get(sensor_map.method)
+    runs: Sequence[Recording],
+    faults: Sequence[Finding],
+    options: MethodOptions | None,
+    progress: Callable[[float], None] | None,
+) -> Evidence:
+    """Collect the evidence for the verdict on a map, of its largest component."""
+    doubts = tuple(_doubts(sensor_map, faults))
     largest = sensor_map.component == 0
-    if (
-        method is None
-        or method.refine is None
-        or sensor_map.similarity not in (method.similarity, method.contact_similarity)
-        or len(runs) > 1
-        or np.count_nonzero(largest) < MIN_SENSORS
+    positions = sensor_map.positions[largest]
+    if unknown := _unknown(sensor_map, runs):
+        return Evidence(doubts=doubts, unknown=unknown)
+    return Evidence(
+        repeatability=_repeatability(sensor_map, runs[0], options, progress),
+        extent=float(np.std(pdist(positions))) / median_spacing(positions),
+        dimensions=sensor_map.dimensions,
+        doubts=doubts,
+    )
+
+
+def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
+    """Return why the repeatability of a map cannot be known; empty if it can."""
+    method = METHODS.get(sensor_map.method)
+    if method is None or sensor_map.similarity not in (
+        method.similarity,
+        method.contact_similarity,
     ):
-        return math.nan
+        return "the map does not follow from the readings of one recording in memory"
+    if method.refine is None:
+        return f"maps by {sensor_map.method} are not judged, only refined ones"
+    if len(runs) > 1:
+        return "the recordings have different sensors"
+    if np.count_nonzero(sensor_map.component == 0) < MIN_SENSORS:
+        return f"fewer than {MIN_SENSORS} sensors are related"
+    if runs[0].n_frames < MIN_FRAMES:
+        return f"the recording has fewer than {MIN_FRAMES} frames"
+    return ""
+
+
+def _repeatability(
+    sensor_map: SensorMap,
+    recording: Recording,
+    options: MethodOptions | None,
+    progress: Callable[[float], None] | None,
+) -> float:
     report = progress or (lambda _share: None)
-    halves: list[NDArray[np.float64]] = []
     half_options = replace(options or MethodOptions(), split_unrelated=False)
+    n_made = itertools.count(1)
 
     def map_half(half: NDArray[np.floating]) -> NDArray[np.float64]:
         made = reconstruct(half, DEFAULT_METHOD, sensor_map.dimensions, options=half_options)
-        halves.append(made.positions)
-        report(len(halves) / N_HALVES)
+        report(next(n_made) / N_HALVES)
         return made.positions
 
-    readings = runs[0].complete().readings[:, largest]
-    logger.info("mapping halves of the recording to estimate the confidence")
+    largest = sensor_map.component == 0
+    readings = recording.complete().readings[:, largest]
+    logger.info("mapping halves of the recording to estimate the repeatability")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # halves are short by design
-        agreement = agreement_of_halves(readings, map_half)
-    if halves:
-        # The map itself must agree with the halves, or it is not the map of this recording.
-        positions = sensor_map.positions[largest]
-        with_map = float(np.mean([map_agreement(half, positions) for half in halves]))
-        agreement = min(agreement, with_map)
-    expected = expected_mantel_r(agreement)
-    return math.nan if sensor_map.uneven and expected >= DOUBTFUL else expected
+        return repeatability_of_halves(readings, sensor_map.positions[largest], map_half)
 
 
-def _insufficient(expected: float) -> Iterator[str]:
-    if expected < DOUBTFUL:
-        yield (
-            "insufficient evidence: maps of halves of the recording differ, and the expected "
-            f"Mantel r is only {expected:.2f}; record longer, and touch all of the skin"
+def _doubts(sensor_map: SensorMap, faults: Sequence[Finding]) -> Iterator[Doubt]:
+    """Yield the systematic errors that follow from the notes of a map and from faults."""
+    if sensor_map.uneven:
+        reason = "the map is distorted: see its notes"
+        yield Doubt("distortion", _DISTORTED, reason, keeps_neighbours=True)
+    for fault in faults:
+        if spoiling([fault]):
+            yield Doubt(fault.kind, _SPOILT, spoiling([fault])[0])
+    largest = np.count_nonzero(sensor_map.component == 0)
+    placed = np.count_nonzero(sensor_map.placed)
+    if largest < _MIN_LARGEST * placed:
+        reason = (
+            f"the positions of {placed - largest} of {placed} sensors relative to the others are "
+            "unknown"
         )
+        yield Doubt("components", _DISTORTED, reason, keeps_neighbours=True)

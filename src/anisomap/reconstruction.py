@@ -77,7 +77,7 @@ def reconstruct(
     SensorMap
         Positions in the order of the recording, known up to rotation, translation, scale and
         reflection; NaN for constant and dropped sensors. `anisomap.diagnose` adds sensor health
-        and a confidence.
+        and a verdict.
 
     Raises
     ------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.recording import Scalar, check_names, default_names, find_sensors
+from anisomap.usability import Verdict
 from anisomap.wording import html_table
 
 UNPLACED = -1
@@ -62,15 +62,16 @@ class SensorMap:
         Stress-1 of the scaling (Borg & Groenen 2005, eq. 3.9): 0 is a perfect fit of the metric.
     n_iterations : int
         Iterations of SMACOF; the largest number over all components.
-    confidence : float
-        Expected Mantel r of the largest component with the truth, estimated from maps of halves of
-        the recording (`anisomap.diagnose`). NaN if unknown.
+    verdict : Verdict
+        How far the map can be used, from `anisomap.diagnose`; its level is ``"unknown"`` by
+        default.
     approximate : bool
         Whether only some pairs of sensors were compared.
     uneven : bool
         Whether the largest component is distorted in a way that the refinement could not correct
-        and that confidence cannot see: neighbours lie at very unequal distances, sensors lie along
-        a curve, contacts are long in one direction, or contacts differ between places.
+        and that maps of parts of the recording share: neighbours lie at very unequal distances,
+        sensors lie along a curve, contacts are long in one direction, or contacts differ between
+        places.
     mirrored : bool
         Whether the map was reflected after it was made.
     handed : bool
@@ -103,7 +104,7 @@ class SensorMap:
     similarity: str = ""
     stress: float = float("nan")
     n_iterations: int = 0
-    confidence: float = float("nan")
+    verdict: Verdict = field(default_factory=Verdict)
     approximate: bool = False
     uneven: bool = False
     mirrored: bool = False
@@ -213,12 +214,8 @@ class SensorMap:
         details.append(f"method={self.method!r}")
         details.append(f"units={self.units!r}")
         details.append(f"Stress-1={self.stress:.3f}")
-        details.append(f"confidence {self._confidence}")
+        details.append(f"verdict: {self.verdict.summary}")
         return f"<SensorMap: {', '.join(details)}>"
-
-    @property
-    def _confidence(self) -> str:
-        return "unknown" if math.isnan(self.confidence) else f"{self.confidence:.2f}"
 
     def _repr_html_(self) -> str:
         rows = {
@@ -228,7 +225,7 @@ class SensorMap:
             "method": self.method,
             "units": self.units,
             "Stress-1": f"{self.stress:.3f}",
-            "confidence": self._confidence,
+            "verdict": self.verdict,
             "known up to": self.known_up_to,
         } | {f"note {i}": note for i, note in enumerate(self.notes, 1)}
         return html_table("SensorMap", rows)

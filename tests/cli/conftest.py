@@ -36,8 +36,8 @@ def run(capsys, monkeypatch, tmp_path):
 
 @pytest.fixture
 def run_map(run):
-    """Run ``anisomap map`` without the confidence, which takes most of its time."""
-    return lambda *arguments: run("map", *arguments, "--no-confidence")
+    """Run ``anisomap map`` without a verdict, which takes most of its time."""
+    return lambda *arguments: run("map", *arguments, "--no-verdict")
 
 
 @pytest.fixture

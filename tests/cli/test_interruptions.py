@@ -24,7 +24,7 @@ LIMIT = 4096
 """Bytes per file after which a process finds its disk full."""
 
 COMMAND = [sys.executable, "-m", "anisomap"]
-MAP = ["map", "skin.npz", "-d", "2", "-m", "r-anisomap", "--no-confidence", "-o", "m.csv"]
+MAP = ["map", "skin.npz", "-d", "2", "-m", "r-anisomap", "--no-verdict", "-o", "m.csv"]
 SIMULATE = ["simulate", "plane", "-s", "rubbing", "--frames", "300", "-o", "m.npz"]
 CONVERT = ["convert", "large.json", "m.urdf", "--spacing", "5mm"]
 PAPER = ["paper", "--only", "bins", "--quick", "--output-dir", "m"]

@@ -101,7 +101,7 @@ def test_gaps_and_robots_are_treated_as_in_whole_recordings(run, robots, nan, ca
         "i-anisomap",
         "--missing",
         nan,
-        "--no-confidence",
+        "--no-verdict",
     ]
     arguments += ["--preset", preset] if preset else []
     whole = run("map", *arguments, "-o", "whole.json")

@@ -12,7 +12,7 @@ from skins import flat_skin
 
 COMMANDS = {
     "info": ["info", "skin.npz"],
-    "map": ["map", "skin.npz", "-d", 2, "-o", "m.csv", "--no-confidence", "--permutations", 9],
+    "map": ["map", "skin.npz", "-d", 2, "-o", "m.csv", "--no-verdict", "--permutations", 9],
     "score": ["score", "made.csv", "skin.npz", "--permutations", 9],
     "check": ["check", "skin.npz", "skin.npz"],
     "convert": ["convert", "made.csv", "made.json"],
@@ -90,9 +90,7 @@ MAP = [sys.executable, "-c", "from anisomap.cli import main; main()", "map", "sk
 
 
 @pytest.mark.usefixtures("_files")
-@pytest.mark.parametrize(
-    "option", ["--no-confidence", pytest.param("--json", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("option", ["--no-verdict", pytest.param("--json", marks=pytest.mark.slow)])
 def test_the_map_is_written_if_the_reader_closes_the_pipe(tmp_path, option):
     started = subprocess.Popen(
         [*MAP, "-o", "piped.csv", "--permutations", "0", option],
@@ -111,7 +109,7 @@ def test_the_map_is_written_if_the_reader_closes_the_pipe(tmp_path, option):
 def test_a_full_standard_output_is_an_error_after_the_map_is_written(tmp_path):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [*MAP, "-o", "full.csv", "--no-confidence", "--permutations", "0"],
+            [*MAP, "-o", "full.csv", "--no-verdict", "--permutations", "0"],
             cwd=tmp_path,
             stdout=full,
             stderr=subprocess.PIPE,

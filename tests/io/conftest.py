@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import math
 import shutil
 import warnings
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from anisomap import io
 from anisomap.errors import AnisomapWarning
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
+from anisomap.usability import Verdict
 
 N_FRAMES, N_SENSORS = 24, 5
 NAMES = ("a", "b,c", 'd"e', "f\ng", "#h")
@@ -50,7 +52,7 @@ def sensor_map() -> SensorMap:
         health=("ok", "noisy", "ok", "dead", "ok"),
         method="r-anisomap",
         stress=0.0625,
-        confidence=0.96875,
+        verdict=Verdict("usable", 0.5, 0.375, math.inf, ("few frames", "# b: c")),
         notes=("one sensor never varies",),
         provenance={"seed": 3, "mu": 1.0, "weighted": False, "source": "skin.csv"},
     )

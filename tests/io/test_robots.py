@@ -18,6 +18,7 @@ from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.placement import surface_normals
 from anisomap.sensor_map import SensorMap
+from anisomap.usability import Verdict
 
 xml = pytest.importorskip("defusedxml.ElementTree")
 
@@ -210,9 +211,10 @@ def test_the_tactile_element_is_complete(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".urdf", ".xacro", ".mjcf", ".launch.xml"])
-def test_comments_state_method_confidence_and_notes(suffix: str, tmp_path: Path) -> None:
+def test_comments_state_method_verdict_and_notes(suffix: str, tmp_path: Path) -> None:
     notes = ("sensors 3--5 & <7> were rarely touched-", "ends with -->", "a\x07b\nc")
-    skin = replace(dome(), method="r-anisomap", confidence=0.875, notes=notes)
+    verdict = Verdict("usable", 0.25, reasons=("the halves agree",))
+    skin = replace(dome(), method="r-anisomap", verdict=verdict, notes=notes)
     path = tmp_path / f"skin{suffix}"
     io.write(skin, path)
     text = path.read_text(encoding="utf-8")
@@ -221,12 +223,12 @@ def test_comments_state_method_confidence_and_notes(suffix: str, tmp_path: Path)
     assert "60 sensors in metres, right-handed" in comments[0]
     assert f"known up to {skin.known_up_to}" in comments
     assert "method: r-anisomap" in comments
-    assert "confidence: 0.875 (expected Mantel r)" in comments
+    assert "verdict: usable, expected error 0.25 spacings: the halves agree" in comments
     assert "note: sensors 3- -5 & <7> were rarely touched-" in comments
     assert "note: a?b c" in comments
     assert len(comments) == 7
     io.write(dome(), path)
-    assert "<!-- confidence: unknown -->" in path.read_text(encoding="utf-8")
+    assert "<!-- verdict: unknown -->" in path.read_text(encoding="utf-8")
 
 
 def test_many_frames_give_a_warning(tmp_path: Path) -> None:

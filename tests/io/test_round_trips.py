@@ -17,6 +17,7 @@ from anisomap import io
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
+from anisomap.usability import ERRORS, LEVELS, UNKNOWN, Verdict
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
 TRICKY = st.sampled_from(
@@ -28,6 +29,12 @@ TRICKY = st.sampled_from(
 )
 WORDS = TEXTS | TRICKY
 FLOATS = st.floats(allow_nan=True, allow_infinity=True)
+VERDICTS = st.builds(
+    Verdict,
+    st.sampled_from([*LEVELS, UNKNOWN]),
+    *3 * [FLOATS],
+    reasons=st.lists(WORDS, max_size=3),
+)
 SCALARS = WORDS | st.booleans() | st.integers(-(10**30), 10**30) | FLOATS
 
 
@@ -48,6 +55,7 @@ def maps(draw: st.DrawFn, min_k: int = 1, max_k: int = 4) -> SensorMap:
         method=draw(WORDS),
         stress=draw(FLOATS),
         notes=draw(st.lists(WORDS, max_size=3)),
+        verdict=draw(VERDICTS),
         handed=draw(st.booleans()),
         anchored=draw(st.booleans()),
         errors=draw(hnp.arrays(np.float64, n_sensors, elements=FLOATS)),
@@ -88,6 +96,12 @@ def assert_same_mapping(found: Mapping[str, Scalar], expected: Mapping[str, Scal
         np.testing.assert_equal(found[key], value)
 
 
+def assert_same_verdict(found: Verdict, expected: Verdict) -> None:
+    assert (found.level, found.reasons) == (expected.level, expected.reasons)
+    for name in ERRORS:
+        np.testing.assert_equal(getattr(found, name), getattr(expected, name))
+
+
 def assert_same_map(found: SensorMap, expected: SensorMap) -> None:
     assert_same_bits(found.positions, expected.positions)
     np.testing.assert_array_equal(found.component, expected.component)
@@ -104,7 +118,7 @@ def assert_same_map(found: SensorMap, expected: SensorMap) -> None:
         np.testing.assert_array_equal(found.normals, expected.normals)
     assert (found.handed, found.anchored) == (expected.handed, expected.anchored)
     np.testing.assert_equal(found.stress, expected.stress)
-    np.testing.assert_equal(found.confidence, expected.confidence)
+    assert_same_verdict(found.verdict, expected.verdict)
     assert_same_mapping(found.provenance, expected.provenance)
 
 
@@ -217,13 +231,14 @@ def test_comments_padded_by_a_spreadsheet(tmp_path: Path, sensor_map: SensorMap)
 
 def test_comments_state_the_properties_of_a_map(tmp_path: Path, sensor_map: SensorMap) -> None:
     io.write(sensor_map, tmp_path / "map.csv")
-    head = (tmp_path / "map.csv").read_text().split("\n")[:13]
+    head = (tmp_path / "map.csv").read_text().split("\n")[:16]
     assert "known up to rotation, translation, scale and reflection" in head[0]
     facts = {
         "# method: r-anisomap",
         "# units: arbitrary",
         "# stress: 0.0625",
-        "# confidence: 0.96875",
+        "# verdict: usable",
+        "# expected_error: 0.5",
     }
     assert facts <= set(head)
 

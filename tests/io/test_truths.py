@@ -138,7 +138,7 @@ def test_json_needs_only_positions(put: Put) -> None:
         ({"sensors": [sensor(component=True)]}, "sensor 0: component is 'True'"),
         ({"sensors": [sensor(component=10**30)]}, "too large"),
         ({"sensors": [sensor(position=[10**400, 0])]}, "too large"),
-        ({"sensors": [sensor()], "stress": "low"}, "stress and confidence must be numbers"),
+        ({"sensors": [sensor()], "stress": "low"}, "stress must be a number"),
         ({"sensors": [sensor()], "notes": 3}, "notes a list"),
         ({"sensors": [sensor()], "provenance": [1]}, "provenance an object"),
         ({"sensors": [sensor()], "provenance": {"a": [1]}}, "provenance an object"),

@@ -15,7 +15,7 @@ from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnostics import diagnose
 from anisomap.drawing import figures, report
 from anisomap.errors import InputError
-from anisomap.evaluation import Score, confidence_in_words, score
+from anisomap.evaluation import Score, score
 from anisomap.files import check_distinct
 from anisomap.health import (
     Finding,
@@ -36,7 +36,7 @@ from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 
 _MAX_SHOWN = 12  # faulty sensors; --sensors of anisomap info shows all
-_SHARE_OF_MAP = 0.3  # of the time of a map with confidence; typical, for the progress display
+_SHARE_OF_MAP = 0.3  # of the time of a map with its verdict; typical, for the progress display
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def make_map(
     *,
     options: MethodOptions | None = None,
     drop: Sequence[str] = (),
-    with_confidence: bool = True,
+    with_verdict: bool = True,
     streamed: StreamedSimilarity | SimilarityGraph | None = None,
 ) -> SensorMap:
     """Reconstruct and diagnose a map, with progress; its notes are issued as warnings."""
@@ -173,7 +173,7 @@ def make_map(
         if streamed is not None:
             return map_streamed_similarity(streamed, method, dimensions, options=options, drop=drop)
         made = reconstruct(examined.runs, method, dimensions, options=options, drop=drop)
-        if with_confidence:
+        if with_verdict:
             report_progress(_SHARE_OF_MAP)
         return diagnose(
             made,
@@ -182,7 +182,7 @@ def make_map(
             drop=drop,
             health=examined.health,
             findings=examined.findings,
-            with_confidence=with_confidence,
+            with_verdict=with_verdict,
             progress=lambda share: report_progress(_SHARE_OF_MAP + (1 - _SHARE_OF_MAP) * share),
         )
 
@@ -328,7 +328,7 @@ def _print_map(printer: Printer, sensor_map: SensorMap) -> None:
             f"in {sensor_map.dimensions} dimensions",
             "components": ", ".join(map(str, sensor_map.component_sizes)) + " sensors",
             "Stress-1": f"{number(sensor_map.stress)} (0 is a perfect fit of the metric)",
-            "confidence": confidence_in_words(sensor_map.confidence),
+            "verdict": str(sensor_map.verdict),
             "known up to": sensor_map.known_up_to,
         },
     )
@@ -341,7 +341,7 @@ def _print_map(printer: Printer, sensor_map: SensorMap) -> None:
             "component_sizes": sensor_map.component_sizes,
             "approximate": sensor_map.approximate,
             "stress": sensor_map.stress,
-            "confidence": sensor_map.confidence,
+            "verdict": asdict(sensor_map.verdict),
             "units": sensor_map.units,
             "notes": sensor_map.notes,
             "provenance": dict(sensor_map.provenance),

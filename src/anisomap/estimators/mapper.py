@@ -122,7 +122,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         self._add_frames(recording)
         options = self._options()
         made = reconstruct(recording, self.method, self.n_components, options=options)
-        self._set_map(diagnose(made, recording, with_confidence=False))
+        self._set_map(diagnose(made, recording, with_verdict=False))
         return self
 
     def partial_fit(self, X: ArrayLike, y: object = None) -> Self:

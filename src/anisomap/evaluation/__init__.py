@@ -1,7 +1,6 @@
 """Comparison of maps with true positions: Mantel r, alignment and neighbourhoods."""
 
 from anisomap.evaluation.alignment import Alignment, align
-from anisomap.evaluation.confidence import confidence_in_words
 from anisomap.evaluation.difference import Difference, compare_maps
 from anisomap.evaluation.mantel_r import PERMUTATIONS, Mantel, mantel
 from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreement
@@ -15,7 +14,6 @@ __all__ = [
     "Score",
     "align",
     "compare_maps",
-    "confidence_in_words",
     "mantel",
     "median_spacing",
     "neighbour_agreement",

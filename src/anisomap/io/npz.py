@@ -31,6 +31,7 @@ from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.stream import Block, ReadOptions, Stream
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
+from anisomap.usability import ERRORS, Verdict
 
 _MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
 _BLOCK_BYTES = 1 << 22
@@ -98,7 +99,7 @@ def read_map(path: Path) -> SensorMap:
         names, units = distinct_names(path, archive.texts("names")), archive.text("units")
         if "readings" in archive.names:
             return SensorMap(positions, names=names, units=units)
-        stress, confidence = archive.number("stress"), archive.number("confidence")
+        stress = archive.number("stress")
         return SensorMap(
             positions,
             names=names,
@@ -109,7 +110,7 @@ def read_map(path: Path) -> SensorMap:
             units=units,
             method=archive.text("method"),
             stress=math.nan if stress is None else stress,
-            confidence=math.nan if confidence is None else confidence,
+            verdict=_read_verdict(archive),
             notes=archive.texts("notes"),
             **from_provenance(archive.mapping("provenance")),
         )
@@ -134,6 +135,7 @@ def write_recording(recording: Recording, path: Path) -> None:
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
     """Write a map as an NPZ archive; every field is read back equal."""
+    verdict = sensor_map.verdict
     arrays: dict[str, Any] = {
         "positions": sensor_map.positions,
         "names": np.array(sensor_map.names, dtype=str),
@@ -145,11 +147,26 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         **sensor_map.reference,
         "method": sensor_map.method,
         "stress": sensor_map.stress,
-        "confidence": sensor_map.confidence,
+        "verdict": verdict.level,
+        "expected_error": verdict.expected_error,
+        "repeatability": verdict.repeatability,
+        "systematic": verdict.systematic,
+        "reasons": np.array(verdict.reasons, dtype=str),
         "notes": np.array(sensor_map.notes, dtype=str),
         "provenance": _to_json(to_provenance(sensor_map)),
     }
     _write(arrays, path)
+
+
+def _read_verdict(archive: Archive) -> Verdict:
+    if "verdict" not in archive.names:
+        return Verdict()
+    errors = {name: archive.number(name) for name in ERRORS}
+    return Verdict(
+        archive.text("verdict"),
+        **{name: math.nan if value is None else value for name, value in errors.items()},
+        reasons=archive.texts("reasons"),
+    )
 
 
 def _or_empty(array: NDArray[np.float64] | None) -> NDArray[np.float64]:

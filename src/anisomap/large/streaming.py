@@ -96,7 +96,7 @@ def reconstruct_chunks(
     Returns
     -------
     SensorMap
-        With sensor health, without a confidence. The map equals that of `anisomap.reconstruct`
+        With sensor health, without a verdict. The map equals that of `anisomap.reconstruct`
         with these exceptions, each with a note: "covariogram" and "contact-fit" use Pearson's r
         alone and do not examine contacts; very many distinct values of a sensor are rounded for
         bins, ranks and rest values.
@@ -274,7 +274,7 @@ def _limitations(found: StreamedSimilarity, made: SensorMap) -> Iterator[str]:
     if computed_similarity(recipe.similarity) != recipe.similarity:
         yield (
             "the recording was read in blocks, so the similarity is Pearson's r alone, without "
-            "rank correlation, contacts were not examined, and no confidence was computed"
+            "rank correlation, contacts were not examined, and the map was not judged"
         )
     largest = np.flatnonzero(made.component == 0)
     if (

@@ -49,7 +49,7 @@ def map_recording(
         int, Parameter(group=options.method_group)
     ] = SmacofOptions.max_iterations,
     reading: options.Reading = options.DEFAULT_READING,
-    confidence: Annotated[bool, Parameter(group=options.method_group)] = True,
+    verdict: Annotated[bool, Parameter(group=options.method_group)] = True,
     placing: options.Placing = options.DEFAULT_PLACING,
     truth: options.Truth = None,
     exclude: options.Exclude = None,
@@ -94,9 +94,9 @@ def map_recording(
         Stop scaling when an iteration lowers the stress by less than this share.
     max_iterations
         Maximum number of iterations of the scaling.
-    confidence
-        Estimate a confidence from maps of halves of the recording, which takes two to four times
-        as long as the map.
+    verdict
+        Judge the map by maps of halves of the recording, which takes two to four times as long as
+        the map.
     """
     outputs = pipeline.Outputs(
         maps=tuple(output or [Path(f"{recordings[0].name.split('.')[0]}.map.csv")]),
@@ -160,7 +160,7 @@ def map_recording(
             dimensions,
             options=chosen,
             drop=dropped,
-            with_confidence=confidence,
+            with_verdict=verdict,
             streamed=found,
         )
         if done := dict.fromkeys(one.kind for one in mended if one.mendable):

@@ -11,11 +11,11 @@ from anisomap.drawing.report.report_text import (
     alternative_text,
     caveats,
     facts,
+    headlines,
     provenance,
     recording_facts,
     sensor_statuses,
     sensor_table,
-    verdict,
 )
 from anisomap.drawing.view import drawn_components, printable
 from anisomap.errors import FileError
@@ -113,7 +113,7 @@ def render_report(
     statuses = sensor_statuses(sensor_map, health)
     return page.render(
         title=printable(title),
-        verdict=verdict(sensor_map, score),
+        verdict=headlines(sensor_map, score),
         facts=facts(sensor_map, score),
         caveats=caveats(sensor_map, score, summary),
         scene=interactive_views(sensor_map, drawn, score, statuses),

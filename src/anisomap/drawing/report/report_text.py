@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisomap.drawing.view import MAX_JOINED, layout_notes, printable
-from anisomap.evaluation import Score, confidence_in_words
+from anisomap.evaluation import Score
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
 from anisomap.sensor_map import SensorMap, is_faulty
+from anisomap.usability import LEVELS
 from anisomap.wording import join_items
 
 UNKNOWN = "\N{EN DASH}"
@@ -104,9 +105,10 @@ def number(value: float | None, digits: int = 3, unit: str = "") -> str:
     return f"{text} {unit}".strip()
 
 
-def verdict(sensor_map: SensorMap, score: Score | None) -> list[str]:
-    """Summarise the quality of the map; the first sentences are the headline."""
+def headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
+    """Summarise the quality of the map; the first sentence is the headline."""
     sentences = _unscored(sensor_map) if score is None else _scored(sensor_map, score)
+    sentences.insert(1, f"Verdict: {printable(str(sensor_map.verdict))}.")
     if sensor_map.approximate:
         sentences.append("This map is approximate: only some pairs of sensors were compared.")
     return sentences
@@ -114,13 +116,8 @@ def verdict(sensor_map: SensorMap, score: Score | None) -> list[str]:
 
 def _unscored(sensor_map: SensorMap) -> list[str]:
     placed = int(sensor_map.placed.sum())
-    quality = (
-        "The confidence is unknown."
-        if math.isnan(sensor_map.confidence)
-        else f"Confidence {confidence_in_words(sensor_map.confidence)}."
-    )
     return [
-        f"{placed} of {sensor_map.n_sensors} sensors have a position. {quality}",
+        f"{placed} of {sensor_map.n_sensors} sensors have a position.",
         f"The map is known up to {sensor_map.known_up_to}.",
     ]
 
@@ -185,10 +182,15 @@ def facts(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
         ]
     found += [
         Fact(
-            "Confidence",
-            number(sensor_map.confidence, 2),
-            "expected Mantel r, from maps of halves of the recording; does not include systematic "
-            "distortion",
+            "Verdict",
+            sensor_map.verdict.level,
+            LEVELS.get(sensor_map.verdict.level, "the map was not judged"),
+        ),
+        Fact(
+            "Expected error, spacings",
+            number(sensor_map.verdict.expected_error, 2),
+            f"{number(sensor_map.verdict.repeatability, 2)} by chance, "
+            f"{number(sensor_map.verdict.systematic, 2)} systematic",
         ),
         Fact("Placed", f"{placed} of {sensor_map.n_sensors}", "sensors with a position on the map"),
         Fact(

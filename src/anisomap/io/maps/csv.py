@@ -30,6 +30,7 @@ from anisomap.io.parsing.table import LineError, is_number, parse_number
 from anisomap.io.recordings.delimited_text import MAP_TITLE
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
+from anisomap.usability import ERRORS, UNKNOWN, Verdict
 
 Value = TypeVar("Value")
 
@@ -109,7 +110,9 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         ("units", sensor_map.units),
         *sensor_map.reference.items(),
         ("stress", float(sensor_map.stress)),
-        ("confidence", float(sensor_map.confidence)),
+        ("verdict", sensor_map.verdict.level),
+        *((name, float(getattr(sensor_map.verdict, name))) for name in ERRORS),
+        *(("reason", reason) for reason in sensor_map.verdict.reasons),
         *(("note", note) for note in sensor_map.notes),
     ]
     title = f"{MAP_TITLE}, known up to {sensor_map.known_up_to}"
@@ -223,7 +226,11 @@ def _map_properties(lines: Sequence[str], units: str) -> dict[str, Any]:
         "units": str(known.get("units", units)),
         "method": str(known.get("method", "")),
         "stress": _number(known.get("stress")),
-        "confidence": _number(known.get("confidence")),
+        "verdict": Verdict(
+            str(known.get("verdict", UNKNOWN)),
+            **{name: _number(known.get(name)) for name in ERRORS},
+            reasons=tuple(str(value) for key, value in entries if key == "reason"),
+        ),
         "notes": tuple(str(value) for key, value in entries if key == "note"),
         **from_provenance(provenance),
     }

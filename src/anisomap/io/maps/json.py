@@ -17,6 +17,7 @@ from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import quote
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNASSESSED, SensorMap
+from anisomap.usability import ERRORS, UNKNOWN, Verdict
 
 _MARK = "anisomap map"
 # Strict JSON has no infinities; {"float": "inf"} differs from the string "inf".
@@ -61,7 +62,11 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "units": sensor_map.units,
         **sensor_map.reference,
         "stress": _to_json(float(sensor_map.stress)),
-        "confidence": _to_json(float(sensor_map.confidence)),
+        "verdict": {
+            "level": sensor_map.verdict.level,
+            **{name: _to_json(float(getattr(sensor_map.verdict, name))) for name in ERRORS},
+            "reasons": list(sensor_map.verdict.reasons),
+        },
         "notes": list(sensor_map.notes),
         "provenance": {k: _to_json(value) for k, value in to_provenance(sensor_map).items()},
         "dimensions": sensor_map.dimensions,
@@ -147,6 +152,14 @@ def _from_json(value: object) -> float:
     raise ValueError(f"{value!r} is not a number")
 
 
+def _verdict(content: dict[str, Any]) -> Verdict:
+    return Verdict(
+        str(content.get("level", UNKNOWN)),
+        **{name: _from_json(content.get(name)) for name in ERRORS},
+        reasons=tuple(map(str, content.get("reasons", []))),
+    )
+
+
 def _map_properties(path: Path, document: dict[str, Any]) -> dict[str, Any]:
     notes, provenance = document.get("notes", []), document.get("provenance", {})
     try:
@@ -154,7 +167,7 @@ def _map_properties(path: Path, document: dict[str, Any]) -> dict[str, Any]:
             "units": str(document.get("units", "")),
             "method": str(document.get("method", "")),
             "stress": _from_json(document.get("stress")),
-            "confidence": _from_json(document.get("confidence")),
+            "verdict": _verdict(document.get("verdict", {})),
             "notes": tuple(map(str, notes)),
             **from_provenance(
                 {
@@ -165,6 +178,6 @@ def _map_properties(path: Path, document: dict[str, Any]) -> dict[str, Any]:
         }
     except (ValueError, TypeError, AttributeError) as error:
         raise FileError(
-            f"{path}: stress and confidence must be numbers, notes a list, and provenance an "
-            f"object of strings and numbers ({error})"
+            f"{path}: stress must be a number, notes a list, verdict an object as anisomap writes "
+            f"it, and provenance an object of strings and numbers ({error})"
         ) from error

@@ -71,7 +71,7 @@ def tag(name: str, attributes: Mapping[str, str], *, closed: bool = True) -> str
 
 
 def map_comments(sensor_map: SensorMap, element: str) -> list[str]:
-    """Format comments about a map: its frame, method, confidence and notes.
+    """Format comments about a map: its frame, method, verdict and notes.
 
     Parameters
     ----------
@@ -79,15 +79,13 @@ def map_comments(sensor_map: SensorMap, element: str) -> list[str]:
     element : str
         The element that represents a sensor, such as ``"site"``.
     """
-    confidence = sensor_map.confidence
-    stated = "unknown" if math.isnan(confidence) else f"{confidence:.3f} (expected Mantel r)"
     lines = [
         f"{int(sensor_map.placed.sum())} sensors in metres, right-handed; the z axis of each "
         f"{element} is the surface normal"
         + (", estimated from the positions" if sensor_map.normals is None else ""),
         f"known up to {sensor_map.known_up_to}",
         f"method: {sensor_map.method or 'unknown'}",
-        f"confidence: {stated}",
+        f"verdict: {sensor_map.verdict}",
         *(f"note: {note}" for note in sensor_map.notes),
     ]
     if np.isfinite(sensor_map.errors).any():

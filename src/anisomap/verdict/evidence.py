@@ -1,0 +1,53 @@
+"""The evidence that a verdict follows from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A systematic error that every map of a recording shares.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the detector.
+    size : float
+        Expected RMS error of the positions because of it, in spacings.
+    reason : str
+        What was found, in one sentence.
+    keeps_neighbours : bool
+        Whether sensors still have the right neighbours: only the shape as a whole is doubtful.
+    """
+
+    kind: str
+    size: float
+    reason: str
+    keeps_neighbours: bool = False
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known about the errors of a map.
+
+    Parameters
+    ----------
+    repeatability : float
+        RMS difference of the positions that chance makes, in spacings; NaN if unknown.
+    extent : float
+        Standard deviation of the distances on the map, in spacings.
+    dimensions : int
+        Number of coordinates.
+    doubts : tuple of Doubt
+        Systematic errors.
+    unknown : str
+        Why the repeatability is unknown; empty if it is known.
+    """
+
+    repeatability: float = math.nan
+    extent: float = math.nan
+    dimensions: int = 3
+    doubts: tuple[Doubt, ...] = ()
+    unknown: str = ""

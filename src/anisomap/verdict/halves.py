@@ -1,0 +1,87 @@
+"""Repeatability of a map, from maps of halves of the recording.
+
+The recording is split into two halves of alternating blocks of time, in two ways, and each half is
+mapped. The differences of these maps measure random errors, not systematic ones, which all share.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import InputError
+from anisomap.evaluation.alignment import align
+from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
+from anisomap.evaluation.neighbourhood import median_spacing
+from anisomap.numerics.reliability.split_half import N_BLOCKS
+
+MIN_SENSORS = 12
+"""Minimum number of sensors: maps of fewer agree too often by chance."""
+
+N_HALVES = 4
+"""Number of halves that are mapped: two splits of the recording."""
+
+MIN_FRAMES = 4 * N_BLOCKS
+"""Minimum number of frames."""
+
+Readings = NDArray[np.floating]
+
+
+def repeatability_of_halves(
+    readings: Readings,
+    positions: NDArray[np.float64],
+    place: Callable[[Readings], NDArray[np.float64]],
+) -> float:
+    """Measure the random error of a map by maps of halves of the recording.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+        Finite readings, of at least `MIN_FRAMES` frames.
+    positions : ndarray of shape (N, k)
+        The map.
+    place : callable
+        ``place(readings)`` returns positions, shape (N, k); NaN for sensors that it cannot place.
+
+    Returns
+    -------
+    float
+        RMS error of the positions, in spacings of the map; infinite if a half cannot be mapped.
+
+    Notes
+    -----
+    If a map of all frames has errors of variance v, those of a half have 2 v. Both share frames:
+    their difference has a variance of v, which is that of the map.
+    """
+    blocks = np.array_split(np.arange(len(readings)), N_BLOCKS)
+    number = np.arange(N_BLOCKS)
+    squares = [
+        _squared_difference(
+            place,
+            readings[np.concatenate([blocks[i] for i in np.flatnonzero(half)])],
+            positions,
+        )
+        for side in (number % 2 == 0, number % 4 < 2)
+        for half in (side, ~side)
+    ]
+    spacing = median_spacing(positions)
+    return math.sqrt(float(np.mean(squares))) / spacing if spacing > 0 else math.inf
+
+
+def _squared_difference(
+    place: Callable[[Readings], NDArray[np.float64]],
+    readings: Readings,
+    positions: NDArray[np.float64],
+) -> float:
+    """Mean squared difference of the map of some frames and the map; infinite if there is none."""
+    try:
+        made = place(readings)
+        placed = np.isfinite(made).all(axis=1)
+        if np.count_nonzero(placed) < MIN_SENSORS_COMPARED:
+            return math.inf
+        return align(made[placed], positions[placed]).rms ** 2
+    except InputError:  # the half cannot be mapped, or all its positions coincide
+        return math.inf
