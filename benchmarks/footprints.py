@@ -64,7 +64,7 @@ def regions_in_turn(places: Floats, n_frames: int, rng: np.random.Generator) -> 
 
 
 def walking(places: Floats, n_frames: int, rng: np.random.Generator) -> Floats:
-    """Press in steps of 40 frames, in which pressure rolls from heel to toe with a sway of its own."""
+    """Press in steps of 40 frames, from heel to toe, each with a sway of its own."""
     frames = np.arange(n_frames)
     step, phase = np.divmod(frames, 40)
     phase = phase / 28  # the foot is in the air after 28 frames

@@ -101,11 +101,11 @@ class Case:
 @cache
 def settings() -> tuple[Setting, ...]:
     """Return all bodies with all stimuli, in a fixed order that mixes them."""
+    bodies = {name: find_body(name, SENSORS[name]) for name in BODIES}
     every = [
         Setting(name, scenario, SENSORS[name])
-        for name, (scenario, kind) in product(BODIES, SCENARIOS.items())
-        if kind.accepts(find_body(name, SENSORS[name]))
-        and (name, scenario) != ("cylinder", "locomotion")
+        for (name, body), (scenario, kind) in product(bodies.items(), SCENARIOS.items())
+        if kind.accepts(body) and (name, scenario) != ("cylinder", "locomotion")
     ]
     every += [Setting("cylinder", "locomotion", n, placement) for placement, n in ROLLED]
     every += [

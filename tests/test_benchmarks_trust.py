@@ -1,0 +1,102 @@
+"""The suite of verdicts contains what it says, and counts failures as defined."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benchmarks.footprints import FOOTPRINTS
+from benchmarks.trust import read_csv, write_csv
+from benchmarks.trust_recordings import FAULTS, Case, damaged, settings
+from benchmarks.trust_tables import Outcome, draw, table
+
+import anisomap
+from anisomap.simulation import BODIES, FRAME_FAULTS, SCENARIOS
+from anisomap.simulation import FAULTS as SENSOR_FAULTS
+
+GOOD = Outcome("2001", "good", "", "usable", 0.3, 0.99, 0.2, 0.9, "", {"frames": 500.0})
+BAD = Outcome("2001", "bad", "dead:5%", "not usable", 2.0, 0.5, 3.0, 0.2, "", {"uneven": 1.0})
+
+
+def skin(n_frames: int = 400) -> anisomap.Recording:
+    rng = np.random.default_rng(1)
+    places = rng.uniform(0, 5, (30, 2))
+    touches = rng.uniform(0, 5, (n_frames, 1, 2))
+    readings = np.maximum(0, 1.5 - np.linalg.norm(touches - places, axis=2))
+    return anisomap.Recording(readings, positions=places, rate_hz=10.0)
+
+
+def test_all_bodies_scenarios_and_faults_take_part():
+    used = settings()
+    assert {one.body for one in used} == set(BODIES)
+    assert {one.scenario for one in used} == {*SCENARIOS, *FOOTPRINTS}
+    assert {fault.partition(":")[0] for fault in FAULTS} == {*SENSOR_FAULTS, *FRAME_FAULTS}
+    assert len(set(used)) == len(used)
+
+
+@pytest.mark.parametrize("name", FOOTPRINTS)
+def test_every_stimulus_touches_all_places(name):
+    places = np.random.default_rng(2).uniform(0, 6, (40, 3)) * [1, 1, 0.3]
+    readings = FOOTPRINTS[name](places, 3000, np.random.default_rng(3))
+    assert readings.shape == (3000, 40)
+    assert np.isfinite(readings).all()
+    assert (np.ptp(readings, axis=0) > 0).mean() > 0.9
+    again = FOOTPRINTS[name](places, 3000, np.random.default_rng(3))
+    np.testing.assert_array_equal(readings, again)
+
+
+@pytest.mark.parametrize("fault", ["swapped:10%", "mirrored:20%"])
+def test_positions_follow_exchanged_wires(fault):
+    before = skin()
+    (case,) = damaged("x", before, 2, fault, 1)
+    place = {
+        tuple(readings): tuple(at)
+        for readings, at in zip(before.readings.T, before.positions, strict=True)
+    }
+    moved = 0
+    for readings, at in zip(case.recording.readings.T, case.recording.positions, strict=True):
+        assert place[tuple(readings)] == tuple(at)
+        moved += 1
+    assert moved == 30
+    assert (case.recording.positions != before.positions).any()
+
+
+def test_recordings_of_a_suite_are_complete():
+    for fault in ("nan-bursts:30%", "duplicated:5%"):
+        (case,) = damaged("x", skin(), 2, fault, 1)
+        assert isinstance(case, Case)
+        assert np.isfinite(case.recording.readings).all()
+
+
+@pytest.mark.parametrize(
+    ("outcome", "reassured", "alarmed"),
+    [
+        (GOOD, False, False),
+        (BAD, False, False),
+        (replace(GOOD, level="not usable"), False, True),
+        (replace(GOOD, level="usable locally"), False, False),
+        (replace(GOOD, level="unknown"), False, False),
+        (replace(BAD, level="usable"), True, False),
+        (replace(GOOD, r=0.89), True, False),
+        (replace(GOOD, error=1.01), True, False),
+        (replace(GOOD, r=0.96, level="not usable"), False, False),
+        (replace(GOOD, r=math.nan, error=math.nan, level="refused"), False, False),
+    ],
+)
+def test_failures_are_counted_as_defined(outcome, reassured, alarmed):
+    assert outcome.is_false_reassurance is reassured
+    assert outcome.is_false_alarm is alarmed
+    text = table([outcome])
+    assert (f"- {outcome.name}: r" in text) is (reassured or alarmed)
+
+
+def test_outcomes_survive_a_file(tmp_path):
+    path = tmp_path / "trust.csv"
+    write_csv([GOOD, BAD], path)
+    assert read_csv(path) == [GOOD, BAD]
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_the_picture_shows_all_levels(tmp_path):
+    draw([GOOD, BAD, replace(BAD, level="usable locally")], tmp_path / "trust.png")
+    assert (tmp_path / "trust.png").stat().st_size > 1000
