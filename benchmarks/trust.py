@@ -19,6 +19,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -164,11 +165,10 @@ def read_csv(path: Path) -> list[Outcome]:
     outcomes = []
     with path.open(newline="", encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
-            texts = [row.pop(name) for name in Outcome.FIXED]
-            values = [number(text) if name in Outcome.NUMBERS else text for name, text in
-                      zip(Outcome.FIXED, texts, strict=True)]  # fmt: skip
+            fixed: dict[str, Any] = {name: row.pop(name) for name in Outcome.FIXED}
+            fixed |= {name: number(fixed[name]) for name in Outcome.NUMBERS}
             evidence = {name: number(text) for name, text in row.items() if text}
-            outcomes.append(Outcome(*values, evidence))  # type: ignore[arg-type]
+            outcomes.append(Outcome(**fixed, evidence=evidence))
     return outcomes
 
 
