@@ -167,3 +167,10 @@ def test_maps_that_cannot_be_compared_are_refused():
     assert compare_maps(SensorMap(before), named).notes == (
         "the maps share no sensor name: matched by order",
     )
+
+
+def test_a_map_does_not_differ_from_itself():
+    points = lattice()
+    found = compare_maps(SensorMap(points), SensorMap(points))
+    assert not found.found
+    assert found.scale == pytest.approx(1)

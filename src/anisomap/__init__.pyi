@@ -10,6 +10,7 @@ from . import methods as methods
 from . import numerics as numerics
 from . import placement as placement
 from . import simulation as simulation
+from . import tracking as tracking
 from ._version import __version__ as __version__
 from .diagnostics import diagnose as diagnose
 from .errors import AnisomapError as AnisomapError
@@ -37,4 +38,6 @@ from .runs import join_runs as join_runs
 from .sensor_map import SensorMap as SensorMap
 from .simulation import simulate as simulate
 from .stages.pairs import SIMILARITIES as SIMILARITIES
+from .tracking import gather_evidence as gather_evidence
+from .tracking import update_map as update_map
 from .usability import Verdict as Verdict

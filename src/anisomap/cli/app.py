@@ -43,6 +43,7 @@ for name, target, summary in (
         "diff:diff",
         "Compare two maps of one skin: which sensors moved, appeared, were lost.",
     ),
+    ("update", "update:update", "Add the evidence of a new recording to a map."),
     ("place", "place:place_map", "Place a map in the frame of the robot, in metres."),
     ("check", "check:check", "Check sensor positions against a recording."),
     ("convert", "convert:convert", "Write a map in another format, or in metres."),

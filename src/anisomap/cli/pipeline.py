@@ -41,12 +41,13 @@ _SHARE_OF_MAP = 0.3  # of the time of a map with its verdict; typical, for the p
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files to write: maps in any format, a picture, a report, a checkpoint; and all inputs."""
+    """Files to write: maps in any format, a picture, a report ...; and all inputs."""
 
     maps: tuple[Path, ...] = ()
     picture: Path | None = None
     report: Path | None = None
     checkpoint: Path | None = None
+    statistics: Path | None = None
     inputs: tuple[Path, ...] = ()
     placing: PlacingOptions = DEFAULT_PLACING
 
@@ -61,7 +62,7 @@ class Outputs:
         MissingExtraError
             If a picture or report needs a library that is not installed.
         """
-        others = (self.picture, self.report, self.checkpoint)
+        others = (self.picture, self.report, self.checkpoint, self.statistics)
         check_distinct([path for path in (*self.maps, *others) if path], self.inputs)
         for path in self.maps:
             io.check_writable(path)

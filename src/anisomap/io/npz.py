@@ -128,9 +128,9 @@ def write_recording(recording: Recording, path: Path) -> None:
         "rate_hz": recording.rate_hz,
         "units": recording.units,
         "source": recording.source,
-        "metadata": _to_json(recording.metadata),
+        "metadata": to_json(recording.metadata),
     }
-    _write(arrays, path)
+    write_arrays(arrays, path)
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
@@ -153,9 +153,9 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "systematic": verdict.systematic,
         "reasons": np.array(verdict.reasons, dtype=str),
         "notes": np.array(sensor_map.notes, dtype=str),
-        "provenance": _to_json(to_provenance(sensor_map)),
+        "provenance": to_json(to_provenance(sensor_map)),
     }
-    _write(arrays, path)
+    write_arrays(arrays, path)
 
 
 def _read_verdict(archive: Archive) -> Verdict:
@@ -173,11 +173,13 @@ def _or_empty(array: NDArray[np.float64] | None) -> NDArray[np.float64]:
     return np.empty(0) if array is None else array
 
 
-def _to_json(mapping: Mapping[str, Scalar]) -> str:
+def to_json(mapping: Mapping[str, Scalar]) -> str:
+    """Return a mapping as the text that `Archive.mapping` reads."""
     return json.dumps({key: to_python_scalar(value) for key, value in mapping.items()})
 
 
-def _write(arrays: Mapping[str, Any], path: Path) -> None:
+def write_arrays(arrays: Mapping[str, Any], path: Path) -> None:
+    """Write arrays as an archive; those that are None are left out."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, array in arrays.items():
             if array is None:

@@ -119,12 +119,14 @@ def fit_similarity_robustly(source: NDArray[np.float64], target: NDArray[np.floa
     far off.
     """
     fits = []
+    # Residuals of an exact fit are rounding errors, of which the ratios mean nothing.
+    least = max(float(np.finfo(float).eps * np.ptp(target)), float(np.finfo(float).tiny))
     for reflection in (False, True):
         fit = fit_similarity(source, target, reflection=reflection)
         weights = np.ones(len(source))
         for i in range(_MAX_ITERATIONS):
             residuals = np.linalg.norm(fit.apply(source) - target, axis=1)
-            scale = max(noise_scale(residuals, source.shape[1]), np.finfo(float).tiny)
+            scale = max(noise_scale(residuals, source.shape[1]), least)
             before = weights
             if i < _FIRST_ITERATIONS:
                 weights = scale / np.maximum(residuals, scale)

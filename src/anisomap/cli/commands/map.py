@@ -10,15 +10,17 @@ from typing import Annotated
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
+from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, streams
-from anisomap.cli.console import print_warning
+from anisomap.cli.console import print_warning, progress
 from anisomap.errors import InputError
 from anisomap.evaluation import PERMUTATIONS
 from anisomap.health import Finding
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.tracking import gather_evidence
 
 
 def map_recording(
@@ -50,6 +52,7 @@ def map_recording(
     ] = SmacofOptions.max_iterations,
     reading: options.Reading = options.DEFAULT_READING,
     verdict: Annotated[bool, Parameter(group=options.method_group)] = True,
+    keep_statistics: Annotated[bool, Parameter(group=options.outputs_group, negative=())] = False,
     placing: options.Placing = options.DEFAULT_PLACING,
     truth: options.Truth = None,
     exclude: options.Exclude = None,
@@ -97,14 +100,19 @@ def map_recording(
     verdict
         Judge the map by maps of halves of the recording, which takes two to four times as long as
         the map.
+    keep_statistics
+        Write the statistics of all pairs of sensors beside the map, as NAME.statistics.npz, from
+        which `anisomap update` can update it.
     """
+    outputs_of_map = tuple(output or [Path(f"{recordings[0].name.split('.')[0]}.map.csv")])
     outputs = pipeline.Outputs(
-        maps=tuple(output or [Path(f"{recordings[0].name.split('.')[0]}.map.csv")]),
+        maps=outputs_of_map,
         picture=picture,
         report=report,
         checkpoint=large.checkpoint,
         inputs=(*recordings, *reading.inputs, *([truth] if truth else [])),
         placing=placing,
+        statistics=io.statistics_beside(outputs_of_map[0]) if keep_statistics else None,
     )
     outputs.check()
     placing.check(outputs.maps)
@@ -122,6 +130,11 @@ def map_recording(
     found = None
     mended: Sequence[Finding] = ()
     if large.is_requested or streams.too_large(recordings, how):
+        if keep_statistics:
+            raise InputError(
+                "--keep-statistics requires a recording in memory, below 512 MiB and without the "
+                "options for large recordings"
+            )
         if repair:
             raise InputError(
                 "--repair requires a recording in memory, below 512 MiB and without the options "
@@ -166,6 +179,14 @@ def map_recording(
         if done := dict.fromkeys(one.kind for one in mended if one.mendable):
             provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
             sensor_map = replace(sensor_map, provenance=provenance)
+        statistics = []
+        if outputs.statistics is not None:
+            with progress("gathering statistics"):
+                evidence = gather_evidence(
+                    examined.runs, by, dimensions, options=chosen, drop=dropped
+                )
+            io.write_statistics(evidence, outputs.statistics)
+            statistics = [("statistics", outputs.statistics)]
         pipeline.finish(
             printer,
             outputs,
@@ -174,5 +195,6 @@ def map_recording(
             permutations=permutations,
             seed=seed,
             exclude=left_out,
+            already_written=statistics,
             truth=reference,
         )

@@ -121,24 +121,30 @@ def contact_agreement(readings: ArrayLike) -> Reals:
     however long it lasts; a contact of m sensors has weight 1 / m; and frames with a single active
     sensor, which are evidence of no pair, do not count.
     """
+    together, weight = weighted_contacts(readings)
+    active = np.broadcast_to(np.diag(together)[:, None], together.shape)
+    return agreement_of_sums(together, active, np.broadcast_to(weight, together.shape))
+
+
+def weighted_contacts(readings: ArrayLike) -> tuple[NDArray[np.float64], float]:
+    """Sum the weights of the distinct contacts in which both sensors of each pair are active.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings, on or off.
+
+    Returns
+    -------
+    together : ndarray of shape (N, N)
+        Sums over contacts with the weight 1 / m; symmetric. The diagonal holds those of sensors.
+    total : float
+        Sum over all contacts.
+    """
     contacts = distinct_contacts(readings)
-    together = _weighted_shares(contacts)
-    share = np.diag(together)
-    by_chance = np.outer(share, share)
-    disagreement = np.add.outer(share, share) - 2 * by_chance
-    agreement = 2 * (together - by_chance)
-    np.divide(agreement, disagreement, out=agreement, where=disagreement > 0)
-    agreement[disagreement <= 0] = 0.0
-    np.clip(agreement, -1, 1, out=agreement)
-    np.fill_diagonal(agreement, 1.0)
-    return agreement
-
-
-def _weighted_shares(contacts: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the weighted share of contacts in which each pair is active, shape (N, N)."""
     n_sensors = contacts.shape[1]
     together = np.zeros((n_sensors, n_sensors))
-    total = np.finfo(np.float64).tiny
+    total = 0.0
     for begin in range(0, len(contacts), _CONTACTS_AT_ONCE):
         part = contacts[begin : begin + _CONTACTS_AT_ONCE].astype(np.float64)
         weights = 1 / part.sum(axis=1)
@@ -146,4 +152,35 @@ def _weighted_shares(contacts: NDArray[np.bool_]) -> NDArray[np.float64]:
         part *= np.sqrt(weights)[:, None]
         together += part.T @ part
     mirror(together, upper=True)
-    return together / total
+    return together, total
+
+
+def agreement_of_sums(
+    together: NDArray[np.float64], active: NDArray[np.float64], total: NDArray[np.float64]
+) -> Reals:
+    """Compute the agreement of every pair from sums over contacts; see `contact_agreement`.
+
+    Parameters
+    ----------
+    together : ndarray of shape (N, N)
+        Weight of the contacts in which both sensors are active.
+    active : ndarray of shape (N, N)
+        Weight of the contacts in which the sensor of the row is active, among those recorded with
+        the sensor of the column.
+    total : ndarray of shape (N, N)
+        Weight of the contacts that were recorded with both sensors.
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+    """
+    weight = np.maximum(total, np.finfo(np.float64).tiny)
+    first, second = active / weight, active.T / weight
+    by_chance = first * second
+    disagreement = first + second - 2 * by_chance
+    agreement = 2 * (together / weight - by_chance)
+    np.divide(agreement, disagreement, out=agreement, where=disagreement > 0)
+    agreement[disagreement <= 0] = 0.0
+    np.clip(agreement, -1, 1, out=agreement)
+    np.fill_diagonal(agreement, 1.0)
+    return agreement

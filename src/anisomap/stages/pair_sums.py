@@ -1,0 +1,208 @@
+"""Sums over frames from which the similarity of pairs follows; they add up over recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import InputError
+from anisomap.numerics.contacts.contact_agreement import (
+    agreement_of_sums,
+    distinct_contacts,
+    weighted_contacts,
+)
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.stages.pairs import SIMILARITIES, PairStatistics
+
+_MIN_CONTACTS = 2  # for a sampling variance
+
+
+@dataclass(frozen=True, eq=False)
+class PairSums:
+    """Sums over the frames of one or several recordings, for all pairs of n sensors.
+
+    Attributes
+    ----------
+    products : ndarray of shape (n, n)
+        Sums of products, symmetric; see `POOLINGS`.
+    squares : ndarray of shape (n, n)
+        Sums of squares of the sensor of the row, over recordings that contain the sensor of the
+        column as well.
+    weights : ndarray of shape (n, n)
+        Weights of the frames or contacts that were recorded with both sensors; symmetric.
+    precision : ndarray of shape (n, n)
+        Reciprocal of the sampling variance: the effective number of independent frames. 0 for pairs
+        that were not recorded together; symmetric.
+
+    Notes
+    -----
+    Means are those of each recording, so that a shift of the zero between two recordings relates
+    no sensors.
+    """
+
+    products: NDArray[np.float64]
+    squares: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    precision: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, readings: NDArray[np.generic], similarity: str, *, bins: int) -> PairSums:
+        """Compute the sums of one recording.
+
+        Parameters
+        ----------
+        readings : ndarray of shape (T, n)
+            Finite readings of sensors that vary.
+        similarity : str
+            A key of `anisomap.stages.pairs.SIMILARITIES`.
+        bins : int
+            Bins per sensor, for entropies.
+        """
+        chosen, shape = SIMILARITIES[similarity], (readings.shape[1],) * 2
+        if similarity in _OF_CONTACTS and len(distinct_contacts(readings)) < _MIN_CONTACTS:
+            return cls(*(np.zeros(shape) for _ in fields(cls)))
+        products, squares, weight = _pooling(similarity).sums(
+            readings, chosen.compute(readings, bins)
+        )
+        return cls(
+            products,
+            np.array(np.broadcast_to(squares[:, None], shape)),
+            np.full(shape, weight),
+            1.0 / np.asarray(chosen.variance(readings), dtype=np.float64),
+        )
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Mask of the pairs that were recorded together, shape (n, n)."""
+        return np.asarray(self.precision > 0)
+
+    def merged(self, other: PairSums) -> PairSums:
+        """Add the sums of other frames of the same sensors, in any order."""
+        return PairSums(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def spread(self, rows: NDArray[np.intp], n_sensors: int) -> PairSums:
+        """Return the sums of `n_sensors` sensors, of which these are the given rows."""
+        return PairSums(*(_spread(getattr(self, f.name), rows, n_sensors) for f in fields(self)))
+
+    def without(self, sensors: NDArray[np.intp]) -> PairSums:
+        """Return sums in which no pair of the given sensors is known."""
+        kept = np.ones(len(self.products), dtype=bool)
+        kept[sensors] = False
+        inside = kept[:, None] & kept
+        return PairSums(*(np.where(inside, getattr(self, f.name), 0.0) for f in fields(self)))
+
+    def statistics(self, similarity: str) -> PairStatistics:
+        """Return the similarity of all pairs, and its sampling variance.
+
+        Parameters
+        ----------
+        similarity : str
+            The key that was given to `of`.
+        """
+        known = self.known
+        finished = _pooling(similarity).finish(self)
+        values = np.where(known | np.eye(len(known), dtype=bool), finished, 0.0)
+        noise = np.divide(1.0, self.precision, out=np.ones_like(values), where=known)
+        return PairStatistics.from_similarity(
+            values, noise=noise, known=known, statistic=similarity
+        )
+
+
+@dataclass(frozen=True)
+class Pooling:
+    """Sums of a similarity.
+
+    Attributes
+    ----------
+    sums : callable
+        ``sums(readings, similarity)`` returns sums of products, shape (n, n), sums of squares,
+        shape (n,), and the weight of the recording.
+    finish : callable
+        Returns the similarity of `PairSums`, shape (n, n).
+    """
+
+    sums: Callable[
+        [NDArray[np.generic], Reals], tuple[NDArray[np.float64], NDArray[np.float64], float]
+    ]
+    finish: Callable[[PairSums], Reals]
+
+
+def _correlation_sums(
+    readings: NDArray[np.generic], similarity: Reals
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Weight a correlation by how much its sensors vary, in ranks, which have no unit."""
+    n_frames = len(readings)
+    ranks = estimate_rest(readings).depth_ranks(readings) / n_frames
+    squares = n_frames * np.asarray(ranks.var(axis=0))
+    spread = np.sqrt(squares)
+    # Multiplying the spreads first rounds (i, j) and (j, i) alike.
+    products = np.outer(spread, spread) * similarity
+    return np.asarray(products), np.asarray(squares), float(n_frames)
+
+
+def _finished_correlation(sums: PairSums) -> Reals:
+    size = np.sqrt(sums.squares) * np.sqrt(sums.squares.T)
+    correlation = np.divide(sums.products, size, out=np.zeros_like(size), where=size > 0)
+    np.clip(correlation, -1, 1, out=correlation)
+    np.fill_diagonal(correlation, 1.0)
+    return np.asarray(correlation)
+
+
+def _contact_sums(
+    readings: NDArray[np.generic], _: Reals
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    together, total = weighted_contacts(readings)
+    return together, np.asarray(np.diag(together)), total
+
+
+def _finished_agreement(sums: PairSums) -> Reals:
+    return agreement_of_sums(sums.products, sums.squares, sums.weights)
+
+
+def _mean_sums(
+    readings: NDArray[np.generic], similarity: Reals
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    n_frames = float(len(readings))
+    return np.asarray(n_frames * similarity), np.full(len(similarity), n_frames), n_frames
+
+
+def _finished_mean(sums: PairSums) -> Reals:
+    found = np.zeros_like(sums.products)
+    return np.asarray(np.divide(sums.products, sums.weights, out=found, where=sums.weights > 0))
+
+
+_CORRELATION = Pooling(_correlation_sums, _finished_correlation)
+
+POOLINGS: Mapping[str, Pooling] = MappingProxyType(
+    {
+        "contact-agreement": Pooling(_contact_sums, _finished_agreement),
+        "mutual-information": Pooling(_mean_sums, _finished_mean),
+    }
+)
+"""Sums of similarities that are no correlations.
+
+Correlations are pooled as covariances within recordings are; a sensor that hardly varies in one of
+them has little weight there. Agreements have exact sums, over the distinct contacts of each
+recording. Mutual information is averaged over frames.
+"""
+
+_OF_CONTACTS = ("contact-agreement",)
+
+
+def _pooling(similarity: str) -> Pooling:
+    if similarity not in SIMILARITIES:
+        raise InputError(f"there is no similarity {similarity!r}")
+    return POOLINGS.get(similarity, _CORRELATION)
+
+
+def _spread(
+    matrix: NDArray[np.float64], rows: NDArray[np.intp], n_sensors: int
+) -> NDArray[np.float64]:
+    found = np.zeros((n_sensors, n_sensors))
+    found[np.ix_(rows, rows)] = matrix
+    return found

@@ -1,0 +1,243 @@
+"""What recordings tell of all pairs of sensors, in a form that adds up over recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import blake2b
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anisomap.errors import InputError
+from anisomap.memory import check_pair_memory
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_even_spacing, find_method
+from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.contacts.contact_agreement import (
+    MIN_CONTACTS,
+    distinct_contacts,
+    is_on_off,
+    shows_single_contacts,
+)
+from anisomap.reconstruction import reconstruct_from
+from anisomap.recording import Recording, sensor_mask
+from anisomap.runs import as_runs
+from anisomap.sensor_map import SensorMap
+from anisomap.stages.pair_sums import PairSums
+from anisomap.stages.pairs import PairStatistics
+
+_MIN_VARYING = 2  # sensors; fewer form no pair
+_DIGEST_BYTES = 16  # of a recording; equal digests of different recordings are out of the question
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Sums over all frames of one or several recordings, from which a map can be made.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The n sensors that varied in a recording.
+    sums : mapping of str to PairSums
+        Sums of each similarity that the method may use, for all pairs of the n sensors.
+    method : str
+        A key of `anisomap.METHODS`.
+    dimensions : int
+        Number of coordinates of the map.
+    options : MethodOptions
+    n_frames : int
+        Number of frames of all recordings.
+    recordings : tuple of str
+        A digest of the readings of each recording, in increasing order: none counts twice.
+    single_contacts : bool
+        Whether any recording shows one contact at a time, in readings that are on or off.
+    """
+
+    names: tuple[str, ...]
+    sums: Mapping[str, PairSums]
+    method: str
+    dimensions: int
+    options: MethodOptions
+    n_frames: int
+    recordings: tuple[str, ...]
+    single_contacts: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sums", MappingProxyType(dict(self.sums)))
+
+    def merged(self, other: Evidence) -> Evidence:
+        """Add the evidence of other recordings of the same skin.
+
+        The order affects rounding and the order of the sensors only.
+
+        Raises
+        ------
+        InputError
+            If both contain the same recording, or they were gathered for different methods.
+        """
+        if self.method != other.method or set(self.sums).isdisjoint(other.sums):
+            raise InputError(
+                f"evidence for the method {self.method} cannot be added to evidence for the method "
+                f"{other.method}"
+            )
+        if set(self.recordings) & set(other.recordings):
+            raise InputError("the recording is part of the evidence already; give another one")
+        names = tuple(dict.fromkeys((*self.names, *other.names)))
+        check_pair_memory(len(names), refined=True)
+        mine, others = _rows(self.names, names), _rows(other.names, names)
+        return replace(
+            self,
+            names=names,
+            sums={
+                key: self.sums[key]
+                .spread(mine, len(names))
+                .merged(other.sums[key].spread(others, len(names)))
+                for key in self.sums
+                if key in other.sums
+            },
+            n_frames=self.n_frames + other.n_frames,
+            recordings=tuple(sorted((*self.recordings, *other.recordings))),
+            single_contacts=self.single_contacts or other.single_contacts,
+        )
+
+    def without(self, names: Iterable[str]) -> Evidence:
+        """Forget all pairs of some sensors, which keep their names."""
+        gone = set(names)
+        rows = np.flatnonzero([name in gone for name in self.names])
+        return replace(self, sums={key: sums.without(rows) for key, sums in self.sums.items()})
+
+    @property
+    def similarity(self) -> str:
+        """Key of the similarity that the method uses for these recordings."""
+        recipe = find_method(self.method)
+        contact = recipe.contact_similarity
+        if contact in self.sums and self.single_contacts:
+            return str(contact)
+        return recipe.similarity
+
+    def statistics(self) -> PairStatistics:
+        """Return the similarity of all pairs, and its sampling variance."""
+        return self.sums[self.similarity].statistics(self.similarity)
+
+
+def gather_evidence(
+    recording: Recording | ArrayLike | Sequence[Recording],
+    method: str = DEFAULT_METHOD,
+    dimensions: int = 3,
+    *,
+    options: MethodOptions | None = None,
+    drop: Iterable[str | int] = (),
+) -> Evidence:
+    """Gather what a recording tells of all pairs of sensors.
+
+    Parameters
+    ----------
+    recording : Recording, array_like of shape (T, N), or sequence of Recording
+        Complete readings. Those of a sequence are pooled; each pair is compared over the recordings
+        that contain both of its sensors.
+    method, dimensions, options, drop
+        As for `anisomap.reconstruct`, for the maps that will be made of it.
+
+    Returns
+    -------
+    Evidence
+        Of the sensors that vary and are not dropped.
+
+    Raises
+    ------
+    InputError
+        If a reading is missing, fewer than 2 sensors vary, even spacing is declared, or recordings
+        repeat.
+    """
+    chosen, recipe = options or MethodOptions(), find_method(method)
+    check_even_spacing(method, chosen, readings=False)
+    joined = as_runs(recording)  # checks that the sensors of several recordings can be matched
+    runs = joined
+    if isinstance(recording, Sequence):
+        runs = tuple(run for run in recording if isinstance(run, Recording)) or joined
+    left_out = tuple(drop)
+    total: Evidence | None = None
+    for run in runs:
+        mapped = run.varying() & ~sensor_mask(run.names, [d for d in left_out if _has(run, d)])
+        if np.count_nonzero(mapped) < _MIN_VARYING:
+            raise InputError(
+                f"{run.source or 'the recording'} is no evidence of distances: "
+                f"{np.count_nonzero(mapped)} of its {run.n_sensors} sensors vary"
+            )
+        check_pair_memory(int(np.count_nonzero(mapped)), refined=recipe.refine is not None)
+        found = _evidence_of(run.select(mapped).complete(), method, dimensions, chosen)
+        total = found if total is None else total.merged(found)
+    if total is None:
+        raise InputError("no recording was given")
+    return total
+
+
+def map_evidence(evidence: Evidence) -> SensorMap:
+    """Reconstruct the positions of sensors from evidence.
+
+    Parameters
+    ----------
+    evidence : Evidence
+
+    Returns
+    -------
+    SensorMap
+        As `anisomap.reconstruct_from` makes it of the similarity. Sensors of which no pair is known
+        have no position.
+
+    Raises
+    ------
+    InputError
+        As for `anisomap.reconstruct_from`.
+    """
+    pairs = evidence.statistics()
+    known = pairs.known & ~np.eye(len(evidence.names), dtype=bool)
+    alone = np.flatnonzero(~known.any(axis=1))
+    return reconstruct_from(
+        similarity=pairs.similarity,
+        noise=pairs.noise,
+        weights=pairs.weights,
+        method=evidence.method,
+        dimensions=evidence.dimensions,
+        options=evidence.options,
+        names=evidence.names,
+        drop=alone.tolist(),
+        statistic=pairs.statistic,
+    )
+
+
+def _evidence_of(run: Recording, method: str, dimensions: int, options: MethodOptions) -> Evidence:
+    """Gather the evidence of complete readings that vary."""
+    recipe, readings = find_method(method), run.readings
+    similarities = [recipe.similarity]
+    single = False
+    if recipe.contact_similarity is not None and is_on_off(readings):
+        single = shows_single_contacts(readings)
+        # Too few contacts do not tell whether they come one at a time; other recordings may.
+        if single or len(distinct_contacts(readings)) < MIN_CONTACTS:
+            similarities.append(recipe.contact_similarity)
+    with limited_blas(run.n_sensors):
+        sums = {key: PairSums.of(readings, key, bins=options.bins) for key in similarities}
+    digest = blake2b(digest_size=_DIGEST_BYTES)
+    digest.update("\n".join(run.names).encode("utf-8", "backslashreplace"))
+    digest.update(np.ascontiguousarray(readings, dtype=np.float64).data)
+    return Evidence(
+        names=run.names,
+        sums=sums,
+        method=method,
+        dimensions=dimensions,
+        options=options,
+        n_frames=run.n_frames,
+        recordings=(digest.hexdigest(),),
+        single_contacts=single,
+    )
+
+
+def _has(run: Recording, sensor: str | int) -> bool:
+    return not isinstance(sensor, str) or sensor in run.names
+
+
+def _rows(names: Sequence[str], among: Sequence[str]) -> NDArray[np.intp]:
+    row = {name: i for i, name in enumerate(among)}
+    return np.array([row[name] for name in names], dtype=np.intp)

@@ -1,0 +1,330 @@
+"""Update of a map by a new recording."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.evaluation.difference import MIN_COMPARED, Difference, compare_maps
+from anisomap.evaluation.mantel_r import mantel
+from anisomap.evaluation.neighbourhood import median_spacing
+from anisomap.health import assess
+from anisomap.recording import Recording
+from anisomap.runs import as_runs, join_runs
+from anisomap.sensor_map import SensorMap
+from anisomap.tracking.carrying import carry_over
+from anisomap.tracking.evidence import Evidence, gather_evidence, map_evidence
+from anisomap.wording import join_items
+
+LEVEL = 0.001
+"""Probability that chance alone marks any sensor as moved.
+
+It is a tenth of that of a single comparison, since a map is updated many times, and the old
+evidence of a sensor that moved is discarded.
+"""
+
+_CONTRADICTION = 0.01  # p value above which a recording contradicts a map
+_PERMUTATIONS = 199  # the smallest p value, 1 / 200, is below the level of 1 %
+_MAX_PERMUTED = 1000  # sensors; a permutation of more takes long, and so many decide the test
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """A map to which the evidence of a new recording was added, and what changed.
+
+    Attributes
+    ----------
+    map : SensorMap
+        In the frame, the units and the handedness of the old map: its sensors in their order, then
+        the new ones.
+    evidence : Evidence
+        Of all recordings.
+    added : tuple of str
+        Sensors that are placed now and were not before.
+    moved : tuple of str
+        Sensors that the recording shows at another place than the map, farther than chance
+        explains: they were wired or mounted elsewhere, and their old evidence was discarded.
+    silent : tuple of str
+        Placed sensors of the old map that the recording lacks, or that do not vary in it. Their
+        evidence is kept.
+    unplaced : tuple of str
+        Sensors of the recording that could not be placed.
+    agreement : float
+        Correlation of the old and the new similarity, over pairs of sensors that did not move; NaN
+        with fewer than 2 pairs.
+    difference : Difference
+        The old map and the updated one, in one frame. `Difference.moved` and its p values are those
+        of the comparison of the old map with a map of the recording alone; `Difference.distance`
+        is that between the two places of a sensor.
+    notes : tuple of str
+        What could not be examined, and conflicts.
+    """
+
+    map: SensorMap
+    evidence: Evidence
+    added: tuple[str, ...]
+    moved: tuple[str, ...]
+    silent: tuple[str, ...]
+    unplaced: tuple[str, ...]
+    agreement: float
+    difference: Difference
+    notes: tuple[str, ...]
+
+    @property
+    def found(self) -> bool:
+        """Whether a sensor was added, or moved."""
+        return bool(self.added or self.moved)
+
+
+def update_map(
+    sensor_map: SensorMap,
+    evidence: Evidence,
+    recording: Recording | ArrayLike | Sequence[Recording],
+    *,
+    drop: Iterable[str | int] = (),
+    level: float = LEVEL,
+) -> Update:
+    """Add the evidence of a new recording to a map.
+
+    Sensors that the recording shows elsewhere than the map are found first, by a map of the
+    recording alone; what was known of them is discarded. The other evidence is pooled, mapped, and
+    brought into the frame of the old map, which keeps what anchors, modules and a mesh corrected.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        The old map, placed or not.
+    evidence : Evidence
+        Of the recordings of the old map: see `gather_evidence`.
+    recording : Recording, array_like of shape (T, N), or sequence of Recording
+        New and complete readings of the skin. Sensors are matched by name; it may lack some, and
+        have new ones.
+    drop : iterable of str or int
+        Sensors of the recording to ignore.
+    level : float
+        Probability that chance alone marks any sensor as moved.
+
+    Returns
+    -------
+    Update
+
+    Raises
+    ------
+    InputError
+        If the recording shares too few sensors with the map, says nothing, is part of the evidence
+        already, or contradicts the map as a whole; if the evidence is not that of the map; or if
+        the level is out of range.
+
+    Warns
+    -----
+    AnisomapWarning
+        Once for each note.
+    """
+    if not 0 < level < 1:
+        raise InputError(f"the level must be between 0 and 1, got {level:g}")
+    runs = as_runs(recording)
+    joined = join_runs(runs)
+    fresh = gather_evidence(
+        recording, evidence.method, evidence.dimensions, options=evidence.options, drop=drop
+    )
+    _check_shared(sensor_map, evidence, fresh)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)  # they are notes of the result
+        alone, notes = _compared(sensor_map, fresh, level)
+        moved = _moved(alone, sensor_map)
+        _check_agreement(sensor_map, fresh, moved)
+        total = evidence.without(moved).merged(fresh)
+        before, after = map_evidence(evidence), map_evidence(total)
+    extra = [name for name in joined.names if name not in {*sensor_map.names, *after.names}]
+    placed = carry_over(sensor_map, before, after, moved, extra)
+    healthy = {sensor.name: sensor.status for sensor in assess(runs)}
+    placed = replace(
+        placed,
+        health=tuple(
+            healthy.get(name, status)
+            for name, status in zip(placed.names, placed.health, strict=True)
+        ),
+        provenance={
+            **sensor_map.provenance,
+            "frames": total.n_frames,
+            "recordings": len(total.recordings),
+        },
+    )
+    return _summarised(
+        sensor_map,
+        placed,
+        total=total,
+        old=evidence,
+        fresh=fresh,
+        joined=joined,
+        moved=moved,
+        alone=alone,
+        notes=notes,
+    )
+
+
+def _check_shared(sensor_map: SensorMap, evidence: Evidence, fresh: Evidence) -> None:
+    placed = {sensor_map.names[i] for i in np.flatnonzero(sensor_map.placed)}
+    known = placed & set(evidence.names)
+    if len(known) <= sensor_map.dimensions:
+        raise InputError(
+            f"the statistics are not those of the map: they share {len(known)} placed sensors; "
+            "give the file that was written with the map"
+        )
+    shared = known & set(fresh.names)
+    if len(shared) <= evidence.dimensions:
+        raise InputError(
+            f"the recording shares {len(shared)} varying sensors with the map, and an update "
+            f"needs at least {evidence.dimensions + 1}; sensors are matched by name"
+        )
+
+
+def _compared(
+    sensor_map: SensorMap, fresh: Evidence, level: float
+) -> tuple[Difference | None, list[str]]:
+    """Compare the map with one of the new recording alone, if that is enough for a map."""
+    try:
+        return compare_maps(sensor_map, map_evidence(fresh), level=level), []
+    except InputError:
+        return None, [
+            "the recording alone does not show whether a sensor moved: it takes at least "
+            f"{MIN_COMPARED} sensors of the map that are related"
+        ]
+
+
+def _moved(difference: Difference | None, sensor_map: SensorMap) -> tuple[str, ...]:
+    if difference is None:
+        return ()
+    named = {difference.names[i] for i in np.flatnonzero(difference.moved)}
+    return tuple(name for name in sensor_map.names if name in named)
+
+
+def _check_agreement(sensor_map: SensorMap, fresh: Evidence, moved: tuple[str, ...]) -> None:
+    """Check that sensors that are near on the map are similar in the recording.
+
+    A Mantel test of the distances on the largest component; permutations of the sensors are the
+    null hypothesis.
+    """
+    row = {name: i for i, name in enumerate(fresh.names)}
+    shared = [
+        i
+        for i, name in enumerate(sensor_map.names)
+        if sensor_map.component[i] == 0 and name in row and name not in moved
+    ][:_MAX_PERMUTED]
+    if len(shared) < MIN_COMPARED:
+        return
+    statistics = fresh.statistics()
+    rows = [row[sensor_map.names[i]] for i in shared]
+    inside = np.ix_(rows, rows)
+    apart = np.where(statistics.known[inside], 1.0 - statistics.similarity[inside], 1.0)
+    np.fill_diagonal(apart, 0.0)
+    places = sensor_map.positions[shared]
+    near = np.linalg.norm(places[:, None] - places, axis=2)
+    try:
+        found = mantel(near, apart, permutations=_PERMUTATIONS)
+    except InputError as error:  # all distances are equal
+        raise InputError(f"the recording says nothing of the sensors of the map: {error}") from None
+    if found.p_value > _CONTRADICTION:
+        raise InputError(
+            "the recording contradicts the map: sensors that are near on the map are no more "
+            f"similar than others (p = {found.p_value:.2g}); check that the names of the sensors "
+            "are those of the map"
+        )
+
+
+def _summarised(
+    before: SensorMap,
+    after: SensorMap,
+    *,
+    total: Evidence,
+    old: Evidence,
+    fresh: Evidence,
+    joined: Recording,
+    moved: tuple[str, ...],
+    alone: Difference | None,
+    notes: list[str],
+) -> Update:
+    placed_before = {before.names[i] for i in np.flatnonzero(before.placed)}
+    placed_after = {after.names[i] for i in np.flatnonzero(after.placed)}
+    recorded = set(fresh.names)
+    if moved:
+        notes = [
+            *notes,
+            f"{len(moved)} sensors moved since the map was made, and take their places from the "
+            f"new recording alone: {join_items(moved)}",
+        ]
+    for note in notes:
+        warnings.warn(note, AnisomapWarning, stacklevel=3)
+    added = tuple(n for n in after.names if n in placed_after and n not in placed_before)
+    return Update(
+        map=replace(after, notes=tuple(dict.fromkeys((*after.notes, *notes)))),
+        evidence=total,
+        added=added,
+        moved=moved,
+        silent=tuple(n for n in before.names if n in placed_before and n not in recorded),
+        unplaced=tuple(n for n in joined.names if n not in placed_after),
+        agreement=_agreement(old, fresh, moved),
+        difference=_as_difference(before, after, alone, moved, added),
+        notes=tuple(notes),
+    )
+
+
+def _as_difference(
+    before: SensorMap,
+    after: SensorMap,
+    alone: Difference | None,
+    moved: Sequence[str],
+    added: Sequence[str],
+) -> Difference:
+    """Describe what an update changed as a comparison of two maps in one frame."""
+    names = after.names
+    more = len(names) - before.n_sensors
+    old = np.pad(before.positions, ((0, more), (0, 0)), constant_values=np.nan)
+    distance = np.linalg.norm(after.positions - old, axis=1)
+    p_values = np.full(len(names), np.nan)
+    if alone is not None:
+        tested = dict(zip(alone.names, alone.p_values.tolist(), strict=True))
+        p_values = np.array([tested.get(name, np.nan) for name in names])
+    for array in (old, distance, p_values):
+        array.setflags(write=False)
+    return Difference(
+        names=names,
+        before=old,
+        after=after.positions,
+        distance=distance,
+        p_values=p_values,
+        moved=np.isin(names, moved),
+        appeared=np.isin(names, added),
+        lost=np.zeros(len(names), dtype=bool),
+        compared=np.isfinite(distance),
+        chance=math.nan if alone is None else alone.chance,
+        spacing=median_spacing(before.positions[before.component == 0]),
+        scale=1.0,
+        reflected=False,
+        units=after.units,
+        notes=(),
+    )
+
+
+def _agreement(old: Evidence, fresh: Evidence, moved: tuple[str, ...]) -> float:
+    """Correlate the old and the new similarity, by the statistic that both have."""
+    names = [n for n in old.names if n in set(fresh.names) and n not in moved]
+    key = next(key for key in reversed(tuple(old.sums)) if key in fresh.sums)
+    values, known = [], []
+    for evidence in (old, fresh):
+        row = {name: i for i, name in enumerate(evidence.names)}
+        rows = [row[name] for name in names]
+        pairs = evidence.sums[key].statistics(key)
+        upper = np.triu_indices(len(rows), 1)
+        values.append(pairs.similarity[np.ix_(rows, rows)][upper])
+        known.append(pairs.known[np.ix_(rows, rows)][upper])
+    first, second = (value[known[0] & known[1]] for value in values)
+    if first.size < 2 or np.ptp(first) == 0 or np.ptp(second) == 0:
+        return math.nan
+    return float(np.corrcoef(first, second)[0, 1])
