@@ -137,6 +137,7 @@ def carry_over(
         stress=after.stress,
         n_iterations=after.n_iterations,
         verdict=after.verdict,
+        uneven=old.uneven or after.uneven,
         notes=tuple(dict.fromkeys((*old.notes, *after.notes))),
     )
 
