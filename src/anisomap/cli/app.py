@@ -36,6 +36,7 @@ app = App(
 # Commands are imported when they run, so that --help stays fast.
 for name, target, summary in (
     ("map", "map:map_recording", "Make a map from a recording."),
+    ("live", "live:live", "Map a skin while it is touched, and show where to touch next."),
     ("info", "info:info", "Summarise a recording and flag faulty sensors."),
     ("score", "score:score_map", "Score a map against reference positions."),
     (

@@ -134,6 +134,11 @@ class Printer:
         if self._prints_text:
             self._emit(console.print, Text(_lines(text)), soft_wrap=True)
 
+    def event(self, values: Mapping[str, object]) -> None:
+        """Print values at once as a JSON object on a line of its own, if `as_json`."""
+        if self.as_json and not self.quiet:
+            self._emit(console.out, json.dumps(plain(values)))
+
     def finish(self) -> None:
         """Print the JSON object if `as_json`.
 

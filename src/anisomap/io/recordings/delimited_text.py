@@ -9,11 +9,12 @@ from __future__ import annotations
 import csv
 import dataclasses
 import functools
+import io
 import itertools
 import logging
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -132,8 +133,6 @@ def write_recording(recording: Recording, path: Path) -> None:
     equal. Positions are not written, with a warning. Suffix ``.tsv`` selects tabs, others commas.
     """
     delimiter = "\t" if path.suffix.lower() == ".tsv" else ","
-    if sum(name.count("\n") for name in recording.names) > _MAX_NAME_LINES:
-        raise InputError("the names have too many line ends for a header of text; use .npz")
     if recording.positions is not None:
         warnings.warn(
             f"{path.suffix} cannot store positions, so those of the recording are not written; "
@@ -141,25 +140,79 @@ def write_recording(recording: Recording, path: Path) -> None:
             AnisomapWarning,
             stacklevel=2,
         )
-    fields = next(name for name, mark in _DELIMITERS.items() if mark == delimiter)
-    entries: list[tuple[str, Scalar]] = [
-        ("fields", fields),
-        ("source", recording.source),
-        ("times", _NO_TIMES if recording.times is None else _IN_FIRST_COLUMN),
-    ]
-    if recording.rate_hz is not None:
-        entries.append(("rate_hz", recording.rate_hz))
-    names = (_TIME_COLUMN, *recording.names) if recording.times is not None else recording.names
     with path.open("w", encoding="utf-8", newline="") as stream:
-        stream.write(comments.write_comments(TITLE, entries, "metadata", recording.metadata))
-        csv.writer(
-            stream, delimiter=delimiter, quoting=csv.QUOTE_ALL, lineterminator="\n"
-        ).writerow(map(delimited.guard_formula, names))
+        stream.write(
+            header_text(
+                recording.names,
+                delimiter=delimiter,
+                source=recording.source,
+                timed=recording.times is not None,
+                rate_hz=recording.rate_hz,
+                metadata=recording.metadata,
+            )
+        )
         for frame, readings in enumerate(recording.readings):
             values = readings.tolist()
             if recording.times is not None:
                 values.insert(0, float(recording.times[frame]))
             stream.write(delimiter.join(map(repr, values)) + "\n")
+
+
+def header_text(
+    names: Sequence[str],
+    *,
+    delimiter: str = ",",
+    source: str = "",
+    timed: bool = True,
+    rate_hz: float | None = None,
+    metadata: Mapping[str, Scalar] | None = None,
+) -> str:
+    """Format the lines of a recording before its first frame.
+
+    Each following line is one frame: the time in seconds if `timed`, then one reading per sensor,
+    separated by `delimiter`. A file can therefore be extended frame by frame.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the sensors.
+    delimiter : str
+        A comma or a tab.
+    source : str
+        Origin of the recording.
+    timed : bool
+        Whether the first column is the time.
+    rate_hz : float, optional
+        Frames per second.
+    metadata : mapping, optional
+        As for `Recording`.
+
+    Returns
+    -------
+    str
+        Comments and a header, with a newline at the end.
+
+    Raises
+    ------
+    InputError
+        If the names cannot be written to a header of text.
+    """
+    if sum(name.count("\n") for name in names) > _MAX_NAME_LINES:
+        raise InputError("the names have too many line ends for a header of text; use .npz")
+    fields = next(name for name, mark in _DELIMITERS.items() if mark == delimiter)
+    entries: list[tuple[str, Scalar]] = [
+        ("fields", fields),
+        ("source", source),
+        ("times", _IN_FIRST_COLUMN if timed else _NO_TIMES),
+    ]
+    if rate_hz is not None:
+        entries.append(("rate_hz", rate_hz))
+    text = io.StringIO(newline="")
+    text.write(comments.write_comments(TITLE, entries, "metadata", metadata or {}))
+    csv.writer(text, delimiter=delimiter, quoting=csv.QUOTE_ALL, lineterminator="\n").writerow(
+        map(delimited.guard_formula, (_TIME_COLUMN, *names) if timed else names)
+    )
+    return text.getvalue()
 
 
 def _read_start(path: Path) -> tuple[list[str], dict[str, Scalar], dict[str, Scalar]]:

@@ -169,6 +169,8 @@ def draw_strokes(
     n_frames: int,
     options: StrokeOptions,
     rng: np.random.Generator,
+    *,
+    visits: NDArray[np.float64] | None = None,
 ) -> StrokePath:
     """Draw strokes over the skin of a body, towards the least visited sensors.
 
@@ -180,12 +182,16 @@ def draw_strokes(
     n_frames : int
     options : StrokeOptions
     rng : numpy.random.Generator
+    visits : ndarray of shape (N,), optional
+        Visits of each sensor before; 0 by default.
 
     Returns
     -------
     StrokePath
     """
     walk = _Walk(body, sample, options)
+    if visits is not None:
+        walk.visits += visits
     state = _set_down(walk, rng)
     frames: list[Points] = []
     lifts: list[NDArray[np.float64]] = []

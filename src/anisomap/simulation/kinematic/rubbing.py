@@ -119,7 +119,7 @@ def move_hand(
     """Draw a hand and move it over a body."""
     pads, radii = draw_palm(options.hand_size, rng)
     path = draw_strokes(body, skin, n_frames, options, rng)
-    angles = _draw_angles(n_frames, options.frame_interval, rng)
+    angles = draw_angles(n_frames, options.frame_interval, rng)
     cluster = Cluster(np.einsum("tij,pj->tpi", path.orientations(angles), pads), radii)
     heights = settle(body, skin, path, cluster, options.press_depth * path.presses)
     heights += path.lifts * LIFT_HEIGHT * options.detection_radius
@@ -144,7 +144,7 @@ def draw_palm(size: float, rng: np.random.Generator) -> tuple[Points, NDArray[np
     return np.column_stack([np.vstack([[0, 0], flat]), height]), radii
 
 
-def _draw_angles(n_frames: int, interval: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def draw_angles(n_frames: int, interval: float, rng: np.random.Generator) -> NDArray[np.float64]:
     """Draw the slowly varying angle of a hand about the normal, in rad; shape (T,)."""
     rate = 2 * smooth_random(n_frames, _TURN_PERIOD / interval, rng) - 1
     return np.asarray(rng.uniform(0, 2 * np.pi) + np.cumsum(_MAX_TURN_RATE * interval * rate))

@@ -1,0 +1,269 @@
+"""``anisomap live``: a map that grows while the skin is touched."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Group, Parameter
+from cyclopts.validators import Number
+
+from anisomap import io
+from anisomap.cli import bodies, pipeline
+from anisomap.cli import parameters as options
+from anisomap.cli.console import Printer, number, percent, print_warning, progress
+from anisomap.drawing import report as reports
+from anisomap.errors import InputError
+from anisomap.files import check_distinct, check_target
+from anisomap.live import ExaminationOptions, LiveSession, open_source
+from anisomap.live.batches import Source
+from anisomap.live.saving import save_map, save_report
+from anisomap.live.sources.simulated import SimulatedHand
+from anisomap.methods import DEFAULT_METHOD, find_method
+
+_source = Group("Source", sort_key=0)
+_page = Group("Page", sort_key=4)
+
+_LINE_S = 1.0  # between two lines of --headless
+
+
+@dataclass(frozen=True)
+class PageOptions:
+    """The page in the browser.
+
+    Parameters
+    ----------
+    port
+        Port of the page; 0 for any free one.
+    host
+        Address to listen on. Others than this computer can open the page only if it is given, for
+        instance as 0.0.0.0, and only with the token in the printed address.
+    browser
+        Open the page in a browser.
+    headless
+        Show no page: print lines instead, or JSON objects with --json.
+    until
+        End when the map is of this level, or of a better one.
+    for
+        End after this number of seconds.
+    """
+
+    port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535))] = 8765
+    host: str = "127.0.0.1"
+    browser: bool = True
+    headless: Annotated[bool, Parameter(negative=())] = False
+    until: Literal["usable", "usable locally"] | None = None
+    duration: Annotated[float | None, Parameter(name="--for", validator=Number(gt=0))] = None
+
+
+DEFAULT_PAGE = PageOptions()
+
+
+def live(
+    source: Annotated[
+        str | None,
+        Parameter(
+            help="A recording to replay, - for standard input, or an address such as "
+            "tcp://HOST:PORT.",
+            allow_leading_hyphen=True,
+        ),
+    ] = None,
+    /,
+    *,
+    simulate: Annotated[str | None, Parameter(group=_source)] = None,
+    coached: Annotated[bool, Parameter(group=_source, negative=())] = False,
+    speed: Annotated[float, Parameter(group=_source, validator=Number(gte=0))] = 1.0,
+    seed: Annotated[int, Parameter(group=_source, validator=Number(gte=0))] = 1,
+    preset: Annotated[str, Parameter(group=_source)] = "",
+    recording: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    output: Annotated[
+        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
+    ] = None,
+    report: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    spacing: Annotated[str, Parameter(group=options.outputs_group)] = "",
+    method: Annotated[str, Parameter(alias="-m", group=options.method_group)] = DEFAULT_METHOD,
+    dimensions: Annotated[
+        int, Parameter(alias="-d", group=options.method_group, validator=Number(gte=2, lte=3))
+    ] = 3,
+    drop: options.Drop = None,
+    truth: Annotated[Path | None, Parameter(group=options.score_group)] = None,
+    page: Annotated[PageOptions, Parameter(name="*", group=_page)] = DEFAULT_PAGE,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> None:
+    """Map a skin while it is touched, and show where to touch next.
+
+    Readings are recorded as they come, in a file that anisomap map reads; a page in the browser
+    shows them, the map as it forms, and what can be trusted already. Ctrl-C ends the session and
+    makes the final map.
+
+    Parameters
+    ----------
+    simulate
+        Body that a simulated hand rubs, instead of a source: see `anisomap bodies`.
+    coached
+        Let the simulated hand follow the advice of the page.
+    speed
+        Multiple of the rate of a replay or a simulation; 0 for as fast as possible.
+    seed
+        Seed of the simulation.
+    preset
+        Robot with a known numbering of sensors: icub, icub-hand.
+    recording
+        File for the recording, .csv; must not exist. Default: live-DATE-TIME.csv.
+    output
+        File for the map; its suffix chooses the format. May be repeated. Default: the name of the
+        recording with .map.csv.
+    report
+        File for a report: one HTML file that works offline.
+    spacing
+        Median distance between neighbouring sensors, such as 6.5mm: scales the written maps.
+    method
+        Reconstruction method of the checked map: see `anisomap methods`.
+    dimensions
+        Number of coordinates: 2 for flat skins, 3 for bodies.
+    truth
+        File of true positions to compare with.
+    """
+    target = recording or Path(time.strftime("live-%Y%m%d-%H%M%S.csv"))
+    if target.suffix.lower() != ".csv":
+        raise InputError(f"the recording is written as CSV: {target} must end in .csv")
+    maps = output or [target.with_suffix(".map.csv")]
+    check_target(target)
+    if target.exists():
+        raise InputError(f"{target} exists; a live session writes a new recording")
+    given = Path(source) if source and Path(source).exists() else None
+    files = [*maps, target, *([report] if report else [])]
+    check_distinct(files, [path for path in (given, truth) if path])
+    for path in maps:
+        io.check_writable(path)
+    options.PlacingOptions(spacing=spacing).check(maps)
+    if report:
+        reports.check_writable(report)
+    find_method(method)
+    chosen = ExaminationOptions(
+        dimensions=dimensions,
+        method=method,
+        preset=preset,
+        drop=tuple(name for text in drop or [] for name in text.split(",")),
+        truth=None if truth is None else pipeline.read_reference(truth),
+    )
+    opened = _opened(source, simulate, speed, seed, coached)
+    with reporting.printer() as printer:
+        with LiveSession(opened, target, chosen) as session:
+            if isinstance(opened, SimulatedHand) and coached:
+                opened.where = partial(_advised, session)
+            try:
+                _run(session, page, printer)
+            except KeyboardInterrupt:
+                printer.line("ending the session; press Ctrl-C again to leave out the final map")
+            _finish(session, printer, maps, report, spacing)
+        if session.failure is not None:
+            raise session.failure
+
+
+def _opened(
+    source: str | None, simulate: str | None, speed: float, seed: int, coached: bool
+) -> Source:
+    if (source is None) == (simulate is None):
+        raise InputError("give either a source or --simulate BODY")
+    if coached and simulate is None:
+        raise InputError("--coached is for a simulated hand; use it with --simulate BODY")
+    if simulate is not None:
+        return SimulatedHand(bodies.find(simulate, None), seed, speed)
+    return open_source(str(source), speed=speed)
+
+
+def _advised(session: LiveSession) -> tuple[int, ...]:
+    """Return the sensors that the coach asks to touch; none for anywhere."""
+    if session.quick is None:
+        return ()
+    advice = session.quick.advice
+    return advice.places[0].sensors if advice.places else advice.untouched
+
+
+def _run(session: LiveSession, page: PageOptions, printer: Printer) -> None:
+    """Show the session until it ends."""
+    ends = None if page.duration is None else time.monotonic() + page.duration
+
+    def over() -> bool:
+        done = page.until is not None and session.reached(page.until)
+        return done or (ends is not None and time.monotonic() >= ends)
+
+    if not page.headless:
+        raise InputError("only --headless works so far")
+    _print_lines(session, printer, over)
+
+
+def _print_lines(session: LiveSession, printer: Printer, over: Callable[[], bool]) -> None:
+    told = 0.0
+    while not session.ended.wait(_LINE_S) and not over():
+        for note in list(session.notices):
+            if note.seconds > told:
+                printer.line(f"  {number(note.seconds, 3)} s: {note.text}")
+                told = note.seconds
+        facts = _facts(session)
+        printer.event(facts)
+        printer.line(_in_words(facts))
+
+
+def _facts(session: LiveSession) -> dict[str, Any]:
+    quick, checked = session.quick, session.checked
+    verdict = None if checked is None else checked.verdict
+    return {
+        "seconds": round(session.seconds, 2),
+        "frames": session.recorder.n_frames,
+        "sensors": session.recorder.width,
+        "share_touched": session.share_touched,
+        "map_age": session.map_age,
+        "lags": session.lags,
+        "level": session.level,
+        "expected_error": None if verdict is None else verdict.expected_error,
+        "error_against_truth": None if checked is None else checked.error_against_truth,
+        "reasons": () if verdict is None else verdict.reasons,
+        "faulty": session.faulty,
+        "advice": "" if quick is None else quick.advice.text,
+        "notices": [note.text for note in session.notices],
+    }
+
+
+def _in_words(facts: dict[str, Any]) -> str:
+    parts = [
+        f"{facts['seconds']:.0f} s",
+        f"{facts['frames']} frames",
+        f"{percent(facts['share_touched'])} of {facts['sensors']} sensors touched",
+        f"map {facts['map_age']:.1f} s old{', lags' if facts['lags'] else ''}",
+        facts["level"] if facts["level"] != "unknown" else "verdict unknown",
+    ]
+    if (error := facts["expected_error"]) is not None and error == error:  # noqa: PLR0124
+        parts.append(f"expected error {number(error, 2)} spacings")
+    if facts["faulty"]:
+        parts.append("faulty: " + ", ".join(f"{n} ({s})" for n, s in facts["faulty"].items()))
+    return "; ".join([", ".join(parts), *([facts["advice"]] if facts["advice"] else [])])
+
+
+def _finish(
+    session: LiveSession, printer: Printer, maps: list[Path], report: Path | None, spacing: str
+) -> None:
+    """Make the final map, write all files, and say what was written."""
+    with progress("making the final map"):
+        final = session.finish()
+    written: list[tuple[str, Path]] = [("recording", s.path) for s in session.recorder.segments]
+    if final is not None and final.sensor_map is not None:
+        with progress("writing"):
+            inputs = [path for _, path in written]
+            written += [("map", save_map(final, p, spacing=spacing, inputs=inputs)) for p in maps]
+            if report:
+                written.append(("report", save_report(final, report, inputs[-1])))
+        printer.line(f"Final map of {final.n_frames} frames: {final.verdict}")
+    elif final is not None:
+        print_warning(f"there is no map: {final.reason}")
+    else:
+        print_warning("no frame arrived, so nothing was recorded")
+    printer.record(**_facts(session), final=final is not None and final.sensor_map is not None)
+    pipeline.print_files(printer, written)
+    if written:
+        printer.line(f"\nMake the map again:\n  {session.command}")

@@ -1,0 +1,89 @@
+"""What a source of a live session yields: frames, names of sensors, and notices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from threading import Event
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.sensor_map import SensorMap
+
+WAIT_S = 0.1
+"""Longest time in seconds for which a source waits before it looks whether it must stop."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Consecutive frames of one width.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (t, N)
+        One row per frame; NaN where a reading is missing.
+    times : ndarray of shape (t,), optional
+        Seconds of the clock of the source; by default the time of arrival is recorded.
+    """
+
+    readings: NDArray[np.float64]
+    times: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names of the sensors, which a source learns while it runs.
+
+    Parameters
+    ----------
+    names : tuple of str
+        One per sensor.
+    """
+
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Notice:
+    """An event that users should know of, such as a lost connection.
+
+    Parameters
+    ----------
+    text : str
+        One sentence.
+    """
+
+    text: str
+
+
+Item: TypeAlias = Batch | Names | Notice
+
+
+class Source(Protocol):
+    """A source of frames.
+
+    Attributes
+    ----------
+    description : str
+        Origin, for the recording and the page.
+    names : tuple of str
+        Names of the sensors, if they are known before the first frame; else empty.
+    truth : SensorMap or None
+        True positions of the sensors, if the source knows them.
+    """
+
+    description: str
+    names: tuple[str, ...]
+    truth: SensorMap | None
+
+    def items(self, stop: Event) -> Iterator[Item]:
+        """Iterate over what arrives, until the source ends or `stop` is set.
+
+        Raises
+        ------
+        AnisomapError
+            If the source cannot be opened.
+        """
+        ...

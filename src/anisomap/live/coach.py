@@ -1,0 +1,100 @@
+"""Where to touch next, in words and as marks on the map."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.health.touch_coverage import (
+    ENOUGH_CONTACTS,
+    Place,
+    needed_evidence,
+    neighbouring_sensors,
+    next_places,
+)
+from anisomap.wording import join_items
+
+MAX_PLACES = 3
+"""Number of places that are marked: what a person can follow while touching."""
+
+_MAX_NAMED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Advice:
+    """Advice to the person who touches the skin.
+
+    Attributes
+    ----------
+    places : tuple of Place
+        Where contacts are lacking, the most urgent first.
+    untouched : tuple of int
+        Sensors that were never touched.
+    share_done : float
+        Share of the evidence that is there, in [0, 1].
+    text : str
+        One sentence.
+    """
+
+    places: tuple[Place, ...] = ()
+    untouched: tuple[int, ...] = ()
+    share_done: float = 0.0
+    text: str = "touch the skin"
+
+    @property
+    def enough(self) -> bool:
+        """Whether more contacts would gain little."""
+        return not (self.places or self.untouched) and self.share_done > 0
+
+
+def advise(
+    positions: NDArray[np.float64],
+    contacts: NDArray[np.intp],
+    together: NDArray[np.float32],
+    names: Sequence[str],
+    drop: Collection[int] = (),
+) -> Advice:
+    """Advise where to touch next.
+
+    Parameters
+    ----------
+    positions : ndarray of shape (N, k)
+        NaN for sensors without one.
+    contacts : ndarray of int, shape (N,)
+        Separate contacts of each sensor.
+    together : ndarray of shape (N, N)
+        Separate contacts of two sensors at the same time.
+    names : sequence of str
+    drop : collection of int
+        Sensors that are of no interest.
+
+    Returns
+    -------
+    Advice
+    """
+    wanted = np.ones(len(names), dtype=bool)
+    wanted[list(drop)] = False
+    placed = np.isfinite(positions).all(axis=1)
+    untouched = tuple(np.flatnonzero(wanted & (contacts == 0)).tolist())
+    if not placed.any():
+        return Advice(untouched=untouched)
+    pairs = neighbouring_sensors(positions)
+    need = needed_evidence(contacts, pairs, together[pairs[:, 0], pairs[:, 1]])
+    places = next_places(positions, np.where(wanted & placed, need, 0), n_places=MAX_PLACES)
+    done = 1 - float(need[wanted].mean()) if wanted.any() else 0.0
+    return Advice(places, untouched, done, _in_words(places, untouched, names))
+
+
+def _in_words(places: Sequence[Place], untouched: Sequence[int], names: Sequence[str]) -> str:
+    parts = []
+    if places:
+        parts.append(f"touch {' and '.join(place.in_words(names) for place in places[:2])}")
+    if untouched:
+        listed = join_items([names[i] for i in untouched], _MAX_NAMED)
+        parts.append(f"{len(untouched)} sensors never touched: {listed}")
+    if parts:
+        return "; ".join(parts)
+    return f"enough: every sensor has {ENOUGH_CONTACTS} contacts or more, also with its neighbours"

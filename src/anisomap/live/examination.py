@@ -1,0 +1,187 @@
+"""The checked map of a live session: exactly the map of ``anisomap map``, with its verdict."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap import io
+from anisomap.diagnostics import diagnose
+from anisomap.errors import AnisomapError
+from anisomap.evaluation import score
+from anisomap.health import SensorHealth, assess
+from anisomap.io.stream import ReadOptions
+from anisomap.large.chunks import chunk_frames, complete_chunks
+from anisomap.large.streaming import map_streamed_similarity, stream_similarity
+from anisomap.methods import DEFAULT_METHOD, MethodOptions
+from anisomap.reconstruction import reconstruct
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+from anisomap.usability import Verdict
+
+MAX_READINGS = 1 << 27
+"""Readings of a final map above which they are read in blocks, as ``anisomap map`` does: 512 MiB
+of float32."""
+
+MAX_INTERIM_READINGS = 1 << 23
+"""Readings of a checked map while the session runs; of more, evenly spread parts are used."""
+
+_PARTS = 64  # of a long recording, evenly spread over it
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """A checked map.
+
+    Attributes
+    ----------
+    sensor_map : SensorMap or None
+        None if there is no map yet; see `reason`.
+    health : tuple of SensorHealth
+    verdict : Verdict
+    error_against_truth : float
+        RMS error in spacings, if the truth is known; else NaN.
+    n_frames : int
+        Number of frames of the recording when it was read.
+    seconds : float
+        Time that the examination took.
+    final : bool
+        Whether all frames of the session are in the map.
+    reason : str
+        Why there is no map; empty if there is one.
+    """
+
+    sensor_map: SensorMap | None
+    health: tuple[SensorHealth, ...]
+    verdict: Verdict
+    error_against_truth: float
+    n_frames: int
+    seconds: float
+    final: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class ExaminationOptions:
+    """What a checked map is made with.
+
+    Parameters
+    ----------
+    dimensions : int
+    method : str
+    preset : str
+        See `ReadOptions`.
+    drop : tuple of str
+        Sensors to leave out.
+    truth : SensorMap, optional
+        Positions to compare with.
+    """
+
+    dimensions: int = 3
+    method: str = DEFAULT_METHOD
+    preset: str = ""
+    drop: tuple[str, ...] = ()
+    truth: SensorMap | None = None
+
+
+def examine(
+    path: Path, n_frames: int, options: ExaminationOptions, *, final: bool = False
+) -> Examination:
+    """Map the recording of a session, and judge the map.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The recording, which may grow meanwhile.
+    n_frames : int
+        Number of frames that it has.
+    options : ExaminationOptions
+    final : bool
+        Whether the recording is complete; then all frames are used.
+
+    Returns
+    -------
+    Examination
+        Without a map if the recording does not suffice for one.
+    """
+    begun = time.monotonic()
+    made: SensorMap | None = None
+    health: tuple[SensorHealth, ...] = ()
+    reason, error = "", float("nan")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            made, health = _mapped(path, n_frames, options, final)
+            if options.truth is not None:
+                error = score(made, options.truth, permutations=0).rms_in_spacings
+        except AnisomapError as problem:
+            reason = str(problem)
+    return Examination(
+        sensor_map=made,
+        health=health,
+        verdict=Verdict(reasons=(reason,)) if made is None else made.verdict,
+        error_against_truth=error,
+        n_frames=n_frames,
+        seconds=time.monotonic() - begun,
+        final=final,
+        reason=reason,
+    )
+
+
+def _mapped(
+    path: Path, n_frames: int, options: ExaminationOptions, final: bool
+) -> tuple[SensorMap, tuple[SensorHealth, ...]]:
+    how = ReadOptions(preset=options.preset)
+    with io.open_stream(path, frames=1) as stream:
+        n_readings = n_frames * stream.n_sensors
+    if final and n_readings > MAX_READINGS:
+        return _mapped_in_blocks(path, options)
+    if not final and n_readings > MAX_INTERIM_READINGS:
+        recording = _parts_of(path, n_frames, options.preset)
+    else:
+        recording = io.read(path, options=how)
+    recording = recording.complete("interpolate")
+    drop = [name for name in options.drop if name in recording.names]
+    made = reconstruct(recording, options.method, options.dimensions, drop=drop)
+    health = assess(recording)
+    return diagnose(made, recording, drop=drop, health=health), health
+
+
+def _mapped_in_blocks(
+    path: Path, options: ExaminationOptions
+) -> tuple[SensorMap, tuple[SensorHealth, ...]]:
+    with io.open_stream(path, frames=1) as stream:
+        first = next(stream.blocks).readings
+        like = Recording(first, names=stream.names, source=stream.source)
+
+    def chunks() -> Iterator[NDArray[Any]]:
+        with io.open_stream(path, frames=chunk_frames(like.n_sensors)) as stream:
+            for block in stream.blocks:
+                yield block.readings
+
+    found = stream_similarity(
+        complete_chunks(chunks, "interpolate"), options.method, MethodOptions(), like=like
+    )
+    drop = [name for name in options.drop if name in like.names]
+    make = partial(map_streamed_similarity, found, options.method, options.dimensions)
+    return make(drop=drop), found.health
+
+
+def _parts_of(path: Path, n_frames: int, preset: str) -> Recording:
+    """Read evenly spread parts of a recording that together have `MAX_INTERIM_READINGS`."""
+    with io.open_stream(path, frames=1) as stream:
+        n_kept = MAX_INTERIM_READINGS // stream.n_sensors
+    length = max(1, n_kept // _PARTS)
+    stride = max(1, n_frames // length // _PARTS)
+    with io.open_stream(path, frames=length) as stream:
+        parts = [block.readings for i, block in enumerate(stream.blocks) if i % stride == 0]
+        found = Recording(np.concatenate(parts), names=stream.names, source=stream.source)
+    return io.apply_preset(found, preset) if preset else replace(found)

@@ -1,0 +1,250 @@
+"""Recording of what a source yields: nothing that arrives is lost, whatever its shape."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.io.parsing.naming import distinct_names
+from anisomap.live.batches import Batch
+from anisomap.live.journal import JournalWriter
+from anisomap.recording import default_names
+from anisomap.wording import printable
+
+MAX_SEGMENTS = 50
+"""Files of one session, above which frames of another width go to the file of odd frames."""
+
+_SILENCE_S = 1.0  # without a frame, after which a gap is noticed
+_CHANGED_S, _CHANGED_FRAMES = 1.0, 10  # of frames of one new width, before the width counts as new
+_MAX_ODD = 10_000  # frames of another width that are held in memory
+_TICK = 1e-6  # seconds; the last digit of the times in the file
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A file of a session.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+    names : tuple of str
+    header_bytes : int
+        Size of its lines before the first frame.
+    number : int
+        From 1.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    header_bytes: int
+    number: int
+
+
+class Recorder:
+    """Writes frames to a file, and to a new one when the number of sensors changes.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The first file; later ones are numbered, as in ``skin-2.csv``.
+    source : str
+        Origin of the recording.
+    notify : callable
+        Receives sentences for the user.
+    begin : callable
+        Receives each `Segment` when its file has been created.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        source: str,
+        notify: Callable[[str], None],
+        begin: Callable[[Segment], None],
+    ) -> None:
+        self.names: tuple[str, ...] = ()
+        self.segments: list[Segment] = []
+        self.n_frames = 0
+        self.seconds = 0.0
+        self.n_missing = 0
+        self.n_odd = 0
+        self.arrived_at: float | None = None
+        self._path, self._source, self._notify, self._begin = path, source, notify, begin
+        self._writer: JournalWriter | None = None
+        self._lock = Lock()
+        self._recent: list[NDArray[np.float64]] = []
+        self._odd: list[Batch] = []
+        self._odd_since = 0.0
+        self._missing = np.zeros(0, dtype=bool)
+        self._offset: float | None = None
+        self._began = 0.0
+
+    @property
+    def width(self) -> int:
+        """Number of sensors of the current file; 0 before the first frame."""
+        return len(self.segments[-1].names) if self._writer is not None else 0
+
+    def put(self, batch: Batch) -> None:
+        """Record frames.
+
+        Raises
+        ------
+        FileError
+            If a file cannot be written.
+        """
+        if not batch.readings.size:
+            return
+        with self._lock:
+            now = time.monotonic()
+            self._notice_silence(now)
+            if self._writer is None:
+                self._start(batch.readings.shape[1])
+            if batch.readings.shape[1] == self.width:
+                self._set_aside()
+                self._record(batch, now)
+            else:
+                self._hold(batch, now)
+            self.arrived_at = now
+
+    def restart(self) -> None:
+        """Begin a new file with the next frame."""
+        with self._lock:
+            self._close()
+
+    def flush(self) -> None:
+        """Hand what was recorded to the operating system."""
+        with self._lock:
+            if self._writer is not None:
+                self._writer.flush()
+
+    def close(self) -> None:
+        """Write everything and close the files."""
+        with self._lock:
+            self._set_aside()
+            self._close()
+
+    def recent(self) -> list[NDArray[np.float64]]:
+        """Return the readings that were recorded since the last call."""
+        with self._lock:
+            found, self._recent = self._recent, []
+            return found
+
+    def _start(self, width: int) -> None:
+        number = len(self.segments) + 1
+        path = self._path if number == 1 else self._path.with_stem(f"{self._path.stem}-{number}")
+        names = self.names if len(self.names) == width else default_names(width)
+        names = distinct_names(path, [printable(name) for name in names])
+        self._writer = JournalWriter(path, names, self._source)
+        self.n_frames, self.seconds, self._offset = 0, 0.0, None
+        self._missing = np.zeros(width, dtype=bool)
+        self._recent = []
+        self.segments.append(Segment(path, names, self._writer.header_bytes, number))
+        self._begin(self.segments[-1])
+
+    def _record(self, batch: Batch, now: float) -> None:
+        writer = self._writer
+        if writer is None:
+            return
+        writer.add(self._times(batch, now), batch.readings)
+        self.n_frames += len(batch.readings)
+        self._recent.append(batch.readings)
+        absent = ~np.isfinite(batch.readings)
+        if absent.any():
+            self.n_missing += int(np.count_nonzero(absent))
+            fresh = np.flatnonzero(absent.any(axis=0) & ~self._missing)
+            self._missing[fresh] = True
+            names = self.segments[-1].names
+            for i in fresh[:3]:
+                self._notify(f"{names[i]} sent no number; its last reading is kept for the map")
+            if len(fresh) > 3:
+                self._notify(f"{len(fresh) - 3} more sensors sent no number")
+
+    def _times(self, batch: Batch, now: float) -> NDArray[np.float64]:
+        """Return increasing times of frames in seconds since the first one."""
+        count, last = len(batch.readings), self.seconds
+        times: NDArray[Any]
+        if batch.times is not None:
+            times = np.asarray(batch.times, dtype=np.float64)
+            if self._offset is None:
+                self._offset = -float(times[0])
+            times = times + self._offset
+            first = self.n_frames == 0
+            if (first or times[0] > last + _TICK) and (np.diff(times) > _TICK).all():
+                self._began = now - float(times[-1])
+                self.seconds = float(times[-1])
+                return times
+            if not first and times[0] <= last - _SILENCE_S:
+                self._notify("the clock of the source went back; its times are shifted")
+        if self.n_frames == 0:
+            self._began = now
+            times = np.asarray(_TICK * np.arange(count))
+        else:
+            until = max(now - self._began, last + 2 * _TICK * count)
+            times = np.asarray(last + (until - last) / count * np.arange(1.0, count + 1))
+        if batch.times is not None:
+            self._offset = float(times[-1] - batch.times[-1])
+        self.seconds = float(times[-1])
+        return times
+
+    def _hold(self, batch: Batch, now: float) -> None:
+        """Hold frames of another width, and begin a new file when the width has changed."""
+        if self._odd and self._odd[-1].readings.shape[1] != batch.readings.shape[1]:
+            self._set_aside()
+        if not self._odd:
+            self._odd_since = now
+        self._odd.append(batch)
+        held = sum(len(part.readings) for part in self._odd)
+        lasting = now - self._odd_since >= _CHANGED_S and held >= _CHANGED_FRAMES
+        if not (lasting or held >= _MAX_ODD):
+            return
+        if len(self.segments) >= MAX_SEGMENTS:
+            self._set_aside()
+            return
+        before, width, parts = self.width, batch.readings.shape[1], self._odd
+        self._odd = []
+        self._close()
+        self._start(width)
+        self._notify(
+            f"the source now sends {width} readings per frame instead of {before}: recorded in "
+            f"{self.segments[-1].path.name}, with a new map"
+        )
+        for part in parts:
+            self._record(part, now)
+
+    def _set_aside(self) -> None:
+        """Write held frames of another width to the file of odd frames."""
+        if not self._odd:
+            return
+        path = self._path.with_name(f"{self._path.stem}.odd.txt")
+        parts, self._odd = self._odd, []
+        with path.open("a", encoding="utf-8") as stream:
+            for part in parts:
+                for row in part.readings.tolist():
+                    stream.write(f"{self.seconds:.6f},{','.join(map(repr, row))}\n")
+        count, width = sum(len(part.readings) for part in parts), parts[0].readings.shape[1]
+        self.n_odd += count
+        self._notify(
+            f"{count} frame{'s' if count > 1 else ''} of {width} readings instead of {self.width} "
+            f"set aside in {path.name}"
+        )
+
+    def _notice_silence(self, now: float) -> None:
+        if self.arrived_at is not None and now - self.arrived_at > _SILENCE_S:
+            self._notify(f"no frame for {now - self.arrived_at:.1f} s")
+
+    def _close(self) -> None:
+        if self._writer is not None:
+            writer, self._writer = self._writer, None
+            writer.close()
+
+
+def names_of(segments: Sequence[Segment]) -> str:
+    """Return the files of segments, for messages."""
+    return ", ".join(segment.path.name for segment in segments)

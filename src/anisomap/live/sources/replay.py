@@ -1,0 +1,91 @@
+"""Sources that need no skin: a recording that is replayed, and a simulated hand on a body."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap import io
+from anisomap.io.stream import Block
+from anisomap.live.batches import WAIT_S, Batch, Item, Notice
+from anisomap.recording import default_names
+from anisomap.sensor_map import SensorMap
+
+DEFAULT_RATE_HZ = 50.0
+"""Rate of recordings that state none; that of the iCub's skin."""
+
+_BATCH_S = 0.05  # longest time between two batches, so that the page moves smoothly
+_MAX_BATCH = 512
+
+
+class Replay:
+    """A recording that is replayed at its rate, or faster.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Any recording that `anisomap.read` reads. It is read in blocks.
+    speed : float
+        Multiple of the rate of the recording; 0 for as fast as possible.
+    options : ReadOptions, optional
+
+    Raises
+    ------
+    FileError
+        If the file holds no recording.
+    """
+
+    def __init__(
+        self, path: Path, speed: float = 1.0, options: io.ReadOptions | None = None
+    ) -> None:
+        self._path, self._speed, self._options = path, speed, options or io.ReadOptions()
+        with io.open_stream(path, frames=1, options=self._options) as stream:
+            self.names = stream.names or default_names(stream.n_sensors)
+            self.truth = None
+            if stream.positions is not None:
+                self.truth = SensorMap(stream.positions, names=self.names, units=stream.units)
+            self._rate_hz = stream.rate_hz
+        self.description = f"replay of {path.name}"
+
+    def items(self, stop: Event) -> Iterator[Item]:
+        """Iterate over the frames, at the pace of the recording."""
+        started = time.monotonic()
+        clock = 0.0
+        with io.open_stream(self._path, frames=_MAX_BATCH, options=self._options) as stream:
+            rate = stream.rate_hz or self._rate_hz or DEFAULT_RATE_HZ
+            for block in stream.blocks:
+                times = _times(block, clock, 1 / rate)
+                clock = float(times[-1]) + 1 / rate
+                for at, until in self._parts(times):
+                    due = started + (times[until - 1] / self._speed if self._speed else 0.0)
+                    while (left := due - time.monotonic()) > 0:
+                        if stop.wait(min(left, WAIT_S)):
+                            return
+                    if stop.is_set():
+                        return
+                    readings = np.asarray(block.readings[at:until], dtype=np.float64)
+                    yield Batch(readings, times[at:until])
+        yield Notice("the recording has ended")
+
+    def _parts(self, times: NDArray[np.float64]) -> Iterator[tuple[int, int]]:
+        """Split a block into batches of at most `_BATCH_S` of replay."""
+        if not self._speed or len(times) < 2:
+            yield 0, len(times)
+            return
+        step = (times[1] - times[0]) / self._speed
+        n_frames = max(1, int(_BATCH_S / step))
+        for at in range(0, len(times), n_frames):
+            yield at, min(at + n_frames, len(times))
+
+
+def _times(block: Block, begin: float, step: float) -> NDArray[np.float64]:
+    """Return the times of a block from `begin` on; equal steps unless it has increasing times."""
+    own = block.times
+    if own is not None and np.isfinite(own).all() and (np.diff(own) > 0).all():
+        return np.asarray(begin + (own - own[0]))
+    return np.asarray(begin + step * np.arange(len(block.readings)), dtype=np.float64)

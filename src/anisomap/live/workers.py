@@ -1,0 +1,256 @@
+"""Processes beside the session: one makes quick maps, one makes checked maps.
+
+Frames reach them through the recording on disk, which they read as it grows: the acquisition never
+waits for a map, a backlog takes no memory, and a map of the session is one of the recording.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from anisomap.errors import InputError
+from anisomap.io import numbering
+from anisomap.live.examination import ExaminationOptions, examine
+from anisomap.live.journal import JournalTail
+from anisomap.live.mapping import QuickMapper
+from anisomap.live.recorder import Segment
+from anisomap.live.statistics import TouchStatistics
+from anisomap.recording import Recording
+
+logger = logging.getLogger(__name__)
+
+_POLL_S = 0.03  # between two looks at a recording that has not grown
+_READ_BYTES = 1 << 22  # at a time, so that a map of a backlog is made now and then
+_MAX_BEHIND_S = 1.0  # of reading a backlog without a map
+_IDLE_SHARE = 0.5  # pause after a quick map, as a share of its time: others need the processor too
+_NICENESS = {"quick": 5, "checked": 10}
+_MAX_RESTARTS = 3
+_JOIN_S = 2.0
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A message to the workers: what they map from now on."""
+
+    segment: Segment | None = None
+    options: ExaminationOptions | None = None
+
+
+@dataclass(frozen=True)
+class Examine:
+    """A message to the worker of checked maps: examine the recording."""
+
+    segment: Segment
+    n_frames: int
+    final: bool
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A message from a worker: something unexpected went wrong."""
+
+    text: str
+
+
+class Worker:
+    """A process that answers messages, and is started again if it dies.
+
+    Parameters
+    ----------
+    role : {"quick", "checked"}
+    receive : callable
+        Receives each answer, in a thread.
+    """
+
+    def __init__(self, role: str, receive: Callable[[Any], None]) -> None:
+        self._role, self._receive = role, receive
+        self._context = get_context("spawn")
+        self._lock = threading.Lock()
+        self._closing = False
+        self._restarts = 0
+        self._last: dict[type, Any] = {}
+        self._start()
+
+    def send(self, message: Any) -> None:
+        """Send a message; a dead process gets it when it is started again."""
+        with self._lock:
+            self._last[type(message)] = message
+            with suppress(OSError):
+                self._connection.send(message)
+
+    def close(self, wait_s: float = _JOIN_S) -> None:
+        """End the process."""
+        self._closing = True
+        with suppress(OSError), self._lock:
+            self._connection.close()
+        self._process.join(wait_s)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(_JOIN_S)
+
+    def _start(self) -> None:
+        ours, theirs = self._context.Pipe()
+        self._connection = ours
+        self._process = self._context.Process(target=_run, args=(self._role, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+        threading.Thread(target=self._listen, args=(ours,), daemon=True).start()
+
+    def _listen(self, connection: Connection) -> None:
+        while True:
+            try:
+                answer = connection.recv()
+            except (EOFError, OSError):
+                break
+            self._receive(answer)
+        if self._closing:
+            return
+        self._restarts += 1
+        if self._restarts > _MAX_RESTARTS:
+            self._receive(Failed(f"the process of {self._role} maps ended; there are no more"))
+            return
+        self._receive(Failed(f"the process of {self._role} maps ended and is started again"))
+        with self._lock:
+            self._start()
+            for message in self._last.values():
+                with suppress(OSError):
+                    self._connection.send(message)
+
+
+def _run(role: str, connection: Connection) -> None:
+    """Work until the session closes the connection, or its process ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session ends its workers itself
+    with suppress(OSError, AttributeError):
+        os.nice(_NICENESS[role])
+    with suppress(EOFError, OSError, KeyboardInterrupt):
+        if role == "quick":
+            _make_quick_maps(connection)
+        else:
+            _make_checked_maps(connection)
+
+
+def _make_checked_maps(connection: Connection) -> None:
+    options = ExaminationOptions()
+    while True:
+        message = connection.recv()
+        while connection.poll():  # only the latest request counts, unless options come between
+            if isinstance(message, Changed) and message.options is not None:
+                options = message.options
+            message = connection.recv()
+        if isinstance(message, Changed):
+            options = message.options or options
+        elif isinstance(message, Examine):
+            try:
+                found = examine(
+                    message.segment.path, message.n_frames, options, final=message.final
+                )
+                connection.send((message.segment.number, found))
+            except Exception as error:  # a defect must not end the recording
+                connection.send(Failed(f"a checked map failed: {type(error).__name__}: {error}"))
+
+
+def _make_quick_maps(connection: Connection) -> None:
+    state = _Follower()
+    while True:
+        wait = _POLL_S if state.segment is not None else None
+        if connection.poll(0) if state.busy else connection.poll(wait):
+            state.change(connection.recv())
+            continue
+        try:
+            found = state.follow()
+        except Exception as error:  # a defect must not end the recording
+            connection.send(Failed(f"a quick map failed: {type(error).__name__}: {error}"))
+            state.pause(1.0)
+            continue
+        if found is not None:
+            connection.send((state.number, found))
+
+
+class _Follower:
+    """Follows the recording of a session and maps it."""
+
+    def __init__(self) -> None:
+        self.segment: Segment | None = None
+        self.busy = False
+        self._options = ExaminationOptions()
+        self._tail: JournalTail | None = None
+        self._next_map = 0.0
+        self._mapped_frames = 0
+
+    @property
+    def number(self) -> int:
+        """Number of the segment."""
+        return 0 if self.segment is None else self.segment.number
+
+    def change(self, message: Changed) -> None:
+        """Follow another recording, or map it otherwise."""
+        if message.options is not None:
+            self._options = message.options
+            self._mapped_frames = 0
+        if message.segment is not None:
+            if self._tail is not None:
+                self._tail.close()
+            segment = message.segment
+            self.segment, self._mapped_frames = segment, 0
+            self._tail = JournalTail(segment.path, len(segment.names), segment.header_bytes)
+            self._statistics = TouchStatistics(len(segment.names))
+            self._mapper = QuickMapper(segment.names, self._options.dimensions)
+
+    def pause(self, seconds: float) -> None:
+        """Make no map for some seconds."""
+        self._next_map = time.monotonic() + seconds
+        self.busy = False
+
+    def follow(self) -> Any:
+        """Read what is new, and return a map if it is time for one."""
+        if self._tail is None or self.segment is None:
+            return None
+        begun, more = time.monotonic(), True
+        while more and time.monotonic() - begun < _MAX_BEHIND_S:
+            readings, more = self._tail.read(_READ_BYTES)
+            self._statistics.add(readings)
+        self.busy = more
+        now = time.monotonic()
+        if self._statistics.n_frames <= self._mapped_frames or now < self._next_map:
+            return None
+        names, left_out = self._left_out(self.segment)
+        self._mapper.names, self._mapper.drop = names, left_out
+        self._mapper.dimensions = self._options.dimensions
+        found = self._mapper.make(self._statistics)
+        self._mapped_frames = found.n_frames
+        self._next_map = time.monotonic() + _IDLE_SHARE * found.seconds
+        return found
+
+    def _left_out(self, segment: Segment) -> tuple[tuple[str, ...], set[int]]:
+        """Return the names of all channels, and those that are dropped or are no sensors."""
+        names = list(segment.names)
+        left_out: set[int] = set()
+        if self._options.preset:
+            statistics = self._statistics
+            low = np.where(np.isfinite(statistics.lowest), statistics.lowest, 0)
+            high = np.where(np.isfinite(statistics.highest), statistics.highest, 0)
+            probe = Recording(np.array([low, low, high]), names=segment.names)
+            try:
+                kept = numbering(probe, self._options.preset)
+            except InputError as error:
+                logger.warning("%s", error)
+                kept = dict(enumerate(names))
+            left_out = set(range(len(names))) - set(kept)
+            for i, name in kept.items():
+                names[i] = name
+        dropped = set(self._options.drop)
+        left_out |= {i for i, name in enumerate(names) if name in dropped}
+        left_out |= {i for i, name in enumerate(segment.names) if name in dropped}
+        return tuple(names), left_out

@@ -1,0 +1,187 @@
+"""Accumulated statistics, quick maps and advice."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap import SensorMap, reconstruct
+from anisomap.evaluation import align, score
+from anisomap.health.touch_coverage import count_contacts, count_joint_contacts
+from anisomap.live.coach import advise
+from anisomap.live.mapping import QuickMapper, turned_onto, warm_start
+from anisomap.live.statistics import SAMPLE_FRAMES, TouchStatistics
+from anisomap.numerics.procrustes import fit_similarity
+from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.rest import estimate_rest
+from skins import flat_skin, lattice, rubbed
+
+
+def accumulated(readings, *sizes):
+    statistics = TouchStatistics(readings.shape[1])
+    at = 0
+    for size in sizes or (17,) * len(readings):
+        statistics.add(readings[at : at + size])
+        at += size
+        if at >= len(readings):
+            break
+    return statistics
+
+
+@given(sizes=st.lists(st.integers(1, 300), min_size=1, max_size=4), offset=st.floats(-1e3, 1e3))
+def test_statistics_do_not_depend_on_the_batches(sizes, offset):
+    readings = rubbed(lattice(4, 4), 300, seed=3) + offset
+    readings[:, 5] = offset
+    found = accumulated(readings, *sizes, 300, 300)
+    expected = Moments.of(readings)
+    assert found.n_frames == expected.n_frames
+    np.testing.assert_allclose(found.moments().correlation(), expected.correlation(), atol=1e-9)
+    assert not found.moments().varying()[5]
+    found.estimate()
+    rest = estimate_rest(readings.astype(np.float32))
+    active = rest.active(readings.astype(np.float32))
+    pairs = np.argwhere(np.triu(np.ones((16, 16)), 1))
+    assert found.rest.side.tolist() == rest.side.tolist()
+    np.testing.assert_array_equal(found.contacts, count_contacts(active))
+    np.testing.assert_array_equal(
+        found.together[tuple(pairs.T)], count_joint_contacts(active, pairs)
+    )
+
+
+def test_counts_go_on_beyond_the_sample():
+    readings = rubbed(lattice(3, 3), 2 * SAMPLE_FRAMES + 100, seed=1)
+    found = accumulated(readings, *(100,) * 200)
+    contacts = count_contacts(estimate_rest(readings).active(readings))
+    assert found.rest.value.tolist() == [0.0] * 9
+    np.testing.assert_array_equal(found.contacts, contacts)
+
+
+def test_missing_readings_count_as_the_last_ones():
+    readings = rubbed(lattice(3, 3), 200, seed=2)
+    with_gaps = readings.copy()
+    with_gaps[50:60, 2] = np.nan
+    with_gaps[0, 4] = np.nan
+    with_gaps[20, 3] = np.inf
+    held = readings.copy()
+    held[50:60, 2] = readings[49, 2]
+    held[0, 4] = readings[1, 4]
+    held[20, 3] = readings[19, 3]
+    for sizes in ((200,), (55, 145), (1, 20, 179)):
+        found = accumulated(with_gaps, *sizes)
+        expected = Moments.of(held)
+        if sizes[0] > 1:
+            np.testing.assert_allclose(found.moments().comoment, expected.comoment, atol=1e-9)
+        assert np.isfinite(found.moments().comoment).all()
+
+
+def test_a_sensor_that_never_sends_a_number_has_no_place():
+    readings = rubbed(lattice(4, 4), 400, seed=2)
+    readings[:, 7] = np.nan
+    statistics = accumulated(readings, 100, 300)
+    made = QuickMapper([f"s{i}" for i in range(16)], 2).make(statistics)
+    assert not np.isfinite(made.positions[7]).any()
+    assert np.isfinite(np.delete(made.positions, 7, axis=0)).all()
+
+
+def test_maps_grow_without_turning_over():
+    skin = flat_skin(n_frames=1500)
+    statistics, mapper = TouchStatistics(skin.n_sensors), QuickMapper(skin.names, 2)
+    before = None
+    for at in range(0, 1500, 50):
+        statistics.add(skin.readings[at : at + 50].astype(float))
+        made = mapper.make(statistics)
+        assert made.n_frames == at + 50
+        if made.reason:
+            assert not np.isfinite(made.positions).any()
+            continue
+        if before is not None:
+            shared = np.isfinite(before).all(axis=1) & np.isfinite(made.positions).all(axis=1)
+            if shared.sum() > 10:
+                fit = fit_similarity(made.positions[shared], before[shared], scaling=False)
+                np.testing.assert_allclose(fit.rotation, np.eye(2), atol=1e-6)
+        before = made.positions
+    assert score_of(before, skin) < 0.5
+
+
+def score_of(positions, skin):
+    placed = np.isfinite(positions).all(axis=1)
+    return align(positions[placed], skin.positions[placed]).rms
+
+
+@given(seed=st.integers(0, 100), mirrored=st.booleans(), dimensions=st.sampled_from([2, 3]))
+def test_a_map_is_turned_onto_the_one_before(seed, mirrored, dimensions):
+    rng = np.random.default_rng(seed)
+    before = turned_onto(rng.normal(size=(12, dimensions)), None)
+    rotation = np.linalg.qr(rng.normal(size=(dimensions, dimensions)))[0]
+    rotation[:, 0] *= -1 if mirrored else 1
+    moved = 3 * before @ rotation + rng.normal(size=dimensions)
+    np.testing.assert_allclose(turned_onto(moved, before), before, atol=1e-9)
+
+
+def test_sensors_without_a_place_start_beside_the_most_similar_one():
+    before = np.array([[0.0, 0.0], [1.0, 0.0], [np.nan, np.nan]])
+    similarity = np.array([[1, 0.2, 0.1], [0.2, 1, 0.9], [0.1, 0.9, 1]])
+    start = warm_start(before, similarity)
+    np.testing.assert_array_equal(start[:2], before[:2])
+    assert np.linalg.norm(start[2] - before[1]) < 0.1
+
+
+def test_a_warm_map_is_the_cold_map():
+    skin = flat_skin(n_frames=1000)
+    cold = QuickMapper(skin.names, 2).make(accumulated(skin.readings.astype(float), 1000))
+    warm = QuickMapper(skin.names, 2)
+    statistics = TouchStatistics(skin.n_sensors)
+    for at in range(0, 1000, 250):
+        statistics.add(skin.readings[at : at + 250].astype(float))
+        last = warm.make(statistics)
+    assert align(last.positions, cold.positions).rms < 0.02  # of an RMS radius of 1
+
+
+def test_the_coach_names_what_was_not_touched_and_says_when_it_is_enough():
+    skin = flat_skin(n_frames=1500)
+    half = np.flatnonzero(skin.positions[:, 0] > 3)
+    readings = skin.readings.astype(float).copy()
+    frames = readings[:, half].max(axis=1) == 0
+    statistics = TouchStatistics(skin.n_sensors)
+    statistics.add(readings[frames])
+    untouched = np.flatnonzero(statistics.rest.active(readings[frames]).sum(axis=0) == 0)
+    made = QuickMapper(skin.names, 2).make(statistics)
+    assert set(made.advice.untouched) == set(untouched) >= set(half[2:4])
+    assert skin.names[untouched[0]] in made.advice.text
+    assert not made.advice.enough
+    enough = advise(
+        skin.positions, np.full(42, 99), np.full((42, 42), 99, dtype=np.float32), skin.names
+    )
+    assert enough.enough
+    assert enough.share_done == 1
+    assert enough.text.startswith("enough")
+
+
+def test_dropped_sensors_are_no_advice():
+    contacts = np.full(42, 99)
+    contacts[[3, 4]] = 0
+    together = np.full((42, 42), 99, dtype=np.float32)
+    together[[3, 4]] = together[:, [3, 4]] = 0
+    names = [f"s{i}" for i in range(42)]
+    positions = lattice()
+    positions[[3, 4]] = np.nan
+    told = advise(positions, contacts, together, names)
+    assert told.untouched == (3, 4)
+    assert advise(positions, contacts, together, names, drop={3, 4}).enough
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 3])
+def test_first_frames_give_a_reason_instead_of_a_map(n_frames):
+    skin = flat_skin()
+    statistics = accumulated(np.repeat(skin.readings[:1].astype(float), n_frames, axis=0), 3)
+    made = QuickMapper(skin.names, 2).make(statistics)
+    assert made.reason
+    assert not np.isfinite(made.positions).any()
+
+
+def test_the_score_of_a_quick_map_is_that_of_the_published_method():
+    skin = flat_skin(n_frames=1500)
+    made = QuickMapper(skin.names, 2).make(accumulated(skin.readings.astype(float), 1500))
+    published = reconstruct(skin, "r-anisomap", 2)
+    mine = score(SensorMap(made.positions, names=skin.names), skin, permutations=0)
+    assert mine.mantel.r == pytest.approx(score(published, skin, permutations=0).mantel.r, abs=1e-3)

@@ -1,0 +1,142 @@
+"""What a session writes: every frame, in files that are read at any time."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+import anisomap
+from anisomap.errors import FileError
+from anisomap.live.batches import Batch
+from anisomap.live.journal import JournalTail, JournalWriter
+from anisomap.live.recorder import Recorder
+
+READINGS = arrays.arrays(
+    float, st.tuples(st.integers(1, 30), st.integers(2, 5)), elements=st.floats(width=64)
+)
+LETTERS = st.characters(exclude_categories=["Cs", "Cc"])
+NAMES = st.lists(st.text(LETTERS, min_size=1, max_size=5), min_size=5, max_size=5, unique=True)
+
+
+def path_in(folder):
+    return folder / f"r{len(list(folder.iterdir()))}.csv"
+
+
+@given(readings=READINGS, cuts=st.lists(st.integers(1, 200), min_size=1))
+def test_frames_are_read_back_equal_by_the_reader_and_by_the_tail(tmp_path_factory, readings, cuts):
+    path = path_in(tmp_path_factory.getbasetemp())
+    names = [f"s{i}" for i in range(readings.shape[1])]
+    writer = JournalWriter(path, names, "test")
+    tail = JournalTail(path, len(names), writer.header_bytes)
+    writer.add(np.arange(len(readings)) / 10, readings)
+    writer.close()
+    parts, more = [], True
+    while more:
+        part, more = tail.read(cuts[len(parts) % len(cuts)])
+        parts.append(part)
+    tail.close()
+    np.testing.assert_array_equal(np.concatenate(parts), readings)
+    found = anisomap.read(path)
+    np.testing.assert_array_equal(found.readings, readings)
+    np.testing.assert_allclose(found.times, np.arange(len(readings)) / 10, atol=1e-6)
+    path.unlink()
+
+
+@given(names=NAMES)
+def test_names_are_read_back(tmp_path_factory, names):
+    path = path_in(tmp_path_factory.getbasetemp())
+    writer = JournalWriter(path, names, "test")
+    writer.add(np.arange(3.0), np.ones((3, 5)))
+    writer.close()
+    assert list(anisomap.read(path).names) == names
+    tail = JournalTail(path, 5, writer.header_bytes)
+    assert tail.read(1 << 20)[0].shape == (3, 5)
+    tail.close()
+    path.unlink()
+
+
+@given(cut=st.integers(0, 400))
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def test_a_cut_file_loses_no_whole_frame(tmp_path_factory, cut):
+    path = path_in(tmp_path_factory.getbasetemp())
+    writer = JournalWriter(path, ["a", "b"], "test")
+    readings = np.random.default_rng(0).random((40, 2))
+    writer.add(np.arange(40.0), readings)
+    writer.close()
+    content = path.read_bytes()
+    end = max(len(content) - cut, writer.header_bytes + 60)
+    path.write_bytes(content[:end])
+    whole = content[writer.header_bytes : end].count(b"\n")
+    found = anisomap.read(path).readings
+    assert whole <= len(found) <= whole + 1
+    np.testing.assert_array_equal(found[:whole], readings[:whole])
+    path.unlink()
+
+
+def test_a_recording_is_never_overwritten(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("mine")
+    with pytest.raises(FileError, match="exists"):
+        JournalWriter(path, ["a", "b"], "test")
+    assert path.read_text() == "mine"
+
+
+@pytest.fixture
+def recorder(tmp_path):
+    told, begun = [], []
+    made = Recorder(tmp_path / "r.csv", "test", told.append, begun.append)
+    yield SimpleNamespace(put=made.put, close=made.close, made=made, told=told, begun=begun)
+    made.close()
+
+
+def frames(count, width, value=1.0):
+    return Batch(np.full((count, width), value))
+
+
+def test_single_frames_of_another_width_are_set_aside(recorder, tmp_path):
+    for value, width in enumerate([3, 3, 2, 3, 5, 5, 3]):
+        recorder.put(frames(1, width, value))
+    recorder.close()
+    np.testing.assert_array_equal(
+        anisomap.read(tmp_path / "r.csv").readings, np.tile([[0.0], [1], [3], [6]], 3)
+    )
+    lines = (tmp_path / "r.odd.txt").read_text().splitlines()
+    assert [line.count(",") for line in lines] == [2, 5, 5]
+    assert recorder.made.n_odd == 3
+    assert any("set aside in r.odd.txt" in text for text in recorder.told)
+
+
+def test_many_frames_of_another_width_begin_a_new_file(recorder, tmp_path):
+    recorder.put(frames(4, 3))
+    recorder.put(frames(20_000, 2))
+    recorder.put(frames(5, 2, 7.0))
+    recorder.close()
+    assert [segment.path.name for segment in recorder.begun] == ["r.csv", "r-2.csv"]
+    assert anisomap.read(tmp_path / "r.csv").readings.shape == (4, 3)
+    assert anisomap.read(tmp_path / "r-2.csv").readings.shape == (20_005, 2)
+    assert any("now sends 2 readings per frame instead of 3" in text for text in recorder.told)
+
+
+def test_times_increase_whatever_the_clock_of_the_source_does(recorder, tmp_path):
+    for start in (100.0, 101.0, 50.0, 50.0, 1e9, np.float64(1e9)):
+        recorder.put(Batch(np.ones((3, 2)), start + np.array([0.0, 0.1, 0.2])))
+    recorder.put(frames(3, 2))
+    recorder.put(frames(3, 2))
+    recorder.close()
+    times = anisomap.read(tmp_path / "r.csv").times
+    assert len(times) == 24
+    assert (np.diff(times) > 0).all()
+    assert times[0] == 0
+    assert times[5] == pytest.approx(1.2)
+    assert any("clock of the source went back" in text for text in recorder.told)
+
+
+def test_missing_readings_are_recorded_and_told(recorder, tmp_path):
+    recorder.put(Batch(np.array([[1.0, np.nan], [2.0, 3.0]])))
+    recorder.close()
+    np.testing.assert_array_equal(anisomap.read(tmp_path / "r.csv").readings, [[1, np.nan], [2, 3]])
+    assert recorder.made.n_missing == 1
+    assert any("s1 sent no number" in text for text in recorder.told)

@@ -1,0 +1,159 @@
+"""Whole sessions in processes of their own, with real peers, which misbehave."""
+
+import os
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import anisomap
+from live_processes import LONGEST_S, LiveProcess
+from skins import flat_skin
+
+if sys.platform == "win32":
+    pytest.skip("signals are those of Unix", allow_module_level=True)
+
+SKIN = flat_skin(n_frames=600)
+LINES = [",".join(map(repr, row)) for row in SKIN.readings.astype(float).tolist()]
+
+
+def text(lines):
+    return ("\n".join(lines) + "\n").encode()
+
+
+def connected(port):
+    return socket.create_connection(("127.0.0.1", port), timeout=LONGEST_S)
+
+
+@pytest.fixture
+def session(tmp_path):
+    started = []
+
+    def start(*arguments, **options):
+        started.append(LiveProcess(tmp_path, *arguments, **options))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.close()
+
+
+def test_a_skin_that_misbehaves_is_recorded_whole_and_mapped(session, tmp_path):
+    live = session("tcp-listen://127.0.0.1:0", "--headless", "-d", "2", "--recording", "r.csv")
+    port = int(live.notice("waiting for a connection").split()[-1])
+    names = [f"taxel {i}" for i in range(42)]
+    missing = ",".join(["nan", *LINES[99].split(",")[1:]])
+    with connected(port) as peer:
+        peer.sendall(text([",".join(names), *LINES[:99], missing]))
+        peer.sendall(b"\xff\xfe garbage\n" + b"x" * 3000 + b"\n1,2,3\n\n[1, 2\n")
+        peer.sendall(text(LINES[100:300]) + LINES[0][:30].encode())  # cut in the last line
+    live.notice("waiting for the next")
+    with connected(port) as peer:
+        for begin in range(300, 600, 50):
+            peer.sendall(text(LINES[begin : begin + 50]))
+        found = live.wait_for(lambda event: event["frames"] == 600)
+    assert any("holds no frame" in notice for notice in found["notices"])
+    assert any("taxel 0 sent no number" in notice for notice in found["notices"])
+    assert any("3 readings instead of 42 set aside" in notice for notice in found["notices"])
+    code, said = live.end(signal.SIGINT)
+    assert code == 0
+    assert "Traceback" not in said
+
+    recorded = anisomap.read(tmp_path / "r.csv")
+    expected = SKIN.readings.astype(float).copy()
+    expected[99, 0] = np.nan
+    assert list(recorded.names) == names
+    np.testing.assert_array_equal(recorded.readings, expected)
+    assert (tmp_path / "r.odd.txt").read_text().endswith(",1.0,2.0,3.0\n")
+    made = anisomap.read_map(tmp_path / "r.map.csv")
+    again = anisomap.reconstruct(recorded.complete("interpolate"), dimensions=2)
+    np.testing.assert_allclose(made.positions, again.positions, atol=1e-6)
+    assert live.result["frames"] == 600
+    with socket.socket() as freed:
+        freed.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        freed.bind(("127.0.0.1", port))
+
+
+def test_a_killed_session_leaves_its_recording_and_no_process(session, tmp_path):
+    live = session("udp://127.0.0.1:0", "--headless", "--recording", "r.csv")
+    port = int(live.notice("waiting for datagrams").split()[-1])
+    children = live.children()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        for line in LINES[:200]:
+            peer.sendto(line.encode(), ("127.0.0.1", port))
+    live.wait_for(lambda event: event["frames"] == 200)
+    live.wait_for(lambda event: event["frames"] == 200)  # a second later all frames are on disk
+    code, _ = live.end(signal.SIGKILL)
+    assert code == -signal.SIGKILL
+    np.testing.assert_array_equal(
+        anisomap.read(tmp_path / "r.csv").readings, SKIN.readings[:200].astype(float)
+    )
+    while any(is_alive(pid) for pid in children):
+        time.sleep(0.05)
+
+
+def is_alive(pid):
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.mark.slow
+def test_a_flood_loses_nothing(session, tmp_path):
+    live = session("-", "--headless", "--recording", "r.csv", stdin=_flood())
+    code, said = live.join()
+    assert code == 0, said
+    readings = anisomap.read(tmp_path / "r.csv").readings
+    assert readings.shape == (30_000, 42)
+    np.testing.assert_array_equal(readings[:, 0], np.arange(30_000) % 977)
+    assert live.result["final"]
+    assert "Traceback" not in said
+
+
+def _flood():
+    """Return a pipe into which another process writes 30,000 frames as fast as it can."""
+    reading, writing = os.pipe()
+    if os.fork() == 0:
+        os.close(reading)
+        code = 1
+        try:
+            row = ",".join(f"{x:.3g}" for x in range(1, 42))
+            skin = [line.partition(",")[2] for line in LINES]
+            content = text([f"{i % 977},{skin[i % 600] or row}" for i in range(30_000)])
+            while content:
+                content = content[os.write(writing, content) :]
+            code = 0
+        finally:
+            os._exit(code)
+    os.close(writing)
+    return reading
+
+
+@pytest.mark.slow
+def test_a_session_ends_when_the_map_is_usable(session, tmp_path):
+    anisomap.write(flat_skin(n_frames=3000), tmp_path / "skin.npz")
+    live = session("skin.npz", "--headless", "-d", "2", "--until", "usable", "--recording", "r.csv")
+    code, said = live.join()
+    assert code == 0, said
+    assert live.result["level"] == "usable"
+    assert live.result["error_against_truth"] < 0.5
+    assert live.result["frames"] <= 3000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_terminated_session_leaves_its_recording(session, tmp_path, number):
+    anisomap.write(SKIN, tmp_path / "skin.npz")
+    live = session("skin.npz", "--headless", "--recording", "r.csv")
+    live.wait_for(lambda event: event["frames"] > 50)
+    code, said = live.end(number)
+    assert code == 128 + number
+    assert "Traceback" not in said
+    readings = anisomap.read(tmp_path / "r.csv").readings
+    np.testing.assert_array_equal(readings, SKIN.readings[: len(readings)])

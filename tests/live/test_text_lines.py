@@ -1,0 +1,100 @@
+"""Lines of text as frames: every format, and anything else."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap.live.batches import Batch, Names, Notice
+from anisomap.live.sources.text_lines import MAX_LINE, LineParser
+
+NUMBERS = st.lists(st.floats(width=32, allow_infinity=False), min_size=2, max_size=6)
+ROWS = st.integers(2, 6).flatmap(
+    lambda n: st.lists(
+        st.lists(st.floats(width=32, allow_infinity=False), min_size=n, max_size=n), min_size=1
+    )
+)
+
+
+def parsed(*parts: bytes, complete=False):
+    parser = LineParser()
+    return [item for part in parts for item in parser.feed(part, complete=complete)]
+
+
+def readings(items):
+    return [row for item in items if isinstance(item, Batch) for row in item.readings.tolist()]
+
+
+FORMATS = {
+    "commas": lambda row: ",".join(map(repr, row)),
+    "semicolons": lambda row: "; ".join(map(repr, row)),
+    "blanks": lambda row: "  ".join(map(repr, row)),
+    "json": lambda row: json.dumps([None if np.isnan(x) else x for x in row]),
+    "object": lambda row: json.dumps({"data": [None if np.isnan(x) else x for x in row]}),
+    "named": lambda row: json.dumps({f"n{i}": x for i, x in enumerate(row)}),
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@given(rows=ROWS)
+def test_every_format_gives_the_readings_back(name, rows):
+    text = "".join(FORMATS[name](row) + "\n" for row in rows)
+    np.testing.assert_array_equal(readings(parsed(text.encode())), rows)
+
+
+@given(content=st.binary(max_size=400), cuts=st.lists(st.integers(0, 400), max_size=4))
+def test_any_bytes_give_the_same_frames_however_they_are_cut(content, cuts):
+    ends = sorted({min(cut, len(content)) for cut in cuts} | {0, len(content)})
+    parts = [content[a:b] for a, b in itertools.pairwise(ends)]
+    whole, pieces = parsed(content + b"\n"), parsed(*parts, b"\n")
+    np.testing.assert_equal(readings(pieces), readings(whole))
+    names = [[item for item in items if isinstance(item, Names)] for items in (whole, pieces)]
+    assert names[0] == names[1]
+
+
+@given(content=st.text(max_size=200))
+def test_any_text_is_a_frame_or_a_notice(content):
+    for item in parsed(content.encode("utf-8", "replace"), complete=True):
+        assert isinstance(item, Batch | Names | Notice)
+        if isinstance(item, Batch):
+            assert item.readings.ndim == 2
+            assert item.readings.shape[1] >= 2
+
+
+def test_a_header_names_the_sensors_and_the_time():
+    items = parsed(b"time,a,b\n0.5,1,2\n0.75,3,\n")
+    assert items[0] == Names(("a", "b"))
+    np.testing.assert_array_equal(items[1].times, [0.5, 0.75])
+    np.testing.assert_array_equal(items[1].readings, [[1, 2], [3, np.nan]])
+
+
+def test_a_separator_at_the_end_of_every_line_is_no_reading():
+    assert readings(parsed(b"1,2,\n3,4,\n")) == [[1, 2], [3, 4]]
+
+
+def test_an_object_gives_the_time_and_the_order_of_its_first_names():
+    items = parsed(b'{"t": 1, "a": 1, "b": 2}\n{"t": 2, "b": 4, "a": 3}\n{"t": 3, "a": 5}\n')
+    assert items[0] == Names(("a", "b"))
+    np.testing.assert_array_equal(items[1].times, [1, 2, 3])
+    np.testing.assert_array_equal(items[1].readings, [[1, 2], [3, 4], [5, np.nan]])
+
+
+@pytest.mark.parametrize(
+    "line", ["hello", "1", "[1]", '["a", "b"]', '{"a": "b"}', "[" * 5000, "1e999,x", "[1, 1e999x]"]
+)
+def test_what_is_no_frame_is_a_notice_and_the_next_line_is_read(line):
+    items = parsed(f"1,2\n{line}\n3,4\n".encode())
+    assert readings(items) == [[1, 2], [3, 4]]
+    assert sum(isinstance(item, Notice) for item in items) == 1
+
+
+def test_a_line_without_end_takes_no_memory():
+    parser = LineParser()
+    for _ in range(3):
+        assert not list(parser.feed(b"1," * (MAX_LINE // 2 + 1)))
+    items = list(parser.feed(b"1,2\n3,4\n"))
+    assert readings(items) == [[3, 4]]
+    assert parser.n_rejected == 1

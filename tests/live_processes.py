@@ -1,0 +1,85 @@
+"""A live session in a process of its own, as users run it."""
+
+import json
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+LONGEST_S = 300
+"""Time after which a process counts as hung; far more than a busy machine needs."""
+
+
+class LiveProcess:
+    """``anisomap live`` with ``--json``, of which the events are read as they come."""
+
+    def __init__(self, folder, *arguments, **options):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "anisomap", "live", *map(str, arguments), "--json"],
+            cwd=folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            **options,
+        )
+        self.events, self.lines, self.said = queue.Queue(), [], []
+        self.readers = [
+            threading.Thread(target=read, daemon=True) for read in (self._read, self._listen)
+        ]
+        for reader in self.readers:
+            reader.start()
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.lines.append(line)
+            if line.startswith("{") and len(line) > 2:
+                self.events.put(json.loads(line))
+        self.events.put(None)
+
+    def _listen(self):
+        self.said.extend(self.process.stderr)
+
+    def wait_for(self, condition):
+        """Return the first event that meets a condition."""
+        while True:
+            event = self.events.get(timeout=LONGEST_S)
+            assert event is not None, "the session ended: " + "".join(self.said)
+            if condition(event):
+                return event
+
+    def notice(self, text):
+        """Wait for a notice that contains a text; return it."""
+        event = self.wait_for(lambda e: any(text in notice for notice in e["notices"]))
+        return next(notice for notice in event["notices"] if text in notice)
+
+    def children(self):
+        """Return the processes that the session has started, where the system lists them."""
+        path = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        return [int(pid) for pid in path.read_text().split()] if path.exists() else []
+
+    def end(self, number=signal.SIGINT):
+        """Send a signal; return the exit code, and what was said on standard error."""
+        self.process.send_signal(number)
+        return self.join()
+
+    def join(self):
+        code = self.process.wait(LONGEST_S)
+        for reader in self.readers:
+            reader.join(LONGEST_S)
+        return code, "".join(self.said)
+
+    def close(self):
+        """Kill the process if it still runs, and close its pipes."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.join()
+        self.process.stdout.close()
+        self.process.stderr.close()
+
+    @property
+    def result(self):
+        """The object that is printed at the end."""
+        text = "".join(self.lines)
+        return json.loads(text[text.rindex("\n{\n") :])
