@@ -14,10 +14,11 @@ from anisomap.errors import InputError
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.blending import blend_with_variance, blended_correlation
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
+from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
+from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 
 logger = logging.getLogger(__name__)
@@ -34,21 +35,40 @@ class Similarity:
     summary : str
     compute : callable
         ``compute(readings, bins)`` returns the similarity, shape (n, n).
-    variance : callable
-        ``variance(readings)`` returns its sampling variance for unrelated sensors, shape (n, n).
+    scores : callable, optional
+        ``scores(readings)`` returns the values, shape (T, n), whose linear correlation the
+        similarity is; its sampling variance is theirs. The readings by default.
+    blend : callable, optional
+        ``blend(readings)`` returns the similarity and its sampling variance, if it is not the
+        correlation of any scores.
     """
 
     summary: str
     compute: Callable[[ArrayLike, int], Reals]
-    variance: Callable[[ArrayLike], Reals] = sampling_variance
+    scores: Callable[[NDArray[np.generic]], ArrayLike] | None = None
+    blend: Callable[[ArrayLike], tuple[Reals, Reals]] | None = None
+
+    def with_variance(self, readings: NDArray[np.generic], bins: int) -> tuple[Reals, Reals]:
+        """Compute the similarity, and its sampling variance for unrelated sensors, (n, n) each."""
+        if self.blend is not None:
+            return self.blend(readings)
+        return self.compute(readings, bins), self.variance(readings)
+
+    def variance(self, readings: NDArray[np.generic]) -> Reals:
+        """Compute the sampling variance of the similarity for unrelated sensors, (n, n)."""
+        if self.blend is not None:
+            return self.blend(readings)[1]
+        return sampling_variance(readings if self.scores is None else self.scores(readings))
 
 
 SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
     {
         "pearson": Similarity("linear correlation", lambda x, _: pearson(x)),
-        "spearman": Similarity("rank correlation", lambda x, _: spearman(x)),
+        "spearman": Similarity("rank correlation", lambda x, _: spearman(x), ranked),
         "co-activation": Similarity(
-            "correlation of binary contact (phi)", lambda x, _: co_activation(x)
+            "correlation of binary contact (phi)",
+            lambda x, _: co_activation(x),
+            lambda x: estimate_rest(x).active(x),
         ),
         "mutual-information": Similarity(
             "mutual information of binned readings", mutual_information
@@ -56,11 +76,12 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
         "blended-correlation": Similarity(
             "linear correlation where it is reliable, else rank correlation",
             lambda x, _: blended_correlation(x),
+            blend=blend_with_variance,
         ),
         "contact-agreement": Similarity(
             "agreement over distinct contacts (kappa), for readings that are on or off",
             lambda x, _: contact_agreement(x),
-            lambda x: sampling_variance(distinct_contacts(x)),
+            distinct_contacts,
         ),
     }
 )
@@ -196,12 +217,19 @@ def compare(
     PairStatistics
     """
     logger.info("comparing all pairs of sensors (%s)", similarity)
-    compute, variance = SIMILARITIES[similarity].compute, SIMILARITIES[similarity].variance
+    statistic = SIMILARITIES[similarity]
+
+    def computed(readings: NDArray[np.floating]) -> tuple[Reals, ArrayLike]:
+        if with_noise:
+            return statistic.with_variance(readings, bins)
+        return statistic.compute(readings, bins), np.nan
+
     if len({frozenset(run.names) for run in runs}) == 1:
         readings = _joined(runs, runs[0].names)
+        found, variance = computed(readings)
         return PairStatistics.from_similarity(
-            compute(readings, bins),
-            noise=variance(readings) if with_noise else np.nan,
+            found,
+            noise=variance,
             readings=readings if with_noise else None,
             statistic=similarity,
         )
@@ -211,9 +239,10 @@ def compare(
     for runs_of_pair, readings, sensors in _groups(runs, names, shared):
         inside = np.ix_(sensors, sensors)
         in_group = shared[inside] == runs_of_pair
-        values[inside] = np.where(in_group, compute(readings, bins), values[inside])
+        found, variance = computed(readings)
+        values[inside] = np.where(in_group, found, values[inside])
         if with_noise:
-            noise[inside] = np.where(in_group, variance(readings), noise[inside])
+            noise[inside] = np.where(in_group, variance, noise[inside])
     return PairStatistics.from_similarity(
         values, noise=noise, known=shared > 0, statistic=similarity
     )

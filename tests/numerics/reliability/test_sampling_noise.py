@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from anisomap.errors import InputError
 from anisomap.numerics.reliability.sampling_noise import sampling_variance, typical_variance
 from anisomap.numerics.similarity.correlation import pearson
+from anisomap.stages.pairs import SIMILARITIES
 
 
 def autoregressive(n_frames: int, n_sensors: int, memory: float, seed: int) -> np.ndarray:
@@ -48,3 +49,19 @@ def test_the_variance_is_symmetric_and_at_least_that_of_independent_frames(seed)
 def test_one_frame_is_rejected():
     with pytest.raises(InputError, match="at least 2 frames"):
         sampling_variance(np.ones((1, 4)))
+
+
+@pytest.mark.parametrize(
+    "statistic", ["pearson", "spearman", "co-activation", "blended-correlation"]
+)
+@pytest.mark.parametrize("response", ["sparse", "heavy tails"])
+def test_the_variance_is_that_of_the_statistic_and_not_of_the_readings(statistic, response):
+    """Autocorrelation differs between readings, their ranks and contacts."""
+    found = [autoregressive(4000, 30, 0.95, seed) / 3.2 for seed in range(4)]
+    respond = {"sparse": lambda x: np.maximum(0, x - 1.3), "heavy tails": lambda x: np.exp(2 * x)}
+    readings = [respond[response](x) for x in found]
+    pairs = np.triu_indices(30, 1)
+    computed = [SIMILARITIES[statistic].with_variance(x, 4) for x in readings]
+    observed = np.mean([similarity[pairs].var() for similarity, _ in computed])
+    estimated = np.mean([typical_variance(variance) for _, variance in computed])
+    assert estimated == pytest.approx(observed, rel=0.3)

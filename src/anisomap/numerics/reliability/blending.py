@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.precision import Reals
+from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.reliability.split_half import correlation_and_reliability
 from anisomap.numerics.similarity.rest import estimate_rest
 
@@ -37,8 +38,36 @@ def blended_correlation(readings: ArrayLike) -> Reals:
     weight if r is unreliable, unless rho is even less reliable.
     """
     values = np.asarray(readings)
+    return _blended(values, estimate_rest(values).depth_ranks(values))[0]
+
+
+def blend_with_variance(readings: ArrayLike) -> tuple[Reals, Reals]:
+    """Compute `blended_correlation`, and its sampling variance for unrelated sensors.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings, T >= 2.
+
+    Returns
+    -------
+    blended, variance : ndarray of shape (N, N)
+        The variance is ``(w sd(r) + (1 - w) sd(rho))^2``, with those of
+        `anisomap.numerics.reliability.sampling_noise.sampling_variance` for the readings and for
+        the ranks: the errors of r and rho are taken to be proportional, as they nearly are.
+    """
+    values = np.asarray(readings)
+    ranks = estimate_rest(values).depth_ranks(values)
+    blended, weight = _blended(values, ranks)
+    deviation = weight * np.sqrt(sampling_variance(values))
+    deviation += (1 - weight) * np.sqrt(sampling_variance(ranks))
+    return blended, np.square(deviation, out=deviation)
+
+
+def _blended(values: NDArray[np.generic], ranks: NDArray[np.float64]) -> tuple[Reals, float]:
+    """Return the blended correlation, and the weight of Pearson's r."""
     blended, reliability = correlation_and_reliability(values)
-    rho, reliability_of_rho = correlation_and_reliability(estimate_rest(values).depth_ranks(values))
+    rho, reliability_of_rho = correlation_and_reliability(ranks)
     p, q = max(reliability, 0.0), max(reliability_of_rho, 0.0)
     ratio = 1.0 if q >= p else q / p
     weight = 1 - (1 - p**_POWER_OF_RELIABILITY) * ratio**_POWER_OF_RATIO
@@ -46,4 +75,4 @@ def blended_correlation(readings: ArrayLike) -> Reals:
     rho *= 1 - weight
     blended += rho
     np.fill_diagonal(blended, 1.0)
-    return blended
+    return blended, weight

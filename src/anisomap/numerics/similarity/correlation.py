@@ -46,8 +46,13 @@ def spearman(readings: ArrayLike) -> Reals:
 
     Ties are assigned their mean rank. Invariant under increasing transformations of a sensor.
     """
+    return pearson(ranked(readings))
+
+
+def ranked(readings: ArrayLike) -> NDArray[np.float64]:
+    """Return the ranks of the readings of each sensor, shape (T, N); ties share their mean."""
     values = np.asarray(readings)
-    return pearson(rank_columns(columns(values), values.shape))
+    return rank_columns(columns(values), values.shape)
 
 
 def co_activation(readings: ArrayLike) -> Reals:
