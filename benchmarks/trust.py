@@ -25,6 +25,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import anisomap
+from anisomap.diagnostics import collect_evidence
+from anisomap.verdict import judge
 from benchmarks.trust_recordings import Case, cases_of_file, cases_of_seed
 from benchmarks.trust_tables import Outcome, draw, number, table
 
@@ -113,7 +115,8 @@ def judged(case: Case, source: str = "") -> Outcome:
             begun = time.process_time()
             made = anisomap.reconstruct(recording, dimensions=case.dimensions)
             mapped = time.process_time()
-            diagnosed = anisomap.diagnose(made, recording)
+            evidence = collect_evidence(made, recording, anisomap.find_faults(recording))
+            verdict = judge(evidence)
             facts["cpu map"] = mapped - begun
             facts["cpu verdict"] = time.process_time() - mapped
             scored = anisomap.score(made, np.asarray(recording.positions), permutations=0)
@@ -122,17 +125,14 @@ def judged(case: Case, source: str = "") -> Outcome:
                 source, case.name, case.fault, REFUSED, math.nan, math.nan, math.nan, math.nan,
                 str(error), facts,
             )  # fmt: skip
-    verdict = diagnosed.verdict
     facts |= {
-        "repeatability": verdict.repeatability,
-        "systematic": verdict.systematic,
-        "placed": float(np.mean(diagnosed.component == 0)),
+        "repeatability": evidence.repeatability,
+        "extent": evidence.extent,
+        "placed": float(np.mean(made.component == 0)),
     }
-    facts |= {
-        name: value
-        for name, value in diagnosed.provenance.items()
-        if isinstance(value, bool | int | float)
-    }
+    for doubt in evidence.doubts:
+        name = f"doubt: {doubt.kind}"
+        facts[name] = math.hypot(doubt.size, facts.get(name, 0.0))
     return Outcome(
         source,
         case.name,

@@ -8,30 +8,27 @@ from __future__ import annotations
 import itertools
 import logging
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import pdist
 
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation import median_spacing
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions
+from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
+from anisomap.stages.pairs import compare
 from anisomap.usability import Verdict
-from anisomap.verdict import Doubt, Evidence, judge
+from anisomap.verdict import Evidence, judge
+from anisomap.verdict.doubts import extent_in_spacings, systematic_doubts
 from anisomap.verdict.halves import MIN_FRAMES, MIN_SENSORS, N_HALVES, repeatability_of_halves
 
 logger = logging.getLogger(__name__)
-
-# Chosen by hand: distorted maps are usable locally, maps of spoilt recordings are not usable.
-_DISTORTED, _SPOILT = 2.0, 1.5
-_MIN_LARGEST = 0.9  # share of the sensors in the largest component; chosen by hand
 
 
 def diagnose(
@@ -97,7 +94,9 @@ def diagnose(
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
     verdict = Verdict()
     if with_verdict:
-        verdict = judge(_evidence(sensor_map, runs, faults, options, progress))
+        verdict = judge(
+            collect_evidence(sensor_map, runs, faults, options=options, progress=progress)
+        )
     notes += [reason for reason in verdict.reasons if reason.startswith("insufficient evidence")]
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
@@ -111,22 +110,49 @@ def diagnose(
     )
 
 
-def _evidence(
+def collect_evidence(
     sensor_map: SensorMap,
-    runs: Sequence[Recording],
-    faults: Sequence[Finding],
-    options: MethodOptions | None,
-    progress: Callable[[float], None] | None,
+    recording: Recording | ArrayLike | Sequence[Recording],
+    faults: Sequence[Finding] = (),
+    *,
+    options: MethodOptions | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Evidence:
-    """Collect the evidence for the verdict on a map, of its largest component."""
-    doubts = tuple(_doubts(sensor_map, faults))
+    """Collect the evidence for the verdict on a map, of its largest component.
+
+    Parameters
+    ----------
+    sensor_map, recording, options, progress
+        See `diagnose`.
+    faults : sequence of Finding
+        Faults of the recording, from `anisomap.health.find_faults`.
+
+    Returns
+    -------
+    Evidence
+        See `anisomap.verdict.judge`.
+    """
+    runs = as_runs(recording)
+    if unknown := _unknown(sensor_map, runs):
+        return Evidence(doubts=systematic_doubts(sensor_map, faults), unknown=unknown)
     largest = sensor_map.component == 0
     positions = sensor_map.positions[largest]
-    if unknown := _unknown(sensor_map, runs):
-        return Evidence(doubts=doubts, unknown=unknown)
+    part = runs[0].complete().select(largest)
+    statistic = sensor_map.similarity
+    repeatability = _repeatability(sensor_map, runs[0], options, progress)
+    with limited_blas(part.n_sensors):
+        pairs = compare([part], statistic, bins=(options or MethodOptions()).bins, with_noise=False)
+        doubts = systematic_doubts(
+            sensor_map,
+            faults,
+            readings=part.readings,
+            similarity=pairs.similarity,
+            blended=statistic == "blended-correlation",
+            repeatability=repeatability,
+        )
     return Evidence(
-        repeatability=_repeatability(sensor_map, runs[0], options, progress),
-        extent=float(np.std(pdist(positions))) / median_spacing(positions),
+        repeatability=repeatability,
+        extent=extent_in_spacings(positions),
         dimensions=sensor_map.dimensions,
         doubts=doubts,
     )
@@ -172,21 +198,3 @@ def _repeatability(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # halves are short by design
         return repeatability_of_halves(readings, sensor_map.positions[largest], map_half)
-
-
-def _doubts(sensor_map: SensorMap, faults: Sequence[Finding]) -> Iterator[Doubt]:
-    """Yield the systematic errors that follow from the notes of a map and from faults."""
-    if sensor_map.uneven:
-        reason = "the map is distorted: see its notes"
-        yield Doubt("distortion", _DISTORTED, reason, keeps_neighbours=True)
-    for fault in faults:
-        if spoiling([fault]):
-            yield Doubt(fault.kind, _SPOILT, spoiling([fault])[0])
-    largest = np.count_nonzero(sensor_map.component == 0)
-    placed = np.count_nonzero(sensor_map.placed)
-    if largest < _MIN_LARGEST * placed:
-        reason = (
-            f"the positions of {placed - largest} of {placed} sensors relative to the others are "
-            "unknown"
-        )
-        yield Doubt("components", _DISTORTED, reason, keeps_neighbours=True)

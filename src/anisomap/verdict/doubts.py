@@ -1,0 +1,170 @@
+"""Detectors of systematic errors: what bends all maps of a recording alike.
+
+The sizes of doubts were tuned on simulated skins, seeds 1 to 28 of ``make trust``, and are tested
+on other seeds: see ``docs/explanation/trust.md``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import pdist
+
+from anisomap.evaluation.neighbourhood import median_spacing
+from anisomap.health import Finding, spoiling
+from anisomap.sensor_map import SensorMap
+from anisomap.verdict.evidence import Doubt
+from anisomap.verdict.other_maps import OtherMaps, compare_with_other_maps
+
+PATHS, PATHS_TOLERANCE = 1.05, 0.15
+EVEN, EVEN_TOLERANCE = 0.6, 0.5
+"""Expected error per difference from the other maps, and difference, in spacings, that is usual.
+
+Least squares of the logarithms of errors, together with `DISTORTED`; the repeatability is added in
+quadrature. The error was within a factor of 2 of the expected one in 86 % of 96 maps (seeds 1 to 28
+of ``make trust``, apart from copies and signals of one period). Paths differ by .15 spacings on
+regular lattices; sensors of few skins are spaced so evenly that steps differ by less than .5.
+`EVEN` is larger than fitted (.45), so that flat skins whose contacts differ in size between
+places, which nothing else shows, are not called usable.
+"""
+
+DISTORTED = 0.3
+"""Error of maps that the method calls distorted, as a share of the extent of the map."""
+
+SPOILT = 0.5
+"""Error because of a fault that was found, in spacings.
+
+Faults make maps differ from other maps and from maps of parts of the recording, which shows their
+effect. A map of a recording with a fault is never called usable, as the fault can be mended first.
+"""
+
+HARMLESS = ("clock-jitter",)
+"""Faults that change no map: the default method does not use times."""
+
+_MIN_LARGEST = 0.9  # share of the sensors in the largest component; chosen by hand
+_APART = 0.5  # spacings: enough that a map of several components is never called usable
+
+
+def systematic_doubts(
+    sensor_map: SensorMap,
+    faults: Sequence[Finding] = (),
+    *,
+    readings: ArrayLike | None = None,
+    similarity: ArrayLike | None = None,
+    blended: bool = True,
+    repeatability: float = 0.0,
+) -> tuple[Doubt, ...]:
+    """Find out what may bend all maps of a recording alike.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+    faults : sequence of Finding
+        Faults of the recording.
+    readings : array_like of shape (T, n), optional
+        Finite readings of the sensors of the largest component; without them, the map is not
+        compared with other maps.
+    similarity : array_like of shape (n, n), optional
+        Correlations of the readings; required with them.
+    blended : bool
+        Whether these are blended correlations: see `compare_with_other_maps`.
+    repeatability : float
+        Random error of the map, in spacings. Other maps have random errors as well; so much of
+        their difference is no doubt.
+
+    Returns
+    -------
+    tuple of Doubt
+    """
+    largest = sensor_map.component == 0
+    positions = sensor_map.positions[largest]
+    found = [*_of_the_method(sensor_map), *_of_components(sensor_map)]
+    found += _of_faults(faults, positions)
+    if readings is not None and similarity is not None:
+        others = compare_with_other_maps(readings, positions, similarity, blended=blended)
+        found += _of_other_maps(others, repeatability)
+    return tuple(found)
+
+
+def extent_in_spacings(positions: ArrayLike) -> float:
+    """Return the standard deviation of the distances on a map, in its spacings.
+
+    Parameters
+    ----------
+    positions : array_like of shape (N, k)
+
+    Returns
+    -------
+    float
+        Infinite if most sensors coincide with another one.
+    """
+    points = np.asarray(positions, dtype=np.float64)
+    spacing = median_spacing(points)
+    return float(np.std(pdist(points))) / spacing if spacing > 0 else math.inf
+
+
+def _of_other_maps(others: OtherMaps, repeatability: float) -> Iterator[Doubt]:
+    usual = math.hypot(repeatability, PATHS_TOLERANCE)
+    beyond = math.sqrt(max(0.0, others.paths**2 - usual**2)) if others.paths > usual else 0.0
+    yield Doubt(
+        "paths",
+        PATHS * beyond,
+        f"distances along similar sensors give another map, which differs by {others.paths:.2f} "
+        "spacings: contacts may differ between places",
+        keeps_neighbours=True,
+    )
+    yield Doubt(
+        "even",
+        EVEN * max(0.0, others.even - EVEN_TOLERANCE),
+        f"if sensors were evenly spaced, the map would differ by {others.even:.2f} spacings: "
+        "contacts may be longer in one direction, or larger in one place",
+        keeps_neighbours=True,
+    )
+
+
+def _of_the_method(sensor_map: SensorMap) -> Iterator[Doubt]:
+    if sensor_map.uneven:
+        reason = "the map is distorted: see its notes"
+        size = DISTORTED * extent_in_spacings(sensor_map.positions[sensor_map.component == 0])
+        yield Doubt("distortion", size, reason, keeps_neighbours=True)
+
+
+def _of_components(sensor_map: SensorMap) -> Iterator[Doubt]:
+    largest = np.count_nonzero(sensor_map.component == 0)
+    placed = np.count_nonzero(sensor_map.placed)
+    if largest < _MIN_LARGEST * placed:
+        reason = (
+            f"the positions of {placed - largest} of {placed} sensors relative to the others are "
+            "unknown"
+        )
+        yield Doubt("components", _APART, reason, keeps_neighbours=True)
+
+
+def _of_faults(faults: Sequence[Finding], positions: NDArray[np.float64]) -> Iterator[Doubt]:
+    for fault in faults:
+        sentences = spoiling([fault])
+        if not sentences or fault.kind in HARMLESS:
+            continue
+        if fault.kind == "one-period":
+            yield Doubt(fault.kind, _misplaced(positions, 1.0), sentences[0])
+        elif fault.kind == "copies":
+            # One of each pair of sensors, at least, lies at the place of the other.
+            share = min(1.0, len(fault.sensors) / 2 / len(positions))
+            yield Doubt(
+                fault.kind, _misplaced(positions, share), sentences[0], keeps_neighbours=True
+            )
+        else:
+            yield Doubt(fault.kind, SPOILT, sentences[0], keeps_neighbours=True)
+
+
+def _misplaced(positions: NDArray[np.float64], share: float) -> float:
+    """RMS error, in spacings, if a share of the sensors lies at the places of other ones.
+
+    Two places drawn at random are apart by the root of two standard deviations of the positions.
+    """
+    spacing = median_spacing(positions)
+    spread = math.sqrt(float(positions.var(axis=0).sum()))
+    return math.sqrt(2 * share) * spread / spacing if spacing > 0 else math.inf
