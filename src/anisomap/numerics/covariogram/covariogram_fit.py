@@ -13,18 +13,17 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MapFunction, is_parallel, parallel_map
 from anisomap.numerics.covariogram.blocks import overlapping_blocks
+from anisomap.numerics.covariogram.minimisation import minimise
 from anisomap.numerics.covariogram.objective import (
     Block,
     CovariogramOptions,
     Problem,
-    objective,
     solve_amplitude_and_offset,
 )
 from anisomap.numerics.graph.dissimilarity import as_symmetric
@@ -34,8 +33,7 @@ Matrix: TypeAlias = Reals
 
 _MAX_RANGE_SENSORS = 4000  # from which the range is estimated; bounds time and memory
 _RANGE_CORRELATIONS = (0.15, 0.45)  # around 1 / e; pairs with these are about one range apart
-_BLOCK_TOLERANCE = 100  # times the tolerance, with several blocks; chosen by hand
-_EXPONENT_BOUNDS = (0.3, 4.0)  # wider than all fitted values; chosen by hand
+_BLOCK_TOLERANCE = 10  # times the tolerance, with several blocks; chosen by hand
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,41 +138,27 @@ def fit_covariogram(
     one_block = len(positions) <= chosen.block
     size = chosen.block if one_block else max(3, chosen.block // 2)
     blocks = [Block(sensors, problem) for sensors in overlapping_blocks(positions, size)]
-    exponent_bounds = (np.log(_EXPONENT_BOUNDS[0]), np.log(_EXPONENT_BOUNDS[1]))
-    shape = positions.shape
     with _parallel_blocks(len(positions)) as map_blocks:
-
-        def value_and_gradient(parameters: Matrix) -> tuple[float, Matrix]:
-            x, log_exponent = parameters[:-1].reshape(shape), float(parameters[-1])
-            return objective(blocks, x, log_exponent, map_blocks)
-
-        found = minimize(
-            value_and_gradient,
-            np.append(positions.ravel(), 0.0),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=[(None, None)] * positions.size + [exponent_bounds],
-            options={
-                "maxiter": chosen.max_iterations,
-                "maxfun": 2 * chosen.max_iterations + 20,
-                "maxcor": 20,
-                "ftol": chosen.tolerance * (1 if one_block else _BLOCK_TOLERANCE),
-            },
+        found = minimise(
+            blocks,
+            positions,
+            chosen,
+            tolerance=chosen.tolerance * (1 if one_block else _BLOCK_TOLERANCE),
+            map_blocks=map_blocks,
         )
-    positions = found.x[:-1].reshape(shape)
-    terms = (block.terms(positions, float(found.x[-1])) for block in blocks)
+    terms = (block.terms(found.positions, found.log_exponent) for block in blocks)
     products = np.sum([term.products for term in terms], axis=0)
     amplitude, offset = solve_amplitude_and_offset(products)
-    positions = positions - positions.mean(axis=0)
-    positions.setflags(write=False)
+    fitted = found.positions - found.positions.mean(axis=0)
+    fitted.setflags(write=False)
     return Covariogram(
-        positions=positions,
+        positions=fitted,
         amplitude=amplitude,
-        exponent=float(np.exp(found.x[-1])),
+        exponent=float(np.exp(found.log_exponent)),
         offset=offset,
-        objective=float(found.fun),
-        iterations=int(found.nit),
-        converged=bool(found.success),
+        objective=found.value,
+        iterations=found.iterations,
+        converged=found.converged,
     )
 
 

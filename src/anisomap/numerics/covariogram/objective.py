@@ -40,8 +40,8 @@ class CovariogramOptions:
         Variance added to each sensor before correlations are whitened, relative to its own
         variance; above 0.
     tolerance : float
-        Relative decrease of the objective below which the fit stops; a hundred times as large with
-        several blocks.
+        Relative decrease of the objective below which the fit stops, if the next step would also
+        move positions by less than a thousandth; ten times as large with several blocks.
     max_iterations : int
         Maximum number of L-BFGS iterations.
     block : int
@@ -58,7 +58,7 @@ class CovariogramOptions:
     prior_weight: float = 1.0
     repulsion: float = 0.1
     ridge: float = 1.0
-    tolerance: float = 1e-9
+    tolerance: float = 1e-7
     max_iterations: int = 300
     block: int = 500
 
@@ -99,6 +99,25 @@ class BlockTerms:
     distances: Matrix
     logarithms: Matrix
     powers: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class BlockCurvature:
+    """Contribution of one block of n sensors to `curvature.gauss_newton_matrix`.
+
+    Attributes
+    ----------
+    coordinates : dict of (int, int) to ndarray of shape (n, n)
+        Products of the derivatives by coordinate p of one sensor and q >= p of another.
+    cross : ndarray of shape (3, k, n)
+        Products of the derivatives by amplitude, offset and log exponent with those by coordinates.
+    linear : ndarray of shape (3, 3)
+        Products of the derivatives by amplitude, offset and log exponent.
+    """
+
+    coordinates: dict[tuple[int, int], Matrix]
+    cross: Matrix
+    linear: Matrix
 
 
 class Block:
@@ -177,6 +196,41 @@ class Block:
         points = positions[self.sensors]
         by_positions = 2 * (force.sum(axis=1)[:, None] * points - force @ points)
         return value, by_positions, by_exponent
+
+    def curvature(
+        self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float
+    ) -> BlockCurvature:
+        """Return the products of the derivatives of the residuals, and curvatures of the priors."""
+        points, weights = positions[self.sensors], self._whitening
+        n_axes = points.shape[1]
+        slope = -amplitude * exponent * terms.shape * terms.powers / terms.distances**2
+        apart = [np.subtract.outer(axis, axis) for axis in points.T]
+        derivatives = [slope * axis for axis in apart]
+        products = [derivative @ weights for derivative in derivatives]
+        options = self._options
+        # The second derivative of the repulsion is taken along the line between two sensors only,
+        # where it is positive; likewise the mean ratio of distances is taken as constant.
+        radial = 2 * options.prior_weight * self._inverse_metric**2
+        radial += options.repulsion / terms.distances**2
+        radial *= 2 * self._noise / terms.distances**2
+        np.fill_diagonal(radial, 0.0)
+        coordinates = {}
+        for p in range(n_axes):
+            for q in range(p, n_axes):
+                pairs = radial * apart[p] * apart[q]
+                found = products[p] @ derivatives[q].T
+                found *= weights
+                found += products[p] * products[q].T
+                found *= 2
+                found -= pairs
+                found[np.diag_indices_from(found)] += pairs.sum(axis=1)
+                coordinates[p, q] = found
+        by_exponent = -amplitude * exponent * terms.shape * terms.powers * terms.logarithms
+        others = (terms.shape, self._offset, by_exponent)
+        whitened = (terms.whitened_shape, self.whitened_offset, self._whitened(by_exponent))
+        cross = np.array([[2 * (d * w).sum(axis=1) for d in derivatives] for w in whitened])
+        linear = np.array([[np.vdot(one, other) for other in whitened] for one in others])
+        return BlockCurvature(coordinates, cross, linear)
 
     def _priors(self, terms: BlockTerms) -> tuple[float, Matrix]:
         options = self._options
