@@ -133,6 +133,8 @@ def judged(case: Case, source: str = "") -> Outcome:
     for doubt in evidence.doubts:
         name = f"doubt: {doubt.kind}"
         facts[name] = math.hypot(doubt.size, facts.get(name, 0.0))
+        if not math.isnan(doubt.measured):
+            facts[f"measured: {doubt.kind}"] = doubt.measured
     return Outcome(
         source,
         case.name,

@@ -115,6 +115,7 @@ def _of_other_maps(others: OtherMaps, repeatability: float) -> Iterator[Doubt]:
         f"distances along similar sensors give another map, which differs by {others.paths:.2f} "
         "spacings: contacts may differ between places",
         keeps_neighbours=True,
+        measured=others.paths,
     )
     yield Doubt(
         "even",
@@ -122,6 +123,7 @@ def _of_other_maps(others: OtherMaps, repeatability: float) -> Iterator[Doubt]:
         f"if sensors were evenly spaced, the map would differ by {others.even:.2f} spacings: "
         "contacts may be longer in one direction, or larger in one place",
         keeps_neighbours=True,
+        measured=others.even,
     )
 
 
@@ -157,7 +159,9 @@ def _of_faults(faults: Sequence[Finding], positions: NDArray[np.float64]) -> Ite
                 fault.kind, _misplaced(positions, share), sentences[0], keeps_neighbours=True
             )
         else:
-            yield Doubt(fault.kind, SPOILT, sentences[0], keeps_neighbours=True)
+            yield Doubt(
+                fault.kind, SPOILT, sentences[0], keeps_neighbours=True, measured=fault.size
+            )
 
 
 def _misplaced(positions: NDArray[np.float64], share: float) -> float:

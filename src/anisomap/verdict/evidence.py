@@ -20,12 +20,15 @@ class Doubt:
         What was found, in one sentence.
     keeps_neighbours : bool
         Whether sensors still have the right neighbours: only the shape as a whole is doubtful.
+    measured : float
+        What was measured, in the unit of the detector; NaN if nothing was.
     """
 
     kind: str
     size: float
     reason: str
     keeps_neighbours: bool = False
+    measured: float = math.nan
 
 
 @dataclass(frozen=True)
