@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation.difference import MIN_COMPARED, Difference, compare_maps
+from anisomap.evaluation.difference import Difference
 from anisomap.evaluation.mantel_r import mantel
 from anisomap.evaluation.neighbourhood import median_spacing
 from anisomap.health import assess
@@ -20,6 +20,7 @@ from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.tracking.carrying import carry_over
 from anisomap.tracking.evidence import Evidence, gather_evidence, map_evidence
+from anisomap.tracking.moves import FAR, MIN_COMPARED, Moves, common_similarity, find_moves
 from anisomap.wording import join_items
 
 LEVEL = 0.001
@@ -60,8 +61,10 @@ class Update:
         with fewer than 2 pairs.
     difference : Difference
         The old map and the updated one, in one frame. `Difference.moved` and its p values are those
-        of the comparison of the old map with a map of the recording alone; `Difference.distance`
-        is that between the two places of a sensor.
+        of `moves`, and `Difference.chance` is the smallest distance of a move that is looked for;
+        `Difference.distance` is that between the two places of a sensor.
+    moves : Moves or None
+        The test of the places of the sensors; None if too few could be compared.
     notes : tuple of str
         What could not be examined, and conflicts.
     """
@@ -74,6 +77,7 @@ class Update:
     unplaced: tuple[str, ...]
     agreement: float
     difference: Difference
+    moves: Moves | None
     notes: tuple[str, ...]
 
     @property
@@ -92,8 +96,8 @@ def update_map(
 ) -> Update:
     """Add the evidence of a new recording to a map.
 
-    Sensors that the recording shows elsewhere than the map are found first, by a map of the
-    recording alone; what was known of them is discarded. The other evidence is pooled, mapped, and
+    Sensors that the recording shows elsewhere than the map are found first (`Moves`); what was
+    known of them is discarded. The other evidence is pooled, mapped, and
     brought into the frame of the old map, which keeps what anchors, modules and a mesh corrected.
 
     Parameters
@@ -136,8 +140,8 @@ def update_map(
     _check_shared(sensor_map, evidence, fresh)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # they are notes of the result
-        alone, notes = _compared(sensor_map, fresh, level)
-        moved = _moved(alone, sensor_map)
+        moves = find_moves(sensor_map, evidence, fresh, level)
+        moved = () if moves is None else moves.moved
         _check_agreement(sensor_map, fresh, moved)
         total = evidence.without(moved).merged(fresh)
         before, after = map_evidence(evidence), map_evidence(total)
@@ -164,8 +168,7 @@ def update_map(
         fresh=fresh,
         joined=joined,
         moved=moved,
-        alone=alone,
-        notes=notes,
+        moves=moves,
     )
 
 
@@ -183,26 +186,6 @@ def _check_shared(sensor_map: SensorMap, evidence: Evidence, fresh: Evidence) ->
             f"the recording shares {len(shared)} varying sensors with the map, and an update "
             f"needs at least {evidence.dimensions + 1}; sensors are matched by name"
         )
-
-
-def _compared(
-    sensor_map: SensorMap, fresh: Evidence, level: float
-) -> tuple[Difference | None, list[str]]:
-    """Compare the map with one of the new recording alone, if that is enough for a map."""
-    try:
-        return compare_maps(sensor_map, map_evidence(fresh), level=level), []
-    except InputError:
-        return None, [
-            "the recording alone does not show whether a sensor moved: it takes at least "
-            f"{MIN_COMPARED} sensors of the map that are related"
-        ]
-
-
-def _moved(difference: Difference | None, sensor_map: SensorMap) -> tuple[str, ...]:
-    if difference is None:
-        return ()
-    named = {difference.names[i] for i in np.flatnonzero(difference.moved)}
-    return tuple(name for name in sensor_map.names if name in named)
 
 
 def _check_agreement(sensor_map: SensorMap, fresh: Evidence, moved: tuple[str, ...]) -> None:
@@ -247,18 +230,22 @@ def _summarised(
     fresh: Evidence,
     joined: Recording,
     moved: tuple[str, ...],
-    alone: Difference | None,
-    notes: list[str],
+    moves: Moves | None,
 ) -> Update:
     placed_before = {before.names[i] for i in np.flatnonzero(before.placed)}
     placed_after = {after.names[i] for i in np.flatnonzero(after.placed)}
     recorded = set(fresh.names)
+    notes = []
+    if moves is None:
+        notes.append(
+            "too few sensors of the map are in the recording to tell whether one moved: "
+            f"{MIN_COMPARED} that are not all near each other are needed"
+        )
     if moved:
-        notes = [
-            *notes,
+        notes.append(
             f"{len(moved)} sensors moved since the map was made, and take their places from the "
-            f"new recording alone: {join_items(moved)}",
-        ]
+            f"new recording alone: {join_items(moved)}"
+        )
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=3)
     added = tuple(n for n in after.names if n in placed_after and n not in placed_before)
@@ -270,7 +257,8 @@ def _summarised(
         silent=tuple(n for n in before.names if n in placed_before and n not in recorded),
         unplaced=tuple(n for n in joined.names if n not in placed_after),
         agreement=_agreement(old, fresh, moved),
-        difference=_as_difference(before, after, alone, moved, added),
+        difference=_as_difference(before, after, moves, added),
+        moves=moves,
         notes=tuple(notes),
     )
 
@@ -278,8 +266,7 @@ def _summarised(
 def _as_difference(
     before: SensorMap,
     after: SensorMap,
-    alone: Difference | None,
-    moved: Sequence[str],
+    moves: Moves | None,
     added: Sequence[str],
 ) -> Difference:
     """Describe what an update changed as a comparison of two maps in one frame."""
@@ -288,8 +275,11 @@ def _as_difference(
     old = np.pad(before.positions, ((0, more), (0, 0)), constant_values=np.nan)
     distance = np.linalg.norm(after.positions - old, axis=1)
     p_values = np.full(len(names), np.nan)
-    if alone is not None:
-        tested = dict(zip(alone.names, alone.p_values.tolist(), strict=True))
+    spacing = median_spacing(before.positions[before.component == 0])
+    moved: tuple[str, ...] = ()
+    if moves is not None:
+        moved = moves.moved
+        tested = dict(zip(moves.names, moves.p_values.tolist(), strict=True))
         p_values = np.array([tested.get(name, np.nan) for name in names])
     for array in (old, distance, p_values):
         array.setflags(write=False)
@@ -303,8 +293,8 @@ def _as_difference(
         appeared=np.isin(names, added),
         lost=np.zeros(len(names), dtype=bool),
         compared=np.isfinite(distance),
-        chance=math.nan if alone is None else alone.chance,
-        spacing=median_spacing(before.positions[before.component == 0]),
+        chance=FAR * spacing,
+        spacing=spacing,
         scale=1.0,
         reflected=False,
         units=after.units,
@@ -315,7 +305,7 @@ def _as_difference(
 def _agreement(old: Evidence, fresh: Evidence, moved: tuple[str, ...]) -> float:
     """Correlate the old and the new similarity, by the statistic that both have."""
     names = [n for n in old.names if n in set(fresh.names) and n not in moved]
-    key = next(key for key in reversed(tuple(old.sums)) if key in fresh.sums)
+    key = common_similarity(old, fresh)
     values, known = [], []
     for evidence in (old, fresh):
         row = {name: i for i, name in enumerate(evidence.names)}

@@ -127,13 +127,16 @@ def _print(printer: Printer, found: Update, name: str) -> None:
             f"{number(float(known.max()), 3)} at most; the spacing is {number(changes.spacing, 3)}"
         )
     printer.facts(f"Update of {name}", facts)
+    tested = found.moves
+    like = {} if tested is None else dict(zip(tested.names, tested.like, strict=True))
     moved = [changes.names.index(sensor) for sensor in found.moved]
     printer.table(
         "Sensors that moved",
-        ("sensor", f"distance ({units})", "spacings", "p"),
+        ("sensor", "like", f"distance ({units})", "spacings", "p"),
         [
             (
                 changes.names[i],
+                like[changes.names[i]],
                 number(changes.distance[i]),
                 number(changes.distance[i] / changes.spacing, 3),
                 number(changes.p_values[i], 2),
@@ -159,6 +162,7 @@ def _print(printer: Printer, found: Update, name: str) -> None:
         moved=[
             {
                 "sensor": changes.names[i],
+                "like": like[changes.names[i]],
                 "distance": float(changes.distance[i]),
                 "p": float(changes.p_values[i]),
             }
