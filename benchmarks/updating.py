@@ -1,9 +1,9 @@
 """Accuracy of updated maps (``python -m benchmarks.updating``).
 
 The first half of a recording lacks a tenth of the sensors, chosen at random; the map of it is
-updated by the second half, in which all sensors are connected. No constant of an update was tuned on
-these recordings, but results on them were seen during development. Simulations have seeds from 401
-on.
+updated by the second half, in which all sensors are connected. No constant of an update was tuned
+on these recordings, but results on them were seen during development. Simulations have seeds from
+401 on.
 """
 
 from __future__ import annotations
