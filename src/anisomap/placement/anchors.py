@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
 from anisomap.errors import InputError
 from anisomap.numerics.kriging import Kernel, predict_field
@@ -265,7 +265,7 @@ def fit_anchors(
         variance += float(np.sum(residual**2))
     variance /= _PRIOR_FREEDOM + max(freedom, 0)
     found, relative = _predict(x, y, positions, fit, kernel)
-    quantile = f_distribution.ppf(COVERAGE, k, _PRIOR_FREEDOM + max(freedom, 0))
+    quantile = fdtri(k, _PRIOR_FREEDOM + max(freedom, 0), COVERAGE)
     return AnchorFit(
         positions=found,
         errors=np.sqrt(variance * relative * k * quantile),

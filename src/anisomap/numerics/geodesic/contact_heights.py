@@ -8,7 +8,7 @@ other object that touches the skin, differs over the distance of the sensors.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import isotonic_regression
 from scipy.spatial.distance import pdist
-from scipy.stats import rankdata
 
 from anisomap.errors import InputError
-from anisomap.numerics.geodesic.contact_peaks import MIN_PEAKS, contact_durations, contact_peaks
+from anisomap.numerics.columns import columns, rank_columns
+from anisomap.numerics.geodesic.contact_peaks import MIN_PEAKS, contacts_of
 from anisomap.numerics.reliability.split_half import split_blocks
-from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.numerics.similarity.rest import Rest, estimate_rest
 
 Matrix = NDArray[np.float64]
 
@@ -80,19 +80,22 @@ class ContactHeights:
     """
 
     def __init__(self, readings: ArrayLike) -> None:
-        values = np.asarray(readings, dtype=np.float64)
+        values = np.asarray(readings)
         if values.ndim != 2:
             raise InputError(f"readings must have shape (T, N), got {values.shape}")
         rest = estimate_rest(values)
-        raised = np.maximum(rest.side * (values - rest.value), 0)
-        found = [contact_peaks(column) for column in raised.T]
-        self._peaks = [frames for frames, _ in found]
-        self._has_heights = [np.unique(heights).size >= _MIN_HEIGHTS for _, heights in found]
-        durations = np.concatenate([contact_durations(column) for column in raised.T])
-        half = max(1, round(_WINDOW * float(np.median(durations)))) if durations.size else 1
+        self._peaks, self._has_heights, durations = [], [], []
+        for column in _raised(values, rest):
+            frames, heights, lasting = contacts_of(column)
+            self._peaks.append(frames)
+            self._has_heights.append(np.unique(heights).size >= _MIN_HEIGHTS)
+            durations.append(lasting)
+        lasting = np.concatenate(durations)
+        half = max(1, round(_WINDOW * float(np.median(lasting)))) if lasting.size else 1
         # The highest reading around a frame is the height of the contact that matches a peak there;
         # it is 0, a tie, where the sensor is not touched.
-        self._ranks = rankdata(maximum_filter1d(raised, 2 * half + 1, axis=0), axis=0)
+        highest = (maximum_filter1d(column, 2 * half + 1) for column in _raised(values, rest))
+        self._ranks = rank_columns(highest, values.shape)
         self._ranks /= len(values)
         self._lowest = self._ranks.min(axis=0)
 
@@ -101,13 +104,15 @@ class ContactHeights:
         """Whether most sensors have contacts of different heights."""
         return bool(np.mean(self._has_heights) > _MIN_TOUCHED)
 
-    def compare(self, frames: ArrayLike | None = None) -> HeightSimilarity:
+    def compare(self, frames: ArrayLike | None = None, *, partial: bool = True) -> HeightSimilarity:
         """Compare the heights of the contacts of all pairs of sensors.
 
         Parameters
         ----------
         frames : array_like of int, optional
             Frames of which contacts are used; all by default.
+        partial : bool
+            Whether to compute the partial correlations; they are 0 otherwise.
 
         Returns
         -------
@@ -124,14 +129,15 @@ class ContactHeights:
             used[np.asarray(frames)] = True
         n = self._ranks.shape[1]
         sums, squares, products = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
-        partial, counts = np.zeros((n, n)), np.zeros(n)
+        partials, counts = np.zeros((n, n)), np.zeros(n)
         for i, peaks in enumerate(self._peaks):
             at = peaks[used[peaks]]
             ranks = self._ranks[at]
             counts[i] = len(at)
             sums[i], squares[i] = ranks.sum(axis=0), (ranks**2).sum(axis=0)
             products[i] = ranks[:, i] @ ranks
-            partial[i] = self._partial(i, ranks)
+            if partial:
+                partials[i] = self._partial(i, ranks)
         # Row i of each sum is over the contacts of sensor i.
         pooled = np.maximum(counts[:, None] + counts, 1.0)
         mean = (np.diag(sums)[:, None] + sums.T) / pooled
@@ -141,7 +147,7 @@ class ContactHeights:
         scale = np.sqrt(np.where(varying, variance * variance.T, 1.0))
         similarity = np.where(varying, covariance / scale, 0.0)
         np.fill_diagonal(similarity, 1.0)
-        return HeightSimilarity(similarity, (partial + partial.T) / 2, pooled)
+        return HeightSimilarity(similarity, (partials + partials.T) / 2, pooled)
 
     def _partial(self, sensor: int, ranks: Matrix) -> Matrix:
         """Return the partial correlations of a sensor with those that share its contacts."""
@@ -163,9 +169,11 @@ class ContactHeights:
         return found
 
 
-def height_halves(heights: ContactHeights, n_frames: int) -> list[HeightSimilarity]:
+def height_halves(
+    heights: ContactHeights, n_frames: int, *, partial: bool = True
+) -> list[HeightSimilarity]:
     """Compare the heights in the two halves of a recording (`split_blocks`)."""
-    return [heights.compare(frames) for frames in split_blocks(n_frames)]
+    return [heights.compare(frames, partial=partial) for frames in split_blocks(n_frames)]
 
 
 def explained_share(
@@ -206,3 +214,9 @@ def explained_share(
     residuals = [x - isotonic_regression(x, increasing=False).x for x in (first, second)]
     unexplained = float(np.cov(*residuals)[0, 1]) / shared
     return Explained(float(np.corrcoef(first, second)[0, 1]), 1 - unexplained)
+
+
+def _raised(readings: NDArray[np.generic], rest: Rest) -> Iterator[Matrix]:
+    """Iterate over the readings of each sensor beyond rest, on the side of contact."""
+    for column, value, side in zip(columns(readings), rest.value, rest.side, strict=True):
+        yield np.maximum(side * (column.astype(np.float64) - value), 0)

@@ -33,19 +33,39 @@ def contact_peaks(raised: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.float
     heights : ndarray of shape (n,)
         Readings at the peaks.
     """
+    frames, heights, _ = contacts_of(raised)
+    return frames, heights
+
+
+def contacts_of(
+    raised: ArrayLike,
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]:
+    """Find the peak of each contact of one sensor, and its number of frames.
+
+    Parameters
+    ----------
+    raised : array_like of shape (T,)
+        See `contact_peaks`.
+
+    Returns
+    -------
+    frames, heights
+        See `contact_peaks`.
+    durations : ndarray of int, shape (n,)
+    """
     values = np.asarray(raised, dtype=np.float64)
     touched, begins = _contacts(values)
+    durations = np.diff(begins, append=touched.size)
     heights = np.maximum.reduceat(values[touched], begins) if begins.size else np.empty(0)
-    contact = np.repeat(np.arange(begins.size), np.diff(begins, append=touched.size))
+    contact = np.repeat(np.arange(begins.size), durations)
     highest = np.flatnonzero(values[touched] == heights[contact])
     first = np.searchsorted(contact[highest], np.arange(begins.size))
-    return touched[highest[first]], heights
+    return touched[highest[first]], heights, np.asarray(durations)
 
 
 def contact_durations(raised: ArrayLike) -> NDArray[np.intp]:
     """Return the number of frames of each contact of one sensor, see `contact_peaks`."""
-    touched, begins = _contacts(np.asarray(raised, dtype=np.float64))
-    return np.asarray(np.diff(begins, append=touched.size))
+    return contacts_of(raised)[2]
 
 
 def _contacts(values: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from anisomap.numerics.compiled.parallel import load_loops, parallel_map
+from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
 
 ROWS = 512
 """Rows of a block of inner products."""
@@ -48,6 +48,8 @@ def most_similar(
     n_sensors = len(rows)
     queries = np.arange(n_sensors) if sensors is None else np.asarray(sensors, dtype=np.int64)
     labels = np.arange(n_sensors) if groups is None else np.asarray(groups, dtype=np.int64)
+    if n_sensors < MIN_COMPILED_ROWS:
+        return _most_similar_of_few(rows, count, labels, queries)
     found = np.full((len(queries), count), NO_SENSOR, dtype=np.int64)
     products = np.full(found.shape, -np.inf, dtype=np.float32)
 
@@ -63,3 +65,20 @@ def most_similar(
     with threadpool_limits(1), parallel_map(len(queries)) as map_threads:
         map_threads(search, range(0, len(queries), ROWS))
     return found, products
+
+
+def _most_similar_of_few(
+    rows: NDArray[np.float32],
+    count: int,
+    labels: NDArray[np.int64],
+    queries: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Sort all products, which takes less time than loading a compiled loop."""
+    with threadpool_limits(1):
+        products = rows[queries] @ rows.T
+    products[labels[queries][:, None] == labels] = -np.inf
+    missing = max(0, count - len(rows))
+    products = np.pad(products, ((0, 0), (0, missing)), constant_values=-np.inf)
+    order = np.argsort(-products, axis=1, kind="stable")[:, :count]
+    greatest = np.take_along_axis(products, order, axis=1)
+    return np.where(np.isneginf(greatest), NO_SENSOR, order), greatest
