@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from anisomap import io
 from anisomap.diagnostics import diagnose
 from anisomap.errors import AnisomapError
 from anisomap.evaluation import score
-from anisomap.health import SensorHealth, assess
+from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
 from anisomap.io.stream import ReadOptions
 from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.large.streaming import map_streamed_similarity, stream_similarity
@@ -46,6 +46,8 @@ class Examination:
     sensor_map : SensorMap or None
         None if there is no map yet; see `reason`.
     health : tuple of SensorHealth
+    summary : RecordingSummary or None
+        Of the frames that were mapped.
     verdict : Verdict
     error_against_truth : float
         RMS error in spacings, if the truth is known; else NaN.
@@ -61,6 +63,7 @@ class Examination:
 
     sensor_map: SensorMap | None
     health: tuple[SensorHealth, ...]
+    summary: RecordingSummary | None
     verdict: Verdict
     error_against_truth: float
     n_frames: int
@@ -92,6 +95,9 @@ class ExaminationOptions:
     truth: SensorMap | None = None
 
 
+_Mapped: TypeAlias = tuple[SensorMap, tuple[SensorHealth, ...], RecordingSummary]
+
+
 def examine(
     path: Path, n_frames: int, options: ExaminationOptions, *, final: bool = False
 ) -> Examination:
@@ -115,11 +121,12 @@ def examine(
     begun = time.monotonic()
     made: SensorMap | None = None
     health: tuple[SensorHealth, ...] = ()
+    summary: RecordingSummary | None = None
     reason, error = "", float("nan")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            made, health = _mapped(path, n_frames, options, final)
+            made, health, summary = _mapped(path, n_frames, options, final)
             if options.truth is not None:
                 error = score(made, options.truth, permutations=0).rms_in_spacings
         except AnisomapError as problem:
@@ -127,6 +134,7 @@ def examine(
     return Examination(
         sensor_map=made,
         health=health,
+        summary=summary,
         verdict=Verdict(reasons=(reason,)) if made is None else made.verdict,
         error_against_truth=error,
         n_frames=n_frames,
@@ -136,9 +144,7 @@ def examine(
     )
 
 
-def _mapped(
-    path: Path, n_frames: int, options: ExaminationOptions, final: bool
-) -> tuple[SensorMap, tuple[SensorHealth, ...]]:
+def _mapped(path: Path, n_frames: int, options: ExaminationOptions, final: bool) -> _Mapped:
     how = ReadOptions(preset=options.preset)
     with io.open_stream(path, frames=1) as stream:
         n_readings = n_frames * stream.n_sensors
@@ -152,12 +158,11 @@ def _mapped(
     drop = [name for name in options.drop if name in recording.names]
     made = reconstruct(recording, options.method, options.dimensions, drop=drop)
     health = assess(recording)
-    return diagnose(made, recording, drop=drop, health=health), health
+    diagnosed = diagnose(made, recording, drop=drop, health=health)
+    return diagnosed, health, summarise(recording, health)
 
 
-def _mapped_in_blocks(
-    path: Path, options: ExaminationOptions
-) -> tuple[SensorMap, tuple[SensorHealth, ...]]:
+def _mapped_in_blocks(path: Path, options: ExaminationOptions) -> _Mapped:
     with io.open_stream(path, frames=1) as stream:
         first = next(stream.blocks).readings
         like = Recording(first, names=stream.names, source=stream.source)
@@ -172,7 +177,7 @@ def _mapped_in_blocks(
     )
     drop = [name for name in options.drop if name in like.names]
     make = partial(map_streamed_similarity, found, options.method, options.dimensions)
-    return make(drop=drop), found.health
+    return make(drop=drop), found.health, summarise(found.excerpt, found.health)
 
 
 def _parts_of(path: Path, n_frames: int, preset: str) -> Recording:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from anisomap import io
 from anisomap.drawing import figures, report
 from anisomap.errors import InputError
-from anisomap.health import summarise
 from anisomap.live.examination import Examination
-from anisomap.placement import parse_length, scaled_to_spacing
-from anisomap.recording import Recording
+from anisomap.placement import Anchors, parse_length, place, scaled_to_spacing
 from anisomap.sensor_map import SensorMap
 
 EXPORTS = (".csv", ".json", ".ply", ".pcd", ".npz", ".urdf", ".mjcf", ".icub.txt", ".launch.xml")
@@ -19,7 +16,11 @@ EXPORTS = (".csv", ".json", ".ply", ".pcd", ".npz", ".urdf", ".mjcf", ".icub.txt
 
 
 def save_map(
-    examination: Examination | None, path: Path, *, spacing: str = "", inputs: Iterable[Path] = ()
+    examination: Examination | None,
+    path: Path,
+    *,
+    spacing: str = "",
+    anchors: Anchors | None = None,
 ) -> Path:
     """Write the checked map of a session.
 
@@ -30,8 +31,8 @@ def save_map(
         Its suffix chooses the format.
     spacing : str
         Distance between neighbouring sensors, such as ``"6.5mm"``; formats in metres require it.
-    inputs : iterable of pathlib.Path
-        Files that must not be replaced.
+    anchors : Anchors, optional
+        Known positions of some sensors: the map is placed in their frame.
 
     Returns
     -------
@@ -46,20 +47,21 @@ def save_map(
         If the file cannot be written.
     """
     sensor_map = map_of(examination)
-    if path.resolve() in {other.resolve() for other in inputs}:
-        raise InputError(f"{path} is the recording; give the map another name")
-    if spacing:
-        sensor_map = scaled_to_spacing(sensor_map, *parse_length(spacing))
+    length = parse_length(spacing) if spacing else None
+    if anchors is not None:
+        sensor_map = place(sensor_map, anchors, spacing=length).map
+    elif length is not None:
+        sensor_map = scaled_to_spacing(sensor_map, *length)
     elif io.needs_scale(path):
         raise InputError(
             f"the format of {path.name} is in metres: give the distance between neighbouring "
-            "sensors, such as 6.5mm"
+            "sensors, such as 6.5mm, or anchors"
         )
     io.write(sensor_map, path)
     return path
 
 
-def save_report(examination: Examination | None, path: Path, recording: Path) -> Path:
+def save_report(examination: Examination | None, path: Path) -> Path:
     """Write the report on the checked map of a session.
 
     Parameters
@@ -67,8 +69,6 @@ def save_report(examination: Examination | None, path: Path, recording: Path) ->
     examination : Examination or None
     path : pathlib.Path
         Must end in ``.html``.
-    recording : pathlib.Path
-        The recording of the session, which is summarised.
 
     Returns
     -------
@@ -84,13 +84,11 @@ def save_report(examination: Examination | None, path: Path, recording: Path) ->
     """
     sensor_map = map_of(examination)
     report.check_writable(path)
-    health = () if examination is None else examination.health
-    read: Recording = io.read(recording)
     report.write_report(
         path,
         sensor_map,
-        health=health,
-        summary=summarise(read.complete("interpolate"), health),
+        health=() if examination is None else examination.health,
+        summary=None if examination is None else examination.summary,
         figure_png=figures.figure_bytes(figures.map_figure(sensor_map)),
     )
     return path

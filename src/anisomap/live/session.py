@@ -21,6 +21,7 @@ from anisomap.live.mapping import QuickMap
 from anisomap.live.recorder import Recorder, Segment
 from anisomap.live.workers import Changed, Examine, Failed, Worker
 from anisomap.methods import DEFAULT_METHOD
+from anisomap.placement import Anchors
 from anisomap.sensor_map import is_faulty
 from anisomap.usability import UNKNOWN
 from anisomap.wording import printable
@@ -39,6 +40,7 @@ _NOTICE_EVERY_S = 5.0  # for notices of one kind
 _KIND = 20  # first characters of a notice that tell its kind
 _MIN_NEW_FRAMES = 25  # for a first checked map; a second of a skin of usual rate
 _GROWTH = 1.15  # of the number of frames between two checked maps
+_RATE_S, _RATE_ENTRIES = 3.0, 200  # over which the rate is measured
 _STOP_S = 3.0  # for a source to end
 
 
@@ -69,7 +71,6 @@ class Point:
     expected_error, error_against_truth : float
         In spacings; NaN if unknown.
     level : str
-    share_touched : float
     """
 
     seconds: float
@@ -77,7 +78,6 @@ class Point:
     expected_error: float
     error_against_truth: float
     level: str
-    share_touched: float
 
 
 @dataclass
@@ -92,9 +92,16 @@ class _Arrivals:
         else:
             self.counts[-1] = (n_frames, self.counts[-1][1])
 
+    def rate(self, now: float) -> float:
+        """Return the number of frames per second in the last seconds."""
+        recent = [entry for entry in list(self.counts)[-_RATE_ENTRIES:] if now - entry[1] < _RATE_S]
+        if len(recent) < 2 or recent[-1][1] <= recent[0][1]:
+            return 0.0
+        return (recent[-1][0] - recent[0][0]) / (recent[-1][1] - recent[0][1])
+
     def time_of(self, n_frames: int) -> float | None:
         """Return when the first frame arrived that is not among the first `n_frames`."""
-        for count, moment in self.counts:
+        for count, moment in list(self.counts):
             if count > n_frames:
                 return moment
         return None
@@ -124,6 +131,15 @@ class LiveSession:
         The last checked map.
     notices : sequence of Note
     curve : list of Point
+        Errors of the checked maps over time.
+    touched : list of (float, float)
+        Share of the sensors touched over time in seconds.
+    examining : bool
+        Whether a checked map is being made.
+    anchors : Anchors or None
+        Known positions of some sensors, by which saved maps are placed.
+    ended, wanted_end : threading.Event
+        Set when the source has ended, and when the user has asked for the end.
     failure : AnisomapError or None
         Why the recording ended, if it could not go on.
     """
@@ -141,9 +157,13 @@ class LiveSession:
         self.checked: Examination | None = None
         self.notices: deque[Note] = deque(maxlen=_MAX_NOTICES)
         self.curve: list[Point] = []
+        self.touched: list[tuple[float, float]] = []
         self.failure: AnisomapError | None = None
         self.paused = False
         self.ended = threading.Event()
+        self.wanted_end = threading.Event()
+        self.anchors: Anchors | None = None
+        self.finishing = False
         self.changed = threading.Condition()
         self.tick = 0
         self.map_number = 0
@@ -151,7 +171,7 @@ class LiveSession:
         self._told: dict[str, float] = {}
         self._stop = threading.Event()
         self._arrivals = _Arrivals()
-        self._examining = False
+        self.examining = False
         self._final: Examination | None = None
         self._finished = threading.Event()
         self._examined_frames = 0
@@ -189,6 +209,20 @@ class LiveSession:
     def segment(self) -> Segment | None:
         """The current file of the recording."""
         return self.recorder.segments[-1] if self.recorder.segments else None
+
+    @property
+    def state(self) -> str:
+        """``"running"``, ``"paused"``, ``"finishing"`` or ``"ended"``."""
+        if self.finishing:
+            return "finishing"
+        if self.ended.is_set():
+            return "ended"
+        return "paused" if self.paused else "running"
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second of the last seconds; NaN before."""
+        return self._arrivals.rate(time.monotonic())
 
     @property
     def map_age(self) -> float:
@@ -331,8 +365,13 @@ class LiveSession:
         if segment is None:
             return None
         self._finished.clear()
+        self.finishing = True
         self._examiner.send(Examine(segment, self.recorder.n_frames, final=True))
-        self._finished.wait(timeout_s)
+        try:
+            self._finished.wait(timeout_s)
+        finally:
+            self.finishing = False
+        self._announce()
         return self._final
 
     def _acquire(self) -> None:
@@ -385,9 +424,16 @@ class LiveSession:
                 self._stop.set()
             self._show(self.recorder.recent())
             self._ask()
+            self._follow_share()
             with self.changed:
                 self.tick += 1
                 self.changed.notify_all()
+
+    def _follow_share(self) -> None:
+        now = self.seconds
+        if not self.touched or now - self.touched[-1][0] >= 1.0:
+            kept = self.touched[::2] if len(self.touched) >= MAX_CURVE else self.touched
+            self.touched = [*kept, (now, self.share_touched)]
 
     def _show(self, recent: Sequence[NDArray[np.float64]]) -> None:
         """Compute the deepest reading of each sensor since the last tick, from 0 to 1."""
@@ -410,7 +456,7 @@ class LiveSession:
 
     def _ask(self) -> None:
         segment, n_frames = self.segment, self.recorder.n_frames
-        if self._examining or segment is None or self.paused:
+        if self.examining or segment is None or self.paused:
             return
         if n_frames < max(_MIN_NEW_FRAMES, _GROWTH * self._examined_frames):
             return
@@ -418,7 +464,7 @@ class LiveSession:
         took = 0.0 if self.checked is None else self.checked.seconds
         if time.monotonic() - self._examined_at < took:
             return
-        self._examining, self._examined_frames = True, n_frames
+        self.examining, self._examined_frames = True, n_frames
         self._examiner.send(Examine(segment, n_frames, final=False))
 
     def _receive_quick(self, answer: Any) -> None:
@@ -432,7 +478,7 @@ class LiveSession:
             self._announce()
 
     def _receive_checked(self, answer: Any) -> None:
-        self._examining, self._examined_at = False, time.monotonic()
+        self.examining, self._examined_at = False, time.monotonic()
         if isinstance(answer, Failed):
             self.notify(answer.text)
             self._finished.set()
@@ -449,7 +495,6 @@ class LiveSession:
                 found.verdict.expected_error,
                 found.error_against_truth,
                 found.verdict.level,
-                self.share_touched,
             )
         )
         if len(self.curve) > MAX_CURVE:

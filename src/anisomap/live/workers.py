@@ -37,7 +37,7 @@ _MAX_BEHIND_S = 1.0  # of reading a backlog without a map
 _IDLE_SHARE = 0.5  # pause after a quick map, as a share of its time: others need the processor too
 _NICENESS = {"quick": 5, "checked": 10}
 _MAX_RESTARTS = 3
-_JOIN_S = 2.0
+_JOIN_S = 0.5  # for a process to end by itself
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,10 @@ class Changed:
 
     segment: Segment | None = None
     options: ExaminationOptions | None = None
+
+    def updated(self, other: Changed) -> Changed:
+        """Return both changes in one."""
+        return Changed(other.segment or self.segment, other.options or self.options)
 
 
 @dataclass(frozen=True)
@@ -80,25 +84,31 @@ class Worker:
         self._lock = threading.Lock()
         self._closing = False
         self._restarts = 0
-        self._last: dict[type, Any] = {}
+        self._state = Changed()
+        self._request: Examine | None = None
         self._start()
 
     def send(self, message: Any) -> None:
         """Send a message; a dead process gets it when it is started again."""
         with self._lock:
-            self._last[type(message)] = message
-            with suppress(OSError):
+            if isinstance(message, Changed):
+                self._state = self._state.updated(message)
+            else:
+                self._request = message
+            with suppress(OSError, ValueError):
                 self._connection.send(message)
 
-    def close(self, wait_s: float = _JOIN_S) -> None:
+    def close(self) -> None:
         """End the process."""
         self._closing = True
-        with suppress(OSError), self._lock:
-            self._connection.close()
-        self._process.join(wait_s)
-        if self._process.is_alive():
+        with suppress(OSError, ValueError), self._lock:
+            self._connection.send(None)
+        self._process.join(_JOIN_S)
+        if self._process.is_alive():  # it is making a map
             self._process.terminate()
-            self._process.join(_JOIN_S)
+            self._process.join()
+        self._listener.join()
+        self._connection.close()
 
     def _start(self) -> None:
         ours, theirs = self._context.Pipe()
@@ -106,7 +116,8 @@ class Worker:
         self._process = self._context.Process(target=_run, args=(self._role, theirs), daemon=True)
         self._process.start()
         theirs.close()
-        threading.Thread(target=self._listen, args=(ours,), daemon=True).start()
+        self._listener = threading.Thread(target=self._listen, args=(ours,), daemon=True)
+        self._listener.start()
 
     def _listen(self, connection: Connection) -> None:
         while True:
@@ -117,6 +128,7 @@ class Worker:
             self._receive(answer)
         if self._closing:
             return
+        connection.close()
         self._restarts += 1
         if self._restarts > _MAX_RESTARTS:
             self._receive(Failed(f"the process of {self._role} maps ended; there are no more"))
@@ -124,9 +136,10 @@ class Worker:
         self._receive(Failed(f"the process of {self._role} maps ended and is started again"))
         with self._lock:
             self._start()
-            for message in self._last.values():
-                with suppress(OSError):
-                    self._connection.send(message)
+            for message in (self._state, self._request):
+                if message is not None:
+                    with suppress(OSError):
+                        self._connection.send(message)
 
 
 def _run(role: str, connection: Connection) -> None:
@@ -142,23 +155,23 @@ def _run(role: str, connection: Connection) -> None:
 
 
 def _make_checked_maps(connection: Connection) -> None:
-    options = ExaminationOptions()
+    options, request = ExaminationOptions(), None
     while True:
         message = connection.recv()
-        while connection.poll():  # only the latest request counts, unless options come between
-            if isinstance(message, Changed) and message.options is not None:
-                options = message.options
-            message = connection.recv()
+        if message is None:
+            return
         if isinstance(message, Changed):
             options = message.options or options
-        elif isinstance(message, Examine):
-            try:
-                found = examine(
-                    message.segment.path, message.n_frames, options, final=message.final
-                )
-                connection.send((message.segment.number, found))
-            except Exception as error:  # a defect must not end the recording
-                connection.send(Failed(f"a checked map failed: {type(error).__name__}: {error}"))
+        else:
+            request = message
+        if request is None or connection.poll():  # only the latest request is answered
+            continue
+        try:
+            found = examine(request.segment.path, request.n_frames, options, final=request.final)
+            connection.send((request.segment.number, found))
+        except Exception as error:  # a defect must not end the recording
+            connection.send(Failed(f"a checked map failed: {type(error).__name__}: {error}"))
+        request = None
 
 
 def _make_quick_maps(connection: Connection) -> None:
@@ -166,7 +179,10 @@ def _make_quick_maps(connection: Connection) -> None:
     while True:
         wait = _POLL_S if state.segment is not None else None
         if connection.poll(0) if state.busy else connection.poll(wait):
-            state.change(connection.recv())
+            message = connection.recv()
+            if message is None:
+                return
+            state.change(message)
             continue
         try:
             found = state.follow()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,6 +24,7 @@ from anisomap.files import check_distinct, check_target
 from anisomap.live import ExaminationOptions, LiveSession, open_source
 from anisomap.live.batches import Source
 from anisomap.live.saving import save_map, save_report
+from anisomap.live.server import Server
 from anisomap.live.sources.simulated import SimulatedHand
 from anisomap.methods import DEFAULT_METHOD, find_method
 
@@ -29,6 +32,7 @@ _source = Group("Source", sort_key=0)
 _page = Group("Page", sort_key=4)
 
 _LINE_S = 1.0  # between two lines of --headless
+_POLL_S = 0.2  # between two looks at whether the session is over
 
 
 @dataclass(frozen=True)
@@ -156,11 +160,7 @@ def live(
         with LiveSession(opened, target, chosen) as session:
             if isinstance(opened, SimulatedHand) and coached:
                 opened.where = partial(_advised, session)
-            try:
-                _run(session, page, printer)
-            except KeyboardInterrupt:
-                printer.line("ending the session; press Ctrl-C again to leave out the final map")
-            _finish(session, printer, maps, report, spacing)
+            _run(session, page, printer, lambda: _finish(session, printer, maps, report, spacing))
         if session.failure is not None:
             raise session.failure
 
@@ -185,17 +185,45 @@ def _advised(session: LiveSession) -> tuple[int, ...]:
     return advice.places[0].sensors if advice.places else advice.untouched
 
 
-def _run(session: LiveSession, page: PageOptions, printer: Printer) -> None:
-    """Show the session until it ends."""
+def _run(
+    session: LiveSession, page: PageOptions, printer: Printer, finish: Callable[[], None]
+) -> None:
+    """Show the session until it ends, and finish it while the page still shows it."""
     ends = None if page.duration is None else time.monotonic() + page.duration
 
     def over() -> bool:
         done = page.until is not None and session.reached(page.until)
         return done or (ends is not None and time.monotonic() >= ends)
 
-    if not page.headless:
-        raise InputError("only --headless works so far")
-    _print_lines(session, printer, over)
+    if page.headless:
+        with _until_interrupted(printer):
+            _print_lines(session, printer, over)
+        finish()
+        return
+    with Server(session, page.host, page.port) as server:
+        printer.line(f"Open {server.url} in a browser; Ctrl-C ends the session.")
+        printer.event({"url": server.url})
+        if page.browser:
+            webbrowser.open(server.url)
+        with _until_interrupted(printer):
+            while not (over() or session.wanted_end.is_set() or session.ended.wait(_POLL_S)):
+                pass
+        asked = over() or session.wanted_end.is_set() or not session.ended.is_set()
+        finish()
+        with _until_interrupted():
+            # A replay has ended by itself: its last map stays on the page.
+            while not (asked or session.wanted_end.wait(_POLL_S)):
+                pass
+
+
+@contextmanager
+def _until_interrupted(printer: Printer | None = None) -> Iterator[None]:
+    """Take the first Ctrl-C as the end of the block."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if printer is not None:
+            printer.line("ending the session; press Ctrl-C again to leave out the final map")
 
 
 def _print_lines(session: LiveSession, printer: Printer, over: Callable[[], bool]) -> None:
@@ -254,10 +282,9 @@ def _finish(
     written: list[tuple[str, Path]] = [("recording", s.path) for s in session.recorder.segments]
     if final is not None and final.sensor_map is not None:
         with progress("writing"):
-            inputs = [path for _, path in written]
-            written += [("map", save_map(final, p, spacing=spacing, inputs=inputs)) for p in maps]
+            written += [("map", save_map(final, path, spacing=spacing)) for path in maps]
             if report:
-                written.append(("report", save_report(final, report, inputs[-1])))
+                written.append(("report", save_report(final, report)))
         printer.line(f"Final map of {final.n_frames} frames: {final.verdict}")
     elif final is not None:
         print_warning(f"there is no map: {final.reason}")

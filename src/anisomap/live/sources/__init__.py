@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from urllib.parse import SplitResult, parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs, unquote, urlsplit
 
 from anisomap import io
 from anisomap.errors import InputError
@@ -51,8 +51,9 @@ def _made(module: str, name: str, *needs: str) -> Callable[[SplitResult], Source
         parts: dict[str, Callable[[], object]] = {
             "host": lambda: address.hostname or LOOPBACK,
             "port": lambda: _port(address),
-            "path": lambda: address.path,
-            "name": lambda: (address.netloc + address.path).strip("/"),
+            "path": lambda: unquote(address.path),
+            "device": lambda: address.netloc or address.path,
+            "name": lambda: unquote(address.netloc + address.path).strip("/"),
             "query": lambda: {key: value[-1] for key, value in parse_qs(address.query).items()},
         }
         made: Source = getattr(found, name)(*(parts[need]() for need in needs))
@@ -70,6 +71,16 @@ SOURCES: Mapping[str, Entry] = MappingProxyType({
                         _made("sockets", "TcpServer", "host", "port")),
     "udp": Entry("udp://HOST:PORT", "lines in UDP datagrams",
                  _made("sockets", "Udp", "host", "port")),
+    "serial": Entry("serial:///dev/ttyUSB0?baud=115200", "lines from a serial port",
+                    _made("serial_port", "SerialPort", "device", "query")),
+    "lsl": Entry("lsl://NAME", "stream of the Lab Streaming Layer",
+                 _made("lsl", "LslStream", "name")),
+    "rosbridge": Entry("rosbridge://HOST:9090/TOPIC", "topic of ROS through rosbridge",
+                       _made("rosbridge", "Rosbridge", "host", "port", "path", "query")),
+    "zenoh": Entry("zenoh://KEY?connect=tcp/HOST:7447", "topic of ROS 2 through Zenoh",
+                   _made("zenoh", "ZenohTopic", "name", "query")),
+    "yarp": Entry("yarp://HOST:10000/PORT", "port of YARP",
+                  _made("yarp_port", "YarpPort", "host", "port", "path")),
 })
 # fmt: on
 """Kinds of sources by the scheme of their addresses."""

@@ -1,0 +1,161 @@
+"""What the buttons of the page do. Each action returns a sentence, and the files it has written."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from anisomap import io
+from anisomap.errors import InputError
+from anisomap.live.saving import EXPORTS, save_map, save_report
+from anisomap.live.session import LiveSession
+from anisomap.placement import Anchors, parse_anchor
+
+_TRUTH_SUFFIXES = (".csv", ".tsv", ".txt", ".json", ".ply", ".pcd", ".urdf", ".xml", ".mjcf")
+
+
+@dataclass(frozen=True)
+class Done:
+    """The result of an action.
+
+    Attributes
+    ----------
+    text : str
+        One sentence.
+    files : tuple of pathlib.Path
+        Files that were written.
+    """
+
+    text: str
+    files: tuple[Path, ...] = ()
+
+
+def act(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    """Carry out a request of the page.
+
+    Parameters
+    ----------
+    session : LiveSession
+    request : mapping
+        ``"do"`` names the action, a key of `ACTIONS`; other entries are its arguments.
+
+    Returns
+    -------
+    Done
+
+    Raises
+    ------
+    InputError
+        If there is no such action, or an argument is not valid.
+    """
+    name = request.get("do")
+    if not isinstance(name, str) or name not in ACTIONS:
+        raise InputError(f"an action must be one of {', '.join(ACTIONS)}")
+    return ACTIONS[name](session, request)
+
+
+def _pause(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    session.pause(bool(request.get("on")))
+    return Done("paused: nothing is recorded" if session.paused else "recording")
+
+
+def _restart(session: LiveSession, _: Mapping[str, Any]) -> Done:
+    session.restart()
+    return Done("the next frame begins a new recording")
+
+
+def _drop(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    names = request.get("sensors")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError("sensors must be a list of names")
+    session.drop(names)
+    return Done(f"left out: {', '.join(names)}" if names else "no sensor is left out")
+
+
+def _truth(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    text, suffix = _text(request, "text"), Path(_text(request, "name")).suffix.lower()
+    if suffix not in _TRUTH_SUFFIXES:
+        raise InputError(f"a file of positions must be one of {', '.join(_TRUTH_SUFFIXES)}")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"positions{suffix}"
+        path.write_text(text, encoding="utf-8")
+        truth = io.read_map(path)
+    session.declare_truth(truth)
+    return Done(f"the next checked map is compared with {truth.n_sensors} positions")
+
+
+def _anchors(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    given = [
+        parse_anchor(line.strip()) for line in _text(request, "text").split("\n") if line.strip()
+    ]
+    if not given:
+        session.anchors = None
+        return Done("there are no anchors: maps have no frame")
+    width = max(len(position) for _, position in given)
+    rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
+    anchors = Anchors(tuple(name for name, _ in given), np.array(rows))
+    if unknown := [name for name in anchors.names if name not in session.sensor_names]:
+        raise InputError(f"there is no sensor {unknown[0]}")
+    session.anchors = anchors
+    return Done(f"saved maps are placed by {len(given)} anchors, in metres")
+
+
+def _save(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    recording, spacing = _recording(session), str(request.get("spacing") or "")
+    target = recording.with_suffix(".map.csv")
+    files = [save_map(session.checked, target, spacing=spacing, anchors=session.anchors)]
+    files.append(save_report(session.checked, recording.with_suffix(".report.html")))
+    return Done(_written(files), tuple(files))
+
+
+def _export(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    suffix = _text(request, "suffix")
+    if suffix not in EXPORTS:
+        raise InputError(f"a format must be one of {', '.join(EXPORTS)}")
+    spacing = str(request.get("spacing") or "")
+    target = _recording(session).with_suffix(f".map{suffix}")
+    files = [save_map(session.checked, target, spacing=spacing, anchors=session.anchors)]
+    return Done(_written(files), tuple(files))
+
+
+def _end(session: LiveSession, _: Mapping[str, Any]) -> Done:
+    session.wanted_end.set()
+    return Done("ending the session: the final map follows")
+
+
+ACTIONS: Mapping[str, Callable[[LiveSession, Mapping[str, Any]], Done]] = MappingProxyType(
+    {
+        "pause": _pause,
+        "restart": _restart,
+        "drop": _drop,
+        "truth": _truth,
+        "anchors": _anchors,
+        "save": _save,
+        "export": _export,
+        "end": _end,
+    }
+)
+"""Actions by name."""
+
+
+def _recording(session: LiveSession) -> Path:
+    if session.segment is None:
+        raise InputError("nothing is recorded yet")
+    return session.segment.path
+
+
+def _text(request: Mapping[str, Any], key: str) -> str:
+    value = request.get(key)
+    if not isinstance(value, str):
+        raise InputError(f"{key} must be text")
+    return value
+
+
+def _written(files: list[Path]) -> str:
+    return "written: " + ", ".join(path.name for path in files)

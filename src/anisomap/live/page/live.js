@@ -1,0 +1,204 @@
+// The page of a live session: shows what the server sends, and posts what the user does.
+// Text from the session is set as text content only, never as HTML.
+
+import { COLOURS, Raster, drawCurves } from "./charts.js";
+import { MapView } from "./map_view.js";
+
+const $ = (id) => document.getElementById(id);
+const view = new MapView($("map"));
+const raster = new Raster($("raster"));
+let map = null, status = null, showsChecked = false;
+
+function decoded(text, Type) {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  return new Type(bytes.buffer);
+}
+
+function showMap() {
+  if (!map) return;
+  const checked = map.checked && (showsChecked || map.final);
+  view.update({ ...map, positions: checked ? map.checked : map.positions });
+  $("which").textContent = map.reason || (checked
+    ? `${map.final ? "final" : "checked"} map, by the full method`
+    : `quick map of ${map.frames} frames`);
+  $("show").lastChild.textContent = showsChecked ? " show quick map" : " show checked map";
+  $("show").disabled = !map.checked || map.final;
+}
+
+function showStatus() {
+  const { level, expected_error: expected, error_against_truth: truth } = status;
+  $("verdict").dataset.level = level;
+  $("level").textContent = level !== "unknown" ? level : status.examining ? "checking the first map" : "verdict unknown";
+  $("error").textContent = (expected === null ? "" : ` expected error ${expected.toFixed(2)} spacings`)
+    + (truth === null ? "" : `, ${truth.toFixed(2)} against the truth`);
+  $("reason").textContent = status.reasons[0] || "";
+  $("source").textContent = `${status.source}, recorded in ${status.recording || "no file yet"}`;
+  $("rate").textContent = status.rate_hz ? `${status.rate_hz.toFixed(status.rate_hz < 10 ? 1 : 0)} Hz` : "–";
+  $("touched").textContent = `${Math.round(100 * status.share_touched)} % of ${status.sensors}`;
+  $("age").textContent = `${status.map_age.toFixed(1)} s${status.lags ? ": lags, all is recorded" : ""}`;
+  $("age").className = status.lags ? "alert" : "";
+  $("state").textContent = status.state;
+  $("coach").textContent = status.state === "finishing" ? "making the final map" : status.advice || "touch the skin";
+  $("coach").className = status.enough ? "enough" : "";
+  $("faulty").textContent = status.faulty.length
+    ? `faulty: ${status.faulty.map((s) => `${s.name} (${s.status})`).join(", ")}` : "no faulty sensor";
+  $("dropped").textContent = status.dropped.length ? `left out: ${status.dropped.join(", ")}` : "";
+  $("pause").lastChild.textContent = status.state === "paused" ? " go on" : " pause";
+  $("key-truth").hidden = truth === null;
+  view.faulty = new Set(status.faulty.map((sensor) => sensor.name));
+  $("notices").replaceChildren(...status.notices.slice(-30).reverse().map(([seconds, text]) => {
+    const item = document.createElement("li");
+    item.textContent = `${seconds} s: ${text}`;
+    return item;
+  }));
+  const points = (column) => status.curve.map((row) => [row[0], row[column]]);
+  const end = status.seconds;
+  drawCurves($("errors"), [{ points: points(1) }, { points: points(2), dashed: true }], { rule: 1, end });
+  drawCurves($("shares"), [{ points: status.touched }], { top: 1, unit: "%", end });
+  showSelected();
+}
+
+function showSelected() {
+  const i = view.selected;
+  if (!map || i < 0) {
+    $("selected").textContent = "no sensor selected: click one, or press ← →";
+    return;
+  }
+  const fault = status && status.faulty.find((sensor) => sensor.name === map.names[i]);
+  $("selected").textContent = `selected: ${map.names[i]}, ${map.contacts[i]} contacts`
+    + (fault ? `, ${fault.status}: ${fault.reason}` : "");
+}
+
+function connect() {
+  const events = new EventSource("/events");
+  events.addEventListener("map", (event) => {
+    map = JSON.parse(event.data);
+    map.positions = decoded(map.positions, Float32Array);
+    map.checked = map.checked && decoded(map.checked, Float32Array);
+    map.pairs = decoded(map.pairs, Uint32Array);
+    map.halo = decoded(map.halo, Float32Array);
+    showMap();
+    showSelected();
+  });
+  events.addEventListener("readings", (event) => {
+    const { frames, seconds, levels } = JSON.parse(event.data);
+    view.levels = decoded(levels, Uint8Array);
+    if (view.levels.length) raster.add(seconds, view.levels);
+    $("frames").textContent = frames;
+    $("seconds").textContent = `${seconds.toFixed(1)} s`;
+  });
+  events.addEventListener("status", (event) => {
+    status = JSON.parse(event.data);
+    showStatus();
+  });
+  events.addEventListener("error", () => { $("state").textContent = "no connection"; });
+}
+
+async function act(request) {
+  $("answer").className = "";
+  $("answer").textContent = "…";
+  let done;
+  try {
+    const answer = await fetch("/act", {
+      method: "POST",
+      headers: { "Content-Type": "application/json", "X-Anisomap": "1" },
+      body: JSON.stringify(request),
+    });
+    done = answer.ok ? await answer.json() : { ok: false, text: await answer.text() };
+  } catch {
+    done = { ok: false, text: "the session does not answer" };
+  }
+  $("answer").className = done.ok ? "" : "failed";
+  $("answer").textContent = done.text;
+  for (const file of done.files || []) {
+    const item = document.createElement("li"), link = document.createElement("a");
+    link.href = file.url;
+    link.download = file.name;
+    link.textContent = file.name;
+    item.append(link);
+    $("files").prepend(item);
+  }
+  return done.ok;
+}
+
+function dropSelected() {
+  if (view.selected < 0 || !map) {
+    $("answer").textContent = "select a sensor first";
+    return;
+  }
+  const name = map.names[view.selected], dropped = new Set(status.dropped);
+  if (!dropped.delete(name)) dropped.add(name);
+  act({ do: "drop", sensors: [...dropped] });
+}
+
+async function declare() {
+  const [file] = $("truth-file").files;
+  if (file && !await act({ do: "truth", name: file.name, text: await file.text() })) return;
+  const anchors = $("anchors").value;
+  if (anchors.trim() || !file) await act({ do: "anchors", text: anchors });
+}
+
+const BUTTONS = {
+  p: ["pause", () => act({ do: "pause", on: status?.state !== "paused" })],
+  r: ["restart", () => confirm("Begin a new recording and a new map? The recording so far is kept.") && act({ do: "restart" })],
+  d: ["drop", dropSelected],
+  m: ["show", () => { showsChecked = !showsChecked; showMap(); }],
+  s: ["save", () => act({ do: "save", spacing: $("spacing").value.trim() })],
+  e: ["open-export", () => $("export-dialog").showModal()],
+  t: ["open-truth", () => $("truth-dialog").showModal()],
+  q: ["end", () => confirm("End the session and make the final map?") && act({ do: "end" })],
+};
+for (const [id, run] of Object.values(BUTTONS)) $(id).addEventListener("click", run);
+$("export-dialog").addEventListener("close", () => {
+  if ($("export-dialog").returnValue === "export") {
+    act({ do: "export", suffix: $("suffix").value, spacing: $("spacing").value.trim() });
+  }
+});
+$("truth-dialog").addEventListener("close", () => {
+  if ($("truth-dialog").returnValue === "declare") declare();
+});
+$("map").addEventListener("selected", showSelected);
+
+function step(direction) {
+  const count = map ? map.names.length : 0;
+  for (let i = 1; i <= count; i++) {
+    const next = (view.selected + direction * i + 2 * count) % count;
+    if (!view.leftOut.has(next)) return view.select(next);
+  }
+}
+
+const TURNS = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] };
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, select, textarea, dialog")) return;
+  const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+  if (event.shiftKey && TURNS[key]) {
+    view.turn += TURNS[key][0];
+    view.tilt = Math.max(-1.5, Math.min(1.5, view.tilt + TURNS[key][1]));
+  } else if (key === "ArrowLeft" || key === "ArrowRight") step(key === "ArrowLeft" ? -1 : 1);
+  else if (key === "+" || key === "=") view.zoomBy(1.2);
+  else if (key === "-") view.zoomBy(1 / 1.2);
+  else if (key === "0") view.reset();
+  else if (BUTTONS[key]) BUTTONS[key][1]();
+  else return;
+  event.preventDefault();
+});
+
+const ramp = $("ramp").getContext("2d");
+COLOURS.forEach((colour, level) => {
+  ramp.fillStyle = colour;
+  ramp.fillRect(level * 120 / 256, 0, 1, 12);
+});
+
+let drawnAt = performance.now(), rasterAt = 0;
+function draw(now) {
+  view.move(now - drawnAt);
+  view.draw();
+  if (now - rasterAt > 100) {
+    raster.draw();
+    rasterAt = now;
+  }
+  drawnAt = now;
+  requestAnimationFrame(draw);
+}
+connect();
+requestAnimationFrame(draw);

@@ -1,0 +1,219 @@
+// The map: sensors, neighbours, halos and the places to touch, in 2D or turned in 3D.
+
+import { COLOURS, sized } from "./charts.js";
+
+const LINE = "#b4bfca", OUTLINE = "#1c2733", HALO = "rgba(77, 91, 105, 0.16)", MARK = "#b35000";
+const EASE_MS = 250;
+const MARGIN = 0.1, SHELF = 96, ABOVE = 70;
+const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
+
+export class MapView {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.names = [];
+    this.shown = null;
+    this.levels = new Uint8Array(0);
+    this.selected = -1;
+    this.faulty = new Set();
+    this.reset();
+    this._listen();
+  }
+
+  reset() {
+    this.turn = 0.5;
+    this.tilt = 0.35;
+    this.zoom = 1;
+  }
+
+  // data: {names, dimensions, positions, pairs, halo, untouched, left_out, places}; halo from 0 to 1
+  update(data) {
+    const before = this.names;
+    this.names = data.names;
+    this.dimensions = data.dimensions;
+    this.target = data.positions;
+    this.pairs = data.pairs;
+    this.halo = data.halo;
+    this.places = data.places;
+    this.untouched = data.untouched;
+    this.leftOut = new Set(data.left_out);
+    if (this.selected >= this.names.length || before.length !== this.names.length) this.selected = -1;
+    if (!this.shown || this.shown.length !== this.target.length) this.shown = this.target.slice();
+  }
+
+  move(elapsed) {
+    if (!this.target) return;
+    const share = calm.matches ? 1 : 1 - Math.exp(-elapsed / EASE_MS);
+    for (let i = 0; i < this.target.length; i++) {
+      const goal = this.target[i];
+      this.shown[i] = Number.isFinite(this.shown[i]) ? this.shown[i] + share * (goal - this.shown[i]) : goal;
+    }
+  }
+
+  // Return [x, y, depth] of each sensor in pixels; sensors without a place stand on a shelf.
+  project() {
+    const width = this.canvas.clientWidth, height = this.canvas.clientHeight - SHELF - ABOVE;
+    const k = this.dimensions, count = this.names.length, found = new Array(count);
+    const cosTurn = Math.cos(this.turn), sinTurn = Math.sin(this.turn);
+    const cosTilt = Math.cos(this.tilt), sinTilt = Math.sin(this.tilt);
+    let reach = 1e-9, spanX = 1e-9, spanY = 1e-9;
+    const flat = [];
+    for (let i = 0; i < count; i++) {
+      const x = this.shown[i * k], y = this.shown[i * k + 1], z = k > 2 ? this.shown[i * k + 2] : 0;
+      if (!Number.isFinite(x)) continue;
+      let u = x, v = y, w = 0;
+      if (k > 2) {
+        const a = cosTurn * x - sinTurn * y, b = sinTurn * x + cosTurn * y;
+        u = a;
+        v = cosTilt * z + sinTilt * b;
+        w = -cosTilt * b + sinTilt * z;
+      }
+      flat.push([i, u, v, w]);
+      reach = Math.max(reach, Math.hypot(x, y, z));
+      spanX = Math.max(spanX, Math.abs(u));
+      spanY = Math.max(spanY, Math.abs(v));
+    }
+    if (k > 2) spanX = spanY = reach;
+    const room = 1 - 2 * MARGIN;
+    const goal = this.zoom * Math.min(width * room / 2 / spanX, height * room / 2 / spanY);
+    this.scale = this.scale && !calm.matches ? this.scale + 0.2 * (goal - this.scale) : goal;
+    for (const [i, u, v, w] of flat) found[i] = [width / 2 + u * this.scale, ABOVE + height / 2 - v * this.scale, w / reach];
+    const waiting = this.names.map((_, i) => i).filter((i) => !found[i] && !this.leftOut.has(i));
+    const step = Math.min(26, (width - 40) / Math.max(1, waiting.length));
+    waiting.forEach((i, n) => { found[i] = [16 + step * (n + 0.5), ABOVE + height + 18, 1]; });
+    this.waiting = waiting.length;
+    return found;
+  }
+
+  draw() {
+    const context = sized(this.canvas);
+    if (!this.target) return;
+    const points = this.points = this.project();
+    const area = this.canvas.clientWidth * (this.canvas.clientHeight - SHELF - ABOVE);
+    const radius = Math.max(2.5, Math.min(14, 0.16 * Math.sqrt(Math.max(area, 1) / this.names.length)));
+    context.strokeStyle = LINE;
+    context.lineWidth = 1;
+    context.beginPath();
+    for (let p = 0; p < this.pairs.length; p += 2) {
+      const a = points[this.pairs[p]], b = points[this.pairs[p + 1]];
+      if (a && b) {
+        context.moveTo(a[0], a[1]);
+        context.lineTo(b[0], b[1]);
+      }
+    }
+    context.stroke();
+    const untouched = new Set(this.untouched);
+    const order = points.map((_, i) => i).filter((i) => points[i] && !this.leftOut.has(i));
+    if (this.dimensions > 2) order.sort((i, j) => points[i][2] - points[j][2]);
+    context.fillStyle = HALO;
+    for (const i of order) {
+      if (untouched.has(i)) continue;
+      context.beginPath();
+      context.arc(points[i][0], points[i][1], radius * (1 + 2.5 * this.halo[i]), 0, 2 * Math.PI);
+      context.fill();
+    }
+    for (const i of order) this._sensor(context, i, points[i], radius, untouched.has(i));
+    this._marks(context, points, radius);
+    if (this.waiting) {
+      context.font = "13px system-ui, 'DejaVu Sans', sans-serif";
+      context.textAlign = "left";
+      context.fillStyle = OUTLINE;
+      context.fillText(`${this.waiting} without a place`, 16, this.canvas.clientHeight - SHELF + 44);
+    }
+  }
+
+  _sensor(context, i, [x, y, depth], radius, hollow) {
+    const size = this.dimensions > 2 ? radius * (0.85 + 0.2 * depth) : radius;
+    context.beginPath();
+    context.arc(x, y, size, 0, 2 * Math.PI);
+    context.lineWidth = i === this.selected ? 4 : 1.2;
+    context.strokeStyle = i === this.selected ? MARK : OUTLINE;
+    if (hollow) context.setLineDash([3, 3]);
+    context.fillStyle = hollow ? "#ffffff" : COLOURS[this.levels[i] || 0];
+    context.fill();
+    context.stroke();
+    context.setLineDash([]);
+    if (this.faulty.has(this.names[i])) {
+      context.lineWidth = 2;
+      context.strokeStyle = OUTLINE;
+      context.beginPath();
+      context.moveTo(x - size, y - size);
+      context.lineTo(x + size, y + size);
+      context.moveTo(x - size, y + size);
+      context.lineTo(x + size, y - size);
+      context.stroke();
+    }
+  }
+
+  _marks(context, points, radius) {
+    context.font = "600 15px system-ui, 'DejaVu Sans', sans-serif";
+    context.textAlign = "center";
+    this.places.forEach((place, n) => {
+      const inside = place.sensors.map((i) => points[i]).filter(Boolean);
+      if (!inside.length) return;
+      const x = inside.reduce((sum, p) => sum + p[0], 0) / inside.length;
+      const y = inside.reduce((sum, p) => sum + p[1], 0) / inside.length;
+      const reach = Math.max(...inside.map((p) => Math.hypot(p[0] - x, p[1] - y))) + 1.8 * radius;
+      context.setLineDash([7, 5]);
+      context.strokeStyle = MARK;
+      context.lineWidth = n ? 2 : 4;
+      context.beginPath();
+      context.arc(x, y, reach, 0, 2 * Math.PI);
+      context.stroke();
+      context.setLineDash([]);
+      context.fillStyle = MARK;
+      context.beginPath();
+      context.arc(x, y - reach, 11, 0, 2 * Math.PI);
+      context.fill();
+      context.fillStyle = "#ffffff";
+      context.fillText(String(n + 1), x, y - reach + 5);
+    });
+  }
+
+  // Return the sensor at a point of the canvas, or -1.
+  at(x, y) {
+    let best = -1, nearest = 22;
+    (this.points || []).forEach((point, i) => {
+      const distance = point ? Math.hypot(point[0] - x, point[1] - y) : Infinity;
+      if (distance < nearest) [best, nearest] = [i, distance];
+    });
+    return best;
+  }
+
+  _listen() {
+    let held = null, moved = 0;
+    this.canvas.addEventListener("pointerdown", (event) => {
+      held = [event.clientX, event.clientY];
+      moved = 0;
+      this.canvas.setPointerCapture(event.pointerId);
+    });
+    this.canvas.addEventListener("pointermove", (event) => {
+      if (!held) return;
+      const [dx, dy] = [event.clientX - held[0], event.clientY - held[1]];
+      moved += Math.abs(dx) + Math.abs(dy);
+      held = [event.clientX, event.clientY];
+      this.turn += 0.008 * dx;
+      this.tilt = Math.max(-1.5, Math.min(1.5, this.tilt + 0.008 * dy));
+    });
+    this.canvas.addEventListener("pointerup", (event) => {
+      if (held && moved < 6) {
+        const frame = this.canvas.getBoundingClientRect();
+        this.select(this.at(event.clientX - frame.left, event.clientY - frame.top));
+      }
+      held = null;
+    });
+    this.canvas.addEventListener("pointercancel", () => { held = null; });
+    this.canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.zoomBy(event.deltaY < 0 ? 1.1 : 1 / 1.1);
+    }, { passive: false });
+  }
+
+  zoomBy(factor) {
+    this.zoom = Math.max(0.3, Math.min(12, this.zoom * factor));
+  }
+
+  select(sensor) {
+    this.selected = sensor;
+    this.canvas.dispatchEvent(new CustomEvent("selected"));
+  }
+}

@@ -1,0 +1,297 @@
+"""The page of a session: a small web server for one person, on this computer.
+
+Readings, maps and the status are sent as server-sent events (HTML Living Standard, section 9.2),
+which browsers reconnect by themselves; actions are posted. The page loads nothing from elsewhere.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import secrets
+import threading
+import time
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+from urllib.parse import parse_qs, quote, unquote, urlsplit
+
+from anisomap.errors import AnisomapError, InputError
+from anisomap.live.actions import act
+from anisomap.live.session import LiveSession
+from anisomap.live.snapshots import map_snapshot, readings_snapshot, status_snapshot
+
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_PAGE: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "/": ("index.html", "text/html; charset=utf-8"),
+        "/live.css": ("live.css", "text/css; charset=utf-8"),
+        "/live.js": ("live.js", "text/javascript; charset=utf-8"),
+        "/map_view.js": ("map_view.js", "text/javascript; charset=utf-8"),
+        "/charts.js": ("charts.js", "text/javascript; charset=utf-8"),
+    }
+)
+_STATUS_S = 0.5  # between two states of what changes slowly
+_TIMEOUT_S = 20.0  # of a connection that takes nothing
+_MAX_BODY = 1 << 23
+_MAX_VIEWERS = 16
+_TOKEN = "token"  # noqa: S105 (the name of a cookie)
+_POST_HEADER = "X-Anisomap"  # other sites cannot send it without asking first
+
+
+class Server:
+    """Serves the page of a session in threads of its own, until it is closed.
+
+    Parameters
+    ----------
+    session : LiveSession
+    host : str
+        Address to listen on. For others than the loopback, the page requires a token.
+    port : int
+        0 for any free port.
+
+    Attributes
+    ----------
+    url : str
+        Address of the page, with the token if there is one.
+
+    Raises
+    ------
+    InputError
+        If the address cannot be used.
+    """
+
+    def __init__(self, session: LiveSession, host: str = "127.0.0.1", port: int = 8765) -> None:
+        self.token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
+        self._server = _bound(session, host, port, self.token)
+        self.port = int(self._server.server_address[1])
+        shown = f"[{host}]" if ":" in host else host
+        query = f"?{_TOKEN}={self.token}" if self.token else ""
+        self.url = f"http://{shown}:{self.port}/{query}"
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Server:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the server and free its port."""
+        self._server.closing.set()
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+class _HttpServer(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+    allow_reuse_address = True
+
+    def __init__(self, address: tuple[str, int], session: LiveSession, token: str) -> None:
+        self.session, self.token = session, token
+        self.closing = threading.Event()
+        self.viewers = threading.BoundedSemaphore(_MAX_VIEWERS)
+        self.written: dict[str, Path] = {}
+        super().__init__(address, _Handler)
+
+    def handle_error(self, *_: object) -> None:
+        """Ignore errors of a connection, such as a browser that was closed."""
+
+
+def _bound(session: LiveSession, host: str, port: int, token: str) -> _HttpServer:
+    try:
+        return _HttpServer((host, port), session, token)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(
+            f"cannot show the page on {host}:{port}: {reason}; choose another --port"
+        ) from error
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _HttpServer
+    protocol_version = "HTTP/1.1"
+    server_version = "anisomap"
+    sys_version = ""
+    timeout = _TIMEOUT_S
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing: requests are no results."""
+
+    def do_GET(self) -> None:
+        """Answer a request for a file, an event stream or a download."""
+        address = urlsplit(self.path)
+        if not self._allowed(address.query):
+            return
+        if address.path in _PAGE:
+            name, kind = _PAGE[address.path]
+            self._send((files("anisomap.live") / "page" / name).read_bytes(), kind)
+        elif address.path == "/events":
+            self._send_events()
+        elif address.path == "/state":
+            self._send_json(_state(self.server.session))
+        elif address.path.startswith("/files/"):
+            self._send_file(unquote(address.path.removeprefix("/files/")))
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, "there is no such page")
+
+    def do_POST(self) -> None:
+        """Carry out an action."""
+        if not self._allowed(""):
+            return
+        length = self.headers.get("Content-Length", "")
+        if self.headers.get(_POST_HEADER) is None or self.path != "/act":
+            self._refuse(HTTPStatus.FORBIDDEN, "actions are posted by the page only")
+            return
+        if not length.isdecimal() or int(length) > _MAX_BODY:
+            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {_MAX_BODY} bytes")
+            return
+        try:
+            request = json.loads(self.rfile.read(int(length)))
+            if not isinstance(request, dict):
+                raise InputError("an action must be an object")
+            done = act(self.server.session, request)
+        except AnisomapError as error:
+            self._send_json({"ok": False, "text": str(error)})
+            return
+        except (ValueError, RecursionError):
+            self._refuse(HTTPStatus.BAD_REQUEST, "an action must be JSON")
+            return
+        self.server.written |= {path.name: path for path in done.files}
+        links = [{"name": path.name, "url": f"/files/{quote(path.name)}"} for path in done.files]
+        self._send_json({"ok": True, "text": done.text, "files": links})
+
+    def _allowed(self, query: str) -> bool:
+        """Check who asks: names of other hosts (DNS rebinding), other sites, the token."""
+        host = self.headers.get("Host", "")
+        origin = self.headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != host:
+            self._refuse(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
+            return False
+        token = self.server.token
+        if not token:
+            if _is_loopback(_hostname(host)):
+                return True
+            self._refuse(HTTPStatus.FORBIDDEN, "open the page by the address that was printed")
+            return False
+        given = parse_qs(query).get(_TOKEN, [""])[-1]
+        if given and secrets.compare_digest(given.encode(), token.encode()):
+            self.send_response(HTTPStatus.SEE_OTHER)
+            self.send_header("Location", "/")
+            self.send_header("Set-Cookie", f"{_TOKEN}={token}; HttpOnly; SameSite=Strict; Path=/")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return False
+        if secrets.compare_digest(self._cookie().encode(), token.encode()):
+            return True
+        self._refuse(HTTPStatus.FORBIDDEN, "open the page by the address with the token")
+        return False
+
+    def _cookie(self) -> str:
+        try:
+            found = SimpleCookie(self.headers.get("Cookie", "")).get(_TOKEN)
+        except CookieError:
+            return ""
+        return "" if found is None else found.value
+
+    def _send_events(self) -> None:
+        server = self.server
+        if not server.viewers.acquire(blocking=False):
+            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, f"at most {_MAX_VIEWERS} pages")
+            return
+        try:
+            self._start(HTTPStatus.OK, "text/event-stream")
+            self.send_header("Connection", "close")
+            self.end_headers()
+            _stream(server.session, server.closing, self._send_event)
+        finally:
+            self.close_connection = True
+            server.viewers.release()
+
+    def _send_event(self, kind: str, data: object) -> None:
+        text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+        self.wfile.write(f"event: {kind}\ndata: {text}\n\n".encode())
+        self.wfile.flush()
+
+    def _send_file(self, name: str) -> None:
+        path = self.server.written.get(name)
+        if path is None or not path.is_file():
+            self._refuse(HTTPStatus.NOT_FOUND, "there is no such file")
+            return
+        content = path.read_bytes()
+        self._start(HTTPStatus.OK, "application/octet-stream")
+        self.send_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(name)}")
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def _send_json(self, data: object) -> None:
+        self._send(json.dumps(data, allow_nan=False).encode(), "application/json")
+
+    def _refuse(self, status: HTTPStatus, text: str) -> None:
+        self.close_connection = True
+        self._send(f"{text}\n".encode(), "text/plain; charset=utf-8", status)
+
+    def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self._start(status, kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def _start(self, status: HTTPStatus, kind: str) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Security-Policy", _POLICY)
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("Cache-Control", "no-store")
+
+
+def _stream(
+    session: LiveSession, closing: threading.Event, send: Callable[[str, object], None]
+) -> None:
+    """Send the state of a session again and again; a slow reader misses states, not the last."""
+    tick = number = -1
+    told = 0.0
+    while not closing.is_set():
+        with session.changed:
+            session.changed.wait(_STATUS_S)
+        if session.map_number != number:
+            number = session.map_number
+            if (found := map_snapshot(session)) is not None:
+                send("map", found)
+        if session.tick != tick:
+            tick = session.tick
+            send("readings", readings_snapshot(session))
+        if time.monotonic() - told >= _STATUS_S:
+            told = time.monotonic()
+            send("status", status_snapshot(session))
+
+
+def _state(session: LiveSession) -> dict[str, Any]:
+    return {"map": map_snapshot(session), "status": status_snapshot(session)}
+
+
+def _hostname(host: str) -> str:
+    """Return the name in a Host header, without port and brackets."""
+    return urlsplit(f"//{host}").hostname or ""
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,136 @@
+"""The state of a session as plain data: for the page, and for scripts."""
+
+from __future__ import annotations
+
+import base64
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.live.examination import Examination
+from anisomap.live.mapping import QuickMap
+from anisomap.live.session import LiveSession
+from anisomap.numerics.procrustes import fit_similarity
+from anisomap.sensor_map import is_faulty
+
+_DIGITS = 3  # of seconds and errors
+
+
+def readings_snapshot(session: LiveSession) -> dict[str, Any]:
+    """Return what changes with every frame: counts, and the readings from 0 to 255."""
+    levels = np.round(255 * session.levels).astype(np.uint8)
+    return {
+        "frames": session.recorder.n_frames,
+        "seconds": round(session.seconds, _DIGITS),
+        "levels": _encoded(levels),
+    }
+
+
+def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
+    """Return the quick map and, turned onto it, the checked map; None before the first one."""
+    quick = session.quick
+    if quick is None:
+        return None
+    checked = _checked_positions(session.checked, quick)
+    return {
+        "number": session.map_number,
+        "names": list(quick.names),
+        "dimensions": quick.positions.shape[1],
+        "frames": quick.n_frames,
+        "positions": _encoded(quick.positions.astype("<f4")),
+        "checked": None if checked is None else _encoded(checked.astype("<f4")),
+        "final": session.checked is not None and session.checked.final,
+        "pairs": _encoded(quick.pairs.astype("<u4")),
+        "halo": _encoded(_doubt(quick).astype("<f4")),
+        "contacts": quick.contacts.tolist(),
+        "left_out": list(quick.left_out),
+        "untouched": list(quick.advice.untouched),
+        "places": [
+            {
+                "sensors": list(place.sensors),
+                "words": place.in_words(quick.names),
+            }
+            for place in quick.advice.places
+        ],
+        "reason": quick.reason,
+    }
+
+
+def status_snapshot(session: LiveSession) -> dict[str, Any]:
+    """Return the rest: verdict, curves, faults, advice, notices and files."""
+    quick, checked = session.quick, session.checked
+    verdict = None if checked is None else checked.verdict
+    return {
+        "state": session.state,
+        "source": session.source.description,
+        "seconds": round(session.seconds, _DIGITS),
+        "frames": session.recorder.n_frames,
+        "sensors": session.recorder.width,
+        "rate_hz": _finite(session.rate_hz),
+        "share_touched": session.share_touched,
+        "map_age": round(session.map_age, _DIGITS),
+        "lags": session.lags,
+        "level": session.level,
+        "expected_error": None if verdict is None else _finite(verdict.expected_error),
+        "error_against_truth": None if checked is None else _finite(checked.error_against_truth),
+        "reasons": [] if verdict is None else list(verdict.reasons),
+        "advice": "" if quick is None else quick.advice.text,
+        "enough": quick is not None and quick.advice.enough,
+        "faulty": [
+            {"name": sensor.name, "status": sensor.status, "reason": sensor.reason}
+            for sensor in (() if checked is None else checked.health)
+            if is_faulty(sensor.status) and sensor.name not in session.options.drop
+        ],
+        "dropped": list(session.options.drop),
+        "curve": [
+            [
+                round(point.seconds, _DIGITS),
+                _finite(point.expected_error),
+                _finite(point.error_against_truth),
+            ]
+            for point in session.curve
+        ],
+        "touched": [
+            [round(seconds, 1), round(share, _DIGITS)] for seconds, share in session.touched
+        ],
+        "examining": session.examining,
+        "notices": [[round(note.seconds, 1), note.text] for note in list(session.notices)],
+        "recording": "" if session.segment is None else str(session.segment.path),
+        "command": session.command,
+    }
+
+
+def _checked_positions(checked: Examination | None, quick: QuickMap) -> NDArray[np.float64] | None:
+    """Return the checked map in the frame of the quick one, by the names of the sensors."""
+    if checked is None or checked.sensor_map is None:
+        return None
+    made = checked.sensor_map
+    row = {name: i for i, name in enumerate(quick.names)}
+    found = np.full(quick.positions.shape, np.nan)
+    largest = np.flatnonzero(made.component == 0)
+    for i in largest:
+        if made.names[i] in row:
+            found[row[made.names[i]]] = made.positions[i]
+    shared = np.isfinite(found).all(axis=1) & np.isfinite(quick.positions).all(axis=1)
+    if np.count_nonzero(shared) <= made.dimensions:
+        return None
+    fit = fit_similarity(found[shared], quick.positions[shared])
+    return fit.apply(found)
+
+
+def _doubt(quick: QuickMap) -> NDArray[np.float64]:
+    """Return the uncertainty of each sensor, from 0 to 1 for a sensor without a contact.
+
+    The standard error of a mean over independent contacts falls with the root of their number.
+    """
+    return np.asarray(1 / np.sqrt(1.0 + quick.contacts))
+
+
+def _encoded(array: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)

@@ -1,0 +1,205 @@
+"""The page: what it sends and does, and whom it refuses."""
+
+import base64
+import http.client
+import json
+from types import SimpleNamespace
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap.errors import InputError
+from anisomap.live.batches import Batch, Names, Notice
+from anisomap.live.examination import ExaminationOptions
+from anisomap.live.server import Server
+from anisomap.live.session import LiveSession
+from anisomap.usability import LEVELS, UNKNOWN
+from skins import flat_skin
+
+NAME = "<img src=x onerror=alert(1)>"
+TOO_LONG = 300
+
+
+class Given:
+    """A source that yields some items and then waits."""
+
+    description, names, truth = "a test", (), None
+
+    def __init__(self, *items):
+        self._items = items
+
+    def items(self, stop):
+        yield from self._items
+        stop.wait()
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    skin = flat_skin(n_frames=800)
+    names = (NAME, *skin.names[1:])
+    source = Given(Names(names), Notice("hello \x1b[2J"), Batch(skin.readings.astype(float)))
+    folder = tmp_path_factory.mktemp("live")
+    options = ExaminationOptions(dimensions=2)
+    with (
+        LiveSession(source, folder / "r.csv", options) as session,
+        Server(session, port=0) as server,
+    ):
+        with session.changed:
+            assert session.changed.wait_for(
+                lambda: session.quick and session.checked, timeout=TOO_LONG
+            )
+        yield SimpleNamespace(session=session, server=server, folder=folder, skin=skin)
+
+
+def ask(server, path, method="GET", body=None, **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=TOO_LONG)
+    headers = {name.replace("_", "-"): value for name, value in headers.items()}
+    connection.request(method, path, body, headers)
+    answer = connection.getresponse()
+    content = answer.read()
+    connection.close()
+    return answer, content
+
+
+def act(server, **request):
+    answer, content = ask(server, "/act", "POST", json.dumps(request), X_Anisomap="1")
+    assert answer.status == 200
+    return json.loads(content)
+
+
+def events(server, count):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=TOO_LONG)
+    connection.request("GET", "/events")
+    answer = connection.getresponse()
+    found = []
+    while len(found) < count:
+        kind, data = answer.readline().decode(), answer.readline().decode()
+        assert answer.readline() == b"\n"
+        found.append(
+            (kind.removeprefix("event: ").strip(), json.loads(data.removeprefix("data: ")))
+        )
+    connection.close()
+    return found
+
+
+@pytest.mark.parametrize("path", ["/", "/live.js", "/live.css", "/map_view.js", "/charts.js"])
+def test_the_page_loads_nothing_from_elsewhere(page, path):
+    answer, content = ask(page.server, path)
+    assert answer.status == 200
+    policy = answer.getheader("Content-Security-Policy")
+    assert "default-src 'none'" in policy
+    assert "script-src 'self'" in policy
+    assert "unsafe" not in policy
+    text = content.decode()
+    assert "http://" not in text
+    assert "https://" not in text
+    assert "innerHTML" not in text
+
+
+def test_events_hold_the_map_the_readings_and_the_status(page):
+    found = dict(events(page.server, 6))
+    assert set(found) == {"map", "readings", "status"}
+    made, status = found["map"], found["status"]
+    assert made["names"][0] == NAME
+    assert made["dimensions"] == 2
+    assert len(made["contacts"]) == 42
+    assert status["frames"] == 800
+    assert status["level"] in (*LEVELS, UNKNOWN)
+    assert status["notices"][0][1] == r"hello \x1b[2J"
+    assert status["recording"] == str(page.folder / "r.csv")
+
+
+def test_the_checked_map_is_turned_onto_the_quick_one(page):
+    made = dict(events(page.server, 6))["map"]
+    quick, checked = (
+        np.frombuffer(base64.b64decode(made[key]), "<f4").reshape(42, 2)
+        for key in ("positions", "checked")
+    )
+    assert np.sqrt(np.mean((quick - checked) ** 2)) < 0.2  # of an RMS radius of 1
+
+
+def test_buttons(page):
+    server, session = page.server, page.session
+    assert act(server, do="pause", on=True)["ok"]
+    assert session.state == "paused"
+    assert act(server, do="pause", on=False)["ok"]
+    assert session.state == "running"
+    assert act(server, do="drop", sensors=["s3"])["text"] == "left out: s3"
+    assert session.options.drop == ("s3",)
+    assert not act(server, do="drop", sensors=["nobody"])["ok"]
+    assert act(server, do="drop", sensors=[])["ok"]
+    saved = act(server, do="save")
+    assert saved["ok"], saved
+    assert [file["name"] for file in saved["files"]] == ["r.map.csv", "r.report.html"]
+    assert anisomap.read_map(page.folder / "r.map.csv").n_sensors == 42
+    assert NAME not in (page.folder / "r.report.html").read_text()
+    _, content = ask(server, saved["files"][0]["url"])
+    assert content == (page.folder / "r.map.csv").read_bytes()
+    assert "metres" in act(server, do="export", suffix=".urdf")["text"]
+    assert act(server, do="export", suffix=".icub.txt", spacing="5mm")["ok"]
+    assert not act(server, do="export", suffix="/../x")["ok"]
+    positions = page.skin.positions
+    rows = [f"s{i},{x},{y}" for i, (x, y) in enumerate(positions)][1:]
+    assert act(server, do="truth", name="t.csv", text="name,x,y\n" + "\n".join(rows))["ok"]
+    assert session.options.truth.n_sensors == 41
+    assert not act(server, do="truth", name="t.exe", text="")["ok"]
+    anchors = [f"s{i}={x / 1000},{y / 1000}" for i, (x, y) in enumerate(positions)][1:12]
+    assert act(server, do="anchors", text="\n".join(anchors))["ok"]
+    exported = act(server, do="export", suffix=".csv")
+    assert exported["ok"], exported
+    placed = anisomap.read_map(page.folder / "r.map.csv")
+    assert placed.anchored
+    assert np.linalg.norm(placed.positions[1:, :2] - positions[1:] / 1000, axis=1).max() < 0.002
+    assert not act(server, do="anchors", text="s3")["ok"]
+    assert act(server, do="anchors", text="")["ok"]
+    assert not act(server, do="anything")["ok"]
+
+
+@pytest.mark.parametrize(
+    ("path", "method", "headers"),
+    [
+        ("/act", "POST", {}),
+        ("/act", "POST", {"X_Anisomap": "1", "Origin": "http://elsewhere"}),
+        ("/act", "POST", {"X_Anisomap": "1", "Host": "elsewhere"}),
+        ("/state", "GET", {"Host": "elsewhere:1"}),
+        ("/events", "GET", {"Origin": "http://elsewhere"}),
+        ("/files/r.csv", "GET", {}),
+        ("/../../etc/passwd", "GET", {}),
+        ("/files/..%2fr.csv", "GET", {}),
+    ],
+)
+def test_others_are_refused(page, path, method, headers):
+    body = json.dumps({"do": "end"}) if method == "POST" else None
+    answer, content = ask(page.server, path, method, body, **headers)
+    assert answer.status in (403, 404)
+    assert b"Traceback" not in content
+    assert not page.session.wanted_end.is_set()
+
+
+@pytest.mark.parametrize("body", ["", "[]", "{", "[" * 100_000, '{"do": 3}', '{"do": "drop"}'])
+def test_a_request_that_is_no_action_is_refused(page, body):
+    answer, content = ask(page.server, "/act", "POST", body, X_Anisomap="1")
+    assert answer.status == 400 or json.loads(content)["ok"] is False
+
+
+def test_a_page_for_others_needs_the_token(page):
+    with Server(page.session, "0.0.0.0", 0) as server:  # noqa: S104
+        answer, _ = ask(server, "/")
+        assert answer.status == 403
+        assert ask(server, "/", Cookie="token=wrong")[0].status == 403
+        assert ask(server, "/?token=wrong")[0].status == 403
+        query = urlsplit(server.url).query
+        answer, _ = ask(server, f"/?{query}")
+        assert answer.status == 303
+        cookie = answer.getheader("Set-Cookie")
+        assert "HttpOnly" in cookie
+        assert "SameSite=Strict" in cookie
+        assert ask(server, "/", Cookie=cookie.partition(";")[0])[0].status == 200
+        assert len(server.token) >= 20
+
+
+def test_a_port_in_use_is_named(page):
+    with pytest.raises(InputError, match="choose another --port"):
+        Server(page.session, port=page.server.port)

@@ -1,0 +1,294 @@
+"""Sources, each with a real peer on this computer."""
+
+import builtins
+import itertools
+import json
+import os
+import socket
+import sys
+import threading
+import time
+import uuid
+from contextlib import contextmanager, suppress
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap.errors import InputError, MissingExtraError
+from anisomap.live.batches import Batch, Names, Notice
+from anisomap.live.sources import SOURCES, open_source
+
+ROWS = np.round(np.random.default_rng(0).random((20, 4)), 3)
+LONGEST_S = 120
+
+
+def text(rows):
+    return "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist()).encode()
+
+
+class Collected:
+    """What a source yields, collected in a thread until it is stopped."""
+
+    def __init__(self, source):
+        self.items, self.stop, self.error = [], threading.Event(), None
+        self.arrived = threading.Condition()
+        self.thread = threading.Thread(target=self._collect, args=(source,), daemon=True)
+        self.thread.start()
+
+    def _collect(self, source):
+        try:
+            for item in source.items(self.stop):
+                with self.arrived:
+                    self.items.append(item)
+                    self.arrived.notify_all()
+        except Exception as error:
+            self.error = error
+        finally:
+            with self.arrived:
+                self.arrived.notify_all()
+
+    def wait(self, condition):
+        with self.arrived:
+            assert self.arrived.wait_for(lambda: self.error or condition(self), LONGEST_S)
+        assert self.error is None, self.error
+
+    @property
+    def rows(self):
+        return [row for item in self.items if isinstance(item, Batch) for row in item.readings]
+
+    @property
+    def times(self):
+        found = [item.times for item in self.items if isinstance(item, Batch)]
+        return np.concatenate(found)
+
+    def told(self, words):
+        return any(isinstance(item, Notice) and words in item.text for item in self.items)
+
+
+@contextmanager
+def collected(source):
+    found = Collected(source)
+    try:
+        yield found
+    finally:
+        found.stop.set()
+        found.thread.join(LONGEST_S)
+        assert not found.thread.is_alive()
+
+
+@contextmanager
+def listening():
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        server.settimeout(LONGEST_S)
+        yield server, server.getsockname()[1]
+
+
+def test_a_lost_tcp_connection_is_made_again():
+    with listening() as (server, port), collected(open_source(f"tcp://127.0.0.1:{port}")) as found:
+        for part in (ROWS[:5], ROWS[5:]):
+            connection, _ = server.accept()
+            with connection:
+                connection.sendall(text(part) + b"1,2")
+        found.wait(lambda f: len(f.rows) == 20)
+        np.testing.assert_array_equal(found.rows, ROWS)
+        found.wait(lambda f: f.told("lost the connection"))
+
+
+def test_a_recording_is_replayed_whole(tmp_path):
+    path = tmp_path / "r.npz"
+    recording = anisomap.Recording(
+        ROWS, names=["a", "b", "c", "d"], rate_hz=10, positions=np.eye(4, 2), units="mm"
+    )
+    anisomap.write(recording, path)
+    source = open_source(str(path), speed=0)
+    assert source.names == ("a", "b", "c", "d")
+    assert source.truth.units == "mm"
+    with collected(source) as found:
+        found.wait(lambda f: f.told("has ended"))
+    np.testing.assert_array_equal(found.rows, ROWS)
+    np.testing.assert_allclose(found.times, np.arange(20) / 10)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are those of Unix")
+def test_a_serial_port():
+    pytest.importorskip("serial", reason="needs the extra 'serial'")
+    ours, theirs = os.openpty()
+    try:
+        with collected(open_source(f"serial://{os.ttyname(theirs)}?baud=9600")) as found:
+            os.write(ours, text(ROWS[:3]) + b"\xff\x00garbage\n")
+            os.write(ours, text(ROWS[3:]))
+            found.wait(lambda f: len(f.rows) == 20)
+        np.testing.assert_array_equal(found.rows, ROWS)
+        assert found.told("no frame")
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_an_lsl_stream():
+    lsl = pytest.importorskip("pylsl", reason="needs the extra 'lsl'", exc_type=ImportError)
+    name = f"skin-{uuid.uuid4().hex[:8]}"
+    info = lsl.StreamInfo(name, "tactile", 4, 100, lsl.cf_double64, name)
+    info.set_channel_labels(["a", "b", "c", "d"])
+    outlet = lsl.StreamOutlet(info)
+    if not lsl.resolve_byprop("name", name, 1, 10):
+        pytest.skip("LSL cannot find streams on this computer")
+    with collected(open_source(f"lsl://{name}")) as found:
+        assert outlet.wait_for_consumers(LONGEST_S)
+        for row in ROWS:
+            outlet.push_sample(row.tolist())
+        found.wait(lambda f: len(f.rows) == 20)
+    np.testing.assert_array_equal(found.rows, ROWS)
+    assert Names(("a", "b", "c", "d")) in found.items
+    assert (np.diff(found.times) > 0).all()
+
+
+def test_a_topic_of_rosbridge():
+    server = pytest.importorskip("websockets.sync.server", reason="needs the extra 'rosbridge'")
+    asked = []
+
+    def answer(connection):
+        asked.append(json.loads(connection.recv()))
+        connection.send("garbage")
+        connection.send(json.dumps({"op": "publish", "topic": "/other", "msg": {"data": [1, 2]}}))
+        for i, row in enumerate(ROWS[:10] if len(asked) == 1 else ROWS[10:]):
+            stamp = {"sec": 100, "nanosec": i * 1000}
+            message = {"header": {"stamp": stamp}, "layout": {"dim": []}, "data": row.tolist()}
+            packet = {"op": "publish", "topic": "/skin", "msg": message}
+            connection.send(json.dumps(packet))
+        if len(asked) > 1:
+            with suppress(Exception):
+                connection.recv()
+
+    with server.serve(answer, "127.0.0.1", 0) as peer:
+        threading.Thread(target=peer.serve_forever, daemon=True).start()
+        port = peer.socket.getsockname()[1]
+        address = f"rosbridge://127.0.0.1:{port}/skin?type=std_msgs/msg/Float32MultiArray"
+        with collected(open_source(address)) as found:
+            found.wait(lambda f: len(f.rows) == 20)
+        peer.shutdown()
+    np.testing.assert_array_equal(found.rows, ROWS)
+    assert found.times[1] == pytest.approx(100.000001)
+    assert found.told("lost the connection")
+    assert asked[0] == {
+        "op": "subscribe",
+        "topic": "/skin",
+        "type": "std_msgs/msg/Float32MultiArray",
+    }
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.mark.parametrize("key", ["skin", "0/skin/std_msgs::msg::dds_::Float64MultiArray_/RIHS01_x"])
+def test_a_topic_of_zenoh(key):
+    zenoh = pytest.importorskip("zenoh", reason="needs the extra 'zenoh'")
+    typesys = pytest.importorskip("rosbags.typesys", reason="needs the extra 'zenoh'")
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    array, layout = (
+        store.types[f"std_msgs/msg/{name}"] for name in ("Float64MultiArray", "MultiArrayLayout")
+    )
+    config, port = zenoh.Config(), free_port()
+    config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    kind = "" if "dds_" in key else "&type=std_msgs/msg/Float64MultiArray"
+    address = f"zenoh://{key}?connect=tcp/127.0.0.1:{port}{kind}"
+    with zenoh.open(config) as peer:
+        publisher = peer.declare_publisher(key)
+        with collected(open_source(address)) as found:
+            while not publisher.matching_status.matching:
+                time.sleep(0.01)
+            publisher.put(b"garbage")
+            for row in ROWS:
+                message = array(layout=layout(dim=[], data_offset=0), data=row)
+                publisher.put(store.serialize_cdr(message, array.__msgtype__).tobytes())
+            found.wait(lambda f: len(f.rows) == 20)
+    np.testing.assert_array_equal(found.rows, ROWS)
+    assert found.told("ignored a message")
+
+
+def test_a_port_of_yarp():
+    """The peer speaks as the documentation of YARP shows; there is no YARP here."""
+    lines = itertools.count(1)
+
+    def write(connection, row):
+        values = " ".join(map(repr, row[:2])) + " (" + " ".join(map(repr, row[2:])) + ")"
+        connection.sendall(f"do {next(lines)} {1e9 + row[0]}\n{values}\n".encode())
+
+    def received(connection, end):
+        content = b""
+        while end not in content:
+            content += connection.recv(4096)
+        return content
+
+    with (
+        listening() as (names, server),
+        listening() as (skin, port),
+        collected(open_source(f"yarp://127.0.0.1:{server}/skin/torso")) as found,
+    ):
+        for part in (ROWS[:5], ROWS[5:]):
+            connection, _ = names.accept()
+            with connection:
+                assert b"query /skin/torso\n" in received(connection, b"torso\n")
+                connection.sendall(
+                    b"Welcome anisomap\nregistration name /skin/torso ip 127.0.0.1 port "
+                    b"%d type tcp\n*** end of message\n" % port
+                )
+            connection, _ = skin.accept()
+            with connection:
+                assert received(connection, b"\nr\n").startswith(b"CONNECT ")
+                connection.sendall(b"Welcome anisomap\n")
+                for row in part.tolist():
+                    write(connection, row)
+        found.wait(lambda f: len(f.rows) == 20)
+    np.testing.assert_array_equal(found.rows, ROWS)
+    assert found.times[0] == pytest.approx(1e9 + ROWS[0, 0], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("address", "library", "extra"),
+    [
+        ("serial:///dev/ttyNONE", "serial", "serial"),
+        ("lsl://skin", "pylsl", "lsl"),
+        ("rosbridge://127.0.0.1:9090/skin", "websockets", "rosbridge"),
+        ("zenoh://skin", "zenoh", "zenoh"),
+    ],
+)
+def test_a_missing_library_is_named_with_its_command(address, library, extra, monkeypatch):
+    imported = builtins.__import__
+
+    def without(name, *arguments):
+        if name.partition(".")[0] == library:
+            raise ImportError(name)
+        return imported(name, *arguments)
+
+    for name in [name for name in sys.modules if name.partition(".")[0] == library]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, library, None)
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(MissingExtraError, match=rf"pip install 'anisomap\[{extra}\]'"):
+        open_source(address)
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["lsl://", "rosbridge://127.0.0.1:9090", "yarp://127.0.0.1:10000", "zenoh://", "tcp://[::1"],
+)
+def test_an_incomplete_address_is_an_error(address):
+    for library in ("pylsl", "websockets", "zenoh"):
+        if address.startswith(library[:3]):
+            pytest.importorskip(library)
+    with pytest.raises(InputError):
+        open_source(address)
+
+
+def test_every_kind_of_source_has_an_example_that_names_it():
+    for scheme, entry in SOURCES.items():
+        assert entry.example == "-" or entry.example.startswith(f"{scheme}://")
+        assert entry.summary
