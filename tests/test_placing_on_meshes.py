@@ -90,3 +90,24 @@ def test_a_mesh_that_does_not_fit_is_refused():
     flat = SensorMap(mapped(found, 0).positions[:, :2])
     with pytest.raises(InputError, match="anchors on a mesh must have three coordinates"):
         place(flat, Anchors(anchors.names, anchors.positions[:, :2]), mesh=mesh)
+
+
+@pytest.mark.parametrize("name", ["hand", "tube"])
+def test_a_mesh_straightens_a_map_that_is_bent_smoothly(name):
+    """A similarity leaves most of a bend; the surface tells it."""
+    found = find_body(name)
+    mesh = outline(found)
+    size = np.abs(found.positions).max()
+    bent = found.positions * [1, 1.2, 0.9] + 0.15 * found.positions[:, [2, 0, 1]] ** 2 / size
+    left = np.median(align(bent, found.positions).errors) / found.spacing
+    off = []
+    for seed in range(8):
+        rows = np.random.default_rng(seed).choice(found.n_sensors, 3, replace=False)
+        anchors = Anchors(tuple(f"s{i}" for i in rows), found.positions[rows])
+        try:
+            placed = place(SensorMap(bent), anchors, mesh=mesh, handedness="same").map
+        except InputError:
+            continue  # anchors on a line
+        distances = np.linalg.norm(placed.positions - found.positions, axis=1)
+        off.append(np.median(distances) / found.spacing)
+    assert np.median(off) < 0.5 * left

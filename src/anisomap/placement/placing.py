@@ -9,15 +9,17 @@ from numpy.typing import NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.placement.anchors import DECISIVE, AnchorFit, Anchors, Known, fit_anchors
+from anisomap.placement.anchor_fit import DECISIVE, AnchorFit, Known, fit_anchors
+from anisomap.placement.anchors import Anchors
 from anisomap.placement.modules import NO_MODULE, Modules
 from anisomap.placement.orientation import mirrored, pad_to_3d
 from anisomap.placement.rigid_fit import ModuleFit, fit_modules
 from anisomap.placement.scale import METRES, median_spacing, scaled_to_spacing
 from anisomap.placement.surface import (
     Surface,
+    bend_to_surface,
+    check_near_surface,
     fit_to_surface,
-    project_on_surface,
     surface_evidence,
 )
 from anisomap.scene import Mesh
@@ -258,7 +260,9 @@ def _place_part(
             positions = fit_to_surface(
                 points, index, targets, shape.surface, reflection=fit.reflected
             )
-        positions, normals = project_on_surface(positions, fit.errors, shape.surface)
+        check_near_surface(positions, fit.errors, shape.surface)
+        bent = bend_to_surface(positions, index, targets, shape.surface)
+        positions, normals = shape.surface.nearest(bent)
         how += " on the mesh"
     if part.fit is not None and shape.modules is not None:
         how += " of rigid modules"

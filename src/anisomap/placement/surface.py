@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.numerics.kriging import Kernel
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.triangles import TriangleSearch
 from anisomap.scene import Mesh
@@ -16,6 +18,11 @@ _INDEPENDENT = 20.0  # independent errors of a map, which are correlated between
 _ANCHOR_WEIGHT = 3.0  # of an anchor against the nearest point of a sensor, to compare hands
 _MAX_ITERATIONS = 60  # of iterated closest points
 _CONVERGED = 1e-4  # largest step, in sizes of the map
+# Fields of displacements that bend a map to a surface: reaches in sizes of the map, and variance of
+# the noise relative to that of the field. Fields of shorter reach move sensors along the surface.
+_BEND_REACHES, _BEND_NOISE = (4.0, 2.0, 1.0), 0.1
+_BEND_ANCHOR_WEIGHT = 10.0  # of an anchor against the nearest point; 3 to 30 give equal results
+_BEND_ITERATIONS, _BEND_CONVERGED = 25, 1e-3  # the largest step, in sizes of the map
 # Points drawn on the mesh, about 1 % of its size apart: far less than the distances compared.
 _N_SAMPLES = 20_000
 
@@ -101,10 +108,10 @@ def surface_evidence(
     return float(_INDEPENDENT * np.log(mirrored / same))
 
 
-def project_on_surface(
+def check_near_surface(
     positions: NDArray[np.float64], errors: NDArray[np.float64], surface: Surface
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Move placed sensors to the nearest points of a surface.
+) -> None:
+    """Check that placed sensors are near a surface, before a map is bent to it.
 
     Parameters
     ----------
@@ -113,25 +120,18 @@ def project_on_surface(
         Radius within which most sensors are expected.
     surface : Surface
 
-    Returns
-    -------
-    positions : ndarray of shape (N, 3)
-    normals : ndarray of shape (N, 3)
-
     Raises
     ------
     InputError
         If most sensors are farther from the surface than their errors.
     """
-    nearest, normals = surface.nearest(positions)
-    off = np.linalg.norm(nearest - positions, axis=1)
+    off = np.linalg.norm(surface.nearest(positions)[0] - positions, axis=1)
     if np.median(off - errors) > 0:
         raise InputError(
             f"the placed map is {np.median(off):.3g} m off the mesh (median), farther than its "
             f"error of {np.median(errors):.3g} m; check the unit and frame of the mesh, and map "
             "curved skins in 3D"
         )
-    return nearest, normals
 
 
 def fit_to_surface(
@@ -173,6 +173,49 @@ def fit_to_surface(
         if np.abs(placed - before).max() < _CONVERGED * size:
             break
     return placed
+
+
+def bend_to_surface(
+    placed: NDArray[np.float64],
+    sensors: NDArray[np.intp],
+    targets: NDArray[np.float64],
+    surface: Surface,
+) -> NDArray[np.float64]:
+    """Bend a placed map smoothly to a surface and to its anchors.
+
+    Parameters
+    ----------
+    placed : ndarray of shape (N, 3)
+        The map in the frame of the anchors, near the surface.
+    sensors, targets, surface
+        As for `surface_evidence`.
+
+    Returns
+    -------
+    ndarray of shape (N, 3)
+        The map with a smooth field of displacements, near the surface.
+
+    Notes
+    -----
+    Maps are distorted smoothly, so the nearest points of the surface tell the field, as in
+    non-rigid iterated closest points (Amberg, Romdhani & Vetter 2007,
+    doi:10.1109/CVPR.2007.383165). Here the field is a Gaussian process of which the reach shrinks.
+    """
+    size = float(np.sqrt(np.sum(np.var(placed, axis=0))))
+    noise = np.full(len(placed), _BEND_NOISE)
+    noise[sensors] = _BEND_NOISE / _BEND_ANCHOR_WEIGHT
+    bent = placed
+    for reach in _BEND_REACHES:
+        covariance = Kernel(reach * size, _BEND_NOISE).between(placed, placed)
+        factor = cho_factor(covariance + np.diag(noise))
+        for _ in range(_BEND_ITERATIONS):
+            goal = surface.nearly_nearest(bent)
+            goal[sensors] = targets
+            before = bent
+            bent = placed + covariance @ cho_solve(factor, goal - placed)
+            if np.abs(bent - before).max() < _BEND_CONVERGED * size:
+                break
+    return np.asarray(bent)
 
 
 def _misfit(
