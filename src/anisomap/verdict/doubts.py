@@ -44,8 +44,13 @@ effect. A map of a recording with a fault is never called usable, as the fault c
 HARMLESS = ("clock-jitter",)
 """Faults that change no map: the default method does not use times."""
 
-_MIN_LARGEST = 0.9  # share of the sensors in the largest component; chosen by hand
-_APART = 0.5  # spacings: enough that a map of several components is never called usable
+NEVER_USABLE = 0.5
+"""Least size, in spacings, of doubts about several components, and of distortions that the method
+notes: just enough that such maps are never called usable."""
+
+# Shares of the sensors, chosen by hand: in the largest component of a whole map; of a map at all.
+_MIN_LARGEST, _MIN_SHARE = 0.9, 1 / 3
+_FRAGMENT = 1.5  # spacings: enough that the map of a fragment is not usable
 
 
 def systematic_doubts(
@@ -131,18 +136,24 @@ def _of_the_method(sensor_map: SensorMap) -> Iterator[Doubt]:
     if sensor_map.uneven:
         reason = "the map is distorted: see its notes"
         size = DISTORTED * extent_in_spacings(sensor_map.positions[sensor_map.component == 0])
-        yield Doubt("distortion", size, reason, keeps_neighbours=True)
+        yield Doubt("distortion", max(NEVER_USABLE, size), reason, keeps_neighbours=True)
 
 
 def _of_components(sensor_map: SensorMap) -> Iterator[Doubt]:
     largest = np.count_nonzero(sensor_map.component == 0)
     placed = np.count_nonzero(sensor_map.placed)
-    if largest < _MIN_LARGEST * placed:
-        reason = (
-            f"the positions of {placed - largest} of {placed} sensors relative to the others are "
-            "unknown"
+    apart = f"the positions of {placed - largest} of {placed} sensors relative to the others are "
+    if largest < _MIN_SHARE * placed:
+        reason = f"{apart}unknown: the map shows only {largest} sensors"
+        yield Doubt("fragment", _FRAGMENT, reason, measured=largest / placed)
+    elif largest < _MIN_LARGEST * placed:
+        yield Doubt(
+            "components",
+            NEVER_USABLE,
+            f"{apart}unknown",
+            keeps_neighbours=True,
+            measured=largest / placed,
         )
-        yield Doubt("components", _APART, reason, keeps_neighbours=True)
 
 
 def _of_faults(faults: Sequence[Finding], positions: NDArray[np.float64]) -> Iterator[Doubt]:

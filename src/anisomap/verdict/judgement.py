@@ -8,7 +8,7 @@ from anisomap.usability import Verdict
 from anisomap.verdict.evidence import Evidence
 
 MAX_ERROR, MIN_MANTEL_R = 0.5, 0.95
-"""Largest expected error, in spacings, and smallest expected Mantel r of a usable map.
+"""Expected error, in spacings, below which a map is usable, and smallest expected Mantel r of it.
 
 A usable map has an error of at most 1 spacing, beyond which sensors change places with neighbours,
 and a Mantel r of at least .9. Half of each loss is left as a margin: apart from faults that are
@@ -38,7 +38,7 @@ def judge(evidence: Evidence) -> Verdict:
     -------
     Verdict
         Its expected error is the root of the sum of squares of the repeatability and of the sizes
-        of all doubts. The map is usable if that error is at most half a spacing and the Mantel r
+        of all doubts. The map is usable if that error is below half a spacing and the Mantel r
         that follows from it at least .95; usable locally if the repeatability is at most 1.5
         spacings and all doubts of more than 1 spacing keep neighbours.
     """
@@ -53,7 +53,7 @@ def judge(evidence: Evidence) -> Verdict:
     stated = f"maps of parts of the recording agree within {chance:.2f} spacings"
     r = expected_mantel_r(expected, evidence.extent, evidence.dimensions)
     local = all(doubt.keeps_neighbours or doubt.size <= MAX_LOCAL_DOUBT for doubt in doubts)
-    if expected <= MAX_ERROR and r >= MIN_MANTEL_R:
+    if expected < MAX_ERROR and r >= MIN_MANTEL_R:
         level = "usable"
     elif chance <= MAX_CHANCE and local:
         level = "usable locally"
