@@ -95,6 +95,30 @@ def test_contacts_that_are_long_or_differ_between_places_raise_doubts(kind, seed
     assert judge(evidence).level != "usable"
 
 
+@pytest.mark.parametrize(
+    ("repeatability", "halves", "level"),
+    [
+        (0.1, 0.1, "usable"),
+        (0.3, 0.1, "usable"),
+        (0.1, 1.0, "usable locally"),
+        (0.1, 2.0, "not usable"),
+        (0.1, math.inf, "not usable"),
+    ],
+)
+def test_fits_that_end_in_different_maps_raise_doubts(skin, repeatability, halves, level):
+    doubts = systematic_doubts(
+        anisomap.SensorMap(skin.positions),
+        readings=skin.readings,
+        similarity=blended_correlation(skin.readings),
+        repeatability=repeatability,
+        halves=halves,
+    )
+    verdict = judge(Evidence(repeatability, 2.0, 2, doubts))
+    assert verdict.level == level
+    assert verdict.expected_error >= max(repeatability, halves) * (1 - 1e-9)
+    assert any("halves" in reason for reason in verdict.reasons) is (halves > repeatability)
+
+
 @pytest.mark.parametrize("share", [0.05, 0.2])
 def test_the_doubt_about_copies_is_the_error_that_they_make(skin, share):
     rng = np.random.default_rng(2)

@@ -16,7 +16,7 @@ from scipy.spatial.distance import pdist
 from anisomap.evaluation.neighbourhood import median_spacing
 from anisomap.health import Finding, spoiling
 from anisomap.sensor_map import SensorMap
-from anisomap.verdict.evidence import Doubt
+from anisomap.verdict.evidence import MAX_CHANCE, Doubt
 from anisomap.verdict.other_maps import OtherMaps, compare_with_other_maps
 
 PATHS, PATHS_TOLERANCE = 1.05, 0.15
@@ -61,6 +61,7 @@ def systematic_doubts(
     similarity: ArrayLike | None = None,
     blended: bool = True,
     repeatability: float = 0.0,
+    halves: float = 0.0,
 ) -> tuple[Doubt, ...]:
     """Find out what may bend all maps of a recording alike.
 
@@ -79,6 +80,9 @@ def systematic_doubts(
     repeatability : float
         Random error of the map, in spacings. Other maps have random errors as well; so much of
         their difference is no doubt.
+    halves : float
+        The same from halves of the recording that are mapped from the beginning. It is larger if
+        the fit can end in different maps of the same skin; 0 if unknown.
 
     Returns
     -------
@@ -90,7 +94,8 @@ def systematic_doubts(
     found += _of_faults(faults, positions)
     if readings is not None and similarity is not None:
         others = compare_with_other_maps(readings, positions, similarity, blended=blended)
-        found += _of_other_maps(others, repeatability)
+        found += _of_halves(halves, repeatability)
+        found += _of_other_maps(others, max(repeatability, halves))
     return tuple(found)
 
 
@@ -109,6 +114,19 @@ def extent_in_spacings(positions: ArrayLike) -> float:
     points = np.asarray(positions, dtype=np.float64)
     spacing = median_spacing(points)
     return float(np.std(pdist(points))) / spacing if spacing > 0 else math.inf
+
+
+def _of_halves(halves: float, repeatability: float) -> Iterator[Doubt]:
+    if halves > repeatability:
+        size = math.sqrt(halves**2 - repeatability**2) if math.isfinite(halves) else math.inf
+        yield Doubt(
+            "halves",
+            size,
+            f"maps of halves of the recording, made from the beginning, differ by {halves:.2f} "
+            "spacings, more than by chance: the fit can end in different maps",
+            keeps_neighbours=halves <= MAX_CHANCE,
+            measured=halves,
+        )
 
 
 def _of_other_maps(others: OtherMaps, repeatability: float) -> Iterator[Doubt]:

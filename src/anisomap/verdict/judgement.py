@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from anisomap.usability import Verdict
-from anisomap.verdict.evidence import Evidence
+from anisomap.verdict.evidence import MAX_CHANCE, Evidence
 
 MAX_ERROR, MIN_MANTEL_R = 0.5, 0.95
 """Expected error, in spacings, below which a map is usable, and smallest expected Mantel r of it.
@@ -17,12 +17,6 @@ found, no true error was above twice the expected one among the tuning maps that
 
 MAX_LOCAL_DOUBT = 1.0
 """Size, in spacings, up to which doubts leave most sensors closer to their place than to others."""
-
-MAX_CHANCE = 1.5
-"""Repeatability, in spacings, up to which maps have the right neighbours.
-
-Of the maps of tuning seeds 1 to 28 below it, 9 of 10 keep at least half of the neighbours.
-"""
 
 _WORTH_SAYING = 0.25  # spacings: doubts of less than half of `MAX_ERROR` decide nothing alone
 
