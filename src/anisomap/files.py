@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import os
 import stat
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from anisomap.errors import FileError
+
+_MARK_BYTES = 8  # of a temporary file's name: no two agree
+_STEM = 32  # characters of the output's name in it; systems limit names to 255 bytes
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
@@ -109,13 +111,19 @@ def check_target(path: str | os.PathLike[str]) -> Path:
     Raises
     ------
     FileError
-        If `path` is a folder, or its parent folder is missing.
+        If `path` is a folder, a pipe or a device, which a new file would replace, or its parent
+        folder is missing.
     """
     target = Path(path)
-    if target.is_dir():
-        raise FileError(f"cannot write {target}: it is a folder; give a file name")
-    if not target.parent.is_dir():
-        raise FileError(f"cannot write {target}: the folder {target.parent} does not exist")
+    try:
+        if target.is_dir():
+            raise FileError(f"cannot write {target}: it is a folder; give a file name")
+        if target.exists() and not target.is_file():
+            raise FileError(f"cannot write {target}: it is not a regular file; give a file name")
+        if not target.parent.is_dir():
+            raise FileError(f"cannot write {target}: the folder {target.parent} does not exist")
+    except OSError as error:  # such as a name that is too long
+        raise FileError(f"cannot write {target}: {error.strerror or error}") from error
     return target
 
 
@@ -133,10 +141,11 @@ def check_distinct(
     FileError
         If a file is written twice, or both read and written.
     """
-    read = {Path(path).resolve() for path in inputs}
+    # Unlike Path.resolve in Python 3.11 and 3.12, this accepts links that lead nowhere.
+    read = {Path(os.path.realpath(path)) for path in inputs}
     written: set[Path] = set()
     for path in outputs:
-        file = Path(path).resolve()
+        file = Path(os.path.realpath(path))
         if file in read:
             raise FileError(f"{path} is also an input; write the result to another file")
         if file in written:
@@ -151,7 +160,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     Parameters
     ----------
     path : path-like
-        Final path of the file, in an existing folder.
+        Final path of the file, in an existing folder. A link is followed.
 
     Yields
     ------
@@ -165,26 +174,15 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         If the folder is missing, `path` is a folder, or the file cannot be written.
     """
     target = check_target(path)
+    # Named before it is created, so that an interruption in between leaves nothing.
+    mark = os.urandom(_MARK_BYTES).hex()
+    place = Path(os.path.realpath(target))
+    temporary = place.with_name(f".{target.stem[:_STEM]}-{mark}{target.suffix}")
     try:
-        handle, name = tempfile.mkstemp(
-            prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent
-        )
-    except OSError as error:
-        raise FileError(f"cannot write {target}: {error.strerror}") from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
+        temporary.touch(exist_ok=False)
         yield temporary
-        # mkstemp creates private files; set the default permissions instead.
-        temporary.chmod(0o666 & ~_umask())
-        temporary.replace(target)
+        temporary.replace(place)
     except OSError as error:
         raise FileError(f"cannot write {target}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -2,10 +2,10 @@
 
 import ctypes
 import os
+import shutil
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from functools import partial
 
@@ -20,24 +20,32 @@ if sys.platform == "win32":
 resource = pytest.importorskip("resource")
 
 OLD = "an earlier result"
+REPORT = "error: interrupted; no file was left half-written"
 LIMIT = 4096
 """Bytes per file after which a process finds its disk full."""
 
 COMMAND = [sys.executable, "-m", "anisomap"]
 MAP = ["map", "skin.npz", "-d", "2", "-m", "r-anisomap", "--no-verdict", "-o", "m.csv"]
 SIMULATE = ["simulate", "plane", "-s", "rubbing", "--frames", "300", "-o", "m.npz"]
-CONVERT = ["convert", "large.json", "m.urdf", "--spacing", "5mm"]
+SIMULATE_PHYSICS = ["simulate", "sphere", "-s", "bombardment", "--frames", "9", "-o", "m.npz"]
+CONVERT = ["convert", "map.json", "m.urdf", "--spacing", "5mm"]
 PAPER = ["paper", "--only", "bins", "--quick", "--output-dir", "m"]
 
 
 @pytest.fixture
 def folder(tmp_path):
     anisomap.write(flat_skin(), tmp_path / "skin.npz")
-    points = np.random.default_rng(0).random((4000, 3))
-    anisomap.write(anisomap.SensorMap(points), tmp_path / "large.json")
-    for suffix in ("csv", "npz", "urdf"):
-        (tmp_path / f"m.{suffix}").write_text(OLD)
+    points = np.random.default_rng(0).random((100, 3))
+    anisomap.write(anisomap.SensorMap(points), tmp_path / "map.json")
+    restore(tmp_path)
     return tmp_path
+
+
+def restore(folder):
+    """Give every output its earlier content."""
+    for suffix in ("csv", "npz", "urdf"):
+        (folder / f"m.{suffix}").write_text(OLD)
+    shutil.rmtree(folder / "m", ignore_errors=True)
 
 
 def start(folder, command, **options):
@@ -52,11 +60,14 @@ def start(folder, command, **options):
 
 
 def temporary(folder):
-    return [path for path in folder.iterdir() if path.name.startswith(".m-")]
+    return [path for path in folder.rglob(".*") if path.is_file()]
 
 
 def whole(folder, command):
     """Return whether the output is the earlier result or a complete new one."""
+    if command is PAPER:
+        page = folder / "m" / "index.html"
+        return not page.exists() or page.read_text(encoding="utf-8").rstrip().endswith("</html>")
     path = folder / next(word for word in command if word.startswith("m."))
     if path.read_bytes() == OLD.encode():
         return True
@@ -64,105 +75,124 @@ def whole(folder, command):
     return bool(reader(path).names)
 
 
-def signal_while_writing(folder, command, number):
-    """Send a signal once the temporary file of the output exists; skip if it was too brief."""
-    process = start(folder, command)
-    while process.poll() is None and not temporary(folder):
-        pass
-    caught = process.poll() is None
-    process.send_signal(number)
+def errors_in(said):
+    return [line for line in said.splitlines() if not line.startswith("warning")]
+
+
+WATCHED = """
+import os, re, sys
+from anisomap.cli import main
+
+number, wanted, command = int(sys.argv[1]), re.compile(sys.argv[2]), sys.argv[3:]
+seen, sent = 0, False
+
+def watch(event, arguments):
+    global seen, sent
+    seen += 1
+    if number and not sent:
+        sent = bool(wanted.fullmatch(f"{seen} {event} {arguments[0] if arguments else None}"))
+        if sent:
+            os.killpg(0, number)
+
+sys.addaudithook(watch)
+try:
+    main(command)
+finally:
+    if not number:
+        print(seen, file=sys.stderr)
+"""
+"""Runs a command, and sends a signal to its processes at the first event that is wanted: a regular
+expression of the number, name and first argument of an event that Python audits."""
+
+CODES = {
+    signal.SIGINT: {130},
+    signal.SIGTERM: {143, -signal.SIGTERM},
+    signal.SIGHUP: {129, -signal.SIGHUP},
+    signal.SIGKILL: {-signal.SIGKILL},
+}
+"""SIGTERM and SIGHUP have their default action until the command line is imported."""
+
+CREATED, COMPLETE = r"\d+ open (.*/)?\.m-[^/]*", r"\d+ os\.rename .*"
+"""Events of the temporary file of an output."""
+
+COUNT = 0  # no signal
+SHARES = 0.05, 0.3, 0.55, 0.8, 0.95, 0.999
+
+
+def at_event(folder, command, number, event):
+    """Run a command, and send a signal at an event; return the exit code and standard error."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", WATCHED, str(int(number)), event, *command],
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
     _, said = process.communicate()
-    if not caught:
-        pytest.skip("the process ended before the signal")
     return process.returncode, said
 
 
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
-)
-def test_a_signal_while_writing_leaves_nothing_half_written(folder, number, code):
-    found, said = signal_while_writing(folder, CONVERT, number)
-    assert found in (0, code)  # 0: the file was complete
-    errors = [line for line in said.splitlines() if not line.startswith("warning")]
-    assert errors in ([], ["error: interrupted; no file was left half-written"])
-    assert not temporary(folder)
-    assert whole(folder, CONVERT)
+@pytest.mark.parametrize("number", CODES)
+@pytest.mark.parametrize("event", [pytest.param(CREATED, marks=pytest.mark.slow), COMPLETE])
+def test_a_signal_while_writing_leaves_nothing_half_written(folder, number, event):
+    code, said = at_event(folder, CONVERT, number, event)
+    assert code in CODES[number]
+    assert errors_in(said) == ([REPORT] if number == signal.SIGINT else [])
+    assert number == signal.SIGKILL or not temporary(folder)
+    assert (folder / "m.urdf").read_text() == OLD
 
 
-def test_a_killed_process_leaves_the_old_file_whole(folder):
-    found, _ = signal_while_writing(folder, CONVERT, signal.SIGKILL)
-    assert found == -signal.SIGKILL
-    assert whole(folder, CONVERT)
+def test_interruptions_are_handled_before_anything_is_imported(tmp_path):
+    """What is imported before `main` handles them is what the interpreter has loaded anyway."""
+    code = """
+import sys
+before = set(sys.modules)
+import anisomap.cli
+print(*sorted(set(sys.modules) - before))
+"""
+    found = subprocess.check_output([sys.executable, "-c", code], text=True, cwd=tmp_path)
+    assert found.split() == ["anisomap", "anisomap.cli"]
 
 
-def interrupted(folder, command, delay):
-    """Interrupt a process after a delay in seconds; return its exit code and standard error."""
-    process = start(folder, command)
-    end = time.monotonic() + delay
-    while time.monotonic() < end and process.poll() is None:
-        pass
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate()
-    return process.returncode, said
-
-
-def check_interruption(code, said):
-    """Check the report of a process that was interrupted at any time.
-
-    Before `main` of the command line runs, the interpreter itself reports the interruption.
-    """
-    assert ", in main" not in said, "a traceback from the command line"
-    assert "defect" not in said
-    if "error: interrupted" in said:
-        assert code in (130, -signal.SIGINT)
-
-
-@pytest.mark.parametrize(
-    "milliseconds", [1, *(pytest.param(ms, marks=pytest.mark.slow) for ms in (150, 400))]
-)
-def test_interruption_at_the_start(folder, milliseconds):
-    check_interruption(*interrupted(folder, ["formats"], milliseconds / 1000))
+@pytest.mark.parametrize("module", ["anisomap.cli.process", "cyclopts", "numpy", "rich.console"])
+def test_interruption_of_an_import(folder, module):
+    assert at_event(folder, ["formats"], signal.SIGINT, rf"\d+ import {module}") == (
+        130,
+        REPORT + "\n",
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", [MAP, CONVERT], ids=lambda words: words[0])
-def test_interruption_at_any_time(folder, command):
-    for delay in np.geomspace(0.001, 4, 25):
-        _, said = interrupted(folder, command, delay)
-        assert "defect" not in said
+@pytest.mark.parametrize("module", ["mujoco", "mujoco._structs", "numba", "scipy.spatial"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_of_an_import_of_extensions(folder, module, number):
+    """Extension modules replace exceptions within their import by others."""
+    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    code, said = at_event(folder, SIMULATE_PHYSICS, number, rf"\d+ import {module}")
+    assert code in CODES[number]
+    assert errors_in(said) == ([REPORT] if number == signal.SIGINT else [])
+    assert whole(folder, SIMULATE_PHYSICS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", CODES)
+@pytest.mark.parametrize("command", [MAP, SIMULATE, CONVERT, PAPER], ids=lambda words: words[0])
+def test_a_signal_at_any_time_leaves_outputs_whole(folder, command, number):
+    code, said = at_event(folder, command, COUNT, "none")
+    assert code == 0, said
+    n_events = int(said.splitlines()[-1])
+    for share in SHARES:
+        restore(folder)
+        code, said = at_event(folder, command, number, rf"{int(share * n_events)} .*")
+        assert code in {0, *CODES[number]}, said
+        if number != signal.SIGKILL:
+            assert errors_in(said) in ([], [REPORT])
+            assert not temporary(folder)
         assert whole(folder, command)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-@pytest.mark.parametrize("command", [MAP, SIMULATE, CONVERT], ids=lambda words: words[0])
-def test_killing_at_any_time(folder, command, number):
-    for delay in np.linspace(0.2, 4, 8):
-        process = start(folder, command)
-        with suppress(subprocess.TimeoutExpired):
-            process.communicate(timeout=delay)
-        process.send_signal(number)
-        process.communicate()
-        assert whole(folder, command)
-        assert number == signal.SIGKILL or not temporary(folder)
-    last = start(folder, command)
-    last.communicate()
-    assert last.returncode == 0, "a run after the killed ones succeeds"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_a_killed_reproduction_of_the_paper_continues(folder, number):
-    pytest.importorskip("mujoco", reason="needs the extra 'paper'")
-    process = start(folder, PAPER, start_new_session=True)
-    while process.poll() is None and not list(folder.glob("m/*")):
-        pass
-    os.killpg(process.pid, number)
-    process.communicate()
-    done = start(folder, PAPER)
-    _, said = done.communicate()
-    assert done.returncode == 0, said
-    assert (folder / "m" / "index.html").read_text(encoding="utf-8").rstrip().endswith("</html>")
+    code, said = at_event(folder, command, COUNT, "none")
+    assert code == 0, "a run after the interrupted ones succeeds"
+    assert whole(folder, command)
 
 
 def limited():
@@ -232,7 +262,7 @@ def test_a_folder_without_write_permission_is_an_error(folder):
     closed.chmod(0o500)
     try:
         process = start(
-            folder, ["convert", "large.json", "closed/m.csv"], preexec_fn=without_privileges
+            folder, ["convert", "map.json", "closed/m.csv"], preexec_fn=without_privileges
         )
     except subprocess.SubprocessError:
         pytest.skip("this process may not drop its privileges")
@@ -256,7 +286,7 @@ CHANGES = {
 
 def large(path):
     """Write readings that no buffer holds."""
-    values = np.random.default_rng(1).random((40_000, 8)).round(6)
+    values = np.random.default_rng(1).random((12_000, 8)).round(6)
     if path.suffix in (".csv", ".npz", ".tsv"):
         anisomap.write(anisomap.Recording(values), path)
     elif path.suffix == ".npy":
@@ -294,9 +324,12 @@ def read_while(change, path):
     ["a.csv", "a.npz", "a.npy", "data.log", "a.h5", "a.parquet", "a.feather"],
 )
 def test_a_file_that_changes_while_it_is_read(tmp_path, name):
+    path = tmp_path / name
+    large(path)
+    content = path.read_bytes()
     for name_of_change, change in CHANGES.items():
-        path = tmp_path / name
-        large(path)
+        path.unlink(missing_ok=True)  # not overwritten, since it may be the file of another reader
+        path.write_bytes(content)
         task = partial(read_while, change, path)
         child = os.fork()
         if child == 0:  # in another process, which a bus error would end

@@ -30,6 +30,7 @@ app = App(
     help_epilogue="Maps are known up to rotation, translation, scale and reflection.",
     console=console,
     help_format="plaintext",
+    suppress_keyboard_interrupt=False,  # `run` reports it
     default_parameter=Parameter(json_list=False, json_dict=False),  # "[a].csv" is a file name
 )
 
