@@ -11,6 +11,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.budget import Budget
 from anisomap.errors import FileError
 from anisomap.io.parsing.libraries import import_extra, library_errors
 from anisomap.io.parsing.source import quote
@@ -23,6 +24,8 @@ SENSOR_RADIUS = 0.002
 """Radius in metres of the spheres that represent sensors; for display only."""
 
 _MAX_BYTES = 64 * 1024 * 1024
+_ELEMENT_BYTES, _ATTRIBUTE_BYTES = 270, 280  # measured: CPython 3.11, one attribute per element
+_MAX_RATIO = 20  # of these to the file; the URDFs that anisomap writes reach 13
 _ROOT = re.compile(rb"<\s*+([A-Za-z_][\w.-]*+)")
 _BEFORE_ROOT = {b"<!--": b"-->", b"<?": b"?>", b"<!DOCTYPE": b">"}
 # Characters that XML 1.0 cannot represent, not even escaped.
@@ -122,15 +125,20 @@ def parse_xml(path: Path) -> object:
     Raises
     ------
     FileError
-        If the file is not valid XML, declares a document type, or is larger than 64 MiB.
+        If the file is not valid XML, declares a document type, is larger than 64 MiB, or would take
+        far more memory than its size.
     MissingExtraError
         If defusedxml is not installed.
     """
     if path.stat().st_size > _MAX_BYTES:
         raise FileError(f"{path} is larger than {_MAX_BYTES >> 20} MiB, the limit for XML")
     parser = import_extra("defusedxml.ElementTree", "reading XML", EXTRA)
+    budget, content = Budget(path), path.read_bytes()
+    n_elements, n_attributes = content.count(b"<") - content.count(b"</"), content.count(b"=")
+    n_bytes = len(content) + _ELEMENT_BYTES * n_elements + _ATTRIBUTE_BYTES * n_attributes
+    budget.check(n_bytes, "its text", reachable=max(budget.free, _MAX_RATIO * budget.size))
     with library_errors(path):
-        return parser.fromstring(path.read_bytes(), forbid_dtd=True)
+        return parser.fromstring(content, forbid_dtd=True)
 
 
 def parse_vector(path: Path, name: str, text: str | None) -> NDArray[np.float64]:

@@ -32,6 +32,7 @@ from anisomap.io.parsing.columns import (
 from anisomap.io.parsing.libraries import guarded_iter, import_extra, library_errors
 from anisomap.io.parsing.source import quote
 from anisomap.io.recordings.arrow_messages import is_last, unpacked_size
+from anisomap.io.recordings.parquet_pages import unpacked_size as page_bytes
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
@@ -40,6 +41,7 @@ EXTRA = "parquet"
 _PARQUET, _FEATHER, _IPC_STREAM = b"PAR1", b"ARROW1\0\0", b"\xff\xff\xff\xff"
 _STREAM_SUFFIXES = (".arrow", ".arrows", ".ipc", ".feather")
 _BATCH_BYTES, _MAX_ROWS = 1 << 22, 8192
+_PAGES_RATIO = 4  # of pages to readings: those of small integers are twice as large, with levels
 _EPISODE = "episode_index"
 _ALL_COLUMNS = "columns"
 
@@ -99,7 +101,7 @@ def _open(path: Path) -> Iterator[_Source]:
             with library_errors(path):
                 file = parquet.ParquetFile(stream, pre_buffer=False)
             with file:
-                yield _Source(path, file.schema_arrow, _of_parquet(path, file))
+                yield _Source(path, file.schema_arrow, _of_parquet(path, stream, file))
             return
         arrow = import_extra("pyarrow", "reading Arrow", EXTRA)
         if magic.startswith(_FEATHER):
@@ -110,9 +112,11 @@ def _open(path: Path) -> Iterator[_Source]:
         yield _Source(path, reader.schema, _of_arrow(path, stream, reader))
 
 
-def _of_parquet(path: Path, file: Any) -> Callable[[Sequence[str]], _Batches]:
+def _of_parquet(
+    path: Path, stream: BufferedReader, file: Any
+) -> Callable[[Sequence[str]], _Batches]:
     def batches(names: Sequence[str]) -> _Batches:
-        n_bytes = _declared_size(path, file, names)
+        n_bytes = _declared_size(path, stream, file, names)
         total = max(file.metadata.num_rows, 1)
         rows = max(1, min(_MAX_ROWS, _BATCH_BYTES * total // max(n_bytes, 1)))
         done = 0
@@ -123,19 +127,22 @@ def _of_parquet(path: Path, file: Any) -> Callable[[Sequence[str]], _Batches]:
     return batches
 
 
-def _declared_size(path: Path, file: Any, names: Sequence[str]) -> int:
+def _declared_size(path: Path, stream: BufferedReader, file: Any, names: Sequence[str]) -> int:
     """Return the bytes of some columns in memory, after checking them with a budget."""
-    budget, metadata, total = Budget(path), file.metadata, 0
+    budget, metadata, kept, pages = Budget(path), file.metadata, 0, 0
     for group in map(metadata.row_group, range(metadata.num_row_groups)):
         for column in map(group.column, range(metadata.num_columns)):
             name = next((n for n in names if f"{column.path_in_schema}.".startswith(f"{n}.")), None)
             if name is None:
                 continue
             leaf = _leaf(file.schema_arrow.field(name).type)
-            unpacked = column.num_values * bytes_kept(np.dtype(leaf.to_pandas_dtype()))
-            total += max(unpacked, column.total_uncompressed_size)
-            budget.check(total, "its table")
-    return total
+            kept += column.num_values * bytes_kept(np.dtype(leaf.to_pandas_dtype()))
+            budget.check(kept, "its table")
+            offsets = column.data_page_offset, column.dictionary_page_offset or 0
+            start = min((offset for offset in offsets if offset > 0), default=0)
+            pages += page_bytes(path, stream, start, column.total_compressed_size)
+    budget.check(pages, "its content", reachable=max(budget.free, _PAGES_RATIO * kept))
+    return max(kept, pages)
 
 
 def _of_arrow(

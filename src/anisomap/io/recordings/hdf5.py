@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,11 @@ EXTRA = "hdf5"
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 _NUMBERS = "biuf"
-_DEFLATE, _LZF, _STEP = 1, 32000, 1 << 20
-_COMPRESSING = {_DEFLATE, _LZF}
+_DEFLATE, _SZIP, _N_BIT, _SCALE_OFFSET, _LZF = 1, 4, 5, 6, 32000
+_DECLARING = {_N_BIT, _SCALE_OFFSET}  # filters that unpack as many values as they declare
+_COMPRESSING = {_DEFLATE, _LZF, _SZIP, *_DECLARING}
+_CHECKSUM, _CHECKSUM_BYTES = 3, 4  # Fletcher's, after each chunk
+_STEP = 1 << 20
 _MAX_RATIO, _HEADERS = 1032, 1 << 12
 _MAX_DATASETS = 1000
 
@@ -133,33 +136,68 @@ def _check_size(path: Path, item: Any, name: str) -> None:
 
 
 def _check_chunks(path: Path, item: Any, name: str) -> None:
-    """Unpack chunks that could expand far beyond their size, since HDF5 has no limit.
+    """Refuse chunks that would expand to more than their size, since HDF5 has no limit.
 
     Raises
     ------
     FileError
-        If a chunk unpacks to more than its size, or is compressed twice.
+        If a chunk expands to more than its size, or is compressed twice.
     """
-    filters = item.id.get_create_plist()
-    codes = [filters.get_filter(i)[0] for i in range(filters.get_nfilters())]
-    if sum(code in _COMPRESSING for code in codes) > 1:
-        raise FileError(f"{path}: dataset {name} is compressed twice, which is not supported")
-    if _DEFLATE not in codes:
+    settings = item.id.get_create_plist()
+    filters = [settings.get_filter(i) for i in range(settings.get_nfilters())]
+    codes = [code for code, *_ in filters]
+    first = next((i for i, code in enumerate(codes) if code in _COMPRESSING), len(codes))
+    if set(codes[first + 1 :]) - {_CHECKSUM}:
+        raise FileError(
+            f"{path}: dataset {name} is compressed twice, or changed after it was compressed, "
+            "which is not supported"
+        )
+    n_values = math.prod(item.chunks)
+    limit = item.dtype.itemsize * n_values
+    too_large = FileError(
+        f"{path} is damaged: a chunk of dataset {name} expands to more than {limit} bytes"
+    )
+    if any(code in _DECLARING and values[2:3] != (n_values,) for code, _, values, _ in filters):
+        raise too_large
+    if not _SIZES.keys() & set(codes):
         return
+    ratio, size_of = _SIZES[codes[first]]
+    n_checked = _CHECKSUM_BYTES * codes[first:].count(_CHECKSUM)
     chunks: list[Any] = []
     item.id.chunk_iter(chunks.append)
     free = Budget(path).free
-    limit = item.dtype.itemsize * math.prod(item.chunks)
     for chunk in chunks:
-        if chunk.filter_mask or _MAX_RATIO * chunk.size < free:
-            continue
-        _, packed = item.id.read_direct_chunk(chunk.chunk_offset)
-        unpacker, n_bytes = zlib.decompressobj(), 0
-        with suppress(zlib.error):  # which HDF5 reports
-            while packed and n_bytes <= limit and not unpacker.eof:
-                n_bytes += len(unpacker.decompress(packed, _STEP))
-                packed = unpacker.unconsumed_tail
-        if n_bytes > limit:
-            raise FileError(
-                f"{path} is damaged: a chunk of dataset {name} expands to more than {limit} bytes"
-            )
+        if not chunk.filter_mask and ratio * chunk.size >= free:
+            _, packed = item.id.read_direct_chunk(chunk.chunk_offset)
+            if size_of(packed[: len(packed) - n_checked], limit) > limit:
+                raise too_large
+
+
+def _deflated_size(packed: bytes, limit: int) -> int:
+    unpacker, n_bytes = zlib.decompressobj(), 0
+    with suppress(zlib.error):  # which HDF5 reports
+        while packed and n_bytes <= limit and not unpacker.eof:
+            n_bytes += len(unpacker.decompress(packed, _STEP))
+            packed = unpacker.unconsumed_tail
+    return n_bytes
+
+
+def _lzf_size(packed: bytes, limit: int) -> int:
+    from anisomap.numerics.compiled.lzf import unpacked_size  # noqa: PLC0415
+
+    return unpacked_size(np.frombuffer(packed, np.uint8), limit)
+
+
+def _szip_size(packed: bytes, limit: int) -> int:
+    """Return the size that a chunk declares, which HDF5 allocates and fills at most."""
+    del limit
+    return int.from_bytes(packed[:4], "little")
+
+
+# How far each compression can expand, and the function that finds how far a chunk does. A
+# reference of LZF has 3 bytes and unpacks to 264; SZIP has no limit.
+_SIZES: Mapping[int, tuple[float, Callable[[bytes, int], int]]] = {
+    _DEFLATE: (_MAX_RATIO, _deflated_size),
+    _LZF: (88, _lzf_size),
+    _SZIP: (math.inf, _szip_size),
+}
