@@ -1,6 +1,7 @@
 """Read damaged files of every format (``make fuzz``); fail if anything but a refusal happens.
 
-Each case depends on the seed, the format and its number, so that any case can be repeated.
+Each case depends on the seed, the format and its number, so that any case can be repeated. The
+formats take turns, so that a run that is stopped has tried each of them.
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ import sys
 import time
 from collections.abc import Sequence
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 
 from fuzzing.subjects import Subject, subjects
-from fuzzing.table import write
-from fuzzing.workers import Tally, run_cases, warm_up
+from fuzzing.table import Results, write
+from fuzzing.workers import BATCH, Tally, run_cases, warm_up
 
 _LOADED = (
     *("h5py", "pyarrow.parquet", "pyarrow.feather", "rosbags.rosbag1", "rosbags.rosbag2", "mujoco"),
@@ -33,17 +35,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tried = [s for s in subjects() if not chosen.formats or s.name in chosen.formats]
     warm_up(tried)
     chosen.output.mkdir(parents=True, exist_ok=True)
-    tallies: dict[str, Tally] = {}
+    results = Results(chosen.output / "results.json", chosen.seed, chosen.first, chosen.resume)
     end = time.monotonic() + chosen.seconds
     share = -(-chosen.cases // len(tried))
-    for i, subject in enumerate(tried):
-        left = end - time.monotonic()
-        until = time.monotonic() + max(0.0, left / (len(tried) - i))
-        indices = range(chosen.first, chosen.first + share)
-        tallies[subject.name] = run_cases(subject, chosen.seed, indices, chosen.output, until=until)
-        _print(subject, tallies[subject.name])
-        write(tallies, chosen.output / "reliability-table.md", chosen.seed)  # also if interrupted
-    return 1 if any(tally.n_failed for tally in tallies.values()) else 0
+    for start, subject in product(range(0, share, BATCH), tried):
+        tally = results.tallies.setdefault(subject.name, Tally())
+        if tally.n_cases > start or time.monotonic() > end:
+            continue
+        stop = min(start + BATCH, share)
+        indices = range(chosen.first + start, chosen.first + stop)
+        run_cases(subject, chosen.seed, indices, chosen.output, tally)
+        if stop == share:
+            _print(subject, tally)
+        results.save()
+        write(results.tallies, chosen.output / "reliability-table.md", chosen.seed)
+    return 1 if any(tally.n_failed for tally in results.tallies.values()) else 0
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -53,6 +59,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first case per format")
     parser.add_argument("--formats", nargs="+", help="formats to try; default: all")
+    parser.add_argument("--resume", action="store_true", help="continue the run in the folder")
     parser.add_argument("-o", "--output", type=Path, default=Path("fuzz"), help="output folder")
     return parser.parse_args(arguments)
 

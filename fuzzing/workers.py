@@ -35,7 +35,9 @@ MAX_CPU_SECONDS, MAX_SECONDS = 10, 120
 ADDRESS_SPACE = 8 << 30
 """Bytes that a worker may reserve, so that a defect does not take the memory of the machine."""
 
-_BATCH = 500  # cases per process, so that leaks of libraries do not add up
+BATCH = 500
+"""Cases per process, so that leaks of libraries do not add up."""
+
 _BY_COMMAND, _IS_ODD, _IS_BOMB, _IS_SPLICED, _IS_WHOLE = 0.08, 0.15, 0.001, 0.03, 0.01
 _N_BOMBS = 2
 _N_USES = 4  # of each format, to reach all commands
@@ -149,9 +151,9 @@ def warm_up(tried: Sequence[Subject]) -> None:
 
 
 def run_cases(
-    subject: Subject, seed: int, indices: Sequence[int], keep: Path, *, until: float
+    subject: Subject, seed: int, indices: Sequence[int], keep: Path, tally: Tally | None = None
 ) -> Tally:
-    """Run cases of a subject in a process that is replaced when it dies.
+    """Run cases of a subject in processes that are replaced when they die.
 
     Parameters
     ----------
@@ -160,22 +162,21 @@ def run_cases(
     indices : sequence of int
     keep : Path
         Folder for the input of cases with problems, one per kind of problem.
-    until : float
-        Time (`time.monotonic`) after which no more batch is started.
+    tally : Tally, optional
+        Results of earlier cases, to which these are added.
 
     Returns
     -------
     Tally
     """
-    tally = Tally()
-    if subject.name in odd.BOMBS and len(indices) > _BATCH:
+    tally = Tally() if tally is None else tally
+    if subject.name in odd.BOMBS and len(indices) >= BATCH:
         for index in range(_N_BOMBS):
             _bomb(subject.name, index)  # once, before processes are forked
     position = 0
-    while position < len(indices) and time.monotonic() < until:
-        batch = indices[position : position + _BATCH]
+    while position < len(indices):
         n_done = 0
-        for record in _forked(subject, seed, batch):
+        for record in _forked(subject, seed, indices[position : position + BATCH]):
             n_done += 1
             _count(tally, subject, seed, record, keep)
         position += n_done

@@ -16,7 +16,7 @@ from fuzzing.checks import Findings
 from fuzzing.damage import DAMAGES, inside
 from fuzzing.odd import BOMBS, ODD
 from fuzzing.subjects import Subject, subjects
-from fuzzing.table import write
+from fuzzing.table import Results, write
 from fuzzing.workers import Tally, run_case, run_cases
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -82,15 +82,13 @@ def test_whole_files_are_read(formats, in_empty_folder, capfd):
 
 def test_some_damaged_files_of_every_format(formats, tmp_path):
     for subject in formats.values():
-        tally = run_cases(subject, 99, range(5), tmp_path, until=np.inf)
+        tally = run_cases(subject, 99, range(5), tmp_path)
         assert tally.n_cases == 5
         assert not tally.problems, subject.name
 
 
 def test_the_same_seed_gives_the_same_cases(formats, tmp_path):
-    first, again = (
-        run_cases(formats["text"], 5, range(30), tmp_path, until=np.inf) for _ in range(2)
-    )
+    first, again = (run_cases(formats["text"], 5, range(30), tmp_path) for _ in range(2))
     assert (first.n_accepted, first.damages) == (again.n_accepted, again.damages)
 
 
@@ -145,3 +143,14 @@ def test_the_table_counts_each_kind_of_problem(tmp_path):
     rows = [line.split("|")[1:-1] for line in (tmp_path / "table.md").read_text().splitlines()]
     assert [cell.strip() for cell in rows[2]] == ["a", "9", "4", "3", "0", "1", "1", "0"]
     assert [cell.strip() for cell in rows[4]] == ["**all**", "10", "4", "4", "0", "1", "1", "0"]
+
+
+def test_a_run_is_continued_with_its_results(tmp_path):
+    results = Results(tmp_path / "results.json", seed=4, first=0, resume=False)
+    results.tallies["a"] = Tally(9, 3, n_failed=1)
+    results.tallies["a"].problems["hang"] = 1
+    results.save()
+    again = Results(tmp_path / "results.json", seed=4, first=0, resume=True)
+    assert again.tallies == results.tallies
+    with pytest.raises(ValueError, match="the results of"):
+        Results(tmp_path / "results.json", seed=5, first=0, resume=True)
