@@ -42,6 +42,11 @@ def printable(text: str) -> str:
     )
 
 
+def as_text(file_name: str) -> str:
+    """Escape the bytes of a file name that are not UTF-8, which no format of text can hold."""
+    return file_name.encode("utf-8", "backslashreplace").decode()
+
+
 def shortened(text: str, max_characters: int) -> str:
     """Cut the middle out of a long text, so that its beginning and end remain."""
     if len(text) <= max_characters:

@@ -2,6 +2,7 @@
 
 import io
 import os
+import sys
 import zipfile
 
 import numpy as np
@@ -215,3 +216,111 @@ def test_errors_about_long_names_have_at_most_300_characters(run, skin_npz):
     assert len(errors) == 1
     assert len(errors[0]) <= len("error: ") + 300
     assert errors[0].startswith("error: there is no sensor 'xxx")
+
+
+def layout(path, scale):
+    """Write the layout of the skin at a scale."""
+    positions = scale * flat_skin().positions
+    anisomap.write(anisomap.SensorMap(np.column_stack([positions, positions[:, 0]])), path)
+
+
+COMMANDS_ON_LAYOUTS = {
+    "diff": ["diff", "a.csv", "b.csv"],
+    "diff, exchanged": ["diff", "b.csv", "a.csv"],
+    "check": ["check", "a.csv", "skin.npz"],
+    "score": ["score", "a.csv", "b.csv"],
+    "place": ["place", "a.csv", "--spacing", "5mm", "-o", "o.csv"],
+    "simulate": ["simulate", "a.csv", "-s", "rubbing", "--frames", "3", "-o", "o.npz"],
+}
+
+
+@pytest.mark.parametrize("scale", [1e307, 1e-310, 0])
+@pytest.mark.parametrize("command", COMMANDS_ON_LAYOUTS)
+def test_layouts_without_distances(run, skin_npz, tmp_path, scale, command):
+    """Positions are finite, but the squares of distances are 0 or infinite."""
+    layout(tmp_path / "a.csv", scale)
+    layout(tmp_path / "b.csv", 1)
+    found = run(*COMMANDS_ON_LAYOUTS[command])
+    assert found.code == 2
+    assert len(found.err.splitlines()) == 1
+    assert not list(tmp_path.glob("o.*"))
+
+
+def test_a_map_in_which_most_sensors_coincide_is_compared(run, tmp_path):
+    positions = np.repeat(np.random.default_rng(0).random((9, 3)), 2, axis=0)
+    anisomap.write(anisomap.SensorMap(positions), tmp_path / "a.csv")
+    found = run("diff", "a.csv", "a.csv")
+    assert found.code == 0
+    assert "spacings" not in found.out
+
+
+def test_a_single_sensor_is_placed(run, tmp_path):
+    (tmp_path / "a.csv").write_text("name,x,y\na,1,2\n")
+    assert run("place", "a.csv", "--spacing", "5mm", "-o", "o.csv").code == 0
+    assert (tmp_path / "o.csv").exists()
+
+
+@pytest.mark.parametrize("command", ["check", "place", "map", "repair", "convert"])
+def test_links_that_lead_nowhere(run, skin_npz, tmp_path, command):
+    (tmp_path / "a.csv").symlink_to("a.csv")
+    (tmp_path / "b.csv").symlink_to("none.csv")
+    other = {"check": ["skin.npz"], "convert": ["o.csv"], "place": ["-o", "o.csv"]}
+    for name in ("a.csv", "b.csv"):
+        found = run(command, name, *other.get(command, ["-o", "o.npz"]))
+        assert found.code == 2
+        assert name in found.err
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["convert", "a.csv", "{}.csv"],
+        ["place", "a.csv", "--spacing", "5mm", "-o", "{}.csv"],
+        ["coverage", "--frames", "9", "--runs", "1", "-o", "{}.csv"],
+        ["compare", "skin.npz", "-m", "r-anisomap", "-o", "{}.csv"],
+        ["repair", "skin.npz", "-o", "{}.npz"],
+        ["score", "a.csv", "a.csv", "--picture", "{}.png"],
+        ["score", "a.csv", "a.csv", "--report", "{}.html"],
+    ],
+    ids=lambda words: words[0] + words[-2],
+)
+def test_pipes_and_devices_are_not_replaced(run, skin_npz, tmp_path, command):
+    layout(tmp_path / "a.csv", 1)
+    *words, output = command
+    pipe, link = tmp_path / output.format("pipe"), tmp_path / output.format("link")
+    os.mkfifo(pipe)
+    link.symlink_to(pipe)
+    before = sorted(tmp_path.iterdir())
+    for target in (pipe, link):
+        found = run(*words, target.name)
+        assert found.code == 2
+        assert "not a regular file" in found.err
+    assert sorted(tmp_path.iterdir()) == before
+    assert pipe.is_fifo()
+    assert link.is_symlink()
+
+
+def test_names_that_are_too_long_and_long_ones(run, tmp_path):
+    layout(tmp_path / "a.csv", 1)
+    found = run("convert", "a.csv", "b" * 300 + ".csv")
+    assert found.code == 2
+    assert "too long" in found.err
+    assert run("convert", "a.csv", "b" * 250 + ".csv").code == 0
+
+
+def test_an_output_that_is_a_link_keeps_it(run, tmp_path):
+    layout(tmp_path / "a.csv", 1)
+    (tmp_path / "far").mkdir()
+    (tmp_path / "b.csv").symlink_to(tmp_path / "far" / "c.csv")
+    assert run("convert", "a.csv", "b.csv").code == 0
+    assert (tmp_path / "b.csv").is_symlink()
+    assert anisomap.read_map(tmp_path / "far" / "c.csv").n_sensors == flat_skin().n_sensors
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems reject such names")
+@pytest.mark.parametrize("command", ["repair", "map"])
+def test_recordings_whose_names_are_not_utf_8(run, skin_npz, command):
+    name = os.fsdecode(b"\xff.npz")
+    skin_npz.rename(skin_npz.with_name(name))
+    assert run(command, name, "-o", "o.npz", *["--no-confidence"] * (command == "map")).code == 0

@@ -34,6 +34,7 @@ from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
+from anisomap.wording import as_text
 
 _MAX_SHOWN = 12  # faulty sensors; --sensors of anisomap info shows all
 _SHARE_OF_MAP = 0.3  # of the time of a map with its verdict; typical, for the progress display
@@ -87,7 +88,7 @@ def read(path: Path, how: io.ReadOptions | None = None) -> Recording:
     """Read a recording, with progress; the default of its source is the file name."""
     with progress(f"reading {path.name}") as report_progress:
         recording = io.read(path, options=how, progress=report_progress)
-        return replace(recording, source=recording.source or path.name)
+        return replace(recording, source=recording.source or as_text(path.name))
 
 
 def read_runs(

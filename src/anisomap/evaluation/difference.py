@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from scipy.special import ndtr, ndtri
 
 from anisomap.errors import InputError
-from anisomap.evaluation.neighbourhood import median_spacing
+from anisomap.evaluation.neighbourhood import check_distances, median_spacing
 from anisomap.numerics.procrustes import Similarity, fit_similarity_robustly
 from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
 
@@ -120,8 +120,8 @@ def compare_maps(before: SensorMap, after: SensorMap, *, level: float = LEVEL) -
     Raises
     ------
     InputError
-        If the maps share no sensors, no two components share `MIN_COMPARED`, or the level is out
-        of range.
+        If the maps share no sensors, no two components share `MIN_COMPARED`, all sensors of a map
+        have the same position, or the level is out of range.
     """
     if not 0 < level < 1:
         raise InputError(f"the level must be between 0 and 1, got {level:g}")
@@ -218,6 +218,9 @@ def _aligned_groups(pair: _Pair) -> list[tuple[NDArray[np.intp], Similarity]]:
     labels, inverse = np.unique(pair.component[:, both], axis=1, return_inverse=True)
     groups = [both[inverse.ravel() == i] for i in range(labels.shape[1])]
     groups = sorted((g for g in groups if len(g) >= MIN_COMPARED), key=len, reverse=True)
+    for group in groups:
+        check_distances(pair.before[group], "the first map")
+        check_distances(pair.after[group], "the second map")
     return [(g, fit_similarity_robustly(pair.after[g], pair.before[g])) for g in groups]
 
 

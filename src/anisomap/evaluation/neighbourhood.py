@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
+from anisomap.errors import InputError
+
 NEIGHBOURS = 6
 """Number of neighbours of a sensor on a triangular lattice, the densest packing in the plane."""
 
@@ -24,6 +26,33 @@ def median_spacing(positions: ArrayLike) -> float:
     points = np.asarray(positions, dtype=np.float64)
     nearest = np.asarray(KDTree(points).query(points, k=2)[0])
     return float(np.median(nearest[:, 1]))
+
+
+def check_distances(positions: NDArray[np.float64], what: str) -> None:
+    """Check that positions differ, and that the squares of their distances are finite.
+
+    Parameters
+    ----------
+    positions : ndarray of shape (N, k)
+        Sensors without a position are ignored.
+    what : str
+        The positions, for messages.
+
+    Raises
+    ------
+    InputError
+        If all positions are the same, or so far apart that distances cannot be computed.
+    """
+    placed = positions[np.isfinite(positions).all(axis=1)]
+    with np.errstate(over="ignore", under="ignore"):
+        square = float(((placed.max(axis=0) - placed.min(axis=0)) ** 2).sum()) if len(placed) else 0
+    if square == 0:
+        raise InputError(f"all sensors of {what} have the same position; there is no distance")
+    if not np.isfinite(square):
+        raise InputError(
+            f"the distances of {what} are out of the range of floating-point numbers; "
+            "check its units"
+        )
 
 
 def neighbour_agreement(

@@ -53,7 +53,7 @@ from anisomap.io.stream import (
 from anisomap.io.truth import with_positions, with_recorded_positions
 from anisomap.recording import Recording
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.wording import join_items
+from anisomap.wording import as_text, join_items
 
 _MAX_LISTED = 3
 
@@ -308,9 +308,9 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
             if options.positions is not None and not options.preset:
                 truth = read_map(options.positions)
                 stream = with_positions(stream, truth, options.positions)
-        # The name of a file may contain bytes that are not UTF-8.
-        source = stream.source.encode("utf-8", "backslashreplace").decode()
-        yield replace(stream, source=source, blocks=_checked(stream.blocks, file, budget))
+        yield replace(
+            stream, source=as_text(stream.source), blocks=_checked(stream.blocks, file, budget)
+        )
 
 
 def _checked(blocks: Iterator[Block], file: Path, budget: Budget) -> Iterator[Block]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.evaluation.neighbourhood import check_distances
 from anisomap.health.assessment import MIN_CONTACTS
 from anisomap.layout.explanation import Explained, explain
 from anisomap.layout.findings import KINDS, NOT_TESTED, OK, Finding, LayoutCheck, at_positions
@@ -119,9 +120,10 @@ def check_layout(
     rows, columns, notes = _matched(stated, joined)
     members = module_members(stated, modules)
     positions = stated.positions[rows]
+    check_distances(positions, "the layout")
     spacing = neighbour_spacing(positions)
     if not spacing > 0:
-        raise InputError("all sensors of the layout have the same position; there is no distance")
+        raise InputError("most sensors of the layout have the same position; there is no distance")
     generator = np.random.default_rng(0 if rng is None else rng)
     logger.info("comparing readings with positions")
     with limited_blas(len(rows)):

@@ -63,6 +63,7 @@ def diff(
 
 def _print(printer: Printer, found: Difference, title: str) -> None:
     units = found.units if found.units != "arbitrary" else "units of the first map"
+    spacing = found.spacing  # 0 if most sensors have the place of another
     counts = {
         "moved": found.moved,
         "appeared": found.appeared,
@@ -73,8 +74,8 @@ def _print(printer: Printer, found: Difference, title: str) -> None:
         {
             "sensors compared": str(np.count_nonzero(found.compared)),
             **{kind: str(np.count_nonzero(mask)) for kind, mask in counts.items()},
-            "chance": f"explains up to {number(found.chance)} {units}, or "
-            f"{number(found.chance / found.spacing, 3)} spacings",
+            "chance": f"explains up to {number(found.chance)} {units}"
+            + (f", or {number(found.chance / spacing, 3)} spacings" if spacing else ""),
             "scale": f"{number(found.scale)} (second map to first)",
             "mirrored": "yes" if found.reflected else "no",
         },
@@ -89,7 +90,7 @@ def _print(printer: Printer, found: Difference, title: str) -> None:
                 (
                     found.names[i],
                     number(found.distance[i]),
-                    number(found.distance[i] / found.spacing, 3),
+                    number(found.distance[i] / spacing if spacing else np.nan, 3),
                     number(found.p_values[i], 2),
                 )
                 for i in moved[:_MAX_SHOWN]

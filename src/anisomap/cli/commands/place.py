@@ -209,10 +209,17 @@ def _read_mesh(path: Path, units: str) -> Mesh:
     return Mesh(vertices * METRES[units], faces)
 
 
+def _spacing(placed: SensorMap) -> float:
+    try:
+        return median_spacing(placed)
+    except InputError:
+        return np.nan  # a single sensor, or all at one position
+
+
 def _print(printer: Printer, placement: Placement, name: str) -> None:
     placed = placement.map
     errors = placed.errors[np.isfinite(placed.errors)] * _MM
-    spacing = median_spacing(placed) * _MM * METRES[placed.units]
+    spacing = _spacing(placed) * _MM * METRES[placed.units]
     facts = {
         "sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}",
         "median spacing": f"{number(spacing)} mm",

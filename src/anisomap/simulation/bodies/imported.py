@@ -215,8 +215,9 @@ def body_from_points(
         raise InputError(f"positions must have shape (N, 3) with N at least 4, got {places.shape}")
     spacing = nearest_neighbours(places, 1)[0]
     if spacing.min() <= 0:
-        here = places[int(spacing.argmin())]
-        first, second = np.flatnonzero((places == here).all(axis=1))[:2]
+        # Distances, as the difference of two positions may be too small for its square.
+        distances = np.linalg.norm(places - places[int(spacing.argmin())], axis=1)
+        first, second = np.argsort(distances, kind="stable")[:2]
         raise InputError(f"positions must be distinct; sensors {first} and {second} coincide")
     outward, _ = estimate_normals(places)
     if normals is not None:

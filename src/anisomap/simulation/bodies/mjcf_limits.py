@@ -7,6 +7,7 @@ file of the system as a part of the model.
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -62,9 +63,9 @@ class _Model:
 
     def read(self, path: Path) -> None:
         """Check the elements of a file, and then the files that they name."""
-        if path.resolve() in self.seen:
+        if (file := Path(os.path.realpath(path))) in self.seen:
             return  # MuJoCo rejects files that are included twice
-        self.seen.add(path.resolve())
+        self.seen.add(file)
         parser = expat.ParserCreate()
         parser.StartElementHandler = self._start
         parser.EndElementHandler = lambda _: self.copies.pop()
