@@ -164,7 +164,7 @@ def test_interruption_of_an_import(folder, module):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["mujoco", "mujoco._structs", "numba", "scipy.spatial"])
+@pytest.mark.parametrize("module", ["mujoco._structs", "scipy.spatial"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_of_an_import_of_extensions(folder, module, number):
     """Extension modules replace exceptions within their import by others."""
