@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.health.behaviour import Behaviour, Matches, observe
-from anisomap.numerics.columns import columns, count_values
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording
 from anisomap.runs import as_runs
@@ -120,7 +119,6 @@ def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth
     recording = recording.complete("interpolate")
     readings = recording.readings
     varying = recording.varying()
-    distinct = [count_values(column)[0].size for column in columns(readings)]
     behaviour = None
     if varying.any():
         nearest = None if matches is None else matches.among(varying)
@@ -132,6 +130,7 @@ def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth
             for i, reason in test(behaviour).items():
                 faults[int(active[i])] = (status, reason)
     position = np.cumsum(varying) - 1
+    lowest, highest = readings.min(axis=0), readings.max(axis=0)
     result = []
     for i, name in enumerate(recording.names):
         status, reason = faults.get(i, ("ok", ""))
@@ -142,9 +141,9 @@ def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth
                 name=name,
                 status=status,
                 reason=reason,
-                minimum=float(readings[:, i].min()),
-                maximum=float(readings[:, i].max()),
-                distinct=distinct[i],
+                minimum=float(lowest[i]),
+                maximum=float(highest[i]),
+                distinct=int(known.distinct[at]) if known else 1,
                 active=float(known.active[at]) if known else 0.0,
                 contacts=int(known.contacts[at]) if known else 0,
                 lag_correlation=float(known.lag_correlation[at]) if known else float("nan"),

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.numerics.columns import columns, count_values
 from anisomap.numerics.similarity.correlation import pearson
-from anisomap.numerics.similarity.rest import Rest, estimate_rest
+from anisomap.numerics.similarity.rest import Rest, rest_from_counts
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 
 _N_NEAREST = 4  # most similar sensors that are checked for the same contact; chosen by hand
@@ -28,6 +29,8 @@ class Behaviour:
     ----------
     rest : Rest
         Rest values.
+    distinct : ndarray of int
+        Number of distinct readings.
     active : ndarray
         Share of frames beyond rest.
     contacts : ndarray of int
@@ -49,6 +52,7 @@ class Behaviour:
     """
 
     rest: Rest
+    distinct: NDArray[np.intp]
     active: NDArray[np.float64]
     contacts: NDArray[np.intp]
     at_ceiling: NDArray[np.float64]
@@ -81,17 +85,6 @@ class Matches:
         return Matches(number[self.nearest[chosen]], self.best[chosen])
 
 
-@dataclass(frozen=True, eq=False)
-class _Single:
-    """Statistics of sensors that do not depend on other sensors."""
-
-    rest: Rest
-    active: NDArray[np.bool_]
-    at_ceiling: NDArray[np.float64]
-    at_one: NDArray[np.float64]
-    at_two: NDArray[np.float64]
-
-
 def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> Behaviour:
     """Compute the statistics of sensors.
 
@@ -113,24 +106,26 @@ def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> B
     with 4096 evenly chosen sensors.
     """
     n_frames, n_sensors = readings.shape
-    width = max(1, _BLOCK_READINGS // n_frames)
-    parts = [
-        _observe_single(readings[:, start : start + width].astype(np.float64))
-        for start in range(0, n_sensors, width)
-    ]
-    rest = Rest(
-        *(np.concatenate([getattr(part.rest, name) for part in parts]) for name in _REST_FIELDS)
-    )
-    active = np.hstack([part.active for part in parts])
+    distinct: list[int] = []
+    rest = rest_from_counts(_counted(readings, distinct))
+    series = np.empty((n_sensors, n_frames), dtype=bool)
+    at_ceiling, at_one, at_two = np.empty((3, n_sensors))
+    for i, column in enumerate(columns(readings)):
+        beyond = rest.side[i] * (column.astype(np.float64) - rest.value[i])
+        np.greater(beyond - rest.threshold[i], 0, out=series[i])
+        # A saturating sensor stays at the end of its range on the side of contact.
+        n_highest = np.count_nonzero((beyond == beyond.max()) & series[i])
+        at_ceiling[i] = n_highest / max(1, int(np.count_nonzero(series[i])))
+        at_one[i], at_two[i] = _lag_correlations(beyond, (1, 2))
+    n_active = np.count_nonzero(series, axis=1)
     found = matches or _find_matches(readings)
-    at_one = np.concatenate([part.at_one for part in parts])
-    at_two = np.concatenate([part.at_two for part in parts])
     return Behaviour(
         rest=rest,
-        active=active.mean(axis=0),
-        contacts=active[0] + np.count_nonzero(active[1:] & ~active[:-1], axis=0),
-        at_ceiling=np.concatenate([part.at_ceiling for part in parts]),
-        unexplained=_unexplained(active, found.nearest),
+        distinct=np.array(distinct),
+        active=n_active / n_frames,
+        contacts=series[:, 0] + np.count_nonzero(series[:, 1:] & ~series[:, :-1], axis=1),
+        at_ceiling=at_ceiling,
+        unexplained=_unexplained(series, found.nearest),
         lag_correlation=at_one,
         noise_share=_noise_share(at_one, at_two),
         best_match=found.best,
@@ -141,23 +136,14 @@ def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> B
     )
 
 
-_REST_FIELDS = ("value", "side", "threshold")
-
-
-def _observe_single(readings: NDArray[np.float64]) -> _Single:
-    rest = estimate_rest(readings)
-    active = rest.active(readings)
-    # A saturating sensor stays at the end of its range on the side of contact.
-    towards_contact = rest.side * readings
-    at_ceiling = active & (towards_contact == towards_contact.max(axis=0))
-    at_one, at_two = _lag_correlations(readings, (1, 2))
-    return _Single(
-        rest=rest,
-        active=active,
-        at_ceiling=_share(at_ceiling, active),
-        at_one=at_one,
-        at_two=at_two,
-    )
+def _counted(
+    readings: NDArray[np.floating], distinct: list[int]
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+    """Yield the distinct values and counts of each sensor, and note the number of values."""
+    for column in columns(readings):
+        values, counts = count_values(column)
+        distinct.append(values.size)
+        yield values.astype(np.float64), counts
 
 
 def _find_matches(readings: NDArray[np.floating]) -> Matches:
@@ -174,9 +160,8 @@ def _find_matches(readings: NDArray[np.floating]) -> Matches:
     return Matches(nearest.astype(np.int64), correlation.max(axis=1))
 
 
-def _unexplained(active: NDArray[np.bool_], nearest: NDArray[np.int64]) -> NDArray[np.float64]:
+def _unexplained(series: NDArray[np.bool_], nearest: NDArray[np.int64]) -> NDArray[np.float64]:
     """Compute the share of active frames in which none of the most similar sensors is active."""
-    series = np.ascontiguousarray(active.T)
     alone = [
         np.count_nonzero(mine & ~series[others[others != NO_SENSOR]].any(axis=0))
         for mine, others in zip(series, nearest, strict=True)
@@ -185,14 +170,13 @@ def _unexplained(active: NDArray[np.bool_], nearest: NDArray[np.int64]) -> NDArr
     return np.asarray(counted / np.maximum(np.count_nonzero(series, axis=1), 1))
 
 
-def _lag_correlations(
-    readings: NDArray[np.float64], lags: Iterable[int]
-) -> Iterator[NDArray[np.float64]]:
-    centred = readings - readings.mean(axis=0)
-    centred /= np.abs(centred).max(axis=0)
-    sum_of_squares = np.einsum("ti,ti->i", centred, centred)
+def _lag_correlations(column: NDArray[np.float64], lags: Iterable[int]) -> Iterator[float]:
+    """Yield the autocorrelation of one sensor, shape (T,), at each lag."""
+    centred = column - column.mean()
+    centred /= np.abs(centred).max()
+    sum_of_squares = centred @ centred
     for lag in lags:
-        yield np.einsum("ti,ti->i", centred[lag:], centred[:-lag]) / sum_of_squares
+        yield float(centred[lag:] @ centred[:-lag] / sum_of_squares)
 
 
 def _noise_share(at_one: NDArray[np.float64], at_two: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -244,8 +228,3 @@ def _standardised(
         block /= np.abs(block).max(axis=0)
         standard[:, start : start + width] = block / np.linalg.norm(block, axis=0)
     return standard
-
-
-def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> NDArray[np.float64]:
-    counts = np.count_nonzero(whole, axis=0)
-    return np.asarray(np.count_nonzero(part, axis=0) / np.maximum(counts, 1))

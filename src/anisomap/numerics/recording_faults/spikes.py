@@ -18,6 +18,7 @@ _MAX_SHARE = 0.15  # of the frames; white noise jumps up in a third of them
 _MIN_LINK = 0.7  # correlation of the jumps of two sensors of a board; chosen by hand
 _MIN_HEIGHT = 0.1  # standard deviations of the readings; less changes no correlation
 _MAX_SPREAD = 0.1  # relative spread of the jumps of the sensors of a board; contacts have 0.3
+_FRAMES_AT_ONCE = 512  # of which jumps are computed; they stay in the cache
 _MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others are in contact
 
 
@@ -74,11 +75,7 @@ def find_spikes(readings: NDArray[Any]) -> tuple[Spikes, ...]:
     for number in range(n_groups):
         members = chosen[group == number]
         if members.size >= _MIN_GROUP:
-            spikes = _shared(
-                _jumps(readings[:, members]),
-                members,
-                float(np.median(readings[:, members].std(axis=0))),
-            )
+            spikes = _shared(readings, members)
             if spikes is not None:
                 found.append(spikes)
     return tuple(found)
@@ -100,15 +97,20 @@ def _jumps(readings: NDArray[Any]) -> NDArray[np.float32]:
     return jumps
 
 
-def _shared(
-    jumps: NDArray[np.float32], members: NDArray[np.intp], deviation: float
-) -> Spikes | None:
+def _shared(readings: NDArray[Any], members: NDArray[np.intp]) -> Spikes | None:
     """Return the spikes of a group; None if its jumps differ, as those of contacts do."""
-    often = np.mean(jumps > 0, axis=1) >= _MIN_AT_ONCE
-    frames = np.flatnonzero(often)
-    if not _MIN_SPIKES <= frames.size <= _MAX_SHARE * len(jumps):
+    n_frames = len(readings)
+    often, tall = [], []
+    for begin in range(1, n_frames - 1, _FRAMES_AT_ONCE):
+        stop = min(begin + _FRAMES_AT_ONCE, n_frames - 1)
+        jumps = _jumps(readings[begin - 1 : stop + 1][:, members])[1:-1]
+        found = np.flatnonzero(np.mean(jumps > 0, axis=1) >= _MIN_AT_ONCE)
+        often.append(begin + found)
+        tall.append(jumps[found])
+    frames = np.concatenate(often)
+    if not _MIN_SPIKES <= frames.size <= _MAX_SHARE * n_frames:
         return None
-    heights = jumps[frames]
+    heights = np.concatenate(tall)
     height = np.median(heights, axis=1)
     spread = np.median(np.abs(heights - height[:, None]), axis=1) / np.maximum(height, 1e-30)
     equal = spread <= _MAX_SPREAD
@@ -116,6 +118,7 @@ def _shared(
         return None
     if np.unique(height[equal].round(6)).size < min(_MIN_LEVELS, equal.sum() / 2):
         return None
+    deviation = np.median(readings[:, members].std(axis=0))
     if np.median(height[equal]) < _MIN_HEIGHT * deviation:
         return None
     return Spikes(members, frames[equal], float(np.median(height[equal])))

