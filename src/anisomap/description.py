@@ -21,9 +21,11 @@ def caveats(component: NDArray[np.intp], names: Sequence[str], *, converged: boo
     sizes = np.bincount(component[component != UNPLACED])
     if sizes.size > 1:
         outside = [names[i] for i in np.flatnonzero(component > 0).tolist()]
+        fragmented = 2 * sizes[0] < sizes.sum()
         yield (
-            f"the sensors form {sizes.size} separate components with unknown positions relative to "
-            f"one another; sizes: {join_items(sizes.tolist())}; outside the largest: "
+            ("most of the skin is not mapped: " if fragmented else "")
+            + f"the sensors form {sizes.size} separate components with unknown positions relative "
+            f"to one another; sizes: {join_items(sizes.tolist())}; outside the largest: "
             f"{join_items(outside)}"
         )
     if not converged:

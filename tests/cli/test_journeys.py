@@ -376,3 +376,21 @@ def test_maps_that_cannot_be_compared_are_one_message(run, truth_csv, arguments,
     assert done.code == 2
     assert message in done.err
     assert truth_csv.read_bytes() == before
+
+
+def test_a_map_of_few_of_the_sensors_is_not_called_a_perfect_fit(run, tmp_path):
+    places = np.stack(np.meshgrid(range(8), range(8)), -1).reshape(-1, 2)
+    touches = np.random.default_rng(1).uniform(0, 7, (18, 1, 2))
+    depth = np.maximum(0, 1.3 - np.linalg.norm(touches - places, axis=2))
+    course = np.sin(np.linspace(0, np.pi, 8))
+    readings = np.concatenate([course[:, None] * press for press in depth])
+    anisomap.write(anisomap.Recording(readings), tmp_path / "short.npz")
+    made = run("map", "short.npz", "-d", 2, "-o", "m.csv")
+    assert made.code == 0
+    assert "most of the skin is not mapped" in made.err
+    assert "relative to one another" in made.out
+    assert "perfect fit" not in made.out
+    found = anisomap.read_map("m.csv")
+    assert found.component_sizes[0] < 64 / 3
+    assert "verdict not usable" in " ".join(made.out.split())
+    assert f"the map shows only {found.component_sizes[0]} sensors" in made.out

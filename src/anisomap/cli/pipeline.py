@@ -34,7 +34,7 @@ from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
-from anisomap.wording import as_text
+from anisomap.wording import as_text, join_items
 
 _MAX_SHOWN = 12  # faulty sensors; --sensors of anisomap info shows all
 _SHARE_OF_MAP = 0.3  # of the time of a map with its verdict; typical, for the progress display
@@ -321,15 +321,21 @@ def print_findings(
 
 
 def _print_map(printer: Printer, sensor_map: SensorMap) -> None:
-    n_placed = int(np.count_nonzero(sensor_map.placed))
+    n_placed, sizes = int(np.count_nonzero(sensor_map.placed)), sensor_map.component_sizes
     approximate = ", approximate" if sensor_map.approximate else ""
     printer.facts(
         f"Map by {sensor_map.method}{approximate}",
         {
             "sensors placed": f"{n_placed} of {sensor_map.n_sensors}, "
-            f"in {sensor_map.dimensions} dimensions",
-            "components": ", ".join(map(str, sensor_map.component_sizes)) + " sensors",
-            "Stress-1": f"{number(sensor_map.stress)} (0 is a perfect fit of the metric)",
+            f"in {sensor_map.dimensions} dimensions"
+            + (f", but only {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
+            "components": join_items(sizes, max_items=12) + " sensors",
+            "Stress-1": f"{number(sensor_map.stress)} "
+            + (
+                "(within components; small ones always fit)"
+                if len(sizes) > 1
+                else "(0 is a perfect fit of the metric)"
+            ),
             "verdict": str(sensor_map.verdict),
             "known up to": sensor_map.known_up_to,
         },

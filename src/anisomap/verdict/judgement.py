@@ -34,19 +34,24 @@ def judge(evidence: Evidence) -> Verdict:
         Its expected error is the root of the sum of squares of the repeatability and of the sizes
         of all doubts. The map is usable if that error is below half a spacing and the Mantel r
         that follows from it at least .95; usable locally if the repeatability is at most 1.5
-        spacings and all doubts of more than 1 spacing keep neighbours.
+        spacings and all doubts of more than 1 spacing keep neighbours. Without a repeatability, a
+        map with a doubt of more than 1 spacing that does not keep neighbours is not usable, and
+        the verdict on others is unknown.
     """
     doubts = sorted(evidence.doubts, key=lambda doubt: -doubt.size)
     systematic = math.hypot(*(doubt.size for doubt in doubts))
     reasons = tuple(doubt.reason for doubt in doubts if doubt.size >= _WORTH_SAYING)
+    local = all(doubt.keeps_neighbours or doubt.size <= MAX_LOCAL_DOUBT for doubt in doubts)
     if math.isnan(evidence.repeatability):
-        reasons = (evidence.unknown or "the map was not examined", *reasons)
+        unknown = evidence.unknown or "the map was not examined"
+        if not local:  # whatever chance adds
+            return Verdict("not usable", systematic=systematic, reasons=(*reasons, unknown))
+        reasons = (unknown, *reasons)
         return Verdict(systematic=systematic if doubts else math.nan, reasons=reasons)
     chance = evidence.repeatability
     expected = math.hypot(chance, systematic)
     stated = f"maps of parts of the recording agree within {chance:.2f} spacings"
     r = expected_mantel_r(expected, evidence.extent, evidence.dimensions)
-    local = all(doubt.keeps_neighbours or doubt.size <= MAX_LOCAL_DOUBT for doubt in doubts)
     if expected < MAX_ERROR and r >= MIN_MANTEL_R:
         level = "usable"
     elif chance <= MAX_CHANCE and local:

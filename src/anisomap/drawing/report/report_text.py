@@ -116,8 +116,15 @@ def headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
 
 def _unscored(sensor_map: SensorMap) -> list[str]:
     placed = int(sensor_map.placed.sum())
+    sizes = sensor_map.component_sizes
+    apart = (
+        f", but only {sizes[0]} relative to one another: the others are in {len(sizes) - 1} "
+        "separate components"
+        if len(sizes) > 1
+        else ""
+    )
     return [
-        f"{placed} of {sensor_map.n_sensors} sensors have a position.",
+        f"{placed} of {sensor_map.n_sensors} sensors have a position{apart}.",
         f"The map is known up to {sensor_map.known_up_to}.",
     ]
 

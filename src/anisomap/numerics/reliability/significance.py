@@ -28,6 +28,8 @@ MIN_FILTERED_SENSORS = 500
 MIN_LINK = 1.5
 """Minimum strength of a significant link, relative to the strongest unrelated link; by hand."""
 
+_GREATEST_R = 1 - 1e-6  # correlations of more than this are equal to it; float32 resolves 6e-8
+
 MAX_ROUNDS = 4
 """Maximum number of rounds that remove links without shared neighbours; chosen by hand."""
 
@@ -103,14 +105,18 @@ def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArra
     Notes
     -----
     Components grow along the strongest links, as in single linkage, where the strength of a link
-    is its correlation in standard deviations. The strongest of m independent links between
-    unrelated sensors is about ``sqrt(2 log m)``; a component of n sensors has m = n (N - n) links
-    to the others. Links are significant from 1.2 times this strength on. On simulated and real
-    skins of 500 frames and more, the weakest link needed to connect a skin was 1.22 times as
-    strong. Between two skins touched independently, the strongest was 0.8 to 1.1 times as strong,
-    or 1.0 to 1.4 times if a few large contacts made many pairs coincide: such skins may be merged.
+    is Fisher's z of its correlation, ``artanh r``, in standard deviations of unrelated sensors
+    (Fisher 1921, Metron 1: 3-32). A correlation is bounded, and so is its ratio to its standard
+    deviation, however clear the relation is; few long contacts would leave no link significant.
+    The strongest of m independent links between unrelated sensors is about ``sqrt(2 log m)``; a
+    component of n sensors has m = n (N - n) links to the others. Links are significant from 1.2
+    times this strength on. On simulated and real skins of 500 frames and more, the weakest link
+    needed to connect a skin was at least 1.22 times as strong. Between two skins touched
+    independently (500 to 2000 frames), the strongest was 0.8 to 1.2 times as strong; with few
+    large contacts, or some hundred frames, it was up to 2.9 times as strong: such skins may be
+    merged.
     """
-    links = standardised_correlation(similarity, variance)
+    links = _standardised(_fisher_z(similarity), variance)
     n_sensors = len(links)
     if n_sensors < 2:
         return np.zeros(n_sensors, dtype=np.intp)
@@ -209,10 +215,24 @@ def standardised_correlation(similarity: ArrayLike, variance: ArrayLike) -> Real
     Each variance is at least the median variance, since that of sensors with few contacts is
     underestimated.
     """
-    links, noise = as_reals(similarity), np.asarray(variance)
+    return _standardised(as_reals(similarity), variance)
+
+
+def _standardised(links: Reals, variance: ArrayLike) -> Reals:
+    """Divide links by their standard deviations, in place."""
+    noise = np.asarray(variance)
     least = typical_variance(noise)
     for rows in row_blocks(len(links)):
         links[rows] /= np.sqrt(np.maximum(noise[rows], least))
+    return links
+
+
+def _fisher_z(similarity: ArrayLike) -> Reals:
+    """Return artanh r, whose variance is that of r between unrelated sensors, for all r."""
+    links = as_reals(similarity)
+    for rows in row_blocks(len(links)):
+        np.clip(links[rows], -_GREATEST_R, _GREATEST_R, out=links[rows])
+        np.arctanh(links[rows], out=links[rows])
     return links
 
 
