@@ -5,8 +5,8 @@ All are computed from a map and its recording; none changes a position.
 
 from __future__ import annotations
 
-import itertools
 import logging
+import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -20,15 +20,22 @@ from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
+from anisomap.resampling import STEP, resampled_maps
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.stages.pairs import compare
 from anisomap.usability import Verdict
 from anisomap.verdict import Evidence, judge
 from anisomap.verdict.doubts import extent_in_spacings, systematic_doubts
-from anisomap.verdict.halves import MIN_FRAMES, MIN_SENSORS, N_HALVES, repeatability_of_halves
+from anisomap.verdict.halves import MIN_FRAMES, MIN_SENSORS, repeatability_of_halves
+from anisomap.verdict.uncertainty import covariances, departure_in_spacings, error_in_spacings
 
 logger = logging.getLogger(__name__)
+
+_SAME_MAP = 0.5
+"""Largest departure of a map from that of the covariogram fit, in spacings, for which resamples of
+the latter show its errors. At most .2 where the fit was the last step or was averaged with paths,
+at least 1 where lengths were taken from heights (12 simulated skins, seeds 201 to 212)."""
 
 
 def diagnose(
@@ -40,6 +47,7 @@ def diagnose(
     health: Sequence[SensorHealth] | None = None,
     findings: Sequence[Finding] | None = None,
     with_verdict: bool = True,
+    rng: np.random.Generator | int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> SensorMap:
     """Add sensor health, a verdict and the notes that follow from them to a map.
@@ -59,8 +67,10 @@ def diagnose(
     findings : sequence of Finding, optional
         From `anisomap.find_faults`, if computed already.
     with_verdict : bool
-        Whether to judge the map by maps of halves of the recording, which takes two to four times
-        as long as the map.
+        Whether to judge the map, and to estimate the covariance of every position, by maps of
+        resampled recordings; this takes about as long as the map.
+    rng : numpy.random.Generator or int, optional
+        Draws the resamples; seed 0 by default.
     progress : callable, optional
         Called with the completed share, from 0 to 1.
 
@@ -92,11 +102,15 @@ def diagnose(
     kept = [sensor for i, sensor in enumerate(assessed) if i not in dropped]
     faults = find_faults(runs) if findings is None else findings
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
-    verdict = Verdict()
+    verdict, found = Verdict(), None
     if with_verdict:
-        verdict = judge(
-            collect_evidence(sensor_map, runs, faults, options=options, progress=progress)
+        found, repeatability = estimate_uncertainty(
+            sensor_map, runs, options=options, rng=rng, progress=progress
         )
+        evidence = collect_evidence(
+            sensor_map, runs, faults, options=options, repeatability=repeatability
+        )
+        verdict = judge(evidence)
     notes += [reason for reason in verdict.reasons if reason.startswith("insufficient evidence")]
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
@@ -105,9 +119,90 @@ def diagnose(
         sensor_map,
         health=tuple(sensor.status for sensor in assessed),
         verdict=verdict,
+        covariances=found,
         notes=(*sensor_map.notes, *notes),
         provenance={**sensor_map.provenance, "verdict": verdict.summary},
     )
+
+
+def estimate_uncertainty(
+    sensor_map: SensorMap,
+    recording: Recording | ArrayLike | Sequence[Recording],
+    *,
+    options: MethodOptions | None = None,
+    rng: np.random.Generator | int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[NDArray[np.float64] | None, float]:
+    """Estimate the errors that chance makes, by maps of resampled recordings.
+
+    Parameters
+    ----------
+    sensor_map, recording, options, rng, progress
+        See `diagnose`.
+
+    Returns
+    -------
+    covariances : ndarray of shape (N, k, k), or None
+        See `SensorMap.covariances`; None if they cannot be known.
+    repeatability : float
+        RMS error of the positions of the largest component, in spacings; NaN if it cannot be
+        known.
+
+    Raises
+    ------
+    InputError
+        If a reading is missing.
+
+    Notes
+    -----
+    Blocks of frames are resampled (`anisomap.numerics.reliability.block_bootstrap`), and each
+    resample is mapped by a few iterations of the covariogram fit, starting from the map. If the
+    map departs from that fit, because lengths were taken from the heights of contacts, halves of
+    the recording are mapped from the beginning, and the covariances are scaled to their
+    difference.
+    """
+    runs = as_runs(recording)
+    if _unknown(sensor_map, runs):
+        return None, math.nan
+    report = progress or (lambda _share: None)
+    complete = runs[0].complete()
+    generator = np.random.default_rng(0 if rng is None else rng)
+    found = np.full((*sensor_map.positions.shape, sensor_map.dimensions), np.nan)
+    repeatability = math.nan
+    sizes = sensor_map.component_sizes
+    logger.info("mapping resampled recordings to estimate the repeatability")
+    for label, size in enumerate(sizes):
+        if size < MIN_SENSORS:
+            continue
+        members = sensor_map.component == label
+        positions, readings = sensor_map.positions[members], complete.readings[:, members]
+        done, share = sum(sizes[:label]) / sum(sizes), size / sum(sizes)
+        try:
+            reference, maps = resampled_maps(
+                readings,
+                positions,
+                sensor_map.method,
+                sensor_map.similarity,
+                options=options,
+                rng=generator,
+                progress=_part_of(report, done, share),
+            )
+        except InputError:  # no relation between sensors is left
+            repeatability = math.inf if label == 0 else repeatability
+            continue
+        component = covariances(maps, positions, STEP)
+        error = error_in_spacings(component, positions)
+        if departure_in_spacings(reference, positions) > _SAME_MAP:
+            by_halves = _error_of_halves(sensor_map, readings, positions, options)
+            component *= (by_halves / error) ** 2 if 0 < error < math.inf else math.nan
+            error = by_halves
+        found[members] = np.where(np.isfinite(component), component, np.nan)
+        repeatability = error if label == 0 else repeatability
+    return found, repeatability
+
+
+def _part_of(report: Callable[[float], None], done: float, share: float) -> Callable[[float], None]:
+    return lambda part: report(done + part * share)
 
 
 def collect_evidence(
@@ -116,16 +211,18 @@ def collect_evidence(
     faults: Sequence[Finding] = (),
     *,
     options: MethodOptions | None = None,
-    progress: Callable[[float], None] | None = None,
+    repeatability: float | None = None,
 ) -> Evidence:
     """Collect the evidence for the verdict on a map, of its largest component.
 
     Parameters
     ----------
-    sensor_map, recording, options, progress
+    sensor_map, recording, options
         See `diagnose`.
     faults : sequence of Finding
         Faults of the recording, from `anisomap.health.find_faults`.
+    repeatability : float, optional
+        From `estimate_uncertainty`, if computed already.
 
     Returns
     -------
@@ -139,7 +236,8 @@ def collect_evidence(
     positions = sensor_map.positions[largest]
     part = runs[0].complete().select(largest)
     statistic = sensor_map.similarity
-    repeatability = _repeatability(sensor_map, runs[0], options, progress)
+    if repeatability is None:
+        repeatability = estimate_uncertainty(sensor_map, runs, options=options)[1]
     with limited_blas(part.n_sensors):
         pairs = compare([part], statistic, bins=(options or MethodOptions()).bins, with_noise=False)
         doubts = systematic_doubts(
@@ -177,24 +275,20 @@ def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
     return ""
 
 
-def _repeatability(
+def _error_of_halves(
     sensor_map: SensorMap,
-    recording: Recording,
+    readings: NDArray[np.floating],
+    positions: NDArray[np.float64],
     options: MethodOptions | None,
-    progress: Callable[[float], None] | None,
 ) -> float:
-    report = progress or (lambda _share: None)
+    """Map halves of the recording of a component from the beginning, and return its error."""
     half_options = replace(options or MethodOptions(), split_unrelated=False)
-    n_made = itertools.count(1)
 
     def map_half(half: NDArray[np.floating]) -> NDArray[np.float64]:
         made = reconstruct(half, DEFAULT_METHOD, sensor_map.dimensions, options=half_options)
-        report(next(n_made) / N_HALVES)
         return made.positions
 
-    largest = sensor_map.component == 0
-    readings = recording.complete().readings[:, largest]
     logger.info("mapping halves of the recording to estimate the repeatability")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # halves are short by design
-        return repeatability_of_halves(readings, sensor_map.positions[largest], map_half)
+        return repeatability_of_halves(readings, positions, map_half)

@@ -80,6 +80,10 @@ class SensorMap:
         Whether positions are in the frame `frame` of the robot, up to `errors`.
     errors : array_like of shape (N,), optional
         Distance within which a sensor is with a probability of 90 %, in `units`; NaN if unknown.
+    covariances : array_like of shape (N, k, k), optional
+        Covariance of each position that chance makes, in squared `units`, up to a similarity
+        transform of its component; symmetric, NaN if unknown. None if all are unknown. `ellipses`
+        returns the ellipses of 95 %.
     normals : array_like of shape (N, 3), optional
         Outward unit normals, NaN if unknown; None if they are to be estimated from the positions.
     notes : sequence of str
@@ -111,6 +115,7 @@ class SensorMap:
     handed: bool = False
     anchored: bool = False
     errors: NDArray[np.float64] = field(default_factory=_no_values)
+    covariances: NDArray[np.float64] | None = None
     normals: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Scalar] = field(default_factory=dict)
@@ -152,6 +157,9 @@ class SensorMap:
             "component": component,
             "health": health,
             "errors": errors,
+            "covariances": None
+            if self.covariances is None
+            else _as_covariances(self.covariances, positions.shape),
             "normals": None if self.normals is None else _as_normals(self.normals, n_sensors),
             "notes": tuple(self.notes),
             "provenance": MappingProxyType(dict(self.provenance)),
@@ -258,6 +266,7 @@ class SensorMap:
             component=labels,
             health=tuple(self.health[i] for i in chosen),
             errors=self.errors[chosen],
+            covariances=None if self.covariances is None else self.covariances[chosen],
             normals=None if self.normals is None else self.normals[chosen],
         )
 
@@ -266,6 +275,20 @@ class SensorMap:
         return tuple(
             self.select(self.component == label) for label in range(len(self.component_sizes))
         )
+
+
+def _as_covariances(covariances: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    array = np.array(covariances, dtype=np.float64)
+    n_sensors, dimensions = shape
+    if array.shape != (n_sensors, dimensions, dimensions):
+        raise InputError(
+            f"covariances must have shape ({n_sensors}, {dimensions}, {dimensions}), got "
+            f"{array.shape}"
+        )
+    lower = np.tril_indices(dimensions, -1)
+    array[:, lower[0], lower[1]] = array[:, lower[1], lower[0]]  # exactly symmetric
+    array.setflags(write=False)
+    return array
 
 
 def _as_normals(normals: ArrayLike, n_sensors: int) -> NDArray[np.float64]:

@@ -59,6 +59,7 @@ def maps(draw: st.DrawFn, min_k: int = 1, max_k: int = 4) -> SensorMap:
         handed=draw(st.booleans()),
         anchored=draw(st.booleans()),
         errors=draw(hnp.arrays(np.float64, n_sensors, elements=FLOATS)),
+        covariances=draw(st.none() | hnp.arrays(np.float64, (n_sensors, k, k), elements=FLOATS)),
         normals=draw(st.none() | hnp.arrays(np.float64, (n_sensors, 3), elements=FLOATS)),
         provenance=draw(st.dictionaries(WORDS, SCALARS, max_size=4)),
     )
@@ -113,6 +114,9 @@ def assert_same_map(found: SensorMap, expected: SensorMap) -> None:
         expected.notes,
     )
     np.testing.assert_array_equal(found.errors, expected.errors)
+    assert (found.covariances is None) == (expected.covariances is None)
+    if found.covariances is not None:
+        np.testing.assert_array_equal(found.covariances, expected.covariances)
     assert (found.normals is None) == (expected.normals is None)
     if found.normals is not None:
         np.testing.assert_array_equal(found.normals, expected.normals)

@@ -80,7 +80,8 @@ def main(arguments: Iterable[str] | None = None) -> None:
     Raises
     ------
     SystemExit
-        Always: 0 on success, 1 if a comparison finds a difference, 2 for bad input, 70 for a defect
+        Always: 0 on success, 1 if a comparison finds a difference or a map does not reach
+        `--min-quality`, 2 for bad input, 70 for a defect
         in anisomap, 130 if interrupted.
     """
     sys.exit(run(None if arguments is None else list(arguments)))

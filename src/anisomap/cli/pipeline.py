@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import io
-from anisomap.cli.console import Printer, number, percent, progress
+from anisomap.cli.console import Printer, number, percent, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnostics import diagnose
 from anisomap.drawing import figures, report
@@ -34,10 +34,11 @@ from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
+from anisomap.usability import Verdict
 from anisomap.wording import as_text, join_items
 
 _MAX_SHOWN = 12  # faulty sensors; --sensors of anisomap info shows all
-_SHARE_OF_MAP = 0.3  # of the time of a map with its verdict; typical, for the progress display
+_SHARE_OF_MAP = 0.4  # of the time of a map with its verdict; typical, for the progress display
 
 
 @dataclass(frozen=True)
@@ -166,6 +167,7 @@ def make_map(
     options: MethodOptions | None = None,
     drop: Sequence[str] = (),
     with_verdict: bool = True,
+    seed: int = 0,
     streamed: StreamedSimilarity | SimilarityGraph | None = None,
 ) -> SensorMap:
     """Reconstruct and diagnose a map, with progress; its notes are issued as warnings."""
@@ -185,8 +187,17 @@ def make_map(
             health=examined.health,
             findings=examined.findings,
             with_verdict=with_verdict,
+            rng=seed,
             progress=lambda share: report_progress(_SHARE_OF_MAP + (1 - _SHARE_OF_MAP) * share),
         )
+
+
+def reaches(verdict: Verdict, level: str) -> bool:
+    """Return whether a verdict reaches a level, and print a message if it does not."""
+    if verdict.is_at_least(level):
+        return True
+    print_warning(f"below --min-quality {level.replace(' ', '-')}: the map is {verdict}")
+    return False
 
 
 def finish(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
+from anisomap.ellipses import ellipses, radius
 from anisomap.evaluation import Score
 from anisomap.sensor_map import SensorMap
 
@@ -27,6 +28,7 @@ _N_NEIGHBOURS = 8
 _MAX_LENGTH = 2.5  # of a line, in distances to the nearest sensor
 _MIN_SPREAD = 0.4  # of the longest axis: shorter axes use part of their range of colours
 _PLANAR = 1e-6  # largest height of a planar configuration, in units of its width
+_OUTLINE_POINTS = 33  # of a drawn ellipse
 _GREY = 0.72
 # Ottosson (2020), "A perceptual color space for image processing": OKLab to linear sRGB.
 _LAB_TO_CONES = np.array(
@@ -68,6 +70,8 @@ class Component:
         Elevation and azimuth in degrees.
     units : str
         Unit of `points` and `truth`.
+    covariances : ndarray of shape (n, k, k), optional
+        Covariances of the points.
     """
 
     number: int
@@ -78,6 +82,7 @@ class Component:
     pairs: NDArray[np.intp]
     view: View
     units: str
+    covariances: NDArray[np.float64] | None = None
 
     @property
     def dimensions(self) -> int:
@@ -288,6 +293,12 @@ def _aligned(sensor_map: SensorMap, sensors: NDArray[np.intp], score: Score) -> 
         pairs=_joined(truth),
         view=view,
         units=score.units,
+        covariances=_covariances(
+            sensor_map,
+            sensors,
+            dimensions,
+            alignment.scale * alignment.rotation[:, : sensor_map.dimensions],
+        ),
     )
 
 
@@ -303,7 +314,64 @@ def _centred(sensor_map: SensorMap, sensors: NDArray[np.intp], number: int) -> C
         pairs=_joined(points),
         view=best_view(points) if points.shape[1] == 3 else VIEWS[0],
         units=sensor_map.units,
+        covariances=_covariances(sensor_map, sensors, points.shape[1]),
     )
+
+
+def outlines(component: Component, view: View | None = None) -> NDArray[np.float64]:
+    """Draw the ellipses of 95 % of the sensors of a component as closed lines.
+
+    Parameters
+    ----------
+    component : Component
+    view : tuple of float, optional
+        In 3D, the outlines of the ellipsoids from there; by default their sections along pairs of
+        axes, for views that turn.
+
+    Returns
+    -------
+    ndarray of shape (L, k)
+        Lines, separated by NaN; empty if no covariance is known, and above `MAX_JOINED` sensors.
+    """
+    points, dimensions = component.points, component.dimensions
+    if component.covariances is None or len(points) > MAX_JOINED:
+        return np.empty((0, dimensions))
+    known = np.isfinite(component.covariances).all(axis=(1, 2))
+    points, found = points[known], component.covariances[known]
+    turn = np.linspace(0, 2 * np.pi, _OUTLINE_POINTS)
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    axes: list[NDArray[np.float64]]
+    if view is None or dimensions == 2:
+        lengths, directions = ellipses(found)
+        half_axes = lengths[:, :, None] * directions
+        pairs = ((0, 1),) if dimensions == 2 else ((0, 1), (0, 2), (1, 2))
+        axes = [half_axes[:, list(pair)] for pair in pairs]
+    else:
+        across = view_axes(view)[:2]
+        seen, vectors = np.linalg.eigh(across @ found @ across.T)
+        lengths = radius(dimensions) * np.sqrt(np.maximum(seen, 0))
+        axes = [lengths[:, :, None] * (vectors.transpose(0, 2, 1) @ across)]
+    lines = [np.einsum("ps,npk->nsk", circle, pair) + points[:, None] for pair in axes]
+    closed = np.concatenate(lines)
+    gaps = np.full((len(closed), 1, dimensions), np.nan)
+    return np.concatenate([closed, gaps], axis=1).reshape(-1, dimensions)
+
+
+def _covariances(
+    sensor_map: SensorMap,
+    sensors: NDArray[np.intp],
+    dimensions: int,
+    linear: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64] | None:
+    """Transform covariances with the positions, and keep the coordinates that are drawn."""
+    if sensor_map.covariances is None:
+        return None
+    chosen = sensor_map.covariances[sensors]
+    if linear is not None:
+        chosen = linear @ chosen @ linear.T
+    missing = max(0, dimensions - chosen.shape[1])
+    padded = np.pad(chosen, ((0, 0), (0, missing), (0, missing)))
+    return np.asarray(padded[:, :dimensions, :dimensions])
 
 
 def _true_dimensions(score: Score) -> int:

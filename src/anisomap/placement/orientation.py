@@ -37,6 +37,9 @@ def mirrored(sensor_map: SensorMap) -> SensorMap:
     return replace(
         sensor_map,
         positions=flip * sensor_map.positions,
+        covariances=None
+        if sensor_map.covariances is None
+        else np.outer(flip, flip) * sensor_map.covariances,
         normals=None if normals is None else normals * [-1.0, 1.0, 1.0],
         mirrored=not sensor_map.mirrored,
     )

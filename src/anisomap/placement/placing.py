@@ -189,6 +189,7 @@ def _in_metres(sensor_map: SensorMap) -> SensorMap:
         sensor_map,
         positions=factor * sensor_map.positions,
         errors=factor * sensor_map.errors,
+        covariances=None if sensor_map.covariances is None else factor**2 * sensor_map.covariances,
         units="m",
     )
 
@@ -196,6 +197,7 @@ def _in_metres(sensor_map: SensorMap) -> SensorMap:
 def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) -> Placement:
     """Combine components in metres, each in a frame of its own."""
     positions = np.full_like(sensor_map.positions, np.nan)
+    covariances = np.full((*positions.shape, positions.shape[1]), np.nan)
     component = np.full(sensor_map.n_sensors, UNPLACED)
     methods, handed, mirror = [], True, sensor_map.mirrored
     for label, part in enumerate(parts):
@@ -210,6 +212,8 @@ def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) 
         mirror = known.mirrored if label == 0 else mirror
         fresh = known.placed & (sensor_map.placed <= (sensor_map.component == label))
         positions[fresh], component[fresh] = known.positions[fresh], label
+        if known.covariances is not None:
+            covariances[fresh] = known.covariances[fresh]
         methods.append(part.how)
     labels = np.unique(component[component != UNPLACED])
     renumbered = np.where(component == UNPLACED, UNPLACED, np.searchsorted(labels, component))
@@ -218,6 +222,7 @@ def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) 
         sensor_map,
         positions=positions,
         component=renumbered,
+        covariances=None if sensor_map.covariances is None else covariances,
         units="m",
         handed=handed,
         mirrored=mirror,
@@ -313,6 +318,7 @@ def _anchored(
         positions=positions,
         component=component,
         errors=errors,
+        covariances=None,  # errors contain them
         normals=None if shape.surface is None else normals,
         units="m",
         handed=all(fit.handed for fit in placed),

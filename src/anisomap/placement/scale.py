@@ -122,6 +122,7 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
         sensor_map,
         positions=factor * sensor_map.positions,
         errors=factor * sensor_map.errors,
+        covariances=None if sensor_map.covariances is None else factor**2 * sensor_map.covariances,
         units=units,
         provenance={**sensor_map.provenance, "spacing": spacing, "scale": factor},
     )

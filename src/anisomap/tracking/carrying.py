@@ -152,6 +152,7 @@ def _grown(old: SensorMap, names: tuple[str, ...]) -> SensorMap:
         component=np.pad(old.component, (0, more), constant_values=UNPLACED),
         health=(*old.health, *(UNASSESSED,) * more),
         errors=np.pad(old.errors, (0, more), constant_values=np.nan),
+        covariances=None,  # those of the old recordings alone
         normals=None
         if old.normals is None
         else np.pad(old.normals, ((0, more), (0, 0)), constant_values=np.nan),

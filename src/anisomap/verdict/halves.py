@@ -1,7 +1,7 @@
 """Repeatability of a map, from maps of halves of the recording.
 
-The recording is split into two halves of alternating blocks of time, in two ways, and each half is
-mapped. The differences of these maps measure random errors, not systematic ones, which all share.
+The recording is split into two halves of alternating blocks of time, and each half is mapped. The
+differences of these maps measure random errors, not systematic ones, which all share.
 """
 
 from __future__ import annotations
@@ -20,9 +20,6 @@ from anisomap.numerics.reliability.split_half import N_BLOCKS
 
 MIN_SENSORS = 12
 """Minimum number of sensors: maps of fewer agree too often by chance."""
-
-N_HALVES = 4
-"""Number of halves that are mapped: two splits of the recording."""
 
 MIN_FRAMES = 4 * N_BLOCKS
 """Minimum number of frames."""
@@ -56,16 +53,9 @@ def repeatability_of_halves(
     If a map of all frames has errors of variance v, those of a half have 2 v. Both share frames:
     their difference has a variance of v, which is that of the map.
     """
-    blocks = np.array_split(np.arange(len(readings)), N_BLOCKS)
-    number = np.arange(N_BLOCKS)
+    blocks = np.array_split(readings, N_BLOCKS)
     squares = [
-        _squared_difference(
-            place,
-            readings[np.concatenate([blocks[i] for i in np.flatnonzero(half)])],
-            positions,
-        )
-        for side in (number % 2 == 0, number % 4 < 2)
-        for half in (side, ~side)
+        _squared_difference(place, np.concatenate(blocks[first::2]), positions) for first in (0, 1)
     ]
     spacing = median_spacing(positions)
     return math.sqrt(float(np.mean(squares))) / spacing if spacing > 0 else math.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
@@ -53,6 +53,9 @@ def map_recording(
     reading: options.Reading = options.DEFAULT_READING,
     verdict: Annotated[bool, Parameter(group=options.method_group)] = True,
     keep_statistics: Annotated[bool, Parameter(group=options.outputs_group, negative=())] = False,
+    min_quality: Annotated[
+        Literal["usable", "usable-locally"] | None, Parameter(group=options.method_group)
+    ] = None,
     placing: options.Placing = options.DEFAULT_PLACING,
     truth: options.Truth = None,
     exclude: options.Exclude = None,
@@ -62,7 +65,7 @@ def map_recording(
     large: Annotated[
         streams.LargeOptions, Parameter(name="*", group=streams.large_group)
     ] = streams.DEFAULT_LARGE,
-) -> None:
+) -> int:
     """Make a map from one or several recordings of a skin.
 
     Sensors of several recordings are matched by name; recordings may lack some sensors. Recordings
@@ -98,12 +101,13 @@ def map_recording(
     max_iterations
         Maximum number of iterations of the scaling.
     verdict
-        Judge the map by maps of halves of the recording, which takes two to four times as long as
-        the map.
-    keep_statistics
-        Write the statistics of all pairs of sensors beside the map, as NAME.statistics.npz, from
-        which `anisomap update` can update it.
+        Judge the map, and estimate the error of every sensor, by maps of resampled recordings,
+        which takes about as long as the map.
+    min_quality
+        Exit with code 1 if the verdict is worse than this, or unknown; all files are written.
     """
+    if min_quality and not verdict:
+        raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
     outputs_of_map = tuple(output or [Path(f"{recordings[0].name.split('.')[0]}.map.csv")])
     outputs = pipeline.Outputs(
         maps=outputs_of_map,
@@ -174,6 +178,7 @@ def map_recording(
             options=chosen,
             drop=dropped,
             with_verdict=verdict,
+            seed=seed,
             streamed=found,
         )
         if done := dict.fromkeys(one.kind for one in mended if one.mendable):
@@ -198,3 +203,5 @@ def map_recording(
             already_written=statistics,
             truth=reference,
         )
+    level = (min_quality or "").replace("-", " ")
+    return 0 if not level or pipeline.reaches(sensor_map.verdict, level) else 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,7 @@ from anisomap.drawing.view import (
     box_around,
     drawn_components,
     layout_notes,
+    outlines,
     printable,
     view_axes,
 )
@@ -200,7 +202,7 @@ def _draw_comparison(
     how = "rotated, scaled and reflected" if alignment.reflected else "rotated and scaled"
     error = f"{score.rms:.3g} {printable(score.units, 24)}".strip()
     spacings = f" = {score.rms_in_spacings:.2g} sensor spacings" if score.spacing > 0 else ""
-    look = _look(sensor_map, component)
+    look = replace(_look(sensor_map, component), outlines=outlines(component, component.view))
     for column, (title, points) in enumerate(
         (
             ("True positions", component.truth),
@@ -211,7 +213,7 @@ def _draw_comparison(
         draw_configuration(
             axes,
             points,
-            look.first(len(points)),
+            look.first(len(points)) if points is component.truth else look,
             limits=box_around(component.truth, component.points),
             view=component.view,
             units=component.units,
@@ -237,12 +239,13 @@ def _draw_alone(
 def _draw_component(
     axes: Axes, sensor_map: SensorMap, component: Component, view: View | None = None
 ) -> None:
+    view = view or component.view
     draw_configuration(
         axes,
         component.points,
-        _look(sensor_map, component),
+        replace(_look(sensor_map, component), outlines=outlines(component, view)),
         limits=box_around(component.points),
-        view=view or component.view,
+        view=view,
         units=component.units,
     )
 
@@ -311,6 +314,10 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
             f"{lines}A sensor has the same colour in both panels. "
             f"The map is known up to {sensor_map.known_up_to}, which were fitted to the truth."
         ]
+    if sensor_map.covariances is not None and joined:
+        notes.append(
+            "Ellipses hold 95 % of the positions that chance allows; systematic errors add to them."
+        )
     unplaced = [
         printable(sensor_map.names[i], _MAX_LABEL) for i in np.flatnonzero(~sensor_map.placed)
     ]

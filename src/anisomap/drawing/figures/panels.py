@@ -21,6 +21,7 @@ _MAX_SENSORS = 1_500  # sensors of which all pairs of distances are drawn
 _DENSITY_CELLS = 90
 _STEEP = 50  # degrees of elevation above which the z axis is foreshortened
 _FEW_PAIRS = 200
+_OUTLINE = "#8a6d3b"
 _DOT_AREA = 75.0  # square points, for up to 60 sensors
 _CROWDED = 300
 
@@ -39,6 +40,8 @@ class Look:
         Sensors marked with a cross, and with a square.
     labels : dict of int to str
         Names written beside sensors.
+    outlines : ndarray of shape (L, k), optional
+        Lines around sensors, separated by NaN.
     """
 
     colours: NDArray[np.float64]
@@ -46,9 +49,10 @@ class Look:
     faulty: NDArray[np.bool_]
     uncompared: NDArray[np.bool_]
     labels: dict[int, str]
+    outlines: NDArray[np.float64] | None = None
 
     def first(self, count: int) -> Look:
-        """Keep the first sensors, and the lines between them."""
+        """Keep the first sensors, and the lines between them, without outlines."""
         return Look(
             colours=self.colours[:count],
             pairs=self.pairs[(self.pairs < count).all(axis=1)],
@@ -90,6 +94,8 @@ def draw_configuration(
         nearness = 1 - (depth.max() - depth) / np.ptp(limits, axis=1).max()
     else:
         nearness = np.ones(len(points))
+    if look.outlines is not None and len(look.outlines):
+        axes.plot(*look.outlines.T, color=_OUTLINE, linewidth=0.6, alpha=0.7, zorder=0.5)
     _draw_layers(axes, points, look, np.clip(nearness, 0, 1))
     rightwards = view_axes(view)[0] if points.shape[1] == 3 else np.array([1.0, 0.0])
     for i, name in look.labels.items():

@@ -16,9 +16,11 @@ from anisomap.drawing.view import (
     View,
     axis_title,
     box_around,
+    outlines,
     printable,
     view_axes,
 )
+from anisomap.ellipses import ellipses
 from anisomap.evaluation import Score
 from anisomap.sensor_map import UNASSESSED, SensorMap, is_faulty
 
@@ -39,6 +41,7 @@ STATUS_COLOURS: Mapping[str, str] = MappingProxyType(
 )
 _OTHER = "#7f7f7f"
 _LINES = "rgba(70,76,84,0.55)"
+_ELLIPSES = "#8a6d3b"
 _TRUE_LINES = "rgba(0,114,178,0.35)"
 _ERRORS = "rgba(213,94,0,0.9)"
 _EYE_DISTANCE = 2.2  # from the centre; the box has the diagonal of a unit cube
@@ -125,6 +128,7 @@ def _select(component: Component, kept: NDArray[np.intp]) -> Component:
         points=component.points[kept],
         truth=component.truth[kept[kept < len(component.truth)]],
         colours=component.colours[kept],
+        covariances=None,
         pairs=component.pairs[:0],
     )
 
@@ -143,6 +147,8 @@ def _view(
         "map": _dots(component.points, symbols, _hover(component, names, statuses, errors)),
         "faulty": _crosses(component.points, faulty),
     }
+    if component.covariances is not None:
+        traces["ellipses"] = _line(outlines(component), _ELLIPSES, 1)
     if errors is not None:
         moves = np.arange(len(component.truth))
         ends = np.vstack([component.truth, component.points])
@@ -198,9 +204,15 @@ def _lines(
     """Join pairs of points by lines in one trace, separated by gaps."""
     segments = np.full((len(pairs), 3, points.shape[1]), np.nan)
     segments[:, :2] = points[pairs]
-    return _coordinates(segments.reshape(-1, points.shape[1])) | {
+    thin = width if len(pairs) < _CROWDED else width / 2
+    return _line(segments.reshape(-1, points.shape[1]), colour, thin)
+
+
+def _line(points: NDArray[np.float64], colour: str, width: float) -> Trace:
+    """Draw one line with gaps where points are NaN."""
+    return _coordinates(points) | {
         "mode": "lines",
-        "line": {"color": colour, "width": width if len(pairs) < _CROWDED else width / 2},
+        "line": {"color": colour, "width": width},
         "hoverinfo": "skip",
         "showlegend": False,
     }
@@ -241,11 +253,16 @@ def _hover(
     component: Component, names: list[str], statuses: list[str], errors: NDArray[np.float64] | None
 ) -> list[str]:
     units = "" if component.units in ("", "arbitrary") else f" {_without_markup(component.units)}"
+    radii = (
+        None if component.covariances is None else ellipses(component.covariances)[0].max(axis=1)
+    )
     texts = []
     for i, (name, status) in enumerate(zip(names, statuses, strict=True)):
         place = ", ".join(f"{value:.4g}" for value in component.points[i])
         lines = [f"<b>{name}</b>", f"index {component.sensors[i]}, component {component.number}"]
         lines += [f"health: {_without_markup(status)}", f"({place}){units}"]
+        if radii is not None and math.isfinite(radii[i]):
+            lines.append(f"95 % within {radii[i]:.3g}{units} by chance")
         if not component.compared[i]:
             lines.append("not compared with the truth")
         elif errors is not None:

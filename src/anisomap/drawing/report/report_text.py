@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisomap.drawing.view import MAX_JOINED, layout_notes, printable
+from anisomap.ellipses import ellipses
 from anisomap.evaluation import Score
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
@@ -272,6 +273,13 @@ def sensor_table(
     if score is not None:
         unit = f" ({score.units})" if score.units else ""
         columns.append(Fact(f"Error{unit}", "", "distance from the true position"))
+    radii = None
+    if sensor_map.covariances is not None:
+        unit = f" ({printable(sensor_map.units)})" if sensor_map.units != "arbitrary" else ""
+        columns.append(
+            Fact(f"95 %{unit}", "", "longest half axis of the ellipse of 95 %, by chance alone")
+        )
+        radii = ellipses(sensor_map.covariances)[0].max(axis=1)
     columns += _MEASURED if health else ()
     rows = []
     problems_first = sorted(range(len(statuses)), key=lambda i: not is_faulty(statuses[i]))
@@ -283,6 +291,8 @@ def sensor_table(
             cells.append(Cell(str(component), component) if component else Cell("not placed"))
         if score is not None:
             cells.append(_numeric(errors.get(i)))
+        if radii is not None:
+            cells.append(_numeric(float(radii[i])))
         sensor = assessed.get(name)
         if health:
             cells += _measurements(sensor)

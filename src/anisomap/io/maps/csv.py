@@ -1,9 +1,9 @@
 """Maps and true positions as delimited text.
 
-`write_map` writes comments and a table ``name, x, y, z, component, health``, followed by ``error``
-and ``nx, ny, nz`` if the map has errors and normals. `read_map`
-reads any table with columns x and y (and z), or, without a header, two or three columns of numbers
-after an optional column of names.
+`write_map` writes comments and a table ``name, x, y, z, component, health``, followed by ``error``,
+``cov_xx, cov_xy, ...`` and ``nx, ny, nz`` if the map has errors, covariances and normals.
+`read_map` reads any table with columns x and y (and z), or, without a header, two or three columns
+of numbers after an optional column of names.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ class _Columns:
     others: Mapping[str, int]
     units: str
     from_header: bool
+    covariances: tuple[str, ...] = ()
 
 
 def axis_names(dimensions: int) -> tuple[str, ...]:
@@ -86,6 +87,7 @@ def read_map(path: Path) -> SensorMap:
         parse_name = delimited.unguard_formula
     component = read(others["component"], int, "an integer") if is_map else ()
     errors = read(others[_ERROR], number, "a number") if is_map and _ERROR in others else ()
+    entries = [read(others[name], number, "a number") for name in columns.covariances]
     normals = [read(others[axis], number, "a number") for axis in _NORMAL if axis in others]
     return SensorMap(
         np.array([read(column, number, "a number") for column in columns.axes]).T,
@@ -93,6 +95,7 @@ def read_map(path: Path) -> SensorMap:
         component=np.array(component, np.intp),
         health=read(others["health"], parse_name) if is_map else (),
         errors=np.array(errors),
+        covariances=_covariances(np.array(entries)) if is_map and entries else None,
         normals=np.array(normals).T if is_map and len(normals) == len(_NORMAL) else None,
         **_map_properties(lines, columns.units),
     )
@@ -140,16 +143,35 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
 
 def _further_columns(sensor_map: SensorMap) -> tuple[list[str], NDArray[np.float64]]:
-    """Return the columns of errors and normals, if the map has them."""
+    """Return the columns of errors, covariances and normals, if the map has them."""
     columns = [np.empty((sensor_map.n_sensors, 0))]
     names: list[str] = []
     if not np.isnan(sensor_map.errors).all():
         columns.append(sensor_map.errors[:, None])
         names.append(_ERROR)
+    if sensor_map.covariances is not None:
+        rows, others = np.triu_indices(sensor_map.dimensions)
+        columns.append(sensor_map.covariances[:, rows, others])
+        names += _covariance_names(sensor_map.dimensions)
     if sensor_map.normals is not None:
         columns.append(sensor_map.normals)
         names += _NORMAL
     return names, np.hstack(columns)
+
+
+def _covariance_names(dimensions: int) -> list[str]:
+    """Return the names of the columns of covariances: cov_xx, cov_xy, cov_yy."""
+    axes = axis_names(dimensions)
+    return [f"cov_{a}{b}" for i, a in enumerate(axes) for b in axes[i:]]
+
+
+def _covariances(entries: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return matrices, shape (N, k, k), from their upper triangles, shape (k (k + 1) / 2, N)."""
+    dimensions = (math.isqrt(8 * len(entries) + 1) - 1) // 2
+    found = np.empty((entries.shape[1], dimensions, dimensions))
+    rows, columns = np.triu_indices(dimensions)
+    found[:, rows, columns] = found[:, columns, rows] = entries.T
+    return found
 
 
 def _without_trailing_columns(rows: list[delimited.Record]) -> list[delimited.Record]:
@@ -170,11 +192,15 @@ def _columns(path: Path, first: delimited.Record) -> _Columns:
         axis for axis in (_AXES if "x" in found else axis_names(len(found) + 3)) if axis in found
     ]
     if axes:
-        kept = (*_EXTRA_COLUMNS, _ERROR, *_NORMAL)
+        spread = _covariance_names(len(axes))
+        spread = spread if set(spread) <= set(words) else []
+        kept = (*_EXTRA_COLUMNS, _ERROR, *spread, *_NORMAL)
         others = {word: i for i, word in enumerate(words) if word in kept}
         named = [words.index(word) for word in _NAMES if word in words]
         others |= {"name": named[0]} if named else {}
-        return _Columns(tuple(found[axis][0] for axis in axes), others, found[axes[0]][1], True)
+        return _Columns(
+            tuple(found[axis][0] for axis in axes), others, found[axes[0]][1], True, tuple(spread)
+        )
     start = 0 if is_number(fields[0], None) else 1
     coordinates = range(start, len(fields))
     if len(coordinates) in (2, 3) and all(is_number(fields[i], None) for i in coordinates):

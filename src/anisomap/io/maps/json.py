@@ -48,6 +48,9 @@ def read_map(path: Path) -> SensorMap:
         component=np.array([row.value("component", (int,)) for row in rows if placed], np.intp),
         health=tuple(row.value("health", (str,), UNASSESSED) for row in rows),
         errors=np.array([row.number("error") for row in rows]),
+        covariances=np.array([row.matrix("covariance", dimensions) for row in rows])
+        if "covariance" in rows[0].content
+        else None,
         normals=np.array([row.numbers("normal", 3) for row in rows]) if oriented else None,
         **_map_properties(path, document),
     )
@@ -77,14 +80,18 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
                 "component": component,
                 "health": health,
                 **({} if math.isnan(error) else {"error": _to_json(error)}),
+                **({} if covariance is None else {"covariance": _rows_to_json(covariance)}),
                 **({} if normal is None else {"normal": [_to_json(value) for value in normal]}),
             }
-            for name, position, component, health, error, normal in zip(
+            for name, position, component, health, error, covariance, normal in zip(
                 sensor_map.names,
                 sensor_map.positions.tolist(),
                 sensor_map.component.tolist(),
                 sensor_map.health,
                 sensor_map.errors.tolist(),
+                [None] * sensor_map.n_sensors
+                if sensor_map.covariances is None
+                else sensor_map.covariances.tolist(),
                 [None] * sensor_map.n_sensors
                 if sensor_map.normals is None
                 else sensor_map.normals.tolist(),
@@ -125,12 +132,27 @@ class _Sensor:
             problem = f"{key} must hold numbers or null, got {quote(str(values))}"
             raise FileError(f"{self.where}: {problem}") from None
 
+    def matrix(self, key: str, size: int) -> list[list[float]]:
+        rows = self.value(key, (list,))
+        if len(rows) != size:
+            raise FileError(f"{self.where}: {key} must have {size} rows, got {len(rows)}")
+        entries = _Sensor.__new__(_Sensor)
+        entries.where, entries.content = (
+            self.where,
+            {f"{key} row {i}": r for i, r in enumerate(rows)},
+        )
+        return [entries.numbers(name, size) for name in entries.content]
+
     def number(self, key: str) -> float:
         try:
             return _from_json(self.content.get(key))
         except ValueError:
             value = quote(str(self.content[key]))
             raise FileError(f"{self.where}: {key} is {value}; it must be a number") from None
+
+
+def _rows_to_json(rows: list[list[float]]) -> list[list[object]]:
+    return [[_to_json(value) for value in row] for row in rows]
 
 
 def _to_json(value: Scalar) -> object:

@@ -48,15 +48,23 @@ def distinct_contacts(readings: ArrayLike) -> NDArray[np.bool_]:
     ndarray of bool, shape (C, N)
         Active sensors of each contact, in the order of its first frame.
     """
-    values = np.asarray(readings)
+    return _contacts_and_frames(np.asarray(readings))[0]
+
+
+def _contacts_and_frames(
+    values: NDArray[np.generic],
+) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Return distinct contacts, and the first frame of each."""
     active = values > values.min(axis=0)
     if 2 * np.count_nonzero(active) > active.size:
         active = values < values.max(axis=0)
-    together = active[np.count_nonzero(active, axis=1) > 1]
+    frames = np.flatnonzero(np.count_nonzero(active, axis=1) > 1)
+    together = active[frames]
     if not len(together):
-        return np.asarray(together)
+        return np.asarray(together), frames
     _, first = np.unique(np.packbits(together, axis=1), axis=0, return_index=True)
-    return np.asarray(together[np.sort(first)])
+    first = np.sort(first)
+    return np.asarray(together[first]), frames[first]
 
 
 def shows_single_contacts(readings: ArrayLike) -> bool:
@@ -184,3 +192,38 @@ def agreement_of_sums(
     np.clip(agreement, -1, 1, out=agreement)
     np.fill_diagonal(agreement, 1.0)
     return agreement
+
+
+def resampled_contact_agreement(
+    readings: ArrayLike, edges: NDArray[np.intp], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compute `contact_agreement` of weighted blocks of frames.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings, on or off.
+    edges : ndarray of int, shape (B + 1,)
+        First frames of the blocks, and T. A contact belongs to the block of its first frame.
+    weights : ndarray of shape (R, B)
+        Non-negative weight of the contacts of each block, in each of R resamples.
+
+    Returns
+    -------
+    ndarray of shape (R, N, N)
+    """
+    contacts, frames = _contacts_and_frames(np.asarray(readings))
+    block = np.searchsorted(edges, frames, side="right") - 1
+    shape = (contacts.shape[1], contacts.shape[1])
+    together, total = np.zeros((len(weights), *shape)), np.zeros(len(weights))
+    for i in np.unique(block):
+        part = contacts[block == i].astype(np.float64)
+        total += weights[:, i] * (1 / part.sum(axis=1)).sum()
+        part /= np.sqrt(part.sum(axis=1))[:, None]
+        together += weights[:, i, None, None] * (part.T @ part)
+    found = np.empty_like(together)
+    for i, (sums, weight) in enumerate(zip(together, total, strict=True)):
+        mirror(sums, upper=True)
+        active = np.broadcast_to(np.diag(sums)[:, None], shape)
+        found[i] = agreement_of_sums(sums, active, np.broadcast_to(weight, shape))
+    return found

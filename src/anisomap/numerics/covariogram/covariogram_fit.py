@@ -7,7 +7,7 @@ fitted together with the positions, to correlations with correlated errors.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -75,6 +75,7 @@ def fit_covariogram(
     *,
     noise: float,
     known: ArrayLike | None = None,
+    exponent: float = 1.0,
     options: CovariogramOptions | None = None,
 ) -> Covariogram:
     """Fit positions such that one decreasing function of distance explains all correlations.
@@ -93,6 +94,8 @@ def fit_covariogram(
         `anisomap.numerics.reliability.sampling_noise.sampling_variance`.
     known : array_like of bool, shape (N, N), optional
         Mask of the known correlations; all by default.
+    exponent : float
+        Initial exponent of the covariogram.
     options : CovariogramOptions, optional
 
     Returns
@@ -143,6 +146,7 @@ def fit_covariogram(
             blocks,
             positions,
             chosen,
+            log_exponent=float(np.log(exponent)),
             tolerance=chosen.tolerance * (1 if one_block else _BLOCK_TOLERANCE),
             map_blocks=map_blocks,
         )
@@ -165,10 +169,9 @@ def fit_covariogram(
 @contextmanager
 def _parallel_blocks(n_sensors: int) -> Iterator[MapFunction]:
     """Yield a parallel map; BLAS is single-threaded meanwhile, to avoid oversubscription."""
-    with (
-        parallel_map(n_sensors) as map_blocks,
-        threadpool_limits(1 if is_parallel(n_sensors) else None),
-    ):
+    # Setting limits reads all loaded libraries, which takes as long as a small fit.
+    limits = threadpool_limits(1) if is_parallel(n_sensors) else nullcontext()
+    with parallel_map(n_sensors) as map_blocks, limits:
         yield map_blocks
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -56,12 +58,38 @@ def blend_with_variance(readings: ArrayLike) -> tuple[Reals, Reals]:
         `anisomap.numerics.reliability.sampling_noise.sampling_variance` for the readings and for
         the ranks: the errors of r and rho are taken to be proportional, as they nearly are.
     """
+    found = blend(readings)
+    return found.similarity, found.variance
+
+
+@dataclass(frozen=True, eq=False)
+class Blend:
+    """A blended correlation, and what it was blended from.
+
+    Attributes
+    ----------
+    similarity, variance : ndarray of shape (N, N)
+        See `blend_with_variance`.
+    weight : float
+        Weight of Pearson's r, in [0, 1].
+    ranks : ndarray of shape (T, N)
+        Ranks of depths beyond rest.
+    """
+
+    similarity: Reals
+    variance: Reals
+    weight: float
+    ranks: NDArray[np.float64]
+
+
+def blend(readings: ArrayLike) -> Blend:
+    """Compute what `blend_with_variance` does, and return all that it was computed from."""
     values = np.asarray(readings)
     ranks = estimate_rest(values).depth_ranks(values)
     blended, weight = _blended(values, ranks)
     deviation = weight * np.sqrt(sampling_variance(values))
     deviation += (1 - weight) * np.sqrt(sampling_variance(ranks))
-    return blended, np.square(deviation, out=deviation)
+    return Blend(blended, np.square(deviation, out=deviation), weight, ranks)
 
 
 def _blended(values: NDArray[np.generic], ranks: NDArray[np.float64]) -> tuple[Reals, float]:

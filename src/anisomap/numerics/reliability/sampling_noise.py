@@ -51,13 +51,11 @@ def sampling_variance(readings: ArrayLike) -> Reals:
     n_frames = len(values)
     if n_frames < 2:
         raise InputError(f"a sampling variance needs at least 2 frames, got {n_frames}")
-    max_lag = min(_MAX_LAG, max(1, n_frames // _MAX_LAG_SHARE))
-    sampled = np.linspace(0, values.shape[1] - 1, min(values.shape[1], _SAMPLED_SENSORS))
-    some = _autocorrelation(values[:, sampled.astype(np.intp)], max_lag)
-    faded = np.flatnonzero(np.median(some, axis=1) < _FADED)
-    lag = int(faded[0]) if faded.size else len(some)
-    window = min(max_lag, max(_MIN_WINDOW, math.ceil(_WINDOW_FACTOR * lag)))
-    autocorrelation = some if values.shape[1] <= sampled.size else _autocorrelation(values, window)
+    some, lag = _fading(values)
+    window = min(len(some) - 1, max(_MIN_WINDOW, math.ceil(_WINDOW_FACTOR * lag)))
+    autocorrelation = some
+    if values.shape[1] > some.shape[1]:
+        autocorrelation = _autocorrelation(values, window)
     taper = 2 * (1 - np.arange(window + 1) / (window + 1))
     taper[0] = 1.0  # all other lags are doubled, for their negatives
     tapered = np.sqrt(taper / n_frames)[:, None] * autocorrelation[: window + 1]
@@ -83,6 +81,32 @@ def typical_variance(variance: ArrayLike) -> float:
     values = values[::step, ::step]
     pairs = values[np.triu_indices(len(values), 1)]
     return float(np.median(pairs if pairs.size else values))
+
+
+def correlation_time(readings: ArrayLike) -> int:
+    """Return the lag in frames at which the median autocorrelation of sensors falls below 0.1.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings. More than 128 sensors are sampled evenly.
+
+    Returns
+    -------
+    int
+        At most a quarter of the frames, and 4,096; plus 1 if it does not fall.
+    """
+    return _fading(np.asarray(readings))[1]
+
+
+def _fading(readings: NDArray[np.generic]) -> tuple[NDArray[np.float64], int]:
+    """Return the autocorrelations of sampled sensors, and the lag at which their median fades."""
+    n_frames, n_sensors = readings.shape
+    max_lag = min(_MAX_LAG, max(1, n_frames // _MAX_LAG_SHARE))
+    sampled = np.linspace(0, n_sensors - 1, min(n_sensors, _SAMPLED_SENSORS))
+    some = _autocorrelation(readings[:, sampled.astype(np.intp)], max_lag)
+    faded = np.flatnonzero(np.median(some, axis=1) < _FADED)
+    return some, int(faded[0]) if faded.size else len(some)
 
 
 def _autocorrelation(readings: NDArray[np.generic], max_lag: int) -> NDArray[np.float64]:

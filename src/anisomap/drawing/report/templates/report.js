@@ -55,6 +55,7 @@
     const drawn = [];
     if (wanted.neighbours) drawn.push(component.traces.neighbours);
     if (wanted.truth && wanted.neighbours) drawn.push(component.traces["true-neighbours"]);
+    if (wanted.ellipses) drawn.push(component.traces.ellipses);
     if (wanted.errors) drawn.push(component.traces.errors);
     if (wanted.truth) drawn.push(component.traces.truth);
     return [...drawn, map, component.traces.faulty].filter(Boolean);
@@ -64,9 +65,9 @@
     const form = controls.elements;
     const on = (name) => Boolean(form[name] && form[name].checked);
     const component = components[Number(form.component.value)];
-    for (const name of ["truth", "errors"]) if (form[name]) form[name].disabled = !component.traces[name];
+    for (const name of ["truth", "errors", "ellipses"]) if (form[name]) form[name].disabled = !component.traces[name];
     const colour = form.colour.value in component.colours ? form.colour.value : "place";
-    const wanted = { colour, neighbours: on("neighbours"), names: on("names"), truth: on("truth"), errors: on("errors") };
+    const wanted = { colour, neighbours: on("neighbours"), names: on("names"), ellipses: on("ellipses"), truth: on("truth"), errors: on("errors") };
     document.getElementById("legend-place").hidden = colour !== "place";
     document.getElementById("legend-health").hidden = colour !== "health";
     // Disable the upload of charts that plotly offers by default.
