@@ -9,7 +9,7 @@ LARGE ?=
 ARGS ?=
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
-.PHONY: help demo paper numbers test test-all coverage check format bench quality faults trust fuzz tables docs clean
+.PHONY: help demo paper numbers test test-all coverage check format bench quality faults trust dimension fuzz tables docs clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -66,6 +66,7 @@ tables: $(READY)  ## update the tables of accuracy in README and docs from the r
 	cp quality/quality.csv docs/results/
 	$(BIN)/python -m anisomap.paper.numbers quality docs/results README.md
 	if [ -d faults ]; then cp faults/faults-table.md docs/; cp faults/faults.csv docs/results/; fi
+	if [ -d dimension ]; then cp dimension/dimension-table.md docs/; cp dimension/dimension.csv docs/results/; fi
 	if [ -d trust ]; then cp trust/trust-table.md docs/; cp trust/trust.png docs/_static/; cp trust/trust.csv docs/results/; fi
 
 faults: $(READY)  ## measure which faults of recordings are found and mended, in faults/ (RECORDINGS=folder)
@@ -74,6 +75,9 @@ faults: $(READY)  ## measure which faults of recordings are found and mended, in
 trust: $(READY)  ## compare verdicts with the errors of 500 maps, in trust/ (RECORDINGS=folders, ARGS="--seeds 20")
 	$(BIN)/python -m benchmarks.trust -o trust $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
 
+dimension: $(READY)  ## measure how often the number of dimensions is right, in dimension/ (RECORDINGS=folders)
+	$(BIN)/python -m benchmarks.dimension -o dimension $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
+
 fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/ (ARGS="--cases 5000 --formats npz")
 	$(BIN)/python -m fuzzing $(ARGS)
 
@@ -81,4 +85,4 @@ docs: $(READY)  ## build the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
 clean:  ## remove the output of all targets
-	rm -rf .venv demo bench fuzz quality faults trust paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov
+	rm -rf .venv demo bench fuzz quality faults trust dimension paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov

@@ -39,6 +39,7 @@ def test_a_rubbed_flat_skin_is_reconstructed(method):
     assert min(found) > 0.95
 
 
+@pytest.mark.filterwarnings("ignore:this looks flat")
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_every_method_makes_a_map_far_above_its_null(method, dimensions):
@@ -379,8 +380,8 @@ UNTOUCHED = Recording(-np.eye(50)[:, :4])
         ({"recording": Recording(np.eye(9)[:, :2])}, "got 2 of 2"),
         ({"recording": UNTOUCHED}, "at least 3 related sensors"),
         ({"method": "pca"}, "choose from covariogram"),
-        ({"dimensions": 0}, "dimensions must be a whole number of at least 1, got 0"),
-        ({"dimensions": 2.5}, "whole number of at least 1, got 2.5"),
+        ({"dimensions": 0}, "dimensions must be a whole number of at least 1, or auto, got 0"),
+        ({"dimensions": 2.5}, "whole number of at least 1, or auto, got 2.5"),
         ({"recording": "skin.csv"}, r"read the file first: anisomap.read\('skin.csv'\)"),
         ({"drop": "s99"}, "no sensor 's99'"),
         ({"drop": ["nobody"]}, "no sensor 'nobody'"),
@@ -396,7 +397,10 @@ def test_invalid_arguments_are_refused(arguments, message):
     ("given", "message"),
     [
         ({"similarity": np.zeros((3, 4))}, r"must be of shape \(N, N\), got \(3, 4\)"),
-        ({"similarity": np.eye(9), "start": np.zeros((9, 2))}, r"\(9, 3\), got \(9, 2\)"),
+        (
+            {"similarity": np.eye(9), "start": np.zeros((9, 2)), "dimensions": 3},
+            r"\(9, 3\), got \(9, 2\)",
+        ),
         ({"metric": 1 - np.eye(9), "weights": np.zeros((2, 2))}, r"\(9, 9\), got \(2, 2\)"),
         ({"dissimilarity": -np.ones((9, 9))}, "dissimilarity"),
         ({"metric": 1 - np.eye(9), "names": ["a"]}, "9 sensors need 9 names, got 1"),
@@ -450,9 +454,12 @@ REAL = [
 ]
 
 
-# Feet roll off: neighbours on the plantar map are uneven, contacts differ, and it says so.
+# Feet roll off: neighbours on the plantar map are uneven, contacts differ, and it says so. Flat
+# skins in 3D are noted.
 uneven = pytest.mark.filterwarnings(
-    "ignore:the covariogram map has very unequal", "ignore:no single function of distance"
+    "ignore:this looks flat",
+    "ignore:the covariogram map has very unequal",
+    "ignore:no single function of distance",
 )
 
 

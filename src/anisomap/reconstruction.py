@@ -7,6 +7,7 @@ precomputed stage. Every stage can be called separately:
 S              `anisomap.stages.pairs.compare`   similarity of all pairs of sensors
 M              `dissimilarities`                 dissimilarity of all pairs of sensors
 D              `anisomap.methods.Method.metric`  metric: shortest path lengths
+dimensions     `anisomap.stages.dimension`       their number, if it is not given
 positions      `anisomap.stages.scaling.scale`   scaling by SMACOF
 refinement     `anisomap.stages.scaling.refine`  positions refined by S
 =============  ================================  =====================================
@@ -30,6 +31,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.memory import check_pair_memory
 from anisomap.methods import (
     DEFAULT_METHOD,
+    METHODS,
     Method,
     MethodOptions,
     check_even_spacing,
@@ -41,15 +43,24 @@ from anisomap.numerics.precision import Reals
 from anisomap.recording import Recording, Scalar, check_names, default_names, sensor_mask
 from anisomap.runs import as_runs, join_runs, select_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap
+from anisomap.stages.dimension import (
+    AUTO,
+    SPATIAL,
+    DimensionPlan,
+    Dimensions,
+    check_dimensions,
+    given_dimensions,
+    plan_dimensions,
+)
 from anisomap.stages.pairs import PairStatistics, compare
 from anisomap.stages.precomputed import checked_noise, checked_start, checked_weights, only_stage
-from anisomap.stages.scaling import Configuration, refine, scale
+from anisomap.stages.scaling import Configuration, configure
 
 
 def reconstruct(
     recording: Recording | ArrayLike | Sequence[Recording],
     method: str = DEFAULT_METHOD,
-    dimensions: int = 3,
+    dimensions: Dimensions = AUTO,
     *,
     options: MethodOptions | None = None,
     drop: Iterable[str | int] = (),
@@ -65,8 +76,9 @@ def reconstruct(
         A key of `anisomap.METHODS`: ``"covariogram"`` (the default), ``"contact-fit"``, a variant,
         or one of the paper's: ``"r-anisomap"``, ``"i-anisomap"``, ``"information-distance"`` and
         ``"isomap"``.
-    dimensions : int
-        Number of coordinates: 2 for flat skins, 3 for bodies.
+    dimensions : int or "auto"
+        Number of coordinates: 2 for flat skins, 3 for bodies. ``"auto"`` chooses between them: see
+        the notes; 3 if it is not clear, with a note.
     options : MethodOptions, optional
         Parameters of the stages.
     drop : iterable of str or int
@@ -97,6 +109,10 @@ def reconstruct(
     (step 2), and D is scaled to positions (step 3). Some methods, the default included, then refine
     the positions by S, which is not part of the paper.
 
+    ``"auto"`` compares how much the third and the fourth dimension improve the fit of the metric of
+    the default method: see `anisomap.numerics.scaling.dimension.choose_dimensions`. Readings show
+    distances along the skin, so skins that are bent like a sheet of paper are mapped in 2D.
+
     Examples
     --------
     Twelve sensors in a line, pressed at random places:
@@ -124,12 +140,17 @@ def reconstruct(
         )
         dissimilarity = dissimilarities(pairs, method, options)
         metric = recipe.metric(dissimilarity)
-        configuration = scale(metric, dimensions, weights=pairs.weights, options=options.smacof)
-        if recipe.refine is not None:
-            configuration = refine(recipe.refine, pairs, metric, configuration, options)
+        if dimensions == AUTO and recipe.dissimilarity != METHODS[DEFAULT_METHOD].dissimilarity:
+            plan = _plan_by_default_method(complete, options)
+        else:
+            examine = recipe.refine is not None
+            plan = plan_dimensions(dimensions, metric, pairs.weights, examine=examine)
+        configuration, plan = configure(
+            plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
+        )
 
     _check_related(configuration, options)
-    provenance = options_provenance(method, options)
+    provenance = options_provenance(method, options) | plan.provenance
     provenance |= {
         "source": joined.source,
         "frames": joined.n_frames,
@@ -137,7 +158,7 @@ def reconstruct(
     }
     if len(runs) > 1:
         provenance["runs"] = len(runs)
-    notes = unknown_pairs(pairs.known, names)
+    notes = (*plan.note, *unknown_pairs(pairs.known, names))
     return _as_map(
         configuration,
         joined.names,
@@ -155,7 +176,7 @@ def reconstruct_from(
     dissimilarity: ArrayLike | None = None,
     metric: ArrayLike | None = None,
     method: str = DEFAULT_METHOD,
-    dimensions: int = 3,
+    dimensions: Dimensions = AUTO,
     options: MethodOptions | None = None,
     noise: ArrayLike | None = None,
     weights: ArrayLike | None = None,
@@ -171,15 +192,18 @@ def reconstruct_from(
     similarity, dissimilarity, metric : array_like of shape (N, N)
         Exactly one of them; the method continues from this stage. Only a similarity allows
         refinement of the map.
-    method, dimensions, options, drop
+    method, options, drop
         See `reconstruct`.
+    dimensions : int or "auto"
+        See `reconstruct`. ``"auto"`` examines the metric of the method, or takes the number of
+        coordinates of `start`.
     noise : array_like of shape (N, N), optional
         Sampling variance of each similarity; by default the reciprocal of
         `MethodOptions.independent_frames`.
     weights : array_like of shape (N, N), optional
         Weights of the distances in scaling; 0 marks an unknown pair.
     start : array_like of shape (N, k), optional
-        Initial positions of the scaling, with k = `dimensions`.
+        Initial positions of the scaling, with k = `dimensions` if that is a number.
     names : sequence of str, optional
         Unique names of the sensors; ``s0, s1, ...`` by default.
     statistic : str
@@ -214,8 +238,10 @@ def reconstruct_from(
     inside = ... if mapped.all() else np.ix_(mapped, mapped)
     matrix = matrix[inside]
     pair_weights = None if weights is None else checked_weights(weights, n_sensors)[inside]
-    initial = None if start is None else checked_start(start, n_sensors, dimensions)[mapped]
-
+    if start is not None and dimensions == AUTO:
+        dimensions = int(np.shape(start)[-1]) if np.ndim(start) == 2 else SPATIAL
+    k = given_dimensions(dimensions)
+    initial = None if start is None else checked_start(start, n_sensors, k)[mapped]
     pairs = None
     if stage == "similarity":
         variance = 1 / options.independent_frames
@@ -230,19 +256,30 @@ def reconstruct_from(
             matrix = dissimilarities(pairs, method, options)
         semi_metric = check_semi_metric(matrix)
         computed = semi_metric if stage == "metric" else recipe.metric(semi_metric)
-        configuration = scale(
-            computed, dimensions, start=initial, weights=pair_weights, options=options.smacof
+        plan = plan_dimensions(
+            dimensions,
+            computed,
+            pair_weights,
+            examine=recipe.refine is not None and pairs is not None,
         )
-        if recipe.refine is not None and pairs is not None:
-            configuration = refine(recipe.refine, pairs, computed, configuration, options)
-    notes: Iterable[str] = ()
+        configuration, plan = configure(
+            plan,
+            computed,
+            pairs,
+            method=recipe.refine,
+            options=options,
+            weights=pair_weights,
+            start=initial,
+        )
+    notes = plan.note
     if recipe.refine is not None and pairs is None:
         notes = (
+            *notes,
             f"{method} refines positions by the similarity, which was not given: these positions "
             "are unrefined",
         )
     _check_related(configuration, options)
-    provenance = options_provenance(method, options)
+    provenance = options_provenance(method, options) | plan.provenance
     provenance |= {"similarity": statistic} if statistic else {"precomputed": stage}
     return _as_map(
         configuration,
@@ -289,11 +326,23 @@ def dissimilarities(
     return dissimilarity
 
 
+def _plan_by_default_method(runs: Sequence[Recording], options: MethodOptions) -> DimensionPlan:
+    """Choose dimensions by the default method, which examines contacts if the skin looks flat."""
+    recipe = METHODS[DEFAULT_METHOD]
+    pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=True)
+    metric = recipe.metric(dissimilarities(pairs, DEFAULT_METHOD, options))
+    plan = plan_dimensions(AUTO, metric, pairs.weights)
+    if plan.dimensions == SPATIAL:
+        return plan
+    return configure(
+        plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
+    )[1]
+
+
 def _check_size(
-    mapped: NDArray[np.bool_], dimensions: int, recipe: Method, options: MethodOptions
+    mapped: NDArray[np.bool_], dimensions: Dimensions, recipe: Method, options: MethodOptions
 ) -> None:
-    if not isinstance(dimensions, int | np.integer) or dimensions < 1:
-        raise InputError(f"dimensions must be a whole number of at least 1, got {dimensions!r}")
+    check_dimensions(dimensions)
     n_mapped = np.count_nonzero(mapped)
     if n_mapped < options.min_sensors:
         raise InputError(

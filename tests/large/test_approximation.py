@@ -117,7 +117,7 @@ def test_unrelated_sensors_are_refused(readings, message):
 
 
 def test_dimensions_must_be_positive():
-    with pytest.raises(InputError, match="dimensions must be at least 1"):
+    with pytest.raises(InputError, match="dimensions must be a whole number of at least 1"):
         made(dimensions=0)
 
 

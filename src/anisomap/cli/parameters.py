@@ -19,6 +19,7 @@ from anisomap.io import ReadOptions
 from anisomap.placement import METRES, mirrored, parse_length, scaled_to_spacing
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
+from anisomap.stages.dimension import Dimensions, check_dimensions
 
 _PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
 _DURATION = re.compile(r"(\d{1,15}(?:\.\d{0,15})?|\.\d{1,15})\s*(s|ms|us|)")
@@ -219,6 +220,15 @@ Exclude: TypeAlias = Annotated[
         "by commas; may be repeated.",
     ),
 ]
+
+
+def _check_dimensions(_: object, dimensions: Dimensions) -> None:
+    try:
+        check_dimensions(dimensions)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
 Drop: TypeAlias = Annotated[
     list[str] | None,
     Parameter(
@@ -227,6 +237,10 @@ Drop: TypeAlias = Annotated[
         help="Sensors to leave out of the map: names or indices, separated by commas; may be "
         "repeated.",
     ),
+]
+MapDimensions: TypeAlias = Annotated[
+    int | Literal["auto"],
+    Parameter(alias="-d", group=method_group, validator=_check_dimensions),
 ]
 Missing: TypeAlias = Annotated[
     Literal["error", "drop-frames", "interpolate"],

@@ -34,6 +34,7 @@ from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
+from anisomap.stages.dimension import Dimensions
 from anisomap.usability import Verdict
 from anisomap.wording import as_text, join_items
 
@@ -162,7 +163,7 @@ def examine(
 def make_map(
     examined: Examined,
     method: str,
-    dimensions: int,
+    dimensions: Dimensions,
     *,
     options: MethodOptions | None = None,
     drop: Sequence[str] = (),
@@ -334,12 +335,14 @@ def print_findings(
 def _print_map(printer: Printer, sensor_map: SensorMap) -> None:
     n_placed, sizes = int(np.count_nonzero(sensor_map.placed)), sensor_map.component_sizes
     approximate = ", approximate" if sensor_map.approximate else ""
+    because = sensor_map.provenance.get("dimensions_because")
     printer.facts(
         f"Map by {sensor_map.method}{approximate}",
         {
             "sensors placed": f"{n_placed} of {sensor_map.n_sensors}, "
             f"in {sensor_map.dimensions} dimensions"
             + (f", but only {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
+            **({"dimensions": f"{sensor_map.dimensions}, chosen: {because}"} if because else {}),
             "components": join_items(sizes, max_items=12) + " sensors",
             "Stress-1": f"{number(sensor_map.stress)} "
             + (

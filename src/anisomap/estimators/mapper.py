@@ -24,6 +24,7 @@ from anisomap.numerics.similarity.rest import Rest, estimate_rest
 from anisomap.reconstruction import reconstruct, reconstruct_from
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.sensor_map import SensorMap
+from anisomap.stages.dimension import AUTO, Dimensions
 
 SAMPLE_FRAMES = 4096
 """Maximum number of frames that `SensorMapper` keeps to estimate the rest of each sensor."""
@@ -39,8 +40,8 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
     Parameters
     ----------
-    n_components : int, default=3
-        Number of dimensions of the map.
+    n_components : int or "auto", default="auto"
+        Number of dimensions of the map: see `anisomap.reconstruct`.
     method : str, default="covariogram"
         A key of `anisomap.methods.METHODS`; the default is that of `anisomap.reconstruct`.
     mu, bins : float, int
@@ -53,7 +54,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
     Attributes
     ----------
-    positions_ : ndarray of shape (n_sensors, n_components)
+    positions_ : ndarray of shape (n_sensors, k)
         Positions of the sensors; NaN for constant sensors.
     map_ : SensorMap
         The map, with sensor health (after `fit`), stress and notes.
@@ -80,7 +81,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
     def __init__(
         self,
-        n_components: int = 3,
+        n_components: Dimensions = AUTO,
         *,
         method: str = DEFAULT_METHOD,
         mu: float = 1.0,
@@ -188,7 +189,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
         Returns
         -------
-        ndarray of shape (n_frames, n_components)
+        ndarray of shape (n_frames, k)
             Mean position of the sensors of the largest component, weighted by their readings
             beyond rest; NaN for frames without contact.
         """
@@ -205,7 +206,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
     @property
     def _n_features_out(self) -> int:
-        return self.n_components
+        return self.map_.dimensions
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()

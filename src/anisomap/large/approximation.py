@@ -31,6 +31,7 @@ from anisomap.methods import MethodOptions
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 from anisomap.recording import MissingPolicy, Recording, Scalar, sensor_mask
 from anisomap.sensor_map import UNPLACED, SensorMap
+from anisomap.stages.dimension import AUTO, Dimensions, check_dimensions, given_dimensions
 
 logger = logging.getLogger(__name__)
 
@@ -41,6 +42,10 @@ EXCERPT_READINGS = 1 << 27
 """Number of readings from which sensor health is assessed; many sensors require many."""
 
 _N_NEAREST = 4  # most similar sensors, as in `anisomap.health.behaviour`
+_UNEXAMINED = (
+    "approximate maps do not show whether the skin is flat, so the map has 3 dimensions: for a "
+    "flat skin, choose 2 (-d 2)"
+)
 _MIN_CONTACTS = 20  # in the excerpt, for its assessment to count; chosen by hand
 
 
@@ -85,7 +90,7 @@ class SimilarityGraph:
 
 def reconstruct_approximately(
     readings: NDArray[Any] | Chunks,
-    dimensions: int = 3,
+    dimensions: Dimensions = AUTO,
     *,
     options: MethodOptions | None = None,
     approximate: ApproximateOptions | None = None,
@@ -100,8 +105,8 @@ def reconstruct_approximately(
     readings : ndarray of shape (T, N), or callable
         A memory-mapped array, or a function that opens the recording at each call and returns its
         chunks, arrays of shape (t, N). It is read twice or more.
-    dimensions : int
-        Number of coordinates.
+    dimensions : int or "auto"
+        Number of coordinates; ``"auto"`` means 3, with a note.
     options : MethodOptions, optional
         Only `mu`, `smacof` and `min_sensors` are used.
     approximate : ApproximateOptions, optional
@@ -209,7 +214,7 @@ def build_similarity_graph(
 
 def map_similarity_graph(
     found: SimilarityGraph,
-    dimensions: int = 3,
+    dimensions: Dimensions = AUTO,
     *,
     options: MethodOptions | None = None,
 ) -> SensorMap:
@@ -237,8 +242,8 @@ def map_similarity_graph(
         Once for each note of the map.
     """
     chosen = options or MethodOptions()
-    if dimensions < 1:
-        raise InputError(f"dimensions must be at least 1, got {dimensions}")
+    check_dimensions(dimensions)
+    n_dimensions = given_dimensions(dimensions)
     n_sensors = len(found.varying)
     component = np.full(n_sensors, UNPLACED)
     component[found.varying] = np.unique(found.graph.component[found.varying], return_inverse=True)[
@@ -252,14 +257,14 @@ def map_similarity_graph(
         )
     lengths = edge_lengths(found.links, found.graph.edges, chosen.mu)
     graph = adjacency_matrix(found.graph.edges, lengths, n_sensors)
-    positions = np.full((n_sensors, dimensions), np.nan)
+    positions = np.full((n_sensors, n_dimensions), np.nan)
     rng = np.random.default_rng(found.options.seed)
     placed: list[PlacedComponent] = []
     for members in _members(component):
         placed.append(
             place_component(
                 graph[members][:, members],
-                dimensions,
+                n_dimensions,
                 n_landmarks=found.options.n_landmarks,
                 options=chosen.smacof,
                 rng=rng,
@@ -268,6 +273,7 @@ def map_similarity_graph(
         positions[members] = placed[-1].positions
     kept = [sensor for sensor, out in zip(found.health, found.dropped, strict=True) if not out]
     notes = (
+        *((_UNEXAMINED,) if dimensions == AUTO else ()),
         *weaknesses(found.excerpt, kept),
         *_notes(found, component, converged=all(part.converged for part in placed)),
     )

@@ -27,6 +27,7 @@ from anisomap.numerics.similarity.value_counts import ValueCounts
 from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.sensor_map import SensorMap
+from anisomap.stages.dimension import AUTO, Dimensions
 from anisomap.stages.refinement import unexamined_unevenness
 
 logger = logging.getLogger(__name__)
@@ -65,7 +66,7 @@ class StreamedSimilarity:
 def reconstruct_chunks(
     readings: NDArray[Any] | Chunks,
     method: str = DEFAULT_METHOD,
-    dimensions: int = 3,
+    dimensions: Dimensions = AUTO,
     *,
     options: MethodOptions | None = None,
     names: Sequence[str] = (),
@@ -217,7 +218,7 @@ def stream_similarity(
 def map_streamed_similarity(
     found: StreamedSimilarity,
     method: str = DEFAULT_METHOD,
-    dimensions: int = 3,
+    dimensions: Dimensions = AUTO,
     *,
     options: MethodOptions | None = None,
     drop: Iterable[str | int] = (),

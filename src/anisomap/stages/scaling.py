@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from scipy.spatial.distance import cdist
 from anisomap.numerics.graph.connectivity import components
 from anisomap.numerics.precision import Reals, row_blocks
 from anisomap.numerics.scaling.stress_minimisation import Scaling, SmacofOptions, smacof
+from anisomap.stages.dimension import DimensionPlan
 from anisomap.stages.pairs import PairStatistics
 from anisomap.stages.refinement import Refined, RefinementFacts
 
@@ -23,6 +24,11 @@ logger = logging.getLogger(__name__)
 class _HasMinSensors(Protocol):
     @property
     def min_sensors(self) -> int: ...
+
+
+class _Options(_HasMinSensors, Protocol):
+    @property
+    def smacof(self) -> SmacofOptions: ...
 
 
 Options = TypeVar("Options", bound=_HasMinSensors)
@@ -166,6 +172,47 @@ def refine(
         facts=facts,
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def configure(
+    plan: DimensionPlan,
+    metric: Reals,
+    pairs: PairStatistics | None,
+    *,
+    method: Callable[[PairStatistics, Reals, Reals, Any], Refined] | None,
+    options: _Options,
+    weights: Reals | None = None,
+    start: NDArray[np.float64] | None = None,
+) -> tuple[Configuration, DimensionPlan]:
+    """Scale a metric and refine the positions; once more if these contradict the plan.
+
+    Parameters
+    ----------
+    plan : DimensionPlan
+    metric : ndarray of shape (n, n)
+    pairs : PairStatistics, optional
+        Without them, positions are not refined.
+    method : callable, optional
+        See `refine`.
+    options : MethodOptions
+    weights, start
+        See `scale`.
+
+    Returns
+    -------
+    configuration : Configuration
+    plan : DimensionPlan
+        See `DimensionPlan.revised`.
+    """
+    found = scale(metric, plan.dimensions, start=start, weights=weights, options=options.smacof)
+    if method is None or pairs is None:
+        return found, plan
+    found = refine(method, pairs, metric, found, options)
+    revised = plan.revised(found.facts)
+    if revised.dimensions != plan.dimensions:
+        found = scale(metric, revised.dimensions, weights=weights, options=options.smacof)
+        found = refine(method, pairs, metric, found, options)
+    return found, revised
 
 
 def _among(matrix: Reals, sensors: NDArray[np.bool_]) -> Reals:

@@ -132,6 +132,7 @@ def update_map(
     """
     if not 0 < level < 1:
         raise InputError(f"the level must be between 0 and 1, got {level:g}")
+    evidence = replace(evidence, dimensions=sensor_map.dimensions)
     runs = as_runs(recording)
     joined = join_runs(runs)
     fresh = gather_evidence(

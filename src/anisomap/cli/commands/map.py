@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
-from cyclopts.validators import Number
 
 from anisomap import io
 from anisomap.cli import parameters as options
@@ -20,6 +19,7 @@ from anisomap.health import Finding
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.stages.dimension import AUTO
 from anisomap.tracking import gather_evidence
 
 
@@ -36,9 +36,7 @@ def map_recording(
         str | None,
         Parameter(alias="-m", group=options.method_group, show_default=DEFAULT_METHOD),
     ] = None,
-    dimensions: Annotated[
-        int, Parameter(alias="-d", group=options.method_group, validator=Number(gte=1))
-    ] = 3,
+    dimensions: options.MapDimensions = AUTO,
     drop: options.Drop = None,
     missing: options.Missing = "error",
     repair: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
@@ -84,7 +82,8 @@ def map_recording(
     method
         Reconstruction method: see `anisomap methods`.
     dimensions
-        Number of coordinates: 2 for flat skins, 3 for bodies.
+        Number of coordinates: 2 for flat skins, 3 for bodies; auto chooses between 2 and 3 by what
+        a third one explains.
     repair
         Mend faults of the recording first: copies, inverted sensors, lags, leaks, noise and hum
         that sensors share, drift and gaps. `anisomap info` lists those that it finds.
@@ -188,7 +187,11 @@ def map_recording(
         if outputs.statistics is not None:
             with progress("gathering statistics"):
                 evidence = gather_evidence(
-                    examined.runs, by, dimensions, options=chosen, drop=dropped
+                    examined.runs,
+                    by,
+                    sensor_map.dimensions,
+                    options=chosen,
+                    drop=dropped,
                 )
             io.write_statistics(evidence, outputs.statistics)
             statistics = [("statistics", outputs.statistics)]
