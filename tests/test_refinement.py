@@ -10,12 +10,19 @@ import anisomap
 from anisomap import MethodOptions, Recording, diagnose, reconstruct, reconstruct_from, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.methods import METHODS
+from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.simulation import find_body
-from anisomap.stages.refinement import RefinementFacts, refine_by_covariogram
+from anisomap.stages.refinement import (
+    Refined,
+    RefinementFacts,
+    average_with_contacts,
+    refine_by_covariogram,
+)
 from skins import flat_skin, lattice, seeing_patch, stages, swept
 
 EVEN = MethodOptions(even_spacing=True)
+WITHOUT_CONTACTS = MethodOptions(contacts=ContactOptions(min_explained=2))
 UNTRUSTED = "do not trust the map's scale along one direction"
 
 
@@ -162,12 +169,42 @@ def test_contact_peaks_confirm_uneven_maps_of_self_touching_skins(seed):
 
 
 def test_declared_even_spacing_improves_evenly_spaced_skins():
+    # Beside the covariogram alone: contacts are not fitted where even spacing is declared.
     gained = []
     for seed in range(4):
         skin = flat_skin(seed=seed, n_frames=400)
-        gained.append(mantel_r(mapped(skin, dimensions=2, options=EVEN), skin)
-                      - mantel_r(mapped(skin, dimensions=2), skin))  # fmt: skip
+        declared, plain = (
+            mantel_r(mapped(skin, dimensions=2, options=options), skin)
+            for options in (EVEN, WITHOUT_CONTACTS)
+        )
+        gained.append(declared - plain)
     assert min(gained) > 0
+
+
+def test_contacts_improve_flat_and_closed_skins():
+    for body, scenario, dimensions in (
+        ("hexagon", "bombardment", 2),
+        ("cylinder", "bombardment", 3),
+        ("torus", "rubbing", 3),
+    ):
+        left = []
+        for seed in (311, 312):
+            skin = anisomap.simulate(body, scenario, n_frames=1000, seed=seed)
+            with_contacts, without = (
+                1 - mantel_r(mapped(skin, dimensions=dimensions, options=options), skin)
+                for options in (None, WITHOUT_CONTACTS)
+            )
+            left.append(with_contacts / without)
+        assert max(left) < 0.9, (body, scenario)
+
+
+def test_contacts_that_differ_between_places_are_not_fitted():
+    facts = RefinementFacts(path_weight=0.1)
+    skin = flat_skin()
+    pairs = stages(skin.readings).pairs
+    given = Refined(skin.positions, facts)
+    assert average_with_contacts(pairs, given) is given
+    assert average_with_contacts(pairs, replace(given, facts=RefinementFacts())) is not given
 
 
 @pytest.mark.parametrize("method", [name for name in METHODS if name != "covariogram"])

@@ -37,7 +37,12 @@ from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.recording import Recording
 from anisomap.stages.pairs import PairStatistics
-from anisomap.stages.refinement import Refined, refine_by_contacts, refine_by_covariogram
+from anisomap.stages.refinement import (
+    Refined,
+    average_with_contacts,
+    refine_by_contacts,
+    refine_by_covariogram,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -64,7 +69,7 @@ class MethodOptions:
     covariogram : CovariogramOptions
         Parameters of the method "covariogram".
     contacts : ContactOptions
-        Parameters of the method "contact-fit".
+        Parameters of the fit of contacts, in "covariogram" and "contact-fit".
     split_unrelated : bool
         Whether the covariogram method separates components without statistically significant
         links.
@@ -187,16 +192,23 @@ def _identity(dissimilarity: Reals) -> Reals:
 def _covariogram(
     pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
 ) -> Refined:
-    return refine_by_covariogram(
-        pairs, metric, positions, options.covariogram, evenly_spaced=options.even_spacing
-    )
+    mapped = _without_contacts(pairs, metric, positions, options)
+    return average_with_contacts(pairs, mapped, options.contacts)
 
 
 def _contact_fit(
     pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
 ) -> Refined:
-    mapped = _covariogram(pairs, metric, positions, options)
+    mapped = _without_contacts(pairs, metric, positions, options)
     return refine_by_contacts(pairs, mapped, options.contacts)
+
+
+def _without_contacts(
+    pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
+) -> Refined:
+    return refine_by_covariogram(
+        pairs, metric, positions, options.covariogram, evenly_spaced=options.even_spacing
+    )
 
 
 def _anisomap(similarity: str, summary: str) -> Method:
@@ -209,7 +221,8 @@ PAPER_METHODS = ("r-anisomap", "i-anisomap", "information-distance", "isomap")
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "covariogram": Method(
-            "positions at which one function of distance explains all correlations",
+            "positions at which one function of distance explains all correlations, averaged with "
+            "a fit of contacts where they are compact",
             "blended-correlation",
             _direct,
             metricise,

@@ -8,12 +8,6 @@ from anisomap.drawing.figures.displacements import (
 )
 from anisomap.drawing.figures.layout_check import layout_figure, plot_layout
 from anisomap.drawing.figures.maps import map_figure, plot_distances, plot_map
-from anisomap.drawing.figures.mds_diagnostics import (
-    plot_shepard,
-    plot_shift_test,
-    plot_stress_per_point,
-    plot_touches,
-)
 from anisomap.drawing.figures.saving import KINDS, check_writable, figure_bytes, save_figure
 
 __all__ = [
@@ -29,9 +23,5 @@ __all__ = [
     "plot_layout",
     "plot_map",
     "plot_placement",
-    "plot_shepard",
-    "plot_shift_test",
-    "plot_stress_per_point",
-    "plot_touches",
     "save_figure",
 ]

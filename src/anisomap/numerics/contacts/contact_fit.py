@@ -12,7 +12,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.contacts.bundle_adjustment import ReducedSystem
 from anisomap.numerics.contacts.detection import Contacts, find_contacts
 from anisomap.numerics.contacts.levels import Levels, assign_levels
-from anisomap.numerics.contacts.localisation import evaluate, leave_one_out, locate, select
+from anisomap.numerics.contacts.localisation import evaluate, leave_one_out, locate
 from anisomap.numerics.contacts.profile import Profile, fit_profile, level_log_likelihood
 
 Matrix = NDArray[np.float64]
@@ -50,9 +50,8 @@ class ContactOptions:
     prior_sd : float
         Standard deviation of the displacement of a sensor from the given map, in sensor spacings,
         above 0.
-    n_rounds, n_steps : int
-        Number of rounds, each with a new detection of contacts, and maximum number of steps of the
-        sensors per round; at least 1.
+    n_steps : int
+        Maximum number of steps of the sensors, at least 1.
     min_explained : float
         Share of the entropy of the readings that contacts must explain for the fit to be used.
     min_at_rest : float
@@ -71,7 +70,6 @@ class ContactOptions:
     min_sensors: int = 3
     contact_weight: float = 0.2
     prior_sd: float = 0.5
-    n_rounds: int = 2
     n_steps: int = 8
     min_explained: float = 0.45
     min_at_rest: float = 0.2
@@ -81,7 +79,6 @@ class ContactOptions:
             ("max_readings", 1),
             ("readings_per_sensor", 1),
             ("min_sensors", 2),
-            ("n_rounds", 1),
             ("n_steps", 1),
             ("max_gain_spread", 0),
         ):
@@ -112,6 +109,8 @@ class ContactFit:
         1. Each reading is left out of the fit of its own contact. NaN if contacts were not fitted.
     at_rest : float
         Share of all readings at rest.
+    n_levels : int
+        Levels above rest that were distinguished; 1 for readings that are on or off.
     gains : ndarray of shape (N,)
         Gain of each sensor relative to the median.
     used : bool
@@ -124,6 +123,7 @@ class ContactFit:
     n_contacts: int
     explained: float
     at_rest: float
+    n_levels: int
     gains: Matrix
     used: bool
     reason: str = ""
@@ -161,8 +161,7 @@ def fit_contacts(
     Raises
     ------
     InputError
-        If shapes disagree, a value is not finite, there are fewer than 3 sensors, or most of them
-        coincide with another.
+        If shapes disagree, a value is not finite, or there are fewer than 3 sensors.
 
     Notes
     -----
@@ -178,8 +177,6 @@ def fit_contacts(
        the readings determine (MacKay 1992, Neural Computation 4: 415-447);
     4. all sensors make one Gauss-Newton step with the contacts eliminated (`ReducedSystem`) and the
        prior ``p_i ~ N(given, prior_sd^2)``.
-
-    Contacts are then detected again on the refined map.
     """
     chosen = options or ContactOptions()
     values, given = np.asarray(readings), np.asarray(positions, dtype=np.float64)
@@ -192,29 +189,30 @@ def fit_contacts(
         )
         return _unused(given, levels, reason)
     centre, unit = given.mean(axis=0), _spacing(given)
+    if not unit > 0:
+        return _unused(given, levels, "most sensors coincide with another on the map")
     start = (given - centre) / unit
-    refined, n_contacts, explained = start, 0, np.nan
-    for _ in range(chosen.n_rounds):
-        contacts = _detect(levels, refined, chosen)
-        n_contacts = 0 if contacts is None else len(contacts.starts)
-        if contacts is None or n_contacts < _MIN_CONTACTS * len(refined):
-            reason = f"{n_contacts} contacts were found, too few for {len(refined)} sensors"
-            return _unused(given, levels, reason, n_contacts)
-        state = _alternate(contacts, refined, start, chosen)
-        refined, explained = state.positions, _explained(contacts, state)
+    contacts = _detect(levels, start, chosen)
+    n_contacts = 0 if contacts is None else len(contacts.starts)
+    if contacts is None or n_contacts < _MIN_CONTACTS * len(start):
+        reason = f"{n_contacts} contacts were found, too few for {len(start)} sensors"
+        return _unused(given, levels, reason, n_contacts)
+    state = _alternate(contacts, start, chosen)
+    explained = _explained(contacts, state)
     if not explained >= chosen.min_explained:
         reason = (
             f"the distance from contacts explains {max(explained, 0.0):.0%} of the entropy of the "
             f"readings around them; {chosen.min_explained:.0%} are required"
         )
         return _unused(given, levels, reason, n_contacts, explained)
-    refined = refined * unit + centre
+    refined = state.positions * unit + centre
     refined.setflags(write=False)
     return ContactFit(
         positions=refined,
         n_contacts=n_contacts,
         explained=explained,
         at_rest=levels.at_rest,
+        n_levels=levels.max_level,
         gains=levels.gains,
         used=True,
     )
@@ -225,7 +223,16 @@ def _unused(
 ) -> ContactFit:
     kept = given.copy()
     kept.setflags(write=False)
-    return ContactFit(kept, n_contacts, explained, levels.at_rest, levels.gains, False, reason)
+    return ContactFit(
+        positions=kept,
+        n_contacts=n_contacts,
+        explained=explained,
+        at_rest=levels.at_rest,
+        n_levels=levels.max_level,
+        gains=levels.gains,
+        used=False,
+        reason=reason,
+    )
 
 
 def _detect(levels: Levels, positions: Matrix, options: ContactOptions) -> Contacts | None:
@@ -237,11 +244,9 @@ def _detect(levels: Levels, positions: Matrix, options: ContactOptions) -> Conta
     )
 
 
-def _alternate(
-    contacts: Contacts, positions: Matrix, start: Matrix, options: ContactOptions
-) -> _State:
+def _alternate(contacts: Contacts, start: Matrix, options: ContactOptions) -> _State:
     """Alternate between profile, contacts and sensors until the sensors converge."""
-    state = _initial_state(contacts, positions)
+    state = _initial_state(contacts, start)
     for _ in range(_WARM_UP_ROUNDS):
         state = _relocated(contacts, state)
     for _ in range(options.n_steps):
@@ -285,8 +290,8 @@ def _initial_state(contacts: Contacts, positions: Matrix) -> _State:
         )
         for side in (1, -1)
     )
-    best = select(contacts, above.scores >= below.scores, above, below)
-    return _State(positions, best.states, profile, np.ones(len(extents), dtype=bool))
+    better = np.where((above.scores >= below.scores)[:, None], above.states, below.states)
+    return _State(positions, better, profile, np.ones(len(extents), dtype=bool))
 
 
 def _normals(contacts: Contacts, points: Matrix) -> Matrix:
@@ -352,12 +357,7 @@ def _explained(contacts: Contacts, state: _State) -> float:
 def _spacing(positions: Matrix) -> float:
     """Return the median distance from a sensor to its nearest neighbour."""
     distances, _ = KDTree(positions).query(positions, k=2)
-    unit = float(np.median(np.asarray(distances)[:, 1]))
-    if not unit > 0:
-        raise InputError(
-            "the contact fit requires distinct positions, but most sensors coincide with another"
-        )
-    return unit
+    return float(np.median(np.asarray(distances)[:, 1]))
 
 
 def _check(values: NDArray[np.generic], given: Matrix) -> None:

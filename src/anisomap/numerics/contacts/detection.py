@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -66,19 +65,54 @@ class Contacts:
         """Sum values over the readings of each contact: (M, ...) to (E, ...)."""
         return np.asarray(np.add.reduceat(values, self.starts, axis=0))
 
+    def select(self, chosen: NDArray[np.bool_]) -> Contacts:
+        """Return some contacts, given as a mask of shape (E,)."""
+        if chosen.all():
+            return self
+        kept = chosen[self.contact_index]
+        sizes = self.sizes[chosen]
+        return replace(
+            self,
+            sensors=self.sensors[kept],
+            levels=self.levels[kept],
+            starts=np.cumsum(sizes) - sizes,
+            frames=self.frames[chosen],
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class _Neighbourhood:
-    """Distances on a map, the median link length, and the links between neighbours."""
+    """Distances on a map, and for each sensor its neighbours and the sensors near it."""
 
     distances: Matrix
-    link: float
-    adjacency: csr_array
+    neighbours: csr_array
+    near_peaks: csr_array
+    near_borders: csr_array
 
     @cached_property
     def smoothing(self) -> csr_array:
-        weights = self.adjacency + 2 * eye_array(len(self.distances))
+        weights = self.neighbours + 2 * eye_array(len(self.distances))
         return csr_array(weights / np.asarray(weights.sum(axis=1))[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class _Touches:
+    """K touched sensors, ordered by frame and sensor; those of a patch are joined by neighbours.
+
+    `numbers`, shape (T, N), is the index of the touch of each frame and sensor, or -1.
+    """
+
+    rows: Indices
+    sensors: Indices
+    heights: Matrix
+    patches: Indices
+    numbers: NDArray[np.int32]
+
+    def pairs(self, lists: csr_array) -> tuple[Indices, Indices]:
+        """Return pairs of touches in a frame, the second in the list of the first's sensor."""
+        first, sensors = _entries(lists, self.sensors)
+        second = self.numbers[self.rows[first], sensors].astype(np.intp)
+        return first[second >= 0], second[second >= 0]
 
 
 def find_contacts(
@@ -125,63 +159,97 @@ def _neighbourhood(positions: Matrix) -> _Neighbourhood:
     tree |= tree.T
     link = float(np.median(distances[adjacency | tree]))
     adjacency = (adjacency & (distances < _MAX_LINK * link)) | tree
-    return _Neighbourhood(distances, link, csr_array(adjacency.astype(np.float64)))
+    return _Neighbourhood(
+        distances,
+        csr_array(adjacency.astype(np.float64)),
+        csr_array(distances < _MIN_PEAK_DISTANCE * link),
+        csr_array(distances < _BORDER_WIDTH * link),
+    )
 
 
 def _detect(
     levels: Levels, nearby: _Neighbourhood, frames: Indices, min_sensors: int
 ) -> Contacts | None:
-    smoothed = np.asarray((nearby.smoothing @ levels.values[frames].T).T)
-    # Breaks ties between sensors of equal height, independently of their order.
-    smoothed = smoothed + 1e-6 * nearby.distances.mean(axis=1) / nearby.distances.mean()
-    found = [
-        (frame, pressed, resting)
-        for frame, heights in zip(frames, smoothed, strict=True)
-        for pressed, resting in _contacts_of(levels.values[frame] > 0, heights, nearby, min_sensors)
-    ]
-    if not found:
+    values = levels.values[frames]
+    n_sensors = values.shape[1]
+    n_touched = np.count_nonzero(values, axis=1)
+    usable = (n_touched >= min_sensors) & (n_touched <= _MAX_TOUCHED * n_sensors)
+    frames, values = frames[usable], values[usable]
+    if not len(frames):
         return None
-    sizes = np.array([len(pressed) + len(resting) for _, pressed, resting in found])
+    touches = _touches(values, nearby)
+    pressed, peaks = _split_at_peaks(touches, nearby)
+
+    owners, beside = _entries(nearby.near_borders, touches.sensors[pressed])
+    at_rest = values[touches.rows[pressed][owners], beside] == 0
+    borders = np.unique(peaks[owners[at_rest]] * n_sensors + beside[at_rest])
+    border_peaks, resting = borders // n_sensors, borders % n_sensors
+
+    n_touches = len(touches.sensors)
+    complete = (np.bincount(peaks, minlength=n_touches) >= min_sensors) & (
+        np.bincount(border_peaks, minlength=n_touches) >= _MIN_AT_REST
+    )
+    if not complete.any():
+        return None
+    of_contact = np.concatenate([peaks, border_peaks])
+    order = np.argsort(of_contact, kind="stable")
+    order = order[complete[of_contact[order]]]
+    sensors = np.concatenate([touches.sensors[pressed], resting])[order]
+    of_contact = of_contact[order]
+    _, starts = np.unique(of_contact, return_index=True)
+    rows = touches.rows[of_contact[starts]]
     return Contacts(
-        sensors=np.concatenate([np.concatenate(of_contact[1:]) for of_contact in found]),
-        levels=np.concatenate(
-            [
-                np.append(levels.values[frame, pressed], np.zeros(len(resting), dtype=np.intp))
-                for frame, pressed, resting in found
-            ]
-        ).astype(np.intp),
-        starts=np.cumsum(sizes) - sizes,
-        frames=np.array([frame for frame, _, _ in found]),
+        sensors=sensors,
+        levels=values[touches.rows[of_contact], sensors].astype(np.intp),
+        starts=starts,
+        frames=frames[rows],
         max_level=levels.max_level,
     )
 
 
-def _contacts_of(
-    touched: NDArray[np.bool_], heights: Matrix, nearby: _Neighbourhood, min_sensors: int
-) -> Iterator[tuple[Indices, Indices]]:
-    """Yield the pressed sensors of each contact of a frame, and those at rest beside them."""
-    active = np.flatnonzero(touched)
-    if not min_sensors <= len(active) <= _MAX_TOUCHED * len(touched):
-        return
-    n_patches, patch_of = connected_components(nearby.adjacency[active][:, active], directed=False)
-    for patch in range(n_patches):
-        inside = active[patch_of == patch]
-        if len(inside) < min_sensors:
-            continue
-        for pressed in _split_at_peaks(inside, heights[inside], nearby):
-            beside = (nearby.distances[pressed] < _BORDER_WIDTH * nearby.link).any(axis=0)
-            resting = np.flatnonzero(beside & ~touched)
-            if len(pressed) >= min_sensors and len(resting) >= _MIN_AT_REST:
-                yield pressed, resting
+def _touches(values: NDArray[np.int8], nearby: _Neighbourhood) -> _Touches:
+    """Find touched sensors, and join touched neighbours in a frame to patches."""
+    smoothed = np.asarray((nearby.smoothing @ values.T).T)
+    # Breaks ties between sensors of equal height, independently of their order.
+    smoothed = smoothed + 1e-6 * nearby.distances.mean(axis=1) / nearby.distances.mean()
+    rows, sensors = np.nonzero(values)
+    numbers = np.full(values.shape, -1, dtype=np.int32)
+    numbers[rows, sensors] = np.arange(len(rows))
+    touches = _Touches(rows, sensors, smoothed[rows, sensors], np.zeros_like(rows), numbers)
+    first, second = touches.pairs(nearby.neighbours)
+    links = csr_array((np.ones(len(first)), (first, second)), shape=(len(rows), len(rows)))
+    _, patches = connected_components(links, directed=False)
+    return replace(touches, patches=patches.astype(np.intp))
 
 
-def _split_at_peaks(inside: Indices, heights: Matrix, nearby: _Neighbourhood) -> list[Indices]:
-    distances = nearby.distances[np.ix_(inside, inside)]
-    near = distances < _MIN_PEAK_DISTANCE * nearby.link
-    peaks = np.flatnonzero(heights >= np.where(near, heights, -np.inf).max(axis=1))
-    if len(peaks) == 1:
-        return [inside]
-    to_peaks = distances[:, peaks]
-    nearest, second = np.sort(to_peaks, axis=1)[:, :2].T
-    owner, clear = to_peaks.argmin(axis=1), second > _MIN_DISTANCE_RATIO * nearest
-    return [inside[(owner == peak) & clear] for peak in range(len(peaks))]
+def _split_at_peaks(touches: _Touches, nearby: _Neighbourhood) -> tuple[Indices, Indices]:
+    """Return the touches that are clearly nearest to one peak of their patch, and these peaks."""
+    heights, patches, sensors = touches.heights, touches.patches, touches.sensors
+    first, second = touches.pairs(nearby.near_peaks)
+    joined = patches[first] == patches[second]
+    highest = heights.copy()
+    np.maximum.at(highest, first[joined], heights[second[joined]])
+    peaks = np.flatnonzero(heights >= highest)
+    peaks = peaks[np.argsort(patches[peaks], kind="stable")]
+    n_peaks = np.bincount(patches[peaks])
+    of_patch = csr_array(
+        (np.ones(len(peaks)), peaks, np.append(0, np.cumsum(n_peaks))),
+        shape=(len(n_peaks), len(heights)),
+    )
+    first, peaks = _entries(of_patch, patches)
+    distances = nearby.distances[sensors[first], sensors[peaks]]
+    order = np.lexsort((distances, first))
+    nearest = np.flatnonzero(np.diff(first, prepend=-1))  # `first` is in order and complete
+    second_nearest = distances[order[np.minimum(nearest + 1, len(order) - 1)]]
+    clear = (n_peaks[patches] == 1) | (
+        second_nearest > _MIN_DISTANCE_RATIO * distances[order[nearest]]
+    )
+    return np.flatnonzero(clear), peaks[order[nearest[clear]]]
+
+
+def _entries(lists: csr_array, rows: Indices) -> tuple[Indices, Indices]:
+    """Return the entries of rows of a sparse matrix: the index into `rows`, and the column."""
+    counts = np.diff(lists.indptr)[rows]
+    owners = np.repeat(np.arange(len(rows)), counts)
+    offsets = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return owners, lists.indices[lists.indptr[rows][owners] + offsets]

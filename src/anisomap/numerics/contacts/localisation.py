@@ -68,8 +68,10 @@ def evaluate(
     deviations = (states[:, k] - profile.radius) / profile.radius_sd
     gradients = contacts.total(slopes[:, None] * directions)
     gradients[:, k] -= deviations / profile.radius_sd
-    precisions = contacts.total(
-        curvatures[:, None, None] * directions[:, :, None] * directions[:, None, :]
+    rows, columns = np.triu_indices(k + 1)
+    precisions = np.empty((len(states), k + 1, k + 1))
+    precisions[:, rows, columns] = precisions[:, columns, rows] = contacts.total(
+        curvatures[:, None] * directions[:, rows] * directions[:, columns]
     )
     prior = np.append(np.full(k, _PRIOR_PRECISION / profile.softness**2), profile.radius_sd**-2)
     precisions += np.diag(prior)
@@ -99,41 +101,33 @@ def locate(
     LocatedContacts
         No score is lower than at the initial state.
     """
-    best = evaluate(contacts, positions, states, profile)
+    states = states.copy()
+    moving, subset = np.arange(len(states)), contacts
     damping = np.full(len(states), _INITIAL_DAMPING)
+    scores, gradients, precisions = _derivatives(evaluate(contacts, positions, states, profile))
     diagonal = np.arange(states.shape[1])
     for _ in range(steps):
-        damped = best.precisions.copy()
+        damped = precisions.copy()
         damped[:, diagonal, diagonal] *= 1 + damping[:, None]
-        shifts = np.linalg.solve(damped, best.gradients[:, :, None])[:, :, 0]
-        candidate = evaluate(contacts, positions, best.states + shifts, profile)
-        gain = candidate.scores - best.scores
-        best = select(contacts, gain > 0, candidate, best)
-        damping = np.where(gain > 0, np.maximum(damping / 5, _MIN_DAMPING), damping * 6)
-        if np.abs(gain).max() < _TOLERANCE:
+        shifted = states[moving] + np.linalg.solve(damped, gradients[:, :, None])[:, :, 0]
+        trial = _derivatives(evaluate(subset, positions, shifted, profile))
+        gain = trial[0] - scores
+        better = gain > 0
+        states[moving[better]] = shifted[better]
+        for current, tried in zip((scores, gradients, precisions), trial, strict=True):
+            current[better] = tried[better]
+        damping = np.where(better, np.maximum(damping / 5, _MIN_DAMPING), damping * 6)
+        unfinished = np.abs(gain) >= _TOLERANCE
+        if not unfinished.any():
             break
-    return best
+        moving, damping, subset = moving[unfinished], damping[unfinished], subset.select(unfinished)
+        scores, gradients = scores[unfinished], gradients[unfinished]
+        precisions = precisions[unfinished]
+    return evaluate(contacts, positions, states, profile)
 
 
-def select(
-    contacts: Contacts, first: NDArray[np.bool_], one: LocatedContacts, other: LocatedContacts
-) -> LocatedContacts:
-    """Select contacts from one fit where `first` is true, and from another elsewhere."""
-    by_reading = first[contacts.contact_index]
-
-    def merged(mask: NDArray[np.bool_], a: Matrix, b: Matrix) -> Matrix:
-        return np.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b)
-
-    return LocatedContacts(
-        merged(first, one.states, other.states),
-        merged(first, one.scores, other.scores),
-        merged(first, one.gradients, other.gradients),
-        merged(first, one.precisions, other.precisions),
-        merged(by_reading, one.inside, other.inside),
-        merged(by_reading, one.directions, other.directions),
-        merged(by_reading, one.slopes, other.slopes),
-        merged(by_reading, one.curvatures, other.curvatures),
-    )
+def _derivatives(located: LocatedContacts) -> tuple[Matrix, Matrix, Matrix]:
+    return located.scores, located.gradients, located.precisions
 
 
 def leave_one_out(contacts: Contacts, fitted: LocatedContacts) -> Matrix:

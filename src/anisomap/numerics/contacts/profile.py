@@ -18,6 +18,7 @@ OUTLIER_SHARE = 0.02
 _FAR = 1e6  # spacings; effectively infinite, but 0 times it is 0
 _MIN_PROBABILITY = 1e-12
 _MAX_ITERATIONS = 60  # of L-BFGS, for about ten parameters
+_TOLERANCE = 1e-6  # relative, of the negative log-likelihood; each fit starts from the last one
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ def fit_profile(
         args=arguments,
         jac=True,
         method="L-BFGS-B",
-        options={"maxiter": _MAX_ITERATIONS},
+        options={"maxiter": _MAX_ITERATIONS, "ftol": _TOLERANCE},
     )
     thresholds, softness = _unpack(found.x)
     return Profile(thresholds, softness, profile.radius, profile.radius_sd)
