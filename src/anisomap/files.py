@@ -141,16 +141,23 @@ def check_distinct(
     FileError
         If a file is written twice, or both read and written.
     """
-    # Unlike Path.resolve in Python 3.11 and 3.12, this accepts links that lead nowhere.
-    read = {Path(os.path.realpath(path)) for path in inputs}
+    read = {_real(path) for path in inputs}
     written: set[Path] = set()
     for path in outputs:
-        file = Path(os.path.realpath(path))
+        file = _real(path)
         if file in read:
             raise FileError(f"{path} is also an input; write the result to another file")
         if file in written:
             raise FileError(f"{path} is given for two outputs; give each its own file")
         written.add(file)
+
+
+def _real(path: str | os.PathLike[str]) -> Path:
+    """Follow links; unlike Path.resolve in Python 3.11 and 3.12, also those that lead nowhere."""
+    try:
+        return Path(os.path.realpath(path))
+    except OSError as error:  # the working folder is gone
+        raise FileError(f"cannot find {path}: {error.strerror or error}") from error
 
 
 @contextmanager
@@ -176,7 +183,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = check_target(path)
     # Named before it is created, so that an interruption in between leaves nothing.
     mark = os.urandom(_MARK_BYTES).hex()
-    place = Path(os.path.realpath(target))
+    place = _real(target)
     temporary = place.with_name(f".{target.stem[:_STEM]}-{mark}{target.suffix}")
     try:
         temporary.touch(exist_ok=False)

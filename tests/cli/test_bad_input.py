@@ -323,4 +323,4 @@ def test_an_output_that_is_a_link_keeps_it(run, tmp_path):
 def test_recordings_whose_names_are_not_utf_8(run, skin_npz, command):
     name = os.fsdecode(b"\xff.npz")
     skin_npz.rename(skin_npz.with_name(name))
-    assert run(command, name, "-o", "o.npz", *["--no-confidence"] * (command == "map")).code == 0
+    assert run(command, name, "-o", "o.npz", *["--no-verdict"] * (command == "map")).code == 0

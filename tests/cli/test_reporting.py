@@ -119,3 +119,38 @@ def test_a_full_standard_output_is_an_error_after_the_map_is_written(tmp_path):
     assert done.returncode == 2
     assert done.stderr == "error: cannot write to standard output: No space left on device\n"
     assert anisomap.read_map(tmp_path / "full.csv").placed.all()
+
+
+COMPARE = ["compare", "skin.npz", "-m", "r-anisomap", "-o", "scores.md"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.usefixtures("_files")
+def test_a_comparison_is_written_before_it_is_printed(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([*MAP[:3], *COMPARE], cwd=tmp_path, stdout=full, check=False)
+    assert done.returncode == 2
+    assert "r-anisomap" in (tmp_path / "scores.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="closes streams in a shell of Unix")
+@pytest.mark.parametrize(
+    ("streams", "command", "code"),
+    [
+        (">&-", "formats", 0),
+        (">&- 2>&-", "info nothing.npz", 2),
+        ("2>/dev/full", "info nothing.npz", 2),
+    ],
+)
+def test_standard_streams_that_are_closed_or_full(tmp_path, streams, command, code):
+    if "full" in streams and not Path("/dev/full").exists():
+        pytest.skip("needs a device that is always full")
+    line = f'exec "$0" -m anisomap {command} {streams}'
+    done = subprocess.run(
+        ["/bin/sh", "-c", line, sys.executable],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (code, "")

@@ -14,7 +14,7 @@ from anisomap.cli import INTERRUPTED, INTERRUPTION
 from anisomap.cli.console import (
     console,
     discard_stdout,
-    escape_unencodable_output,
+    prepare_streams,
     print_error,
     print_warning,
 )
@@ -89,7 +89,7 @@ def main(arguments: Iterable[str] | None = None) -> None:
 
 def run(arguments: list[str] | None) -> int:
     """Run a command, report any error as one sentence, and return the exit code of `main`."""
-    escape_unencodable_output()
+    prepare_streams()
     code = 0
     try:
         code = _run(arguments)

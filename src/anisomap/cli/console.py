@@ -9,9 +9,10 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 from rich.console import Console
@@ -32,38 +33,54 @@ from anisomap.wording import printable, shortened
 _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
 
-class _Stdout(Console):
-    """Standard output; if its reader closes the pipe, the command continues without output."""
+class _Terminal(Console):
+    """A standard stream; if its reader closes the pipe, the command continues without it."""
 
     def on_broken_pipe(self) -> None:
         self.quiet = True
-        discard_stdout()
+        _discard(self.file)
+
+
+def _discard(stream: IO[str]) -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def discard_stdout() -> None:
     """Send the rest of standard output, buffered text included, to the null device."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    _discard(sys.stdout)
 
 
-console = _Stdout(highlight=False, soft_wrap=False)
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
+console = _Terminal(highlight=False, soft_wrap=False)
+errors = _Terminal(stderr=True, highlight=False, soft_wrap=True)
 
 
 def print_error(message: str) -> None:
     """Print an error on stderr."""
     text = shortened(_one_line(message), MAX_CHARACTERS)  # escapes are longer than what they show
-    errors.print(Text.assemble(("error:", "bold red"), " ", text))
+    _complain(Text.assemble(("error:", "bold red"), " ", text))
 
 
 def print_warning(message: str) -> None:
     """Print a warning on stderr."""
-    errors.print(Text.assemble(("warning:", "bold yellow"), " ", _one_line(message)))
+    _complain(Text.assemble(("warning:", "bold yellow"), " ", _one_line(message)))
 
 
-def escape_unencodable_output() -> None:
-    """Write characters that the encoding of standard output lacks as escapes, not as an error."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
+def _complain(text: Text) -> None:
+    with suppress(OSError):  # a full disk, about which nothing can be said either
+        errors.print(text)
+
+
+def prepare_streams() -> None:
+    """Make the standard streams accept any text.
+
+    Characters that their encoding lacks are written as escapes. A stream that is closed, as by
+    ``>&-`` in a shell, is replaced by the null device, so that no output file takes its number.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 

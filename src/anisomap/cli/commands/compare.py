@@ -91,6 +91,10 @@ def compare(
             comparisons.append(found)
     if not comparisons:
         raise InputError(f"no recording with true positions in {recordings[0]}")
+    for path in outputs:
+        with atomic_write(path) as aside:
+            text = _WRITERS[path.suffix.lower()](comparisons)
+            aside.write_text(text, encoding="utf-8")
     with reporting.printer() as printer:
         printer.table(
             "Scores",
@@ -100,10 +104,6 @@ def compare(
         for sentence in comparison_tables.sentences(comparisons):
             printer.line(sentence)
         printer.record(scores=[_values(comparison) for comparison in comparisons])
-    for path in outputs:
-        with atomic_write(path) as aside:
-            text = _WRITERS[path.suffix.lower()](comparisons)
-            aside.write_text(text, encoding="utf-8")
 
 
 def _files(given: Sequence[Path]) -> Iterator[tuple[Path, bool]]:
