@@ -271,8 +271,7 @@ def _place_part(
         how += " on the mesh"
     if part.fit is not None and shape.modules is not None:
         how += " of rigid modules"
-        if fit.warped or shape.surface is not None:
-            positions = _rigid(positions, shape.modules.select(members))
+        positions = _rigid(positions, shape.modules.select(members))
     return _PlacedPart(fit, positions, normals, f"{how}, {len(index)} anchors")
 
 
