@@ -137,8 +137,9 @@ def fit_covariogram(
     unit = _estimate_range(correlation, positions, mask)
     positions = (positions - positions.mean(axis=0)) / unit
     np.fill_diagonal(mask, val=False)
-    problem = Problem(correlation, lengths / unit, mask, noise, chosen)
     one_block = len(positions) <= chosen.block
+    precision = np.float64 if one_block else np.float32
+    problem = Problem(correlation, lengths / unit, mask, noise, chosen, precision)
     size = chosen.block if one_block else max(3, chosen.block // 2)
     blocks = [Block(sensors, problem) for sensors in overlapping_blocks(positions, size)]
     with _parallel_blocks(len(positions)) as map_blocks:

@@ -76,13 +76,17 @@ class CovariogramOptions:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Data and parameters of the fit, with lengths in units of the covariogram's range."""
+    """Data and parameters of the fit, with lengths in units of the covariogram's range.
+
+    Matrices of blocks are multiplied in the given precision.
+    """
 
     similarity: Matrix
     metric: Matrix
     known: NDArray[np.bool_]
     noise: float
     options: CovariogramOptions
+    precision: type[np.floating] = np.float64
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +133,8 @@ class Block:
         self._known = problem.known[inside]
         self._similarity = np.where(self._known, problem.similarity[inside], 0.0).astype(np.float64)
         self._whitening = _whitening(self._similarity, problem.options.ridge)
+        # Products in float32 take half the time; sums over pairs stay in float64.
+        self._multiplied = self._whitening.astype(problem.precision, copy=False)
         self._offset = self._known.astype(np.float64)
         metric = problem.metric[inside].astype(np.float64)
         pairs = ~np.eye(len(sensors), dtype=bool)
@@ -201,11 +207,11 @@ class Block:
         self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float
     ) -> BlockCurvature:
         """Return the products of the derivatives of the residuals, and curvatures of the priors."""
-        points, weights = positions[self.sensors], self._whitening
+        points, weights = positions[self.sensors], self._multiplied
         n_axes = points.shape[1]
         slope = -amplitude * exponent * terms.shape * terms.powers / terms.distances**2
         apart = [np.subtract.outer(axis, axis) for axis in points.T]
-        derivatives = [slope * axis for axis in apart]
+        derivatives = [(slope * axis).astype(weights.dtype) for axis in apart]
         products = [derivative @ weights for derivative in derivatives]
         options = self._options
         # The second derivative of the repulsion is taken along the line between two sensors only,
@@ -249,7 +255,8 @@ class Block:
         return float(self._noise * value), slope
 
     def _whitened(self, matrix: Matrix) -> Matrix:
-        return np.asarray(self._whitening @ matrix @ self._whitening)
+        weights = self._multiplied
+        return np.asarray(weights @ matrix.astype(weights.dtype) @ weights, dtype=np.float64)
 
 
 def objective(
