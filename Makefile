@@ -55,6 +55,7 @@ format: $(READY)  ## format the code
 
 bench: $(READY)  ## time each stage and whole maps against other libraries, in bench/ (LARGE=1, ARGS=--quick)
 	$(BIN)/python -m benchmarks $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(if $(LARGE),--large) $(ARGS)
+	$(BIN)/python -m benchmarks.journeys $(if $(LARGE),--large)
 	$(BIN)/python -m benchmarks.simulation
 
 quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDINGS=folders adds real recordings)

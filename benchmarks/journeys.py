@@ -1,0 +1,234 @@
+"""Whole journeys as users make them: faults, sensor health, map and verdict of a recording.
+
+``python -m benchmarks.journeys`` times the parts of each journey on one thread, journeys beside
+busy processes, and the growth with sensors and frames; ``make bench`` runs it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from anisomap import AnisomapWarning, Recording, diagnose, reconstruct
+from anisomap.health import assess, find_faults
+from benchmarks.inputs import rubbed_skin
+from benchmarks.measuring import threads
+from benchmarks.tables import growth_exponent, significant
+
+SENSORS = (250, 500, 1000)
+FRAMES = (1000, 4000, 16_000)
+MORE_SENSORS = (250, 500, 1000, 2000, 4000)
+MORE_FRAMES = (1000, 10_000, 30_000, 100_000)
+FEW_FRAMES, FEW_SENSORS = 4000, 250
+"""Frames of the journeys of many sensors, and sensors of those of many frames."""
+
+SHELL_SENSORS, SHELL_FRAMES = 60, 2000
+"""Size of the recording that is mapped from the shell: that of ``anisomap demo``."""
+
+_LEVELS = 255  # of readings of 8 bits
+_DIMENSIONS = 3
+
+
+@dataclass(frozen=True)
+class Journey:
+    """CPU seconds of the parts of a journey.
+
+    Parameters
+    ----------
+    journey : str
+    n_sensors, n_frames : int
+    cpu, clock : float
+        Seconds of the whole: CPU time of all threads, and wall-clock time.
+    faults, health, map, verdict : float
+        CPU seconds of the parts; NaN if they were not timed separately.
+    """
+
+    journey: str
+    n_sensors: int
+    n_frames: int
+    cpu: float
+    clock: float
+    faults: float = math.nan
+    health: float = math.nan
+    map: float = math.nan
+    verdict: float = math.nan
+
+
+def readings_of_8_bits(n_sensors: int, n_frames: int) -> Recording:
+    """Simulate a rubbed skin whose readings are whole numbers from 0 to 255."""
+    readings, _ = rubbed_skin(n_sensors, n_frames)
+    whole = np.round(readings * (_LEVELS / readings.max())).astype(np.uint8)
+    return Recording(whole[:, np.ptp(whole, axis=0) > 0])
+
+
+def travel(name: str, recording: Recording, method: str = "covariogram") -> Journey:
+    """Make a journey in this process, and time its parts.
+
+    Parameters
+    ----------
+    name : str
+        Name of the journey in the table.
+    recording : Recording
+    method : str
+        A key of `anisomap.METHODS`.
+    """
+    laps, clock = [time.process_time()], time.perf_counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)
+        findings = find_faults(recording)
+        laps.append(time.process_time())
+        health = assess(recording)
+        laps.append(time.process_time())
+        made = reconstruct(recording, method, _DIMENSIONS)
+        laps.append(time.process_time())
+        diagnose(made, recording, health=health, findings=findings)
+        laps.append(time.process_time())
+    faults, assessing, mapping, judging = np.diff(laps).tolist()
+    return Journey(
+        name,
+        recording.n_sensors,
+        recording.n_frames,
+        faults=faults,
+        health=assessing,
+        map=mapping,
+        verdict=judging,
+        cpu=laps[-1] - laps[0],
+        clock=time.perf_counter() - clock,
+    )
+
+
+def travel_from_shell(name: str, recording: Recording) -> Journey:
+    """Time ``anisomap map`` as a process of its own, with nothing set in the environment."""
+    limits = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    environment = {key: value for key, value in os.environ.items() if key not in limits}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recording.npz"
+        np.savez(path, readings=recording.readings)
+        output = Path(folder) / "map.csv"
+        command = [sys.executable, "-m", "anisomap", "map", str(path), "-o", str(output), "-q"]
+        before, clock = os.times(), time.perf_counter()
+        subprocess.run(command, env=environment, check=True, stderr=subprocess.DEVNULL)  # noqa: S603
+        clock, after = time.perf_counter() - clock, os.times()
+    cpu = after.children_user - before.children_user
+    cpu += after.children_system - before.children_system
+    return Journey(name, recording.n_sensors, recording.n_frames, cpu=cpu, clock=clock)
+
+
+@contextmanager
+def busy_neighbours(count: int) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """Keep some other processes busy meanwhile, each with one core."""
+    # They end with this process, even if it is killed.
+    busy = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: sum(range(10**5))"
+    processes = [subprocess.Popen([sys.executable, "-c", busy]) for _ in range(count)]  # noqa: S603
+    try:
+        yield processes
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def journeys(sensors: Sequence[int], frames: Sequence[int]) -> Iterator[Journey]:
+    """Make all journeys.
+
+    Parameters
+    ----------
+    sensors : sequence of int
+        Numbers of sensors, of 4,000 frames each.
+    frames : sequence of int
+        Numbers of frames, of 250 sensors each.
+    """
+    with threads(1):
+        travel("warm-up", readings_of_8_bits(sensors[0], frames[0]))
+        for n_sensors in sensors:
+            yield travel("more sensors", readings_of_8_bits(n_sensors, FEW_FRAMES))
+        for n_frames in frames:
+            yield travel("more frames", readings_of_8_bits(FEW_SENSORS, n_frames))
+        largest = readings_of_8_bits(sensors[-1], FEW_FRAMES)
+        yield travel("r-anisomap", largest, "r-anisomap")
+    few = readings_of_8_bits(FEW_SENSORS, FEW_FRAMES)
+    yield travel("nothing limited", few)
+    with busy_neighbours(os.cpu_count() or 1):
+        yield travel("nothing limited, every core busy", few)
+    small = readings_of_8_bits(SHELL_SENSORS, SHELL_FRAMES)
+    yield travel_from_shell("from the shell", small)
+    with busy_neighbours(os.cpu_count() or 1):
+        yield travel_from_shell("from the shell, every core busy", small)
+
+
+def slopes(made: Sequence[Journey]) -> dict[str, float]:
+    """Return the exponent with which the CPU time grows with sensors and with frames."""
+    sizes = {"more sensors": "n_sensors", "more frames": "n_frames"}
+    found = {}
+    for name, size in sizes.items():
+        same = [journey for journey in made if journey.journey == name]
+        if len(same) > 1:
+            found[name] = growth_exponent(
+                [getattr(journey, size) for journey in same], [journey.cpu for journey in same]
+            )
+    return found
+
+
+def markdown(made: Sequence[Journey]) -> str:
+    """Write the table of journeys, and their growth."""
+    parts = ("faults", "health", "map", "verdict", "cpu", "clock")
+    lines = [
+        "| journey | sensors | frames | faults, s | health, s | map, s | verdict, s | CPU, s "
+        "| clock, s |",
+        "|---|" + "--:|" * 8,
+    ]
+    for journey in made:
+        cells = [significant(getattr(journey, part)) for part in parts]
+        sizes = f"{journey.n_sensors:,} | {journey.n_frames:,}"
+        lines.append(f"| {journey.journey} | {sizes} | {' | '.join(cells)} |")
+    growth = [f"{name}: exponent {value:.2f}" for name, value in slopes(made).items()]
+    return "\n".join([*lines, "", "Growth of the CPU time: " + "; ".join(growth) + ".", ""])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make all journeys, and write ``journeys-table.md`` and ``journeys.csv``."""
+    parser = argparse.ArgumentParser(prog="benchmarks.journeys", description=__doc__)
+    parser.add_argument("--large", action="store_true", help="to 4,000 sensors and 100,000 frames")
+    parser.add_argument("--sensors", type=int, nargs="+", help="numbers of sensors, increasing")
+    parser.add_argument("--frames", type=int, nargs="+", help="numbers of frames, increasing")
+    parser.add_argument("-o", "--output", type=Path, default=Path("bench"), help="output folder")
+    chosen = parser.parse_args(arguments)
+    sensors = chosen.sensors or (MORE_SENSORS if chosen.large else SENSORS)
+    frames = chosen.frames or (MORE_FRAMES if chosen.large else FRAMES)
+    made: list[Journey] = []
+    for journey in journeys(sensors, frames):
+        made.append(journey)
+        print(
+            f"{journey.journey}, {journey.n_sensors} x {journey.n_frames}: {journey.cpu:.3g} s "
+            f"of CPU, {journey.clock:.3g} s",
+            flush=True,
+        )
+    _write(made, chosen.output)
+    print(f"wrote {chosen.output / 'journeys-table.md'}")
+    return 0
+
+
+def _write(made: Sequence[Journey], folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "journeys-table.md").write_text(markdown(made), encoding="utf-8")
+    with (folder / "journeys.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, [field.name for field in fields(Journey)])
+        writer.writeheader()
+        writer.writerows(asdict(journey) for journey in made)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
