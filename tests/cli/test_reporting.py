@@ -1,10 +1,12 @@
 """Options --quiet and --json of all reporting commands."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import anisomap
@@ -154,3 +156,25 @@ def test_standard_streams_that_are_closed_or_full(tmp_path, streams, command, co
         check=False,
     )
     assert (done.returncode, done.stderr) == (code, "")
+
+
+def test_commands_say_where_to_touch_next(run, tmp_path):
+    places = np.stack(np.meshgrid(range(7), range(7)), -1).reshape(-1, 2)
+    touches = np.random.default_rng(0).uniform(0, 6, (800, 1, 2))
+    spared = np.linalg.norm(touches[:, 0] - [5, 5], axis=1) < 2.2
+    touches = touches[~spared | (np.arange(800) % 8 == 0)]
+    depth = np.maximum(0, 1.6 - np.linalg.norm(touches - places, axis=2))
+    readings = np.repeat(depth, 2, axis=0) * (np.arange(2 * len(depth)) % 2 == 0)[:, None]
+    anisomap.write(anisomap.Recording(readings), tmp_path / "corner.npz")
+    corner = {f"s{i}" for i in np.flatnonzero(np.linalg.norm(places - [5, 5], axis=1) < 2.5)}
+    told = run("info", "corner.npz").out
+    first = re.search(r"touch next +around ([^;\n]*)", told).group(1).replace(" and", ",")
+    assert {name.strip() for name in first.split(",")} <= corner
+    assert re.search(r"contacts +median \d+", told)
+    made = run(
+        "map", "corner.npz", "-d", 2, "--no-verdict", "-o", "m.csv", "--report", "m.html", "--json"
+    )
+    found = json.loads(made.out)["touches"]
+    assert set(found["next"][0]["sensors"]) <= corner
+    assert found["contacts"].keys() == {f"s{i}" for i in range(49)}
+    assert "How the skin was touched" in (tmp_path / "m.html").read_text()

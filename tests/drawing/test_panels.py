@@ -24,9 +24,16 @@ from anisomap.drawing.figures.gallery import (
     plot_panel,
     truth_panel,
 )
+from anisomap.drawing.figures.mds_diagnostics import (
+    plot_shepard,
+    plot_shift_test,
+    plot_stress_per_point,
+)
 from anisomap.drawing.figures.scenes import bodies_figure, plot_scene, scene_figure
+from anisomap.drawing.figures.touches import plot_series, plot_touches
 from anisomap.errors import InputError, MissingExtraError
-from anisomap.evaluation import score
+from anisomap.evaluation import ShiftTest, score, shepard, stress_per_point
+from anisomap.health import touch_coverage
 from anisomap.scene import Mesh, Prop, Scene
 from anisomap.sensor_map import SensorMap
 
@@ -34,6 +41,9 @@ TRUTH = np.random.default_rng(0).normal(size=(20, 3))
 FLAT = SensorMap(TRUTH[:, :2])
 CURVED = SensorMap(TRUTH)
 SCORE = score(CURVED, TRUTH, exclude=[3], units="mm", permutations=0)
+WANTED = np.linalg.norm(TRUTH[:, None, :2] - TRUTH[:, :2], axis=2)
+SPP = stress_per_point(WANTED, TRUTH)
+TOUCHED = np.random.default_rng(1).uniform(size=(50, 20)) > 0.8
 SCENE = Scene(
     "scene",
     (Prop("body", Mesh(np.eye(3), [[0, 1, 2]]), np.zeros((1, 1, 3))),),
@@ -56,6 +66,12 @@ PANELS = {
     "curves": (2, lambda ax: plot_curves(CURVES, ax=ax)),
     "coverage": (2, lambda ax: plot_coverage(np.array([100, 200]), 20.0, SHARES, ax=ax)),
     "scene": (3, lambda ax: plot_scene(SCENE, 0, ax=ax)),
+    "stress per point": (2, lambda ax: plot_stress_per_point(SPP, ax=ax)),
+    "shepard": (2, lambda ax: plot_shepard(shepard(WANTED, TRUTH), ax=ax)),
+    "shift test": (2, lambda ax: plot_shift_test(ShiftTest(0.1, np.arange(9.0), 0.1), ax=ax)),
+    "series": (2, lambda ax: plot_series(np.sin(np.arange(2000.0)), rate_hz=20, ax=ax)),
+    "touches in 2D": (2, lambda ax: plot_touches(FLAT, touch_coverage(FLAT, TOUCHED), ax=ax)),
+    "touches in 3D": (3, lambda ax: plot_touches(CURVED, touch_coverage(CURVED, TOUCHED), ax=ax)),
 }
 FIGURES = {
     "map": lambda: map_figure(CURVED),

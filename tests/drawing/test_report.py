@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plotly.offline import get_plotlyjs
 
-from anisomap.drawing.report import check_writable, render_report, write_report
+from anisomap.drawing.report import Touches, check_writable, render_report, write_report
 from anisomap.drawing.report.interactive import MAX_DOTS
 from anisomap.drawing.report.report_text import MAX_ROWS, UNKNOWN, number
 from anisomap.drawing.view import printable
@@ -280,7 +280,7 @@ def test_a_map_without_positions_has_no_view() -> None:
 
 @pytest.mark.parametrize("with_score", [True, False])
 @pytest.mark.parametrize("with_health", [True, False])
-def test_the_table_lists_every_sensor_and_problems_first(
+def test_the_table_lists_every_sensor_and_the_worst_first(
     with_score: bool, with_health: bool
 ) -> None:
     statuses = (["ok"] * 5 + list(STATUSES))[:12]
@@ -292,12 +292,16 @@ def test_the_table_lists_every_sensor_and_problems_first(
     assert {row[0]: row[1] for row in rows} == dict(
         zip(sensor_map.names, sensor_map.health, strict=True)
     )
-    problems = [row[1] != "ok" for row in rows]
-    assert problems == sorted(problems, reverse=True)
+    if scored is None:
+        problems = [row[1] != "ok" for row in rows]
+        assert problems == sorted(problems, reverse=True)
     if with_health:
         assert {row[-1] for row in rows} >= {f"looks {status}" for status in STATUSES[1:]}
     if scored is not None:
         errors = dict(zip(sensor_map.names, scored.alignment.errors, strict=True))
+        worst_first = sorted(errors, key=lambda name: -errors[name])
+        assert [row[0] for row in rows] == worst_first
+        assert page.text.index(worst_first[0]) < page.text.index("The map is known up to")
         assert all(float(row[2]) == pytest.approx(errors[row[0]], rel=0.01) for row in rows)
 
 
@@ -391,6 +395,17 @@ def test_the_picture_is_embedded_and_described() -> None:
     (described,) = page.values("alt")
     assert "12 sensors" in described
     assert "img" not in Page(render_report(sensor_map, score=scored)).tags
+
+
+def test_contacts_and_doubted_sensors_have_a_section() -> None:
+    sensor_map, _ = example(None)
+    told = Touches({"touch next": "around <b>s1</b>"}, b"map", b"series")
+    page = render_report(sensor_map, touches=told)
+    assert "How the skin was touched" in page
+    assert "<b>s1</b>" not in page
+    for png in (b"map", b"series"):
+        assert base64.b64encode(png).decode() in page
+    assert "How the skin was touched" not in render_report(sensor_map)
 
 
 def hostile_report(texts: tuple[str, ...]) -> str:

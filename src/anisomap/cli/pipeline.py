@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import io
+from anisomap.cli import touches
 from anisomap.cli.console import Printer, number, percent, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnostics import diagnose
@@ -21,6 +22,7 @@ from anisomap.health import (
     Finding,
     RecordingSummary,
     SensorHealth,
+    TouchCoverage,
     assess,
     find_faults,
     repair,
@@ -219,8 +221,10 @@ def finish(
         result = score_with_progress(
             sensor_map, truth or examined.recording, permutations, seed, exclude=exclude
         )
-    files = write_outputs(outputs, sensor_map, result, examined)
+    coverage = touches.coverage_of(sensor_map, examined.runs)
+    files = write_outputs(outputs, sensor_map, result, examined, coverage)
     print_health(printer, examined.health)
+    touches.print_touches(printer, coverage, sensor_map.names)
     _print_map(printer, sensor_map)
     if result is not None:
         print_score(printer, result, sensor_map, "Score against the true positions")
@@ -451,6 +455,7 @@ def write_outputs(
     sensor_map: SensorMap,
     result: Score | None = None,
     examined: Examined | None = None,
+    coverage: TouchCoverage | None = None,
 ) -> list[tuple[str, Path]]:
     """Write all files; return them, each with its kind."""
     written: list[tuple[str, Path]] = []
@@ -472,6 +477,9 @@ def write_outputs(
                 health=() if examined is None else examined.health,
                 summary=None if examined is None else examined.summary,
                 figure_png=figures.figure_bytes(figure),
+                touches=None
+                if examined is None
+                else touches.section(sensor_map, examined.recording, examined.health, coverage),
             )
             written.append(("report", outputs.report))
     return written

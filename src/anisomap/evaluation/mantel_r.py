@@ -20,6 +20,7 @@ NULL_QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.95, 1.0)
 """Levels of the quantiles by which a null distribution is summarised."""
 
 _NULL_ROUNDING = 1e-5  # of sums of float32 products
+_ROUNDING = 1e-12  # of the share of variance that another matrix leaves unexplained
 
 MIN_SENSORS_COMPARED = 4
 """Minimum number of sensors: three would give a correlation over three distances only."""
@@ -105,16 +106,8 @@ def mantel(
     McGregor et al. (2011), section "Results"; Mantel (1967), Cancer Research 27: 209-220. Sensors
     are relabelled, not pairs: the distances of one configuration constrain each other.
     """
-    a, b = _distances(first), _distances(second)
-    if not (np.isfinite(a).all() and np.isfinite(b).all()):
-        raise InputError("distances must be finite; leave out sensors without a position")
-    if a.shape != b.shape:
-        raise InputError(
-            f"both configurations must have the same sensors, got {len(a)} and {len(b)}"
-        )
+    a, b = _same_sensors(first, second)
     n_sensors = len(a)
-    if n_sensors < MIN_SENSORS_COMPARED:
-        raise InputError(f"Mantel r requires at least 4 sensors, got {n_sensors}")
     a, b = _standardised(a), _standardised(b)
     null = np.empty(permutations)
     # float32 suffices for the null and is twice as fast.
@@ -130,6 +123,77 @@ def mantel(
     null.setflags(write=False)
     r = float(np.clip(np.vdot(a, b) / 2, -1, 1))
     return Mantel(r=r, null=null, n_sensors=n_sensors)
+
+
+def partial_mantel(
+    first: SensorMap | ArrayLike,
+    second: SensorMap | ArrayLike,
+    third: SensorMap | ArrayLike,
+    *,
+    permutations: int = PERMUTATIONS,
+    rng: np.random.Generator | int | None = None,
+) -> Mantel:
+    """Correlate the distances of two configurations, with those of a third held constant.
+
+    It tells, for instance, whether a map agrees with another beyond what both owe to a layout.
+
+    Parameters
+    ----------
+    first, second, third : SensorMap or array_like
+        See `mantel`.
+    permutations : int
+        Size of the null distribution; 0 skips it.
+    rng : numpy.random.Generator or int, optional
+        Generator of the permutations, or its seed; seed 0 by default.
+
+    Returns
+    -------
+    Mantel
+        With the partial correlation.
+
+    Raises
+    ------
+    InputError
+        As `mantel`, or if the third configuration determines one of the others.
+
+    Notes
+    -----
+    Smouse, Long & Sokal (1986), Systematic Zoology 35: 627-632, doi:10.2307/2413122:
+    ``(r12 - r13 r23) / sqrt((1 - r13^2) (1 - r23^2))``. The sensors of the first are relabelled, as
+    by ``mantel.partial`` of R's package vegan.
+    """
+    a, b, c = (_standardised(matrix) for matrix in _same_sensors(first, second, third))
+    r23 = float(np.vdot(b, c)) / 2
+    generator = np.random.default_rng(0 if rng is None else rng)
+
+    def partial(relabelled: NDArray[np.float64]) -> float:
+        r12, r13 = float(np.vdot(relabelled, b)) / 2, float(np.vdot(relabelled, c)) / 2
+        unexplained = (1 - r13**2) * (1 - r23**2)
+        return (r12 - r13 * r23) / np.sqrt(unexplained) if unexplained > _ROUNDING else np.nan
+
+    r = partial(a)
+    if not np.isfinite(r):
+        raise InputError("the third configuration determines one of the others: nothing is left")
+    orders = (generator.permutation(len(a)) for _ in range(permutations))
+    null = np.array([partial(a[order].take(order, axis=1)) for order in orders])
+    null.setflags(write=False)
+    return Mantel(r=float(np.clip(r, -1, 1)), null=null, n_sensors=len(a))
+
+
+def _same_sensors(*configurations: SensorMap | ArrayLike) -> list[NDArray[np.float64]]:
+    """Return the distances of configurations of the same sensors."""
+    found = [_distances(configuration) for configuration in configurations]
+    if not all(np.isfinite(matrix).all() for matrix in found):
+        raise InputError("distances must be finite; leave out sensors without a position")
+    sizes = [len(matrix) for matrix in found]
+    if len(set(sizes)) > 1:
+        raise InputError(
+            "all configurations must have the same sensors, got "
+            f"{', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
+        )
+    if sizes[0] < MIN_SENSORS_COMPARED:
+        raise InputError(f"Mantel r requires at least 4 sensors, got {sizes[0]}")
+    return found
 
 
 def _distances(configuration: SensorMap | ArrayLike) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
+from anisomap.cli import pipeline, touches
 from anisomap.cli.console import print_warning
 from anisomap.io import ChoiceError
 
@@ -39,6 +39,7 @@ def info(
         pipeline.print_recording(printer, examined)
         pipeline.print_findings(printer, examined.findings)
         pipeline.print_health(printer, examined.health, all_sensors=sensors)
+        touches.print_touches(printer, touches.coverage_without_map(found), found.names)
         for weakness in examined.summary.warnings:
             print_warning(weakness)
         if examined.summary.missing:

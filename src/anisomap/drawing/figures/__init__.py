@@ -8,7 +8,18 @@ from anisomap.drawing.figures.displacements import (
 )
 from anisomap.drawing.figures.layout_check import layout_figure, plot_layout
 from anisomap.drawing.figures.maps import map_figure, plot_distances, plot_map
+from anisomap.drawing.figures.mds_diagnostics import (
+    plot_shepard,
+    plot_shift_test,
+    plot_stress_per_point,
+)
 from anisomap.drawing.figures.saving import KINDS, check_writable, figure_bytes, save_figure
+from anisomap.drawing.figures.touches import (
+    plot_series,
+    plot_touches,
+    series_figure,
+    touch_figure,
+)
 
 __all__ = [
     "KINDS",
@@ -23,5 +34,12 @@ __all__ = [
     "plot_layout",
     "plot_map",
     "plot_placement",
+    "plot_series",
+    "plot_shepard",
+    "plot_shift_test",
+    "plot_stress_per_point",
+    "plot_touches",
     "save_figure",
+    "series_figure",
+    "touch_figure",
 ]

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from anisomap.drawing.report import page
 from anisomap.drawing.report.interactive import interactive_views, status_colours
 from anisomap.drawing.report.report_text import (
+    Touches,
     alternative_text,
     caveats,
     facts,
@@ -24,6 +25,8 @@ from anisomap.files import atomic_write, check_target
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.sensor_map import SensorMap
 
+__all__ = ["SUFFIXES", "TITLE", "Touches", "check_writable", "render_report", "write_report"]
+
 TITLE = "Map of a skin"
 
 SUFFIXES = (".html", ".htm")
@@ -38,6 +41,7 @@ def write_report(
     health: Sequence[SensorHealth] = (),
     summary: RecordingSummary | None = None,
     figure_png: bytes | None = None,
+    touches: Touches | None = None,
     title: str = TITLE,
 ) -> None:
     """Write a report with an interactive view of the map, for any browser.
@@ -47,7 +51,7 @@ def write_report(
     path : path-like
         File name ending in .html or .htm. An existing file is replaced only when the new one is
         complete.
-    sensor_map, score, health, summary, figure_png, title
+    sensor_map, score, health, summary, figure_png, touches, title
         See `render_report`.
 
     Raises
@@ -64,6 +68,7 @@ def write_report(
         health=health,
         summary=summary,
         figure_png=figure_png,
+        touches=touches,
         title=title,
     )
     with atomic_write(path) as temporary:
@@ -78,6 +83,7 @@ def render_report(
     health: Sequence[SensorHealth] = (),
     summary: RecordingSummary | None = None,
     figure_png: bytes | None = None,
+    touches: Touches | None = None,
     title: str = TITLE,
 ) -> str:
     """Return a report as text; the same input gives the same text.
@@ -96,6 +102,8 @@ def render_report(
         Summary of the recording.
     figure_png : bytes, optional
         Picture of the map as PNG, for printing and for browsers without 3D graphics.
+    touches : Touches, optional
+        How the skin was touched, with pictures.
     title : str
         Headline.
 
@@ -119,6 +127,7 @@ def render_report(
         scene=interactive_views(sensor_map, drawn, score, statuses),
         statuses=status_colours(statuses),
         figure_png=figure_png,
+        touches=touches,
         alt=alternative_text(sensor_map, score),
         compared=score is not None,
         table=sensor_table(sensor_map, score, health),

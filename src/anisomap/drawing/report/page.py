@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 from anisomap.drawing.extras import load
+from anisomap.drawing.report.report_text import Touches
+from anisomap.drawing.view import printable
 
 
 def load_libraries() -> tuple[Any, Any]:
@@ -22,27 +25,46 @@ def load_libraries() -> tuple[Any, Any]:
     return load("jinja2", "a report"), load("plotly.offline", "a report")
 
 
-def render(*, scene: list[dict[str, Any]], figure_png: bytes | None, **content: Any) -> str:
+def render(
+    *,
+    scene: list[dict[str, Any]],
+    figure_png: bytes | None,
+    touches: Touches | None,
+    **content: Any,
+) -> str:
     """Fill the template; see `anisomap.drawing.report.render_report` for the arguments."""
     _, plotly = load_libraries()
     # A script ends at the first "</script", wherever it occurs. The texts of plotly and of this
     # package contain none (tested), and tojson escapes the data.
     own = _text("report.js")
     scripts = [plotly.get_plotlyjs(), own] if scene else [own]
-    picture = None if figure_png is None else base64.b64encode(figure_png).decode("ascii")
+    shown = {
+        "picture": figure_png,
+        "touch_picture": None if touches is None else touches.map_png,
+        "series_picture": None if touches is None else touches.series_png,
+    }
+    pictures = {
+        name: None if png is None else base64.b64encode(png).decode("ascii")
+        for name, png in shown.items()
+    }
     page: str = (
         _environment()
         .get_template("report.html")
         .render(
             **content,
             scene=scene,
-            picture=picture,
+            **pictures,
+            touches=None if touches is None else _printable(touches.facts),
             style=_text("report.css"),
             scripts=scripts,
             policy=_policy(scripts),
         )
     )
     return page
+
+
+def _printable(facts: Mapping[str, str]) -> dict[str, str]:
+    return {printable(name): printable(value) for name, value in facts.items()}
 
 
 def _policy(scripts: list[str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,7 @@ MAX_ROWS = 2000
 # Smallest Mantel r for each description, chosen by hand.
 _AGREEMENT = ((0.98, "very closely"), (0.9, "closely"), (0.6, "roughly"), (-1.0, "only weakly"))
 
+_N_WORST = 5  # sensors named first
 _COARSE = 1.0  # RMS error in sensor spacings from which neighbours may be exchanged
 
 
@@ -35,6 +36,25 @@ class Fact:
     name: str
     value: str
     meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Touches:
+    """How a skin was touched.
+
+    Attributes
+    ----------
+    facts : mapping of str to str
+        Numbers of contacts, and where to touch next.
+    map_png : bytes
+        Picture of the contacts by place.
+    series_png : bytes, optional
+        Picture of the readings of doubted sensors over time.
+    """
+
+    facts: Mapping[str, str]
+    map_png: bytes
+    series_png: bytes | None = None
 
 
 @dataclass(frozen=True)
@@ -143,7 +163,13 @@ def _scored(sensor_map: SensorMap, score: Score) -> list[str]:
         headline = f"Distances on the map agree {how} with the true ones: Mantel r {r:.3f}."
     if score.rms_in_spacings > _COARSE:
         headline += " Neighbourhoods are unreliable."
-    sentences = [headline]
+    names = [sensor_map.names[i] for i in score.sensors[score.worst(_N_WORST)]]
+    errors = score.alignment.errors[score.worst(_N_WORST)]
+    worst = [
+        f"{printable(name)} ({number(float(error), unit=score.units)})"
+        for name, error in zip(names, errors, strict=True)
+    ]
+    sentences = [headline, f"Farthest from their true positions: {join_items(worst)}."]
     if null is not None and r > null:
         sentences.append(
             f"For comparison: 95 % of {n_permutations} random permutations of the sensors have a "
@@ -263,7 +289,7 @@ def sensor_statuses(sensor_map: SensorMap, health: Sequence[SensorHealth]) -> tu
 def sensor_table(
     sensor_map: SensorMap, score: Score | None, health: Sequence[SensorHealth]
 ) -> SensorTable:
-    """Tabulate the sensors, those with problems first."""
+    """Tabulate the sensors: those with the greatest errors first, else those with problems."""
     assessed = {sensor.name: sensor for sensor in health}
     statuses = sensor_statuses(sensor_map, health)
     errors = {} if score is None else dict(zip(score.sensors, score.alignment.errors, strict=True))
@@ -282,7 +308,9 @@ def sensor_table(
         radii = ellipses(sensor_map.covariances)[0].max(axis=1)
     columns += _MEASURED if health else ()
     rows = []
-    problems_first = sorted(range(len(statuses)), key=lambda i: not is_faulty(statuses[i]))
+    problems_first = sorted(
+        range(len(statuses)), key=lambda i: (-errors.get(i, -1.0), not is_faulty(statuses[i]))
+    )
     for i in problems_first[:MAX_ROWS]:
         name = sensor_map.names[i]
         cells = []
