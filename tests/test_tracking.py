@@ -304,3 +304,23 @@ def test_evidence_without_a_sensor_places_the_others():
     made = quiet(map_evidence, evidence)
     assert not made.placed[4]
     assert made.placed.sum() == SENSORS - 1
+
+
+def test_a_real_patch_gets_new_sensors_and_names_exchanged_wires(recordings_folder):
+    """The iCub's six triangles: the second half adds five taxels, and two wires are exchanged."""
+    whole = anisomap.read(recordings_folder / "icub_hexagon.npz").complete()
+    half, n_sensors = whole.n_frames // 2, whole.n_sensors
+    fresh, wires = [4, 17, 33, 46, 58], [8, 40]
+    old = np.setdiff1d(np.arange(n_sensors), fresh)
+    first = Recording(whole.readings[:half], names=whole.names).select(old)
+    readings = np.array(whole.readings[half:])
+    readings[:, wires] = readings[:, wires[::-1]]
+    found = quiet(update_map, *quiet(mapped, first), named(readings, whole.names))
+    assert set(found.moved) == {whole.names[i] for i in wires}
+    assert set(found.added) == {whole.names[i] for i in fresh}
+    made = found.map.select([found.map.names.index(name) for name in whole.names])
+    truth = np.array(whole.positions)
+    truth[wires] = truth[wires[::-1]]
+    result = score(made, truth, permutations=0)
+    assert np.sqrt(np.mean(result.alignment.errors[fresh] ** 2)) < 0.4 * result.spacing
+    assert result.rms_in_spacings < 0.4

@@ -114,7 +114,12 @@ def read_statistics(path: str | os.PathLike[str]) -> Evidence:
                 recordings=tuple(sorted(archive.texts("recordings"))),
                 single_contacts=bool(archive.number("single_contacts")),
             )
-        except (InputError, TypeError) as error:
+        except TypeError as error:
+            raise FileError(
+                f"{file} has options that this version of anisomap does not know ({error}); make "
+                "the map again"
+            ) from error
+        except InputError as error:
             raise FileError(f"{file} is damaged: {error}") from error
 
 
@@ -164,12 +169,17 @@ def _whole(archive: Archive, name: str) -> int:
 
 
 def _flattened(options: MethodOptions) -> dict[str, Scalar]:
-    """Return options as scalars, those of a stage as ``stage.name``; None is left out."""
+    """Return the options that differ from the defaults, those of a stage as ``stage.name``.
+
+    Defaults are left out, so that the file can be read by versions with other options.
+    """
     found: dict[str, Scalar] = {}
+    usual = asdict(MethodOptions())
     for name, value in asdict(options).items():
-        entries = value.items() if isinstance(value, Mapping) else ()
-        found |= {f"{name}.{key}": entry for key, entry in entries if entry is not None}
-        if not isinstance(value, Mapping) and value is not None:
+        if isinstance(value, Mapping):
+            changed = {key: entry for key, entry in value.items() if entry != usual[name][key]}
+            found |= {f"{name}.{key}": entry for key, entry in changed.items()}
+        elif value != usual[name]:
             found[name] = value
     return found
 
