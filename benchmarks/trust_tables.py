@@ -112,8 +112,14 @@ def table(outcomes: Sequence[Outcome]) -> str:
         if one.evidence.get("cpu map", 0) > 0
     ]
     lines = ["| figure | value | goal |", "|---|---|---|"]
+    seeds = [int(one.source) for one in outcomes if one.source.isdecimal()]
+    real = len(outcomes) - len(seeds)
+    lines += [f"| recordings | {len(outcomes)} | at least 500 |"]
+    if seeds:
+        lines.append(f"| of simulated skins, seeds {min(seeds)} to {max(seeds)} | {len(seeds)} | |")
+    if real:
+        lines.append(f"| of real skins, which were seen during development | {real} | |")
     lines += [
-        f"| recordings | {len(outcomes)} | at least 500 |",
         f"| maps | {len(mapped)} | |",
         f"| false reassurance: called usable, but r < {MIN_R} or error > {MAX_ERROR:g} spacing | "
         f"{len(reassured)} of {len(bad)} | none |",
