@@ -6,7 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks import comparison, measuring, paths, placement, scalings, similarities, whole_maps
+from benchmarks import (
+    comparison,
+    measuring,
+    paths,
+    placement,
+    scalings,
+    similarities,
+    updating,
+    whole_maps,
+)
 from benchmarks.__main__ import main
 from benchmarks.comparison import Comparison, Reference, Row, run
 from benchmarks.inputs import flat_skin, round_skin, rubbed_skin, tiled_torso
@@ -203,3 +212,13 @@ def test_placed_maps_are_measured(tmp_path):
     error = found["mesh and 3 anchors: median error (spacings)"]
     assert 0 < float(error["median"]) < 1
     assert float(found["mesh and 3 anchors: share of the right hand where placed"]["median"]) == 1
+
+
+@pytest.mark.slow
+def test_the_accuracy_of_updates_is_measured(tmp_path):
+    output = tmp_path / "updating.csv"
+    updating.main(["--only", "plane", "--draws", "1", "-o", str(output)])
+    found = {row["measure"]: float(row["median"]) for row in rows_of(output)}
+    assert 0 < found["new sensors: RMS error in the update (spacings)"] < 0.6
+    assert found["2 sensors 3 spacings apart or more exchanged: share named"] == 1
+    assert found["share of unchanged sensors accused"] == 0
