@@ -32,10 +32,12 @@ from anisomap.paper import (
 from anisomap.paper.cases import CASES, METHODS, PATCH_RUNS, find_case
 from anisomap.paper.claim_checks import NOT_REPRODUCED, PARTLY, REPRODUCED, ClaimCheck
 from anisomap.paper.claims import CLAIMS
+from anisomap.paper.experiments.unlike_responses import radial_basis
+from anisomap.paper.map_scores import SCORE_COLUMNS, map_and_score, null_box, score_rows
 from anisomap.simulation import find_body
 
 pytest.importorskip("mujoco")
-pytest.importorskip("matplotlib")
+cbook = pytest.importorskip("matplotlib.cbook")
 pytest.importorskip("jinja2")
 
 ROOT = Path(__file__).parents[1]
@@ -329,7 +331,7 @@ def test_seeds_are_picked_at_random_and_reproducibly():
 # Claims.
 
 
-def score_rows(score):
+def rows_of(score):
     """Return rows of scores; `score` returns Mantel r by group, method and dimensions."""
     runs = [(case.name, case.name, 3) for case in CASES]
     runs.append(("plane-bombardment", "plane-bombardment, 2D", 2))
@@ -349,7 +351,7 @@ def score_rows(score):
     ]
 
 
-def tables(*, isolation, patch_r, axial_scale, spread, change):
+def tables(*, isolation, patch_r, axial_scale, spread, change, identified=(0.5, 1.0)):
     columns = {
         "figure-2": [
             {
@@ -377,6 +379,10 @@ def tables(*, isolation, patch_r, axial_scale, spread, change):
         "bins": [
             {"run": "plane", "method": method, "largest change": change} for method in METHODS[1:]
         ],
+        "unlike-responses": [
+            {"run": "plane", "method": method, "optimum": 0.5, "identified": share}
+            for method, share in zip(METHODS[:2], identified, strict=True)
+        ],
     }
     return {
         name: Table(
@@ -402,7 +408,7 @@ def contrary_to_the_paper(group, method, _dimensions):
 def test_every_claim_can_be_reproduced_and_can_fail(claim):
     good = [
         row | {"null_max": 0.2, "neighbours_kept": row["mantel_r"]}
-        for row in score_rows(as_in_the_paper)
+        for row in rows_of(as_in_the_paper)
     ]
     found = tables(
         isolation=(1, 1, 1, 3, 3), patch_r=[0.9] * 5, axial_scale=0.5, spread=0.5, change=0.01
@@ -410,7 +416,7 @@ def test_every_claim_can_be_reproduced_and_can_fail(claim):
     assert claim.check(good, found).verdict == REPRODUCED
     bad = [
         row | {"null_max": 0.9, "neighbours_kept": -row["mantel_r"]}
-        for row in score_rows(contrary_to_the_paper)
+        for row in rows_of(contrary_to_the_paper)
     ]
     found = tables(
         isolation=[1] * 5,
@@ -418,6 +424,7 @@ def test_every_claim_can_be_reproduced_and_can_fail(claim):
         axial_scale=1.5,
         spread=1.5,
         change=0.3,
+        identified=(1.0, 1.0),
     )
     assert claim.check(bad, found).verdict == NOT_REPRODUCED
 
@@ -440,6 +447,33 @@ def test_a_verdict_names_the_smaller_group_of_cases():
     )
     with pytest.raises(ValueError, match="at least one case"):
         verdict()
+
+
+# Runs and scores.
+
+
+def test_box_plots_keep_every_value_beyond_the_whiskers():
+    recording = find_case("sphere").record(QUICK, 1)
+    settings = replace(QUICK, seed=1)
+    row = dict(
+        zip(SCORE_COLUMNS, next(score_rows("sphere", recording, 1, [3], settings)), strict=True)
+    )
+    box = null_box(row)
+    truth, made = recording.positions, map_and_score(recording, METHODS[0], 3, permutations=200)
+    drawn = cbook.boxplot_stats(made.score.mantel.null)[0]
+    assert len(truth) == made.score.mantel.n_sensors
+    assert len(box.outliers) == len(drawn["fliers"]) > 2
+    np.testing.assert_allclose(box.outliers, np.sort(drawn["fliers"]), atol=1e-4)
+    assert (box.whisker_low, box.whisker_high) == (drawn["whislo"], drawn["whishi"])
+
+
+@pytest.mark.parametrize("quantile", [0.25, 0.5, 1.0])
+def test_radial_basis_sensors_respond_most_at_their_optimum(quantile):
+    depth = np.concatenate([np.zeros(50), np.linspace(0.01, 1, 100)])[:, None]
+    response = radial_basis(depth, quantile)[:, 0]
+    assert abs(depth[response.argmax(), 0] - np.quantile(depth[depth > 0], quantile)) < 0.01
+    assert response[0] == pytest.approx(np.exp(-2))
+    assert (np.diff(response) >= 0).all() == (quantile == 1)
 
 
 # Shape statistics.

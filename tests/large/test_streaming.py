@@ -288,5 +288,5 @@ def test_changes_of_copy_on_write_maps_are_used(tmp_path):
 
 
 def test_too_many_bins_are_refused():
-    with pytest.raises(InputError, match="at most 65536, got 70000"):
+    with pytest.raises(InputError, match="at most 1024, got 70000"):
         reconstruct_chunks(READINGS, "i-anisomap", options=MethodOptions(bins=70_000))

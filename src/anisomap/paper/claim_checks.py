@@ -11,6 +11,7 @@ import numpy as np
 from anisomap.paper.cases import FIRST_FAILED_RUN, METHODS
 from anisomap.paper.experiment import Tables
 from anisomap.paper.experiments.accuracy import by_group
+from anisomap.paper.experiments.unlike_responses import MEDIAN
 
 # The paper gives no numbers for its claims; all thresholds are chosen by hand.
 REASONABLE, EXCELLENT = 0.7, 0.9  # Mantel r
@@ -185,6 +186,24 @@ def bins_do_not_matter(_: Rows, tables: Tables) -> ClaimCheck:
     }
     held = {f"{row['method']} on {row['run']}": row["largest change"] <= SIMILAR for row in rows}
     return ClaimCheck("largest change of mean r: " + _listed(changes), held)
+
+
+def information_identifies_unlike_sensors(_: Rows, tables: Tables) -> ClaimCheck:
+    """Check which similarity identifies linear and radial-basis sensors of one quantity."""
+    records = [row for row in tables["unlike-responses"].records() if row["optimum"] == MEDIAN]
+    shares = {
+        (run, method): _mean(
+            row["identified"] for row in records if (row["run"], row["method"]) == (run, method)
+        )
+        for run in dict.fromkeys(row["run"] for row in records)
+        for method in _ANISOMAPS
+    }
+    linear, general = _ANISOMAPS
+    held = {run: shares[run, general] > shares[run, linear] for run, _ in shares}
+    measured = "share by r and by mutual information: " + "; ".join(
+        f"{run} {shares[run, linear]:.2f}, {shares[run, general]:.2f}" for run in held
+    )
+    return ClaimCheck(measured, held)
 
 
 def r_implies_topology(rows: Rows, _: Tables) -> ClaimCheck:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from anisomap.drawing.figures.charts import METHOD_LOOKS, NullBox
 from anisomap.evaluation import Mantel, Score, score
 from anisomap.methods import MethodOptions
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.cases import METHODS, true_positions
 from anisomap.paper.experiment import Row, Settings
@@ -21,6 +22,7 @@ from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
 _WHISKER = 1.5  # interquartile ranges, as in the paper's Figure 3
+_SMACOF = SmacofOptions(solver="majorization")  # the paper's algorithm; the default is faster
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +49,11 @@ def map_and_score(
 ) -> ScoredMap:
     """Reconstruct a map and score it against the true positions of the recording.
 
-    Maps in 2D are compared with the first two coordinates of the true positions.
+    Positions are scaled by majorization, as in the paper. Maps in 2D are compared with the first
+    two coordinates of the true positions.
     """
-    sensor_map = reconstruct(recording, method, dimensions, options=options)
+    published = replace(options or MethodOptions(), smacof=_SMACOF)
+    sensor_map = reconstruct(recording, method, dimensions, options=published)
     result = score(
         sensor_map,
         true_positions(recording, dimensions),
@@ -75,6 +79,7 @@ SCORE_COLUMNS = {
     "null_whisker_high": "null distribution: upper whisker",
     "null_min": "null distribution: minimum",
     "null_max": "null distribution: maximum",
+    "null_outliers": "null distribution: all values beyond the whiskers, separated by spaces",
     "permutations": "random relabellings; without any, the null distribution is nan",
     "rms_in_spacings": "RMS error after alignment, in distances between neighbouring sensors",
     "neighbours_kept": "share of the six true nearest neighbours that are nearest on the map",
@@ -126,14 +131,13 @@ def score_rows(
 def null_box(row: dict[str, Any]) -> NullBox:
     """Return the box plot of a null distribution from a row of `SCORE_COLUMNS`."""
     low, high = row["null_whisker_low"], row["null_whisker_high"]
-    extremes = (row["null_min"], row["null_max"])
     return NullBox(
         low,
         row["null_quartile_1"],
         row["null_median"],
         row["null_quartile_3"],
         high,
-        tuple(value for value in extremes if not low <= value <= high),
+        tuple(float(value) for value in str(row["null_outliers"]).split()),
     )
 
 
@@ -159,9 +163,11 @@ def _score_cells(scored: ScoredMap, *, is_cylinder: bool) -> Row:
 def _null_cells(mantel: Mantel) -> Row:
     null = mantel.null
     if not null.size:
-        return (*[math.nan] * 7, 0)
+        return (*[math.nan] * 7, "", 0)
     first, median, third = np.quantile(null, (0.25, 0.5, 0.75)).tolist()
     reach = _WHISKER * (third - first)
-    inside = null[(null >= first - reach) & (null <= third + reach)]
-    low, high = float(inside.min()), float(inside.max())
-    return (low, first, median, third, high, float(null.min()), float(null.max()), null.size)
+    is_inside = (null >= first - reach) & (null <= third + reach)
+    low, high = float(null[is_inside].min()), float(null[is_inside].max())
+    outliers = " ".join(f"{value:.4f}" for value in np.sort(null[~is_inside]))
+    extremes = (float(null.min()), float(null.max()))
+    return (low, first, median, third, high, *extremes, outliers, null.size)

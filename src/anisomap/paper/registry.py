@@ -17,6 +17,7 @@ from anisomap.paper.experiments import (
     sample_data,
     sensitivity,
     shape_distortion,
+    unlike_responses,
 )
 
 _IN_ORDER = (
@@ -33,6 +34,7 @@ _IN_ORDER = (
     *sample_data.EXPERIMENTS,
     accuracy.BINS,
     failing_sensor.EXPERIMENT,
+    *unlike_responses.EXPERIMENTS,
     *sensitivity.EXPERIMENTS,
     dimensionality.EXPERIMENT,
 )

@@ -110,7 +110,7 @@ def figure_3(settings: Settings, tables: Tables) -> Outcome:
         f"Mantel r of all maps; dots: runs (seeds {seeds[0]} to {seeds[-1]} of each simulated "
         "scenario, one run each of the patch), lines: means. Boxes: null distribution of the map "
         f"of the first seed ({settings.permutations:,} random relabellings); whiskers: 1.5 "
-        "interquartile ranges; +: minimum and maximum beyond the whiskers."
+        "interquartile ranges; +: all values beyond the whiskers."
     )
     table = Table("figure-3", "Mantel r by scenario and method.", _SUMMARY, _summary(groups))
     return Outcome((Picture("figure-3", caption, figure),), (table,))

@@ -141,7 +141,25 @@ def draw_curves(parameter: Parameter, settings: Settings, tables: Tables) -> Out
     )
     rows = tuple(row for table in found.values() for row in table.rows)
     table = Table(parameter.name, f"Scores by {parameter.label}.", _COLUMNS, rows, shown=False)
-    return Outcome((Picture(parameter.name, caption, figure),), (table,))
+    return Outcome((Picture(parameter.name, caption, figure),), (table, _means(parameter, rows)))
+
+
+def _means(parameter: Parameter, rows: tuple[Row, ...]) -> Table:
+    """Return the mean Mantel r over seeds by scenario, method and value of the parameter."""
+    groups: dict[tuple[str, str], dict[float, list[float]]] = {}
+    for run, value, _seed, method, r in rows:
+        by_value = groups.setdefault((str(run), str(method)), {})
+        by_value.setdefault(float(value), []).append(float(r))
+    values = sorted({value for by_value in groups.values() for value in by_value})
+    columns = {name: _COLUMNS[name] for name in ("run", "method")} | {
+        f"{value:g}": f"mean Mantel r at a value of {value:g}" for value in values
+    }
+    means: tuple[Row, ...] = tuple(
+        (*group, *(float(np.mean(by_value[value])) for value in values))
+        for group, by_value in groups.items()
+    )
+    caption = f"Mean Mantel r by {parameter.label}."
+    return Table(f"{parameter.name}-means", caption, columns, means, shown=False)
 
 
 def _mantel_r(recording: Recording, method: str, options: MethodOptions) -> float:
