@@ -83,7 +83,8 @@ def regularised_reciprocal(similarity: ArrayLike, mu: float = 1.0) -> Reals:
     -----
     McGregor et al. (2011), section "r-ANISOMAP and I-ANISOMAP":
     ``M_ij = 1 / (max(s_ij, 0) + mu s_min)``, where s_min is the smallest positive element. The
-    paper gives no value of mu; 1, 0.1 and 0.01 gave the same map to three digits of its score.
+    paper gives no value of mu. With 1, 0.1 and 0.01, Mantel r of maps by r- and I-ANISOMAP agreed
+    within .002, except on rolling cylinders: within .04 and .09 (seeds 1 and 2).
     """
     if not (np.isfinite(mu) and mu >= 0):
         raise InputError(f"mu must be a finite number of at least 0, got {mu}")
