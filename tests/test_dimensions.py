@@ -95,6 +95,10 @@ def test_few_sensors_are_mapped_in_3_dimensions_with_a_note():
 def test_other_ways_to_a_map_choose_as_well():
     skin = flat_skin()
     assert quiet(reconstruct_chunks, skin.readings).dimensions == 2
+    assert quiet(reconstruct_chunks, skin.readings, "r-anisomap").dimensions == 2
+    unclear = quiet(reconstruct_chunks, skin.readings, "i-anisomap")  # has no correlation
+    assert unclear.dimensions == 3
+    assert any(UNCLEAR in note for note in unclear.notes)
     approximate = quiet(reconstruct_approximately, skin.readings)
     assert approximate.dimensions == 3
     assert any(UNCLEAR in note for note in approximate.notes)

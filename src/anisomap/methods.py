@@ -271,6 +271,37 @@ def find_method(name: str) -> Method:
     return METHODS[name]
 
 
+def examined_metric(
+    recipe: Method, pairs: PairStatistics | None, metric: Reals, options: MethodOptions
+) -> Reals | None:
+    """Return the metric from which the number of dimensions can be chosen.
+
+    Parameters
+    ----------
+    recipe : Method
+    pairs : PairStatistics, optional
+        The similarity, if the map starts from one.
+    metric : ndarray of shape (n, n)
+        That of the method.
+    options : MethodOptions
+
+    Returns
+    -------
+    ndarray of shape (n, n), optional
+        The metric of the default method, for which the choice was tuned, where the similarity of
+        the method is a correlation; the given one without a similarity; otherwise None.
+    """
+    default = METHODS[DEFAULT_METHOD]
+    if pairs is None or recipe.dissimilarity == default.dissimilarity:
+        return metric
+    if recipe.similarity == "mutual-information":
+        return None
+    dissimilarity = default.dissimilarity(pairs, options)
+    dissimilarity[~pairs.known] = np.inf
+    np.fill_diagonal(dissimilarity, 0)
+    return default.metric(dissimilarity)
+
+
 def check_even_spacing(method: str, options: MethodOptions, *, readings: bool) -> None:
     """Check that declared even spacing can be used.
 

@@ -35,6 +35,7 @@ from anisomap.methods import (
     Method,
     MethodOptions,
     check_even_spacing,
+    examined_metric,
     find_method,
 )
 from anisomap.numerics.compiled.parallel import limited_blas
@@ -195,8 +196,8 @@ def reconstruct_from(
     method, options, drop
         See `reconstruct`.
     dimensions : int or "auto"
-        See `reconstruct`. ``"auto"`` examines the metric of the method, or takes the number of
-        coordinates of `start`.
+        See `reconstruct`. ``"auto"`` needs a correlation, a dissimilarity or a metric, or takes
+        the number of coordinates of `start`.
     noise : array_like of shape (N, N), optional
         Sampling variance of each similarity; by default the reciprocal of
         `MethodOptions.independent_frames`.
@@ -256,12 +257,10 @@ def reconstruct_from(
             matrix = dissimilarities(pairs, method, options)
         semi_metric = check_semi_metric(matrix)
         computed = semi_metric if stage == "metric" else recipe.metric(semi_metric)
-        plan = plan_dimensions(
-            dimensions,
-            computed,
-            pair_weights,
-            examine=recipe.refine is not None and pairs is not None,
-        )
+        chosen = dimensions == AUTO
+        examined = examined_metric(recipe, pairs, computed, options) if chosen else computed
+        examine = recipe.refine is not None and pairs is not None
+        plan = plan_dimensions(dimensions, examined, pair_weights, examine=examine)
         configuration, plan = configure(
             plan,
             computed,

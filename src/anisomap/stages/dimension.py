@@ -106,15 +106,19 @@ class DimensionPlan:
 
 
 def plan_dimensions(
-    dimensions: Dimensions, metric: Reals, weights: Reals | None = None, *, examine: bool = True
+    dimensions: Dimensions,
+    metric: Reals | None,
+    weights: Reals | None = None,
+    *,
+    examine: bool = True,
 ) -> DimensionPlan:
     """Choose the number of dimensions of a map, or examine the given number.
 
     Parameters
     ----------
     dimensions : int or "auto"
-    metric : ndarray of shape (n, n)
-        Infinite between components.
+    metric : ndarray of shape (n, n), optional
+        Infinite between components. Without it, the number of dimensions is not clear.
     weights : ndarray of shape (n, n), optional
         Weights of the distances; 0 marks an unknown pair.
     examine : bool
@@ -125,11 +129,12 @@ def plan_dimensions(
     DimensionPlan
     """
     if dimensions == AUTO:
-        choice = choose_dimensions(metric, weights)
+        choice = DimensionChoice() if metric is None else choose_dimensions(metric, weights)
         return DimensionPlan(choice.dimensions, AUTO, choice)
-    examined = examine and dimensions == SPATIAL
-    choice_given = choose_dimensions(metric, weights) if examined else None
-    return DimensionPlan(int(dimensions), int(dimensions), choice_given)
+    given = DimensionPlan(int(dimensions), int(dimensions))
+    if not examine or dimensions != SPATIAL or metric is None:
+        return given
+    return replace(given, choice=choose_dimensions(metric, weights))
 
 
 def check_dimensions(dimensions: Dimensions) -> None:

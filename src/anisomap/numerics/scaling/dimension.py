@@ -27,6 +27,13 @@ PLANE_ELBOW = 1.18
 At least 1.20 on flat skins, real ones included; 1.15 or less on points in 5 and 6 dimensions.
 """
 
+DISTINCT_PLANE, WEAK_FLAT_ELBOW = 3.0, 1.09
+"""Elbow at 2 dimensions below which the elbow at 3 has to be smaller, and its limit there.
+
+Where stimuli reach far, no dimension fits well. Simulated flat skins with an elbow at 2 dimensions
+of less than 3 had at most 1.08 at 3 dimensions, and bodies at least 1.106 (seeds 1 to 9).
+"""
+
 LINE_ELBOW, LINE_STRESS = 5.0, 0.1
 """Minimum elbow at 1 dimension, and maximum Stress-1 in it, of sensors along a line.
 
@@ -128,6 +135,7 @@ def choose_dimensions(metric: ArrayLike, weights: Reals | None = None) -> Dimens
         return DimensionChoice(2, clear=True, line=True, stress=stress)
     if found.elbow(3) >= SPATIAL_ELBOW:
         return DimensionChoice(3, clear=True, stress=stress)
-    if found.elbow(3) < FLAT_ELBOW and found.elbow(2) >= PLANE_ELBOW:
+    limit = FLAT_ELBOW if found.elbow(2) >= DISTINCT_PLANE else WEAK_FLAT_ELBOW
+    if found.elbow(3) < limit and found.elbow(2) >= PLANE_ELBOW:
         return DimensionChoice(2, clear=True, stress=stress)
     return found
