@@ -111,7 +111,7 @@ def test_columns_name_the_sensors():
 
 
 def test_a_mapper_works_in_a_pipeline():
-    pipeline = make_pipeline(SensorMapper(n_components=3), PCA(2))
+    pipeline = make_pipeline(SensorMapper(), PCA(2))
     touched = SKIN.readings[SKIN.readings.sum(axis=1) > 0]
     assert pipeline.fit_transform(touched).shape == (len(touched), 2)
 
