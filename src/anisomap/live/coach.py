@@ -45,6 +45,11 @@ class Advice:
     text: str = "touch the skin"
 
     @property
+    def next_sensors(self) -> tuple[int, ...]:
+        """Sensors to touch next, for a simulated hand; none for anywhere."""
+        return self.untouched or (self.places[0].sensors if self.places else ())
+
+    @property
     def enough(self) -> bool:
         """Whether more contacts would gain little."""
         return not (self.places or self.untouched) and self.share_done > 0

@@ -179,10 +179,7 @@ def _opened(
 
 def _advised(session: LiveSession) -> tuple[int, ...]:
     """Return the sensors that the coach asks to touch; none for anywhere."""
-    if session.quick is None:
-        return ()
-    advice = session.quick.advice
-    return advice.places[0].sensors if advice.places else advice.untouched
+    return () if session.quick is None else session.quick.advice.next_sensors
 
 
 def _run(

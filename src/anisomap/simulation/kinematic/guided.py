@@ -14,7 +14,6 @@ from anisomap.simulation.kinematic.rubbing import RubbingOptions, draw_angles, d
 from anisomap.simulation.kinematic.settling import LIFT_HEIGHT, Cluster, settle
 from anisomap.simulation.sensing import read_balls
 
-_ELSEWHERE = 1e3  # visits of the sensors that are not meant; more than any session has
 _TRAVEL_FRAMES = 6  # off the skin between two bouts: 0.3 s, as for a lift between strokes
 
 
@@ -37,7 +36,12 @@ class GuidedHand:
         self._skin = sample_skin(self.body, self.rng)
         self._pads, self._radii = draw_palm(self.options.hand_size, self.rng)
 
-    def rub(self, n_frames: int, sensors: Collection[int] = ()) -> NDArray[np.float32]:
+    def rub(
+        self,
+        n_frames: int,
+        sensors: Collection[int] = (),
+        contacts: NDArray[np.intp] | None = None,
+    ) -> NDArray[np.float32]:
         """Rub for some frames.
 
         Parameters
@@ -45,7 +49,10 @@ class GuidedHand:
         n_frames : int
             More than 6: the first frames are those in which the hand moves off the skin.
         sensors : collection of int
-            Sensors to rub; by default the hand is set down anywhere.
+            Sensors at which the hand is set down; by default anywhere.
+        contacts : ndarray of int, shape (N,), optional
+            Contacts of each sensor before: strokes lead to sensors that have few. By default they
+            are not known.
 
         Returns
         -------
@@ -54,9 +61,12 @@ class GuidedHand:
         """
         n_sensors, options, rng = self.body.n_sensors, self.options, self.rng
         visits = np.zeros(n_sensors)
+        if contacts is not None:
+            visits += contacts
         if sensors:
-            visits += _ELSEWHERE
-            visits[list(sensors)] = 0
+            first = list(sensors)
+            visits[first] = np.minimum(visits[first], 0)
+            visits[first[0]] = -1  # the hand is set down at the least visited sensor
         n_rubbing = max(1, n_frames - _TRAVEL_FRAMES)
         path = draw_strokes(self.body, self._skin, n_rubbing, options, rng, visits=visits)
         angles = draw_angles(n_rubbing, options.frame_interval, rng)
