@@ -62,9 +62,7 @@ class Row:
     touched: float
 
 
-def rows_of(
-    body: Body, dimensions: int, stimulus: str, way: str, seed: int, lengths: Sequence[int]
-) -> list[Row]:
+def rows_of(body: Body, dimensions: int, stimulus: str, way: str, *, seed: int) -> list[Row]:
     """Rub a body in one way, and map it at several numbers of frames."""
     chosen = options_for(RubbingOptions, body)
     factor = {"palm": 1.0, "fingertip": FINGERTIP}[stimulus]
@@ -76,7 +74,7 @@ def rows_of(
     readings = np.empty((0, body.n_sensors), dtype=np.float32)
     where: tuple[int, ...] = ()
     found = []
-    while len(readings) < max(lengths):
+    while len(readings) < max(LENGTHS):
         few = np.minimum(statistics.contacts, ENOUGH_CONTACTS) if way == "coached" else None
         bout = hand.rub(BOUT_FRAMES, where, few)
         readings = np.concatenate([readings, bout])
@@ -84,7 +82,7 @@ def rows_of(
         if way == "coached":
             advice = mapper.make(statistics).advice
             where = advice.next_sensors
-        if len(readings) in lengths:
+        if len(readings) in LENGTHS:
             touched = float((readings > 0).any(axis=0).mean())
             error = error_of(Recording(readings, names=body.names), body, dimensions)
             found.append(Row(body.name, stimulus, way, seed, len(readings), error, touched))
@@ -150,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in given.bodies:
         body, dimensions = find_body(name), DIMENSIONS.get(name, 3)
         for stimulus, way, seed in itertools.product(STIMULI, WAYS, given.seeds):
-            rows += rows_of(body, dimensions, stimulus, way, seed, LENGTHS)
+            rows += rows_of(body, dimensions, stimulus, way, seed=seed)
         write(given.output / "coach.csv", [vars(row) for row in rows])
     results = summary(rows)
     write(given.output / "coach-summary.csv", results)

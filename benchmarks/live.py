@@ -1,0 +1,171 @@
+"""What a live session keeps up with: ``python -m benchmarks.live --sensors 1000 --rate 100``.
+
+Another process sends frames of a simulated skin over TCP, at a rate in Hz or as fast as they are
+taken (``--rate 0``). Printed are the frames that were recorded, the states of the readings that a
+page receives per second, the age of the map, and the memory of all processes of the session.
+"""
+
+from __future__ import annotations
+
+import argparse
+import http.client
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+
+_SETTLING_S = 5.0  # after the first map, before measurements begin
+_KIB = 1024
+
+
+def skin(n_sensors: int, n_frames: int = 2000) -> list[str]:
+    """Return the frames of a square skin under a contact that wanders, as lines of text."""
+    rng = np.random.default_rng(0)
+    places = rng.uniform(0, 1, (n_sensors, 2))
+    walk = np.cumsum(rng.normal(0, 0.03, (n_frames, 2)), axis=0)
+    touch = np.abs(walk % 2 - 1)
+    reach = 2.5 / np.sqrt(n_sensors)
+    depth = np.maximum(0, reach - np.linalg.norm(touch[:, None] - places, axis=2)) / reach
+    return [",".join(map(repr, row)) for row in np.round(depth, 3).tolist()]
+
+
+def send(port: int, n_sensors: int, rate: float, seconds: float) -> None:
+    """Send frames to a port; print how many."""
+    lines = [f"{line}\n".encode() for line in skin(n_sensors)]
+    begun, count = time.monotonic(), 0
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        while (now := time.monotonic() - begun) < seconds:
+            due = count + 50 if not rate else int(now * rate)
+            while count < due:
+                connection.sendall(lines[count % len(lines)])
+                count += 1
+            if rate:
+                time.sleep(0.002)
+    print(count, flush=True)
+
+
+@dataclass
+class Watcher:
+    """A page of the session: counts the states of the readings, and notes the age of the map.
+
+    Attributes
+    ----------
+    readings : list of float
+        When the states of the readings came.
+    ages : list of (float, float)
+        Time, and age of the map in seconds.
+    frames : list of int
+    """
+
+    url: str
+    readings: list[float] = field(default_factory=list)
+    ages: list[tuple[float, float]] = field(default_factory=list)
+    frames: list[int] = field(default_factory=lambda: [0])
+    lagged: bool = False
+
+    def watch(self) -> None:
+        """Read events until the session ends."""
+        address = urlsplit(self.url)
+        connection = http.client.HTTPConnection(str(address.hostname), address.port)
+        connection.request("GET", "/events")
+        answer = connection.getresponse()
+        while line := answer.readline():
+            kind, data = line.decode().strip(), answer.readline().decode()
+            answer.readline()
+            if kind == "event: readings":
+                self.readings.append(time.monotonic())
+            elif kind == "event: status":
+                status = json.loads(data.removeprefix("data: "))
+                self.frames.append(status["frames"])
+                self.lagged |= status["lags"]
+                if status["share_touched"] > 0:
+                    self.ages.append((time.monotonic(), status["map_age"]))
+
+
+def memory_kib(pid: int) -> int:
+    """Return the proportional set size of a process and its children in KiB (Linux)."""
+    total = 0
+    for child in [pid, *children(pid)]:
+        for line in Path(f"/proc/{child}/smaps_rollup").read_text().splitlines():
+            if line.startswith("Pss:"):
+                total += int(line.split()[1])
+    return total
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that a process has started."""
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run a session and print what was measured."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sensors", type=int, default=1000)
+    parser.add_argument("--rate", type=float, default=100.0)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    given = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        print(json.dumps(measured(Path(folder), given.sensors, given.rate, given.seconds)))
+
+
+def measured(folder: Path, n_sensors: int, rate: float, seconds: float) -> dict[str, object]:
+    """Measure a session in a folder."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "anisomap", "live", f"tcp-listen://127.0.0.1:{port}"]
+    command += ["-d", "2", "--port", "0", "--no-browser", "--json", "--recording", "r.csv"]
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)  # noqa: S603
+    if process.stdout is None:
+        raise RuntimeError("the session has no output")
+    watcher = Watcher(json.loads(process.stdout.readline())["url"])
+    threading.Thread(target=watcher.watch, daemon=True).start()
+    sender = get_context("spawn").Process(target=send, args=(port, n_sensors, rate, seconds))
+    sender.start()
+    memory: list[int] = []
+    while sender.is_alive():
+        sender.join(1.0)
+        memory.append(memory_kib(process.pid))
+    last = -1
+    while watcher.frames[-1] != last:  # what is still in the buffers of the system
+        last = watcher.frames[-1]
+        time.sleep(2.0)
+    process.send_signal(signal.SIGTERM)
+    process.wait()
+    with (folder / "r.csv").open("rb") as stream:
+        lines = sum(not line.startswith((b"#", b'"')) for line in stream)
+    start = watcher.ages[0][0] + _SETTLING_S if watcher.ages else 0.0
+    ages = [age for moment, age in watcher.ages if moment > start] or [float("nan")]
+    moments = np.array([moment for moment in watcher.readings if moment > start])
+    quarter = memory[len(memory) // 4 : len(memory) // 2]
+    return {
+        "sensors": n_sensors,
+        "rate_hz": rate,
+        "seconds": seconds,
+        "frames_recorded": lines,
+        "frames_received": last,
+        "states_per_second": round(len(moments) / (moments[-1] - moments[0]), 1),
+        "map_age_median_s": round(float(np.median(ages)), 2),
+        "map_age_95_s": round(float(np.quantile(ages, 0.95)), 2),
+        "map_age_max_s": round(max(ages), 2),
+        "lags": watcher.lagged,
+        "memory_mib_second_quarter": round(float(np.median(quarter)) / _KIB),
+        "memory_mib_end": round(float(np.median(memory[-5:])) / _KIB),
+        "load": os.getloadavg()[0],
+    }
+
+
+if __name__ == "__main__":
+    main()
