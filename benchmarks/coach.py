@@ -1,8 +1,8 @@
 """Frames that a coached hand saves: ``python -m benchmarks.coach -o coach``.
 
 A simulated palm rubs a body in bouts of 2 s. Coached, it rubs the first place that the coach of
-`anisomap live` names; blind, it is set down anywhere. The errors of the maps of both are compared
-at several numbers of frames. Lifting the hand between bouts takes the same time in both.
+`anisomap live` names; blind, it is set down anywhere. The errors of the quick maps of both are
+compared at several numbers of frames. Lifting the hand between bouts takes the same time in both.
 """
 
 from __future__ import annotations
@@ -10,21 +10,20 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing, score
+from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.health.touch_coverage import ENOUGH_CONTACTS
 from anisomap.live.mapping import QuickMapper
 from anisomap.live.sources.simulated import BOUT_FRAMES
 from anisomap.live.statistics import TouchStatistics
-from anisomap.reconstruction import reconstruct
-from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body
 from anisomap.simulation.kinematic.guided import GuidedHand
 from anisomap.simulation.kinematic.rubbing import RubbingOptions
@@ -71,39 +70,31 @@ def rows_of(body: Body, dimensions: int, stimulus: str, way: str, *, seed: int) 
     hand = GuidedHand(body, options, np.random.default_rng(seed))
     statistics = TouchStatistics(body.n_sensors)
     mapper = QuickMapper(body.names, dimensions)
-    readings = np.empty((0, body.n_sensors), dtype=np.float32)
     where: tuple[int, ...] = ()
     found = []
-    while len(readings) < max(LENGTHS):
+    while statistics.n_frames < max(LENGTHS):
         few = np.minimum(statistics.contacts, ENOUGH_CONTACTS) if way == "coached" else None
         bout = hand.rub(BOUT_FRAMES, where, few)
-        readings = np.concatenate([readings, bout])
         statistics.add(bout.astype(np.float64))
+        made = mapper.make(statistics)
         if way == "coached":
-            advice = mapper.make(statistics).advice
-            where = advice.next_sensors
-        if len(readings) in LENGTHS:
-            touched = float((readings > 0).any(axis=0).mean())
-            error = error_of(Recording(readings, names=body.names), body, dimensions)
-            found.append(Row(body.name, stimulus, way, seed, len(readings), error, touched))
+            where = made.advice.next_sensors
+        if statistics.n_frames in LENGTHS:
+            error, touched = error_of(made.positions, body), float(statistics.touched.mean())
+            found.append(Row(body.name, stimulus, way, seed, statistics.n_frames, error, touched))
     return found
 
 
-def error_of(recording: Recording, body: Body, dimensions: int) -> float:
-    """Return the RMS error of the map of a recording in spacings.
+def error_of(positions: NDArray[np.float64], body: Body) -> float:
+    """Return the RMS error of a map in spacings.
 
     A sensor without a place counts as one in the middle of the body.
     """
     centred = body.positions - body.positions.mean(axis=0)
     squares = (centred**2).sum(axis=1) / median_spacing(body.positions) ** 2
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            made = reconstruct(recording, dimensions=dimensions)
-            found = score(made, body.positions, permutations=0)
-        except InputError:
-            return float(np.sqrt(squares.mean()))
-    squares[found.sensors] = (found.alignment.errors / found.spacing) ** 2
+    if np.isfinite(positions).all(axis=1).sum() > MIN_SENSORS_COMPARED:
+        found = score(SensorMap(positions), body.positions, permutations=0)
+        squares[found.sensors] = (found.alignment.errors / found.spacing) ** 2
     return float(np.sqrt(squares.mean()))
 
 

@@ -104,6 +104,12 @@ def memory_kib(pid: int) -> int:
     return total
 
 
+def cpu_s(pid: int) -> float:
+    """Return the processor time that a process has used in seconds (Linux)."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def children(pid: int) -> list[int]:
     """Return the processes that a process has started."""
     return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
@@ -135,6 +141,7 @@ def measured(folder: Path, n_sensors: int, rate: float, seconds: float) -> dict[
     sender = get_context("spawn").Process(target=send, args=(port, n_sensors, rate, seconds))
     sender.start()
     memory: list[int] = []
+    roles = ("acquisition", "quick_maps", "checked_maps")
     while sender.is_alive():
         sender.join(1.0)
         memory.append(memory_kib(process.pid))
@@ -142,6 +149,8 @@ def measured(folder: Path, n_sensors: int, rate: float, seconds: float) -> dict[
     while watcher.frames[-1] != last:  # what is still in the buffers of the system
         last = watcher.frames[-1]
         time.sleep(2.0)
+    workers = [pid for pid in children(process.pid) if b"spawn_main" in _command(pid)]
+    used = [cpu_s(pid) for pid in (process.pid, *workers)]
     process.send_signal(signal.SIGTERM)
     process.wait()
     with (folder / "r.csv").open("rb") as stream:
@@ -163,8 +172,13 @@ def measured(folder: Path, n_sensors: int, rate: float, seconds: float) -> dict[
         "lags": watcher.lagged,
         "memory_mib_second_quarter": round(float(np.median(quarter)) / _KIB),
         "memory_mib_end": round(float(np.median(memory[-5:])) / _KIB),
+        **{f"cpu_s_{role}": one for role, one in zip(roles, used, strict=True)},
         "load": os.getloadavg()[0],
     }
+
+
+def _command(pid: int) -> bytes:
+    return Path(f"/proc/{pid}/cmdline").read_bytes()
 
 
 if __name__ == "__main__":

@@ -40,3 +40,14 @@ def test_a_port_in_use_is_an_error(run):
         done = run("live", f"tcp-listen://127.0.0.1:{port}", "--headless")
     assert done.code == 2
     assert f"cannot listen on 127.0.0.1:{port}" in done.err
+
+
+def test_a_port_of_the_page_in_use_is_an_error_before_anything_is_recorded(run, skin_csv, tmp_path):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        done = run("live", skin_csv, "--port", port, "--no-browser", "--recording", "r.csv")
+    assert done.code == 2
+    assert f"cannot show the page on 127.0.0.1:{port}" in done.err
+    assert not (tmp_path / "r.csv").exists()

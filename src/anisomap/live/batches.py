@@ -64,6 +64,9 @@ Item: TypeAlias = Batch | Names | Notice
 class Source(Protocol):
     """A source of frames.
 
+    A source that loses nothing if it begins later, such as a replay, has an attribute ``can_wait``
+    that is true: it begins when the processes that make maps have started.
+
     Attributes
     ----------
     description : str

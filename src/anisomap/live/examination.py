@@ -31,7 +31,7 @@ MAX_READINGS = 1 << 27
 """Readings of a final map above which they are read in blocks, as ``anisomap map`` does: 512 MiB
 of float32."""
 
-MAX_INTERIM_READINGS = 1 << 23
+MAX_INTERIM_READINGS = 1 << 22
 """Readings of a checked map while the session runs; of more, evenly spread parts are used."""
 
 _PARTS = 64  # of a long recording, evenly spread over it

@@ -19,7 +19,7 @@ from anisomap.live.batches import Batch, Names, Notice, Source
 from anisomap.live.examination import Examination, ExaminationOptions
 from anisomap.live.mapping import QuickMap
 from anisomap.live.recorder import Recorder, Segment
-from anisomap.live.workers import Changed, Examine, Failed, Worker
+from anisomap.live.workers import Changed, Examine, Failed, Ready, Worker
 from anisomap.methods import DEFAULT_METHOD
 from anisomap.placement import Anchors
 from anisomap.sensor_map import is_faulty
@@ -170,6 +170,7 @@ class LiveSession:
         self.levels: NDArray[np.float64] = np.empty(0)
         self._told: dict[str, float] = {}
         self._stop = threading.Event()
+        self._ready = threading.Event()
         self._arrivals = _Arrivals()
         self.examining = False
         self._final: Examination | None = None
@@ -335,6 +336,12 @@ class LiveSession:
             return self.quick.names
         return () if self.segment is None else self.segment.names
 
+    @property
+    def n_sensors(self) -> int:
+        """Number of sensors that maps are to place."""
+        left_out = () if self.quick is None else self.quick.left_out
+        return len(self.sensor_names) - len(left_out)
+
     def stop(self) -> None:
         """End the acquisition; everything that arrived is on disk afterwards."""
         self._stop.set()
@@ -375,6 +382,9 @@ class LiveSession:
         return self._final
 
     def _acquire(self) -> None:
+        if getattr(self.source, "can_wait", False):
+            while not (self._ready.is_set() or self._stop.wait(TICK_S)):
+                pass
         try:
             for item in self.source.items(self._stop):
                 if isinstance(item, Notice):
@@ -468,6 +478,9 @@ class LiveSession:
         self._examiner.send(Examine(segment, n_frames, final=False))
 
     def _receive_quick(self, answer: Any) -> None:
+        self._ready.set()
+        if isinstance(answer, Ready):
+            return
         if isinstance(answer, Failed):
             self.notify(answer.text)
             return
@@ -478,6 +491,8 @@ class LiveSession:
             self._announce()
 
     def _receive_checked(self, answer: Any) -> None:
+        if isinstance(answer, Ready):
+            return
         self.examining, self._examined_at = False, time.monotonic()
         if isinstance(answer, Failed):
             self.notify(answer.text)

@@ -67,7 +67,7 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "source": session.source.description,
         "seconds": round(session.seconds, _DIGITS),
         "frames": session.recorder.n_frames,
-        "sensors": session.recorder.width,
+        "sensors": session.n_sensors,
         "rate_hz": _finite(session.rate_hz),
         "share_touched": session.share_touched,
         "map_age": round(session.map_age, _DIGITS),

@@ -68,6 +68,11 @@ class Failed:
     text: str
 
 
+@dataclass(frozen=True)
+class Ready:
+    """A message from a worker: it has started."""
+
+
 class Worker:
     """A process that answers messages, and is started again if it dies.
 
@@ -148,6 +153,7 @@ def _run(role: str, connection: Connection) -> None:
     with suppress(OSError, AttributeError):
         os.nice(_NICENESS[role])
     with suppress(EOFError, OSError, KeyboardInterrupt):
+        connection.send(Ready())
         if role == "quick":
             _make_quick_maps(connection)
         else:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
@@ -21,11 +22,12 @@ from anisomap.cli.console import Printer, number, percent, print_warning, progre
 from anisomap.drawing import report as reports
 from anisomap.errors import InputError
 from anisomap.files import check_distinct, check_target
+from anisomap.health.touch_coverage import ENOUGH_CONTACTS
 from anisomap.live import ExaminationOptions, LiveSession, open_source
 from anisomap.live.batches import Source
 from anisomap.live.saving import save_map, save_report
 from anisomap.live.server import Server
-from anisomap.live.sources.simulated import SimulatedHand
+from anisomap.live.sources.simulated import Advised, SimulatedHand
 from anisomap.methods import DEFAULT_METHOD, find_method
 
 _source = Group("Source", sort_key=0)
@@ -157,10 +159,17 @@ def live(
     )
     opened = _opened(source, simulate, speed, seed, coached)
     with reporting.printer() as printer:
-        with LiveSession(opened, target, chosen) as session:
+        session = LiveSession(opened, target, chosen)
+        with ExitStack() as stack:
+            # A port in use is reported before anything is recorded.
+            server = None
+            if not page.headless:
+                server = stack.enter_context(Server(session, page.host, page.port))
+            stack.enter_context(session)
             if isinstance(opened, SimulatedHand) and coached:
                 opened.where = partial(_advised, session)
-            _run(session, page, printer, lambda: _finish(session, printer, maps, report, spacing))
+            finish = partial(_finish, session, printer, maps, report, spacing)
+            _run(session, page, printer, server, finish)
         if session.failure is not None:
             raise session.failure
 
@@ -177,13 +186,19 @@ def _opened(
     return open_source(str(source), speed=speed)
 
 
-def _advised(session: LiveSession) -> tuple[int, ...]:
-    """Return the sensors that the coach asks to touch; none for anywhere."""
-    return () if session.quick is None else session.quick.advice.next_sensors
+def _advised(session: LiveSession) -> Advised:
+    """Return where the coach asks to touch, and what was touched so far."""
+    if session.quick is None:
+        return (), None
+    return session.quick.advice.next_sensors, np.minimum(session.quick.contacts, ENOUGH_CONTACTS)
 
 
 def _run(
-    session: LiveSession, page: PageOptions, printer: Printer, finish: Callable[[], None]
+    session: LiveSession,
+    page: PageOptions,
+    printer: Printer,
+    server: Server | None,
+    finish: Callable[[], None],
 ) -> None:
     """Show the session until it ends, and finish it while the page still shows it."""
     ends = None if page.duration is None else time.monotonic() + page.duration
@@ -192,25 +207,24 @@ def _run(
         done = page.until is not None and session.reached(page.until)
         return done or (ends is not None and time.monotonic() >= ends)
 
-    if page.headless:
+    if server is None:
         with _until_interrupted(printer):
             _print_lines(session, printer, over)
         finish()
         return
-    with Server(session, page.host, page.port) as server:
-        printer.line(f"Open {server.url} in a browser; Ctrl-C ends the session.")
-        printer.event({"url": server.url})
-        if page.browser:
-            webbrowser.open(server.url)
-        with _until_interrupted(printer):
-            while not (over() or session.wanted_end.is_set() or session.ended.wait(_POLL_S)):
-                pass
-        asked = over() or session.wanted_end.is_set() or not session.ended.is_set()
-        finish()
-        with _until_interrupted():
-            # A replay has ended by itself: its last map stays on the page.
-            while not (asked or session.wanted_end.wait(_POLL_S)):
-                pass
+    printer.line(f"Open {server.url} in a browser; Ctrl-C ends the session.")
+    printer.event({"url": server.url})
+    if page.browser:
+        webbrowser.open(server.url)
+    with _until_interrupted(printer):
+        while not (over() or session.wanted_end.is_set() or session.ended.wait(_POLL_S)):
+            pass
+    asked = over() or session.wanted_end.is_set() or not session.ended.is_set()
+    finish()
+    with _until_interrupted():
+        # A replay has ended by itself: its last map stays on the page.
+        while not (asked or session.wanted_end.wait(_POLL_S)):
+            pass
 
 
 @contextmanager
@@ -241,7 +255,7 @@ def _facts(session: LiveSession) -> dict[str, Any]:
     return {
         "seconds": round(session.seconds, 2),
         "frames": session.recorder.n_frames,
-        "sensors": session.recorder.width,
+        "sensors": session.n_sensors,
         "share_touched": session.share_touched,
         "map_age": session.map_age,
         "lags": session.lags,

@@ -40,6 +40,8 @@ class Replay:
         If the file holds no recording.
     """
 
+    can_wait = True
+
     def __init__(
         self, path: Path, speed: float = 1.0, options: io.ReadOptions | None = None
     ) -> None:
