@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.evaluation import median_spacing
 from anisomap.live.examination import Examination
 from anisomap.live.mapping import QuickMap
 from anisomap.live.session import LiveSession
@@ -41,6 +42,7 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
         "frames": quick.n_frames,
         "positions": _encoded(quick.positions.astype("<f4")),
         "checked": None if checked is None else _encoded(checked.astype("<f4")),
+        "checked_halo": _encoded(_checked_doubt(session.checked, quick).astype("<f4")),
         "final": session.checked is not None and session.checked.final,
         "pairs": _encoded(quick.pairs.astype("<u4")),
         "halo": _encoded(_doubt(quick).astype("<f4")),
@@ -126,6 +128,21 @@ def _doubt(quick: QuickMap) -> NDArray[np.float64]:
     The standard error of a mean over independent contacts falls with the root of their number.
     """
     return np.asarray(1 / np.sqrt(1.0 + quick.contacts))
+
+
+def _checked_doubt(checked: Examination | None, quick: QuickMap) -> NDArray[np.float64]:
+    """Return the standard deviation of each sensor of the checked map in spacings, at most 1."""
+    doubt = _doubt(quick)
+    made = None if checked is None else checked.sensor_map
+    if made is None or made.covariances is None or np.count_nonzero(made.component == 0) < 2:
+        return doubt
+    row = {name: i for i, name in enumerate(quick.names)}
+    spacing = median_spacing(made.positions[made.component == 0])
+    spread = np.sqrt(np.trace(made.covariances, axis1=1, axis2=2)) / (spacing or 1.0)
+    for name, value in zip(made.names, spread, strict=True):
+        if name in row and np.isfinite(value):
+            doubt[row[name]] = min(value, 1.0)
+    return doubt
 
 
 def _encoded(array: NDArray[Any]) -> str:

@@ -35,7 +35,7 @@ _POLL_S = 0.03  # between two looks at a recording that has not grown
 _READ_BYTES = 1 << 22  # at a time, so that a map of a backlog is made now and then
 _MAX_BEHIND_S = 1.0  # of reading a backlog without a map
 _IDLE_SHARE = 0.5  # pause after a quick map, as a share of its time: others need the processor too
-_NICENESS = {"quick": 0, "checked": 10}
+_NICENESS = {"quick": 0, "checked": 5}
 _MAX_RESTARTS = 3
 _JOIN_S = 0.5  # for a process to end by itself
 

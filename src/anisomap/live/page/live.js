@@ -17,7 +17,7 @@ function decoded(text, Type) {
 function showMap() {
   if (!map) return;
   const checked = map.checked && (showsChecked || map.final);
-  view.update({ ...map, positions: checked ? map.checked : map.positions });
+  view.update(checked ? { ...map, positions: map.checked, halo: map.checked_halo } : map);
   $("which").textContent = map.reason || (checked
     ? `${map.final ? "final" : "checked"} map, by the full method`
     : `quick map of ${map.frames} frames`);
@@ -77,6 +77,7 @@ function connect() {
     map.checked = map.checked && decoded(map.checked, Float32Array);
     map.pairs = decoded(map.pairs, Uint32Array);
     map.halo = decoded(map.halo, Float32Array);
+    map.checked_halo = decoded(map.checked_halo, Float32Array);
     showMap();
     showSelected();
   });
