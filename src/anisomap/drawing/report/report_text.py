@@ -308,10 +308,9 @@ def sensor_table(
         radii = ellipses(sensor_map.covariances)[0].max(axis=1)
     columns += _MEASURED if health else ()
     rows = []
-    problems_first = sorted(
-        range(len(statuses)), key=lambda i: (-errors.get(i, -1.0), not is_faulty(statuses[i]))
-    )
-    for i in problems_first[:MAX_ROWS]:
+    n_sensors = len(statuses)
+    listed = sorted(range(n_sensors), key=lambda i: (not is_faulty(statuses[i]), -errors.get(i, 0)))
+    for i in sorted(listed[:MAX_ROWS], key=lambda i: -errors.get(i, 0)):
         name = sensor_map.names[i]
         cells = []
         if columns and columns[0].name == "Component":
