@@ -65,3 +65,10 @@ def test_the_variance_is_that_of_the_statistic_and_not_of_the_readings(statistic
     observed = np.mean([similarity[pairs].var() for similarity, _ in computed])
     estimated = np.mean([typical_variance(variance) for _, variance in computed])
     assert estimated == pytest.approx(observed, rel=0.3)
+
+
+def test_readings_in_any_memory_order_are_left_alone():
+    by_column = np.asfortranarray(np.random.default_rng(0).normal(size=(100, 5)))
+    by_column.setflags(write=False)
+    expected = sampling_variance(np.ascontiguousarray(by_column))
+    np.testing.assert_array_equal(sampling_variance(by_column), expected)

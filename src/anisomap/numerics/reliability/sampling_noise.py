@@ -116,7 +116,9 @@ def _autocorrelation(readings: NDArray[np.generic], max_lag: int) -> NDArray[np.
     result = np.zeros((max_lag + 1, n_sensors))
     for start in range(0, n_sensors, _SENSORS_AT_ONCE):
         # Rows of contiguous numbers are transformed several times faster than columns.
-        part = np.ascontiguousarray(readings[:, start : start + _SENSORS_AT_ONCE].T, np.float64)
+        part = np.array(
+            readings[:, start : start + _SENSORS_AT_ONCE].T, dtype=np.float64, order="C", copy=True
+        )
         part /= np.maximum(np.abs(part).max(axis=1), np.finfo(np.float64).tiny)[:, None]
         varies = np.ptp(part, axis=1) > 0
         part -= part.mean(axis=1)[:, None]
