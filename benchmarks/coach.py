@@ -106,6 +106,13 @@ def frames_to(rows: Sequence[Row], goal: float) -> float:
     return below[0] if below else float("nan")
 
 
+def frames_to_all(rows: Sequence[Row]) -> float:
+    """Return the number of frames after which half of the runs or more touched every sensor."""
+    lengths = sorted({row.n_frames for row in rows})
+    medians = [np.median([row.touched for row in rows if row.n_frames == n]) for n in lengths]
+    return next((n for n, share in zip(lengths, medians, strict=True) if share == 1), float("nan"))
+
+
 def summary(rows: Sequence[Row]) -> list[dict[str, object]]:
     """Compare the frames that both ways take to the error that the blind one ends with."""
     found: list[dict[str, object]] = []
@@ -122,6 +129,7 @@ def summary(rows: Sequence[Row]) -> list[dict[str, object]]:
                 "goal_in_spacings": round(goal, 3),
                 **{f"frames_{way}": frames[way] for way in WAYS},
                 "ratio": round(frames["coached"] / frames["blind"], 2),
+                **{f"frames_all_touched_{way}": frames_to_all(ways[way]) for way in WAYS},
             }
         )
     return found
@@ -133,19 +141,37 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("coach"))
     parser.add_argument("--seeds", type=int, nargs="*", default=list(SEEDS))
     parser.add_argument("--bodies", nargs="*", default=list(BODIES))
+    parser.add_argument("--read", type=Path, nargs="*", help="rows of earlier runs, to be joined")
     given = parser.parse_args(arguments)
     given.output.mkdir(exist_ok=True)
-    rows: list[Row] = []
-    for name in given.bodies:
+    rows = [row for path in given.read or () for row in read(path)]
+    for name in () if rows else given.bodies:
         body, dimensions = find_body(name), DIMENSIONS.get(name, 3)
         for stimulus, way, seed in itertools.product(STIMULI, WAYS, given.seeds):
             rows += rows_of(body, dimensions, stimulus, way, seed=seed)
-        write(given.output / "coach.csv", [vars(row) for row in rows])
+    write(given.output / "coach.csv", [vars(row) for row in rows])
     results = summary(rows)
     write(given.output / "coach-summary.csv", results)
     for result in results:
         print(result)
     draw(rows, given.output / "coach.png")
+
+
+def read(path: Path) -> list[Row]:
+    """Read rows from CSV."""
+    with path.open(encoding="utf-8") as stream:
+        return [
+            Row(
+                row["body"],
+                row["stimulus"],
+                row["way"],
+                int(row["seed"]),
+                int(row["n_frames"]),
+                float(row["error"]),
+                float(row["touched"]),
+            )
+            for row in csv.DictReader(stream)
+        ]
 
 
 def write(path: Path, rows: Sequence[dict[str, object]]) -> None:
