@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from anisomap import SensorMap, reconstruct
 from anisomap.evaluation import align, score
+from anisomap.health import SensorHealth
 from anisomap.health.touch_coverage import count_contacts, count_joint_contacts
-from anisomap.live.coach import advise
+from anisomap.live.coach import advise, confirmed_faults
 from anisomap.live.mapping import QuickMapper, turned_onto, warm_start
 from anisomap.live.statistics import SAMPLE_FRAMES, TouchStatistics
 from anisomap.numerics.procrustes import fit_similarity
@@ -185,3 +186,22 @@ def test_the_score_of_a_quick_map_is_that_of_the_published_method():
     published = reconstruct(skin, "r-anisomap", 2)
     mine = score(SensorMap(made.positions, names=skin.names), skin, permutations=0)
     assert mine.mantel.r == pytest.approx(score(published, skin, permutations=0).mantel.r, abs=1e-3)
+
+
+def health(name, status, contacts):
+    return SensorHealth(name, status, "why", 0, 1, 2, 0.1, contacts, 0.9, 0.9)
+
+
+def test_a_sensor_that_was_not_touched_yet_is_not_told_as_faulty():
+    sensors = [
+        health("untouched", "dead", 0),
+        health("touched since", "dead", 0),
+        health("stuck", "stuck", 0),
+        health("rare", "isolated", 3),
+        health("noisy", "noisy", 40),
+        health("fine", "ok", 40),
+    ]
+    early = confirmed_faults(sensors, {"untouched"}, 0.5)
+    assert [sensor.name for sensor in early] == ["stuck", "noisy"]
+    late = confirmed_faults(sensors, {"untouched"}, 0.95)
+    assert [sensor.name for sensor in late] == ["untouched", "stuck", "noisy"]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.health import SensorHealth
 from anisomap.health.touch_coverage import (
     ENOUGH_CONTACTS,
     Place,
@@ -15,12 +16,14 @@ from anisomap.health.touch_coverage import (
     neighbouring_sensors,
     next_places,
 )
+from anisomap.sensor_map import is_faulty
 from anisomap.wording import join_items
 
 MAX_PLACES = 3
 """Number of places that are marked: what a person can follow while touching."""
 
 _MAX_NAMED = 5
+_NEARLY_ALL = 0.9  # of the sensors; chosen by hand: skins have fewer dead sensors than a tenth
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +56,37 @@ class Advice:
     def enough(self) -> bool:
         """Whether more contacts would gain little."""
         return not (self.places or self.untouched) and self.share_done > 0
+
+
+def confirmed_faults(
+    health: Iterable[SensorHealth], untouched: Collection[str], share_touched: float
+) -> tuple[SensorHealth, ...]:
+    """Return the sensors that are faulty, without those that were hardly touched so far.
+
+    Parameters
+    ----------
+    health : iterable of SensorHealth
+        From the last checked map.
+    untouched : collection of str
+        Sensors that were not touched until now.
+    share_touched : float
+        Share of the sensors that were touched.
+
+    Returns
+    -------
+    tuple of SensorHealth
+        A constant sensor at rest is dead if nearly all others were touched; other faults of sensors
+        that vary need `ENOUGH_CONTACTS` contacts.
+    """
+    found = []
+    for sensor in health:
+        if sensor.status == "dead":
+            told = sensor.name in untouched and share_touched >= _NEARLY_ALL
+        else:
+            told = sensor.status == "stuck" or sensor.contacts >= ENOUGH_CONTACTS
+        if is_faulty(sensor.status) and told:
+            found.append(sensor)
+    return tuple(found)
 
 
 def advise(

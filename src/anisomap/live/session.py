@@ -15,14 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapError, InputError
+from anisomap.health import SensorHealth
 from anisomap.live.batches import Batch, Names, Notice, Source
+from anisomap.live.coach import confirmed_faults
 from anisomap.live.examination import Examination, ExaminationOptions
 from anisomap.live.mapping import QuickMap
 from anisomap.live.recorder import Recorder, Segment
 from anisomap.live.workers import Changed, Examine, Failed, Ready, Worker
 from anisomap.methods import DEFAULT_METHOD
 from anisomap.placement import Anchors
-from anisomap.sensor_map import is_faulty
 from anisomap.usability import UNKNOWN
 from anisomap.wording import printable
 
@@ -253,16 +254,14 @@ class LiveSession:
         return float((self.quick.contacts[wanted] > 0).mean()) if wanted.any() else 0.0
 
     @property
-    def faulty(self) -> dict[str, str]:
-        """Status of each sensor that the checked map found faulty."""
-        if self.checked is None:
-            return {}
-        dropped = set(self.options.drop)
-        return {
-            sensor.name: sensor.status
-            for sensor in self.checked.health
-            if is_faulty(sensor.status) and sensor.name not in dropped
-        }
+    def faults(self) -> tuple[SensorHealth, ...]:
+        """The sensors that are faulty; those that were hardly touched so far are left out."""
+        quick = self.quick
+        if self.checked is None or quick is None:
+            return ()
+        untouched = {quick.names[i] for i in quick.advice.untouched}
+        kept = [one for one in self.checked.health if one.name not in self.options.drop]
+        return confirmed_faults(kept, untouched, self.share_touched)
 
     @property
     def command(self) -> str:

@@ -14,7 +14,6 @@ from anisomap.live.examination import Examination
 from anisomap.live.mapping import QuickMap
 from anisomap.live.session import LiveSession
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.sensor_map import is_faulty
 
 _DIGITS = 3  # of seconds and errors
 
@@ -82,8 +81,7 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "enough": quick is not None and quick.advice.enough,
         "faulty": [
             {"name": sensor.name, "status": sensor.status, "reason": sensor.reason}
-            for sensor in (() if checked is None else checked.health)
-            if is_faulty(sensor.status) and sensor.name not in session.options.drop
+            for sensor in session.faults
         ],
         "dropped": list(session.options.drop),
         "curve": [

@@ -263,7 +263,7 @@ def _facts(session: LiveSession) -> dict[str, Any]:
         "expected_error": None if verdict is None else verdict.expected_error,
         "error_against_truth": None if checked is None else checked.error_against_truth,
         "reasons": () if verdict is None else verdict.reasons,
-        "faulty": session.faulty,
+        "faulty": {sensor.name: sensor.status for sensor in session.faults},
         "advice": "" if quick is None else quick.advice.text,
         "notices": [note.text for note in session.notices],
     }
