@@ -238,6 +238,8 @@ def collect_evidence(
     statistic = sensor_map.similarity
     if repeatability is None:
         repeatability = estimate_uncertainty(sensor_map, runs, options=options)[1]
+    # Resamples start from the map, so they cannot show that the fit may end in another one.
+    halves = _error_of_halves(sensor_map, part.readings, positions, options)
     with limited_blas(part.n_sensors):
         pairs = compare([part], statistic, bins=(options or MethodOptions()).bins, with_noise=False)
         doubts = systematic_doubts(
@@ -247,6 +249,7 @@ def collect_evidence(
             similarity=pairs.similarity,
             blended=statistic == "blended-correlation",
             repeatability=repeatability,
+            halves=halves,
         )
     return Evidence(
         repeatability=repeatability,

@@ -7,18 +7,23 @@ import math
 from anisomap.usability import Verdict
 from anisomap.verdict.evidence import MAX_CHANCE, Evidence
 
-MAX_ERROR, MIN_MANTEL_R = 0.5, 0.95
-"""Expected error, in spacings, below which a map is usable, and smallest expected Mantel r of it.
+MAX_ERROR, MIN_MANTEL_R = 1.0, 0.9
+"""Largest error, in spacings, and smallest Mantel r of a usable map.
 
-A usable map has an error of at most 1 spacing, beyond which sensors change places with neighbours,
-and a Mantel r of at least .9. Half of each loss is left as a margin: apart from faults that are
-found, no true error was above twice the expected one among the tuning maps that are called usable.
+Beyond an error of 1 spacing, sensors change places with neighbours; maps with a smaller Mantel r
+show the shape of a skin only roughly.
+"""
+
+MARGIN = 2.0
+"""Factor by which the error of a usable map may exceed the expected error.
+
+Apart from copies, no error exceeded it among the maps of tuning seeds 1 to 60 called usable.
 """
 
 MAX_LOCAL_DOUBT = 1.0
 """Size, in spacings, up to which doubts leave most sensors closer to their place than to others."""
 
-_WORTH_SAYING = 0.25  # spacings: doubts of less than half of `MAX_ERROR` decide nothing alone
+_WORTH_SAYING = 0.25  # spacings: smaller doubts alone leave every map usable
 
 
 def judge(evidence: Evidence) -> Verdict:
@@ -32,8 +37,8 @@ def judge(evidence: Evidence) -> Verdict:
     -------
     Verdict
         Its expected error is the root of the sum of squares of the repeatability and of the sizes
-        of all doubts. The map is usable if that error is below half a spacing and the Mantel r
-        that follows from it at least .95; usable locally if the repeatability is at most 1.5
+        of all doubts. The map is usable if twice that error is below 1 spacing, and the Mantel r
+        that follows from it at least .9; usable locally if the repeatability is at most 1.5
         spacings and all doubts of more than 1 spacing keep neighbours. Without a repeatability, a
         map with a doubt of more than 1 spacing that does not keep neighbours is not usable, and
         the verdict on others is unknown.
@@ -51,8 +56,9 @@ def judge(evidence: Evidence) -> Verdict:
     chance = evidence.repeatability
     expected = math.hypot(chance, systematic)
     stated = f"maps of parts of the recording agree within {chance:.2f} spacings"
-    r = expected_mantel_r(expected, evidence.extent, evidence.dimensions)
-    if expected < MAX_ERROR and r >= MIN_MANTEL_R:
+    worst = MARGIN * expected
+    r = expected_mantel_r(worst, evidence.extent, evidence.dimensions)
+    if worst < MAX_ERROR and r >= MIN_MANTEL_R:
         level = "usable"
     elif chance <= MAX_CHANCE and local:
         level = "usable locally"
