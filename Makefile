@@ -9,7 +9,7 @@ LARGE ?=
 ARGS ?=
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
-.PHONY: help demo paper numbers test test-all coverage check format bench quality faults trust dimension fuzz tables docs clean
+.PHONY: help demo paper numbers test test-all coverage check format bench quality faults trust dimension uncertainty fuzz tables docs clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -69,6 +69,7 @@ tables: $(READY)  ## update the tables of accuracy in README and docs from the r
 	if [ -d faults ]; then cp faults/faults-table.md docs/; cp faults/faults.csv docs/results/; fi
 	if [ -d dimension ]; then cp dimension/dimension-table.md docs/; cp dimension/dimension.csv docs/results/; fi
 	if [ -d trust ]; then cp trust/trust-table.md docs/; cp trust/trust.png docs/_static/; cp trust/trust.csv docs/results/; fi
+	if [ -d uncertainty ]; then cp uncertainty/*-table.md docs/; cp uncertainty/*.csv docs/results/; fi
 
 faults: $(READY)  ## measure which faults of recordings are found and mended, in faults/ (RECORDINGS=folder)
 	$(BIN)/python -m benchmarks.faults -o faults $(if $(RECORDINGS),--recordings $(RECORDINGS))
@@ -79,6 +80,9 @@ trust: $(READY)  ## compare verdicts with the errors of 500 maps, in trust/ (REC
 dimension: $(READY)  ## measure how often the number of dimensions is right, in dimension/ (RECORDINGS=folders)
 	$(BIN)/python -m benchmarks.dimension -o dimension $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
 
+uncertainty: $(READY)  ## compare ellipses with the differences of maps, in uncertainty/ (RECORDINGS=folders)
+	$(BIN)/python -m benchmarks.uncertainty -o uncertainty $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
+
 fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/ (ARGS="--cases 5000 --formats npz")
 	$(BIN)/python -m fuzzing $(ARGS)
 
@@ -86,4 +90,4 @@ docs: $(READY)  ## build the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
 clean:  ## remove the output of all targets
-	rm -rf .venv demo bench fuzz quality faults trust dimension paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov
+	rm -rf .venv demo bench fuzz quality faults trust dimension uncertainty paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov

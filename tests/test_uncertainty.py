@@ -10,9 +10,9 @@ from scipy.stats import special_ortho_group
 
 import anisomap
 from anisomap import SensorMap, diagnose, reconstruct
+from anisomap.covariance_ellipses import ellipses, radius
 from anisomap.diagnostics import estimate_uncertainty
 from anisomap.drawing.view import drawn_components, outlines
-from anisomap.ellipses import ellipses, radius
 from anisomap.errors import InputError
 from anisomap.evaluation import align
 from anisomap.placement import mirrored, scaled_to_spacing

@@ -12,6 +12,7 @@ from . import placement as placement
 from . import simulation as simulation
 from . import tracking as tracking
 from ._version import __version__ as __version__
+from .covariance_ellipses import ellipses as ellipses
 from .diagnostics import diagnose as diagnose
 from .errors import AnisomapError as AnisomapError
 from .errors import AnisomapWarning as AnisomapWarning

@@ -20,7 +20,7 @@ from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
-from anisomap.resampling import STEP, resampled_maps
+from anisomap.resampling import MAX_SENSORS, STEP, resampled_maps
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.stages.pairs import compare
@@ -267,15 +267,16 @@ def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
         method.contact_similarity,
     ):
         return "the map does not follow from the readings of one recording in memory"
-    if method.refine is None:
-        return f"maps by {sensor_map.method} are not judged, only refined ones"
-    if len(runs) > 1:
-        return "the recordings have different sensors"
-    if np.count_nonzero(sensor_map.component == 0) < MIN_SENSORS:
-        return f"fewer than {MIN_SENSORS} sensors are related"
-    if runs[0].n_frames < MIN_FRAMES:
-        return f"the recording has fewer than {MIN_FRAMES} frames"
-    return ""
+    n_sensors = np.count_nonzero(sensor_map.component == 0)
+    reasons = {
+        f"maps by {sensor_map.method} are not judged, only refined ones": method.refine is None,
+        "the recordings have different sensors": len(runs) > 1,
+        f"fewer than {MIN_SENSORS} sensors are related": n_sensors < MIN_SENSORS,
+        f"resampling more than {MAX_SENSORS} sensors takes too much memory": n_sensors
+        > MAX_SENSORS,
+        f"the recording has fewer than {MIN_FRAMES} frames": runs[0].n_frames < MIN_FRAMES,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "")
 
 
 def _error_of_halves(

@@ -36,6 +36,9 @@ are biased by noise: with 1, the differences of simulated skins of 1,000 frames,
 were 1.2 times as large.
 """
 
+MAX_SENSORS = 3000
+"""Maximum number of sensors: resamples of two matrices of all their pairs take 650 MB."""
+
 _MAX_ITERATIONS = 5  # of each fit; with 300, spreads differed by less than 5 % (seeds 201 to 203)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from anisomap.ellipses import ellipses, radius
+from anisomap.covariance_ellipses import ellipses, radius
 from anisomap.evaluation import Score
 from anisomap.sensor_map import SensorMap
 

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.covariance_ellipses import ellipses
 from anisomap.drawing.view import (
     Component,
     View,
@@ -20,7 +21,6 @@ from anisomap.drawing.view import (
     printable,
     view_axes,
 )
-from anisomap.ellipses import ellipses
 from anisomap.evaluation import Score
 from anisomap.sensor_map import UNASSESSED, SensorMap, is_faulty
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from anisomap.covariance_ellipses import ellipses
 from anisomap.drawing.view import MAX_JOINED, layout_notes, printable
-from anisomap.ellipses import ellipses
 from anisomap.evaluation import Score
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
