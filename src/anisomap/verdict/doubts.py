@@ -20,7 +20,7 @@ from anisomap.verdict.evidence import MAX_CHANCE, Doubt
 from anisomap.verdict.other_maps import OtherMaps, compare_with_other_maps
 
 PATHS, PATHS_TOLERANCE = 1.05, 0.2
-EVEN, EVEN_TOLERANCE = 0.8, 0.5
+EVEN, EVEN_TOLERANCE = 1.0, 0.5
 """Expected error per difference from the other maps, and difference, in spacings, that is usual.
 
 Least squares of the logarithms of errors, together with `DISTORTED`; the repeatability is added in
