@@ -190,6 +190,21 @@ def test_a_signal_at_any_time_leaves_outputs_whole(folder, command, number):
     assert whole(folder, command)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_a_killed_reproduction_of_the_paper_continues(folder, number):
+    pytest.importorskip("mujoco", reason="needs the extra 'paper'")
+    process = start(folder, PAPER, start_new_session=True)
+    while process.poll() is None and not list(folder.glob("m/*")):
+        pass
+    os.killpg(process.pid, number)
+    process.communicate()
+    done = start(folder, PAPER)
+    _, said = done.communicate()
+    assert done.returncode == 0, said
+    assert (folder / "m" / "index.html").read_text(encoding="utf-8").rstrip().endswith("</html>")
+
+
 def limited():
     resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, LIMIT))
 
