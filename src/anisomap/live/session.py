@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from anisomap.health import SensorHealth
 from anisomap.live.batches import Batch, Names, Notice, Source
 from anisomap.live.coach import confirmed_faults
 from anisomap.live.examination import Examination, ExaminationOptions
+from anisomap.live.history import Arrivals, Note, Point
 from anisomap.live.mapping import QuickMap
 from anisomap.live.recorder import Recorder, Segment
 from anisomap.live.workers import Changed, Examine, Failed, Ready, Worker
@@ -41,71 +42,7 @@ _NOTICE_EVERY_S = 5.0  # for notices of one kind
 _KIND = 20  # first characters of a notice that tell its kind
 _MIN_NEW_FRAMES = 25  # for a first checked map; a second of a skin of usual rate
 _GROWTH = 1.15  # of the number of frames between two checked maps
-_RATE_S, _RATE_ENTRIES = 3.0, 200  # over which the rate is measured
 _STOP_S = 3.0  # for a source to end
-
-
-@dataclass(frozen=True)
-class Note:
-    """A sentence for the user.
-
-    Attributes
-    ----------
-    seconds : float
-        Time since the start of the session.
-    text : str
-    """
-
-    seconds: float
-    text: str
-
-
-@dataclass(frozen=True)
-class Point:
-    """A point of the curves over time.
-
-    Attributes
-    ----------
-    seconds : float
-        Time since the start of the session.
-    n_frames : int
-    expected_error, error_against_truth : float
-        In spacings; NaN if unknown.
-    level : str
-    """
-
-    seconds: float
-    n_frames: int
-    expected_error: float
-    error_against_truth: float
-    level: str
-
-
-@dataclass
-class _Arrivals:
-    """When frames arrived, to tell the age of a map from its number of frames."""
-
-    counts: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=20_000))
-
-    def add(self, n_frames: int, now: float) -> None:
-        if not self.counts or now - self.counts[-1][1] >= TICK_S / 2:
-            self.counts.append((n_frames, now))
-        else:
-            self.counts[-1] = (n_frames, self.counts[-1][1])
-
-    def rate(self, now: float) -> float:
-        """Return the number of frames per second in the last seconds."""
-        recent = [entry for entry in list(self.counts)[-_RATE_ENTRIES:] if now - entry[1] < _RATE_S]
-        if len(recent) < 2 or recent[-1][1] <= recent[0][1]:
-            return 0.0
-        return (recent[-1][0] - recent[0][0]) / (recent[-1][1] - recent[0][1])
-
-    def time_of(self, n_frames: int) -> float | None:
-        """Return when the first frame arrived that is not among the first `n_frames`."""
-        for count, moment in list(self.counts):
-            if count > n_frames:
-                return moment
-        return None
 
 
 class LiveSession:
@@ -172,7 +109,7 @@ class LiveSession:
         self._told: dict[str, float] = {}
         self._stop = threading.Event()
         self._ready = threading.Event()
-        self._arrivals = _Arrivals()
+        self._arrivals = Arrivals()
         self.examining = False
         self._final: Examination | None = None
         self._finished = threading.Event()
@@ -411,7 +348,7 @@ class LiveSession:
 
     def _begin_segment(self, segment: Segment) -> None:
         self.quick = self.checked = None
-        self._arrivals = _Arrivals()
+        self._arrivals = Arrivals()
         self._examined_frames = 0
         self._first_row = None
         self._quick.send(Changed(segment=segment))
