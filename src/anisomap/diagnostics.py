@@ -32,11 +32,6 @@ from anisomap.verdict.uncertainty import covariances, departure_in_spacings, err
 
 logger = logging.getLogger(__name__)
 
-_SHARE_WITH_CONTACTS = 0.67
-"""Standard deviation of a map that is averaged with a fit of contacts, relative to that of the
-covariogram fit. With it, ellipses hold 95 % of the positions over four simulated skins of 800 to
-1,000 frames (seeds 201 to 206; .45 to .85 would suit them one by one)."""
-
 _SAME_MAP = 0.5
 """Largest departure of a map from that of the covariogram fit, in spacings, for which resamples of
 the latter show its errors. At most .2 where the fit was the last step or was averaged with paths,
@@ -195,9 +190,7 @@ def estimate_uncertainty(
         except InputError:  # no relation between sensors is left
             repeatability = math.inf if label == 0 else repeatability
             continue
-        # Fits of contacts, which are not resampled, have smaller errors than the covariogram.
-        share = _SHARE_WITH_CONTACTS if sensor_map.provenance.get("n_contacts") else 1.0
-        component = covariances(maps, positions, STEP / share)
+        component = covariances(maps, positions, STEP)
         error = error_in_spacings(component, positions)
         if departure_in_spacings(reference, positions) > _SAME_MAP:
             by_halves = _error_of_halves(sensor_map, readings, positions, options)

@@ -9,17 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from anisomap.methods import MethodOptions, find_method
+from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import resampled_contact_agreement
+from anisomap.numerics.contacts.contact_fit import (
+    ContactFit,
+    fit_contacts,
+    resample_contacts,
+)
 from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram
 from anisomap.numerics.precision import Reals
+from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.blending import blend
 from anisomap.numerics.reliability.block_bootstrap import balanced_weights, block_edges
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.numerics.similarity.resampled import resampled_correlation
 from anisomap.stages.consensus import combine_with_paths
 from anisomap.stages.pairs import SIMILARITIES, PairStatistics
+from anisomap.stages.refinement import contact_share
 
 N_RESAMPLES = 8
 """Number of resamples: together they take about as much time as the map.
@@ -109,7 +116,27 @@ def resampled_maps(
             made.append(found)
             if progress is not None:
                 progress(len(made) / len(weights))
+        contacts = None if by_paths else fit_contacts(readings, made[0], options.contacts)
+        if contacts is not None and contacts.used:
+            share = contact_share(contacts) if method == DEFAULT_METHOD else 1.0
+            frames = np.repeat(weights, np.diff(edges), axis=1)
+            refined = _with_contacts(contacts, share, made, frames)
+            # Contacts are not part of maps whose lengths came from elsewhere.
+            if _misfit(refined[0], positions) < _misfit(made[0], positions):
+                made = refined
     return made[0], np.array(made[1:])
+
+
+def _with_contacts(
+    fit: ContactFit, share: float, made: list[NDArray[np.float64]], weights: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Average maps with a fit of contacts to frames of given weights, shape (R, T)."""
+    given = np.array([fit_similarity(one, made[0]).apply(one) for one in made])
+    return list((1 - share) * given + share * resample_contacts(fit, given, weights))
+
+
+def _misfit(moved: NDArray[np.float64], positions: NDArray[np.float64]) -> float:
+    return float(np.square(fit_similarity(moved, positions).apply(moved) - positions).sum())
 
 
 def _similarities(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.contacts import ContactOptions, fit_contacts
+from anisomap.numerics.contacts import ContactFit, ContactOptions, fit_contacts
 from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.geodesic.geodesic_refinement import (
@@ -288,12 +288,17 @@ def average_with_contacts(
     logger.debug("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
     if not fit.used:
         return mapped
-    weight = _BINARY_WEIGHT if fit.n_levels == 1 else _GRADED_WEIGHT
+    share = contact_share(fit)
     return replace(
         mapped,
-        positions=(1 - weight) * mapped.positions + weight * fit.positions,
+        positions=(1 - share) * mapped.positions + share * fit.positions,
         facts=replace(mapped.facts, n_contacts=fit.n_contacts),
     )
+
+
+def contact_share(fit: ContactFit) -> float:
+    """Return the weight of a fit of contacts in the average with the covariogram map."""
+    return _BINARY_WEIGHT if fit.n_levels == 1 else _GRADED_WEIGHT
 
 
 def refine_by_contacts(

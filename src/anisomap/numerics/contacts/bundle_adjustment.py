@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import LinearOperator, cg
 
@@ -26,31 +26,32 @@ class ReducedSystem:
     ----------
     contacts : Contacts
     located : LocatedContacts
-    kept : ndarray of bool, shape (E,)
-        Contacts that are included.
+    weights : ndarray of shape (E,)
+        Weight of each contact, at least 0; those of weight 0 are excluded.
     n_sensors : int
 
     Notes
     -----
     Row m of P is the gradient of u_m by all positions, and row m of Q that by all contacts; h are
     the curvatures, g the slopes, C the contacts' precisions and c their gradients. Second
-    derivatives of u are neglected (Gauss-Newton). Eliminating the contacts leaves the Schur
-    complement (Triggs et al. 2000, Bundle Adjustment - A Modern Synthesis, section 6.1) ::
+    derivatives of u are neglected (Gauss-Newton). Eliminating the contacts, with the weight w of
+    the contact of each reading, leaves the Schur complement (Triggs et al. 2000, Bundle Adjustment
+    - A Modern Synthesis, section 6.1) ::
 
-        gradient   P' (g - h Q C^-1 c)
-        curvature  P' (h - h Q C^-1 Q' h) P
+        gradient   P' w (g - h Q C^-1 c)
+        curvature  P' w (h - h Q C^-1 Q' h) P
     """
 
     def __init__(
-        self, contacts: Contacts, located: LocatedContacts, kept: NDArray[np.bool_], n_sensors: int
+        self, contacts: Contacts, located: LocatedContacts, weights: ArrayLike, n_sensors: int
     ) -> None:
         self._located = located
-        counts = kept[contacts.contact_index]
-        self._h, self._g = located.curvatures * counts, located.slopes * counts
+        by_contact = np.asarray(weights, dtype=np.float64)
+        self._w = by_contact[contacts.contact_index]
         k = located.states.shape[1] - 1
         self._n_sensors, self._k = n_sensors, k
         self._by_position = _block_rows(-located.directions[:, :k], contacts.sensors, n_sensors)
-        self._by_contact = _block_rows(located.directions, contacts.contact_index, len(kept))
+        self._by_contact = _block_rows(located.directions, contacts.contact_index, len(by_contact))
 
     @cached_property
     def _inverse(self) -> Matrix:
@@ -59,20 +60,20 @@ class ReducedSystem:
     def _contact_response(self, contact_gradients: Matrix) -> Matrix:
         """``h Q C^-1 c`` for any c of shape (E, k + 1)."""
         steps = np.einsum("eij,ej->ei", self._inverse, contact_gradients)
-        return np.asarray(self._h * (self._by_contact @ steps.ravel()))
+        return np.asarray(self._located.curvatures * (self._by_contact @ steps.ravel()))
 
     @property
     def gradient(self) -> Matrix:
         """Gradient of the score by the positions, shape (N k,)."""
-        return np.asarray(
-            self._by_position.T @ (self._g - self._contact_response(self._located.gradients))
-        )
+        response = self._contact_response(self._located.gradients)
+        return np.asarray(self._by_position.T @ (self._w * (self._located.slopes - response)))
 
     def curvature(self, steps: Matrix) -> Matrix:
         """Multiply the curvature by displacements of all sensors; both of shape (N k,)."""
-        along = self._h * (self._by_position @ steps.ravel())
+        along = self._located.curvatures * (self._by_position @ steps.ravel())
         gradients = (self._by_contact.T @ along).reshape(self._located.gradients.shape)
-        return np.asarray(self._by_position.T @ (along - self._contact_response(gradients)))
+        response = self._contact_response(gradients)
+        return np.asarray(self._by_position.T @ (self._w * (along - response)))
 
     def step(self, deviations: Matrix, *, contact_weight: float, prior_sd: float) -> Matrix:
         """Return the damped Gauss-Newton step of the score plus the prior around the start.
@@ -120,7 +121,7 @@ class ReducedSystem:
     @cached_property
     def _diagonal_blocks(self) -> Matrix:
         """Curvature by each position with contacts fixed, shape (N, k, k)."""
-        weighted = self._by_position.multiply(self._h[:, None])
+        weighted = self._by_position.multiply((self._w * self._located.curvatures)[:, None])
         whole = csr_array(self._by_position.T @ weighted).tocoo()
         blocks = np.zeros((self._n_sensors, self._k, self._k))
         rows, columns = whole.coords

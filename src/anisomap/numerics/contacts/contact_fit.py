@@ -117,6 +117,8 @@ class ContactFit:
         Whether the fit passed the checks of `ContactOptions`.
     reason : str
         Reason for not using the fit; empty if it was used.
+    solution : Solution, optional
+        What `resample_contacts` requires; None if the fit was not used.
     """
 
     positions: Matrix
@@ -127,6 +129,18 @@ class ContactFit:
     gains: Matrix
     used: bool
     reason: str = ""
+    solution: Solution | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The contacts of a fit and their states, in the unit and around the centre of its map."""
+
+    contacts: Contacts
+    state: _State
+    centre: Matrix
+    unit: float
+    options: ContactOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +229,54 @@ def fit_contacts(
         n_levels=levels.max_level,
         gains=levels.gains,
         used=True,
+        solution=Solution(contacts, state, centre, unit, chosen),
     )
+
+
+def resample_contacts(
+    fit: ContactFit, starts: NDArray[np.floating], weights: NDArray[np.floating]
+) -> Matrix:
+    """Compute the maps that a fit would give of frames with other weights, to first order.
+
+    Parameters
+    ----------
+    fit : ContactFit
+        That was used.
+    starts : ndarray of shape (R, N, k)
+        Maps in place of the given one, in its frame and unit.
+    weights : ndarray of shape (R, T)
+        Weight of each frame, at least 0.
+
+    Returns
+    -------
+    ndarray of shape (R, N, k)
+        In the frame and unit of the given map.
+
+    Raises
+    ------
+    InputError
+        If the fit was not used.
+
+    Notes
+    -----
+    One Gauss-Newton step of the sensors from the fit, with the profile kept.
+    """
+    solved = fit.solution
+    if solved is None:
+        raise InputError("only a fit of contacts that was used can be resampled")
+    state = solved.state
+    located = evaluate(solved.contacts, state.positions, state.contacts, state.profile)
+    maps = []
+    for start, of_frames in zip(starts, weights, strict=True):
+        of_contacts = state.kept * of_frames[solved.contacts.frames]
+        reduced = ReducedSystem(solved.contacts, located, of_contacts, len(start))
+        steps = reduced.step(
+            state.positions - (start - solved.centre) / solved.unit,
+            contact_weight=solved.options.contact_weight,
+            prior_sd=solved.options.prior_sd,
+        )
+        maps.append((state.positions + steps) * solved.unit + solved.centre)
+    return np.array(maps)
 
 
 def _unused(
