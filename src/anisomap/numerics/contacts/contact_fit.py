@@ -20,7 +20,7 @@ Matrix = NDArray[np.float64]
 # Chosen by hand on simulated skins, seeds 101 to 105; lengths in sensor spacings.
 _MIN_CONTACTS = 0.5  # per sensor
 _WARM_UP_ROUNDS = 4  # of contacts and profile before sensors move
-_INITIAL_LOCATION_STEPS, _LOCATION_STEPS = 12, 10
+_INITIAL_LOCATION_STEPS, _LOCATION_STEPS = 12, 4
 _SURFACE_OFFSET = 0.7  # of a contact's extent; initial distance of its centre from the skin
 _OUTLIER_FACTOR = 4.0  # times the upper quartile range; contacts that score lower are dropped
 _MAX_DROPPED = 0.4  # of all contacts
