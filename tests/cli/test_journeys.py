@@ -150,7 +150,8 @@ def test_methods_are_compared_with_stock_methods_in_tables(run, skin_npz, tmp_pa
     ]
     numbers = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
     for row, values in zip(rows, numbers, strict=True):
-        assert row[4].startswith("**0.9")
+        assert row[4].startswith("**")
+        assert float(values["covariogram"]) > 0.9
         assert [cell.startswith("**") for cell in row[4:]].count(True) == 2
         r, error = re.findall(r"\d\.\d+", row[6])
         assert float(values["isomap-on-r"]) == pytest.approx(float(r), abs=0.0006)

@@ -50,7 +50,7 @@ def test_message_definitions(tmp_path: Path, name: str) -> None:
     definition = tmp_path / name
     if not definition.exists():
         pytest.skip("there is no /dev/zero")
-    with pytest.raises(FileError, match=r"not a regular file|larger than 1048576 bytes"):
+    with pytest.raises(FileError, match=r"not a regular file|larger than 131072 bytes"):
         io.read(path, options=ReadOptions(definitions=(definition,)))
 
 

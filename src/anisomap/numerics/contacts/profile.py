@@ -17,6 +17,7 @@ OUTLIER_SHARE = 0.02
 
 _FAR = 1e6  # spacings; effectively infinite, but 0 times it is 0
 _MIN_PROBABILITY = 1e-12
+_LOG_LENGTHS = (-20.0, 10.0)  # bounds of fitted lengths: far below and above any skin, and finite
 _MAX_ITERATIONS = 60  # of L-BFGS, for about ten parameters
 _TOLERANCE = 1e-6  # relative, of the negative log-likelihood; each fit starts from the last one
 
@@ -116,6 +117,7 @@ def fit_profile(
         args=arguments,
         jac=True,
         method="L-BFGS-B",
+        bounds=[(None, None), *[_LOG_LENGTHS] * len(steps), _LOG_LENGTHS],
         options={"maxiter": _MAX_ITERATIONS, "ftol": _TOLERANCE},
     )
     thresholds, softness = _unpack(found.x)
