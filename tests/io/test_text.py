@@ -472,3 +472,11 @@ def test_names_too_long_for_a_field_are_refused_before_they_are_written(tmp_path
     with pytest.raises(InputError, match="too many line ends"):
         io.write(Recording(np.eye(3), names=["a\n" * 600, "b", "c"]), path)
     assert not path.exists()
+
+
+@pytest.mark.parametrize("rows", ['{},"[1, 2, 3, 4]"\n', "{};[1 2 3 4]\n"])
+def test_a_column_of_lists_beyond_the_header_is_refused(tmp_path, rows):
+    path = tmp_path / "lists.csv"
+    path.write_text("time\n" + "".join(rows.format(i) for i in range(30)))
+    with pytest.raises(FileError, match="line 2 has 2 fields, but the header names 1"):
+        io.read(path)

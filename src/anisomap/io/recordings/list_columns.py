@@ -101,7 +101,8 @@ def stream_lists(table: Table, chosen: ListColumn, roles: Roles, *, preamble: in
     Stream
         Without names of sensors.
     """
-    name = table.names[chosen.column].strip() if table.names else str(chosen.column + 1)
+    named = chosen.column < len(table.names)
+    name = table.names[chosen.column].strip() if named else str(chosen.column + 1)
     return Stream(
         table.path,
         chosen.length,
@@ -164,7 +165,8 @@ def _rows(
 def _row(
     table: Table, chosen: ListColumn, roles: Roles, line: int, fields: Sequence[str]
 ) -> tuple[NDArray[np.float64], float]:
-    if len(fields) <= max(chosen.column, roles.time or 0):
+    unnamed = bool(table.names) and chosen.column >= len(table.names)
+    if unnamed or len(fields) <= max(chosen.column, roles.time or 0):
         raise LineError(table.path, line, f" has {len(fields)} fields, but {table.because}")
     values = _fields(fields[chosen.column])
     if len(values) != chosen.length:
