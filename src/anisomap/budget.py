@@ -28,6 +28,9 @@ SENSOR_BYTES = 160
 """Memory per sensor beside its readings: name (64), its place in two tuples and a set (60), and
 position (24)."""
 
+_MOST_SHOWN = 10**18
+"""Largest number of bytes in messages: a declared size may have thousands of digits."""
+
 _READING_BYTES = np.dtype(np.float32).itemsize
 
 
@@ -65,8 +68,9 @@ class Budget:
             If the size exceeds the limit, or what is reachable.
         """
         if n_bytes > min(self.limit, reachable):
+            shown = min(n_bytes, _MOST_SHOWN)
             raise FileError(
-                f"{self._path}: {what} expands to {n_bytes:.0f} bytes, too much for {self.size} "
+                f"{self._path}: {what} expands to {shown:.0f} bytes, too much for {self.size} "
                 "bytes on disk; it is damaged or a decompression bomb (if not, store it "
                 "uncompressed)"
             )

@@ -311,3 +311,11 @@ def test_objects_of_text_are_counted(tmp_path: Path, monkeypatch, name: str, uni
     monkeypatch.setattr(budget, "FREE_BYTES", MIB)
     with pytest.raises(FileError, match=r"its text expands to .* decompression bomb"):
         io.read_map(tmp_path / name)
+
+
+def test_sizes_of_many_digits_are_refused_in_one_sentence(tmp_path):
+    path = tmp_path / "a.npz"
+    path.write_bytes(b"0")
+    with pytest.raises(FileError, match="expands to 1000000000000000000 bytes") as refused:
+        budget.Budget(path).check(10**400, "it")
+    assert len(str(refused.value)) < 300

@@ -121,3 +121,11 @@ def test_invalid_meshes_raise_an_error() -> None:
 def test_a_mesh_is_immutable() -> None:
     with pytest.raises(ValueError, match="read-only"):
         Mesh(np.zeros((3, 3)), [[0, 1, 2]]).vertices[0] = 1
+
+
+@pytest.mark.parametrize("length", [1e200, np.inf, np.nan])
+def test_solids_that_overflow_are_refused(length):
+    with pytest.raises(InputError, match="a cylinder must have a size and centre of at most 1e"):
+        Solid("cylinder", (1.0, length))
+    with pytest.raises(InputError, match="a sphere must"):
+        solids.ball(1.0, (0, length, 0))

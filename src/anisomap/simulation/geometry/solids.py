@@ -54,6 +54,14 @@ class Solid:
     rotation: Points = field(default_factory=lambda: frozen(np.eye(3)))
     shape: Mesh | None = None
 
+    def __post_init__(self) -> None:
+        lengths = np.abs([*self.size, *np.ravel(self.centre)])
+        if not (lengths <= MAX_LENGTH).all():
+            raise InputError(
+                f"a {self.kind} must have a size and centre of at most {MAX_LENGTH:g}, "
+                f"got up to {lengths.max():g}"
+            )
+
     def distance(self, points: ArrayLike) -> Points:
         """Compute the exact signed distance of points from the surface.
 
