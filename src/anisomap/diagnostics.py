@@ -68,7 +68,7 @@ def diagnose(
         From `anisomap.find_faults`, if computed already.
     with_verdict : bool
         Whether to judge the map, and to estimate the covariance of every position, by maps of
-        resampled recordings; this takes about as long as the map.
+        resampled recordings and of halves; this takes two to four times as long as the map.
     rng : numpy.random.Generator or int, optional
         Draws the resamples; seed 0 by default.
     progress : callable, optional
