@@ -25,7 +25,7 @@ def test_the_command_notes_a_flat_skin_in_3_dimensions(run_map, skin_npz, tmp_pa
     assert anisomap.read_map(tmp_path / "m.csv").dimensions == 3
 
 
-@pytest.mark.parametrize("dimensions", ["0", "flat"])
+@pytest.mark.parametrize("dimensions", ["0", "1.5", "flat", "100"])
 def test_the_command_refuses_other_numbers(run_map, skin_npz, tmp_path, dimensions):
     made = run_map(skin_npz, "-d", dimensions, "-o", "m.csv")
     assert made.code == 2

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
-from cyclopts import Group, Parameter
+from cyclopts import Group, Parameter, Token
 from cyclopts.validators import Number
 
 from anisomap import io
@@ -19,7 +19,8 @@ from anisomap.io import ReadOptions
 from anisomap.placement import METRES, mirrored, parse_length, scaled_to_spacing
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
-from anisomap.stages.dimension import Dimensions, check_dimensions
+from anisomap.stages.dimension import AUTO, Dimensions, check_dimensions
+from anisomap.wording import printable
 
 _PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
 _DURATION = re.compile(r"(\d{1,15}(?:\.\d{0,15})?|\.\d{1,15})\s*(s|ms|us|)")
@@ -222,11 +223,19 @@ Exclude: TypeAlias = Annotated[
 ]
 
 
-def _check_dimensions(_: object, dimensions: Dimensions) -> None:
+def _read_dimensions(_: object, tokens: Sequence[Token]) -> Dimensions:
+    """Read a number of dimensions: the default conversion rounds fractions."""
+    text = tokens[0].value
     try:
+        dimensions = text if text == AUTO else int(text)
         check_dimensions(dimensions)
     except InputError as error:
         raise ValueError(str(error)) from None
+    except ValueError:
+        raise ValueError(
+            f"dimensions must be a whole number of at least 1, or auto, got {printable(text)}"
+        ) from None
+    return dimensions
 
 
 Drop: TypeAlias = Annotated[
@@ -240,7 +249,7 @@ Drop: TypeAlias = Annotated[
 ]
 MapDimensions: TypeAlias = Annotated[
     int | Literal["auto"],
-    Parameter(alias="-d", group=method_group, validator=_check_dimensions),
+    Parameter(alias="-d", group=method_group, converter=_read_dimensions),
 ]
 Missing: TypeAlias = Annotated[
     Literal["error", "drop-frames", "interpolate"],
