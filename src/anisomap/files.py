@@ -1,8 +1,12 @@
-"""Opening of regular files, atomic writing, and checks of paths before long computations."""
+"""Opening of regular files, atomic writing, and checks of paths before long computations.
+
+Also what is common to readers that libraries open files for: their messages are not printed.
+"""
 
 from __future__ import annotations
 
 import io
+import logging
 import os
 import stat
 from collections.abc import Iterable, Iterator
@@ -193,3 +197,23 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise FileError(f"cannot write {target}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def without_log(name: str) -> Iterator[None]:
+    """Keep the messages of a library from stderr, where logging prints them without a handler.
+
+    Handlers that an application has set up receive them all the same.
+
+    Parameters
+    ----------
+    name : str
+        Name of the logger, such as ``"PIL"``.
+    """
+    handler = logging.NullHandler()
+    logger = logging.getLogger(name)
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)

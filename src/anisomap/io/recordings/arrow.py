@@ -29,9 +29,10 @@ from anisomap.io.parsing.columns import (
     units_per_second,
     warn_of_guesses,
 )
-from anisomap.io.parsing.libraries import guarded_iter, import_extra, library_errors
+from anisomap.io.parsing.libraries import DamagedError, guarded_iter, import_extra, library_errors
 from anisomap.io.parsing.source import quote
 from anisomap.io.recordings.arrow_messages import is_last, unpacked_size
+from anisomap.io.recordings.parquet_pages import column_chunks
 from anisomap.io.recordings.parquet_pages import unpacked_size as page_bytes
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
@@ -129,18 +130,21 @@ def _of_parquet(
 
 def _declared_size(path: Path, stream: BufferedReader, file: Any, names: Sequence[str]) -> int:
     """Return the bytes of some columns in memory, after checking them with a budget."""
-    budget, metadata, kept, pages = Budget(path), file.metadata, 0, 0
-    for group in map(metadata.row_group, range(metadata.num_row_groups)):
-        for column in map(group.column, range(metadata.num_columns)):
-            name = next((n for n in names if f"{column.path_in_schema}.".startswith(f"{n}.")), None)
+    budget, kept, pages = Budget(path), 0, 0
+    leaves = [file.schema.column(i).path for i in range(len(file.schema))]
+    for group in column_chunks(path, stream):
+        if len(group) != len(leaves):
+            raise DamagedError(
+                f"{path} is damaged: a row group has {len(group)} of {len(leaves)} columns"
+            )
+        for leaf, column in zip(leaves, group, strict=True):
+            name = next((n for n in names if f"{leaf}.".startswith(f"{n}.")), None)
             if name is None:
                 continue
-            leaf = _leaf(file.schema_arrow.field(name).type)
-            kept += column.num_values * bytes_kept(np.dtype(leaf.to_pandas_dtype()))
+            kind = _leaf(file.schema_arrow.field(name).type)
+            kept += column.n_values * bytes_kept(np.dtype(kind.to_pandas_dtype()))
             budget.check(kept, "its table")
-            offsets = column.data_page_offset, column.dictionary_page_offset or 0
-            start = min((offset for offset in offsets if offset > 0), default=0)
-            pages += page_bytes(path, stream, start, column.total_compressed_size)
+            pages += page_bytes(path, stream, column.start, column.length)
     budget.check(pages, "its content", reachable=max(budget.free, _PAGES_RATIO * kept))
     return max(kept, pages)
 

@@ -167,7 +167,10 @@ def _check_chunks(path: Path, item: Any, name: str) -> None:
     item.id.chunk_iter(chunks.append)
     free = Budget(path).free
     for chunk in chunks:
-        if not chunk.filter_mask and ratio * chunk.size >= free:
+        # HDF5 unpacks LZF again and again until its guess of the size is enough, which takes
+        # quadratic time for a chunk that is larger than what it should unpack to.
+        suspect = ratio * chunk.size >= free or chunk.size - n_checked > limit
+        if suspect and not chunk.filter_mask:
             _, packed = item.id.read_direct_chunk(chunk.chunk_offset)
             if size_of(packed[: len(packed) - n_checked], limit) > limit:
                 raise too_large

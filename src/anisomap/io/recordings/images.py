@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from anisomap.budget import Budget, bytes_kept
 from anisomap.errors import FileError
-from anisomap.files import check_regular
+from anisomap.files import check_regular, without_log
 from anisomap.io.parsing.grids import grid_names, grid_positions
 from anisomap.io.parsing.libraries import import_extra, library_errors
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
@@ -46,18 +46,18 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         files = _images(path)
         yield _stream(path, len(files), lambda i: _image(pillow, files[i]))
         return
-    with library_errors(path), pillow.open(path) as image:
+    with _pillow_errors(path), pillow.open(path) as image:
         count = int(getattr(image, "n_frames", 1))
     if count < 2:
         raise FileError(f"{path} holds a single image (one frame); give a folder of images")
-    with library_errors(path):
+    with _pillow_errors(path):
         image = pillow.open(path)
     with image:
         yield _stream(path, count, lambda i: _page(path, image, i))
 
 
 def _stream(path: Path, count: int, read: Callable[[int], NDArray[Any]]) -> Stream:
-    with library_errors(path):
+    with _pillow_errors(path):
         first = read(0)
     rows, columns = first.shape
     Budget(path).check_readings(count, rows * columns, bytes_kept(first.dtype), "its images")
@@ -80,7 +80,7 @@ def _blocks(
     pixels: list[NDArray[Any]] = []
     for i in range(count):
         try:
-            with library_errors(path):
+            with _pillow_errors(path):
                 pixels.append(read(i).ravel())
         except FileError:
             if pixels:
@@ -96,6 +96,13 @@ def _blocks(
             pixels = []
 
 
+@contextmanager
+def _pillow_errors(path: Path) -> Iterator[None]:
+    """Convert exceptions of Pillow, some of which it also logs."""
+    with without_log("PIL"), library_errors(path):
+        yield
+
+
 def _images(folder: Path) -> list[Path]:
     found = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES]
     return sorted(found, key=lambda path: _natural_key(path.name))
@@ -109,7 +116,7 @@ def _natural_key(name: str) -> list[tuple[int, str]]:
 
 def _image(pillow: Any, path: Path) -> NDArray[Any]:
     check_regular(path)
-    with library_errors(path), pillow.open(path) as image:
+    with _pillow_errors(path), pillow.open(path) as image:
         return _page(path, image, 0)
 
 

@@ -32,6 +32,7 @@ TOLERANCE = 0.02
 
 _SEED = 0
 _MIN_LENGTH = 1e-100  # its cube is within the range of float64
+_MIN_SHARE = 1e-9  # of a part in the extent of the body; `TriangleSearch` rounds distances to it
 _MAX_BALL_RADIUS = 0.6  # x median spacing: adjacent balls overlap, so nothing passes between them
 _MAX_NORMAL_ERROR = 45.0  # degrees between a given and an estimated normal
 _MAX_CONTRADICTIONS = 0.1  # share of the sensors; not 0, since estimates can be wrong at edges
@@ -276,7 +277,7 @@ def _with_sensors(
 ) -> Body:
     """Centre solids at the origin and add sensors."""
     corners = np.vstack([part.outline.vertices for part in parts])
-    _check_range(name, corners)
+    _check_range(name, corners, parts)
     origin = (corners.min(axis=0) + corners.max(axis=0)) / 2
     centred = [part.moved(np.eye(3), -origin) for part in parts]
     if isinstance(sensors, int | np.integer):
@@ -293,13 +294,18 @@ def _with_sensors(
     return Body(name, positions, normals, centred, names=tuple(names), units=units, origin=origin)
 
 
-def _check_range(name: str, corners: Points) -> None:
-    """Check that products of three lengths neither overflow nor underflow."""
-    if not (
-        np.abs(corners).max() < solids.MAX_LENGTH and np.ptp(corners, axis=0).max() > _MIN_LENGTH
-    ):
+def _check_range(name: str, corners: Points, parts: Sequence[Solid]) -> None:
+    """Check that products of three lengths neither overflow nor underflow, nor sums round parts."""
+    extent = np.ptp(corners, axis=0).max()
+    if not (np.abs(corners).max() < solids.MAX_LENGTH and extent > _MIN_LENGTH):
         raise InputError(
             f"the size of the body {name} is out of range; check its coordinates and unit"
+        )
+    least = min(float(np.ptp(part.outline.vertices, axis=0).max()) for part in parts)
+    if least < _MIN_SHARE * extent:
+        raise InputError(
+            f"the body {name} has an extent of {extent:.4g}, and a part of {least:.4g}, too small "
+            "to be resolved beside it; check its coordinates"
         )
 
 

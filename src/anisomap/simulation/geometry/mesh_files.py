@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
@@ -14,7 +11,7 @@ from numpy.typing import NDArray
 
 from anisomap.budget import Budget
 from anisomap.errors import FileError
-from anisomap.files import open_regular
+from anisomap.files import open_regular, without_log
 from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.solids import Points
 
@@ -49,7 +46,8 @@ def read_mesh(path: Path) -> tuple[Points, NDArray[np.intp]]:
         content = stream.read()
     if suffix == ".glb":
         _check_accessors(path, content)
-    with _without_log("trimesh"):
+    # Its messages concern parts that are not read, such as the normals of faces.
+    with without_log("trimesh"):
         try:
             # Given bytes without a name, trimesh opens no other file.
             loaded = trimesh.load_mesh(BytesIO(content), file_type=suffix[1:])
@@ -83,18 +81,3 @@ def _check_accessors(path: Path, content: bytes) -> None:
     # Each node places a copy of one mesh.
     budget = Budget(path)
     budget.check(_ITEM_BYTES * (sum(counts) + n_copies * max(counts, default=0)), "its meshes")
-
-
-@contextmanager
-def _without_log(name: str) -> Iterator[None]:
-    """Keep the messages of a library from stderr, where logging prints them without a handler.
-
-    They concern parts that are not read, such as the normals of faces.
-    """
-    handler = logging.NullHandler()
-    logger = logging.getLogger(name)
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
