@@ -29,6 +29,8 @@ class Anchors:
         Unique names of the sensors.
     positions : array_like of shape (n, 2) or (n, 3)
         In metres.
+    normals : array_like of shape (n, 3), optional
+        Outward normals of the skin there, of any length; NaN if unknown. None if all are unknown.
 
     Raises
     ------
@@ -38,6 +40,7 @@ class Anchors:
 
     names: tuple[str, ...]
     positions: NDArray[np.float64]
+    normals: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
@@ -56,6 +59,26 @@ class Anchors:
         positions.setflags(write=False)
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "positions", positions)
+        if self.normals is not None:
+            normals = np.array(self.normals, dtype=np.float64)
+            if normals.shape != (len(names), 3) or positions.shape[1] != 3:
+                raise InputError(
+                    "normals of anchors need three coordinates, and so do their positions, got "
+                    f"arrays of shapes {normals.shape} and {positions.shape}"
+                )
+            lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+            known = np.isfinite(lengths) & (lengths > 0)
+            normals = np.where(known, normals / np.where(known, lengths, 1.0), np.nan)
+            normals.setflags(write=False)
+            object.__setattr__(self, "normals", normals)
+
+    def select(self, rows: NDArray[np.intp]) -> Anchors:
+        """Return some of the anchors."""
+        return Anchors(
+            tuple(self.names[i] for i in rows),
+            self.positions[rows],
+            None if self.normals is None else self.normals[rows],
+        )
 
 
 def parse_anchor(text: str) -> tuple[str, tuple[float, ...]]:
@@ -80,7 +103,7 @@ def parse_anchor(text: str) -> tuple[str, tuple[float, ...]]:
 
 
 def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:
-    """Use the placed sensors of a layout as anchors.
+    """Use the placed sensors of a layout as anchors, with the normals that it states.
 
     Parameters
     ----------
@@ -100,7 +123,11 @@ def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:
             f"file, such as x [mm] (units: {', '.join(METRES)})"
         )
     placed = np.flatnonzero(layout.placed)
-    return Anchors(tuple(layout.names[i] for i in placed), layout.positions[placed] * METRES[unit])
+    return Anchors(
+        tuple(layout.names[i] for i in placed),
+        layout.positions[placed] * METRES[unit],
+        None if layout.normals is None or layout.dimensions != 3 else layout.normals[placed],
+    )
 
 
 def suggest_anchors(sensor_map: SensorMap, count: int = 4) -> tuple[str, ...]:

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.placement.anchor_fit import DECISIVE, AnchorFit, Known, fit_anchors
+from anisomap.placement.anchor_fit import AnchorFit, fit_anchors
 from anisomap.placement.anchors import Anchors
+from anisomap.placement.field_fit import Known
+from anisomap.placement.handedness import DECISIVE, Normals
 from anisomap.placement.modules import NO_MODULE, Modules
-from anisomap.placement.orientation import mirrored, pad_to_3d
+from anisomap.placement.orientation import mirrored, pad_to_3d, surface_normals
 from anisomap.placement.rigid_fit import ModuleFit, fit_modules
 from anisomap.placement.scale import METRES, median_spacing, scaled_to_spacing
 from anisomap.placement.surface import (
@@ -140,7 +142,15 @@ class _Part:
     how: str = ""
 
     def known(self, stated: bool | None) -> Known:
-        return Known(median_spacing(self.map), self.scale_sigma, self.evidence, stated)
+        positions = self.map.positions[self.map.placed]
+        return Known(
+            spacing=median_spacing(self.map),
+            size=float(np.sqrt(np.sum(np.var(positions, axis=0)))),
+            uneven=self.map.uneven,
+            scale_sigma=self.scale_sigma,
+            evidence=self.evidence,
+            handedness=stated,
+        )
 
 
 def _components(sensor_map: SensorMap) -> list[SensorMap]:
@@ -246,10 +256,11 @@ def _place_part(
     part: _Part,
     members: NDArray[np.intp],
     anchored: NDArray[np.intp],
-    targets: NDArray[np.float64],
+    anchors: Anchors,
     shape: _Shape,
 ) -> _PlacedPart:
-    """Place the sensors `members` of a component by the anchors `anchored`."""
+    """Place the sensors `members` of a component by the anchors of its sensors `anchored`."""
+    targets = anchors.positions
     k = targets.shape[1]
     points = part.map.positions[members]
     points = points if k == points.shape[1] else pad_to_3d(points)
@@ -257,7 +268,10 @@ def _place_part(
     if shape.surface is not None and len(index) >= k:
         evidence = surface_evidence(points, index, targets, shape.surface)
         known = replace(known, evidence=known.evidence + evidence)
-    fit = fit_anchors(points, index, targets, known)
+    measured = None
+    if anchors.normals is not None:
+        measured = Normals(surface_normals(part.map)[members], anchors.normals)
+    fit = fit_anchors(points, index, targets, known, measured)
     positions, normals = fit.positions, np.full((len(members), 3), np.nan)
     how = "similarity and smooth field" if fit.warped else "similarity"
     if shape.surface is not None:
@@ -291,7 +305,7 @@ def _anchored(
         here = part.map.placed & (sensor_map.placed <= (sensor_map.component == label))
         mine, members = np.flatnonzero(here[where]), np.flatnonzero(here)
         try:
-            found = _place_part(part, members, where[mine], anchors.positions[mine], shape)
+            found = _place_part(part, members, where[mine], anchors.select(mine), shape)
         except InputError as error:
             failures.append(error)
             methods.append(f"not placed: {error}")

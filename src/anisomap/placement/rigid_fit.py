@@ -126,7 +126,7 @@ def _handedness(
     """Compare the errors of modules on the map and on its mirror image, as a log likelihood ratio.
 
     Modules are scaled to the map one by one, so its distortion does not count as an error. The
-    noise is estimated from the better hand.
+    variance of the noise is unknown, which makes the likelihoods those of Student's t.
     """
     squares = np.zeros(2)
     freedom = 0
@@ -143,8 +143,8 @@ def _handedness(
         freedom += max(0, target.size - k - k * (k - 1) // 2 - 1)
     if not freedom or not squares.any():
         return 0.0
-    variance = max(squares.min() / freedom, np.finfo(float).eps)
-    return float((squares[1] - squares[0]) / (2 * variance))
+    same, mirror = np.maximum(squares, np.finfo(float).eps)
+    return float(freedom / 2 * np.log(mirror / same))
 
 
 @dataclass(frozen=True, eq=False)

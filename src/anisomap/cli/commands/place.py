@@ -66,15 +66,21 @@ class AnchorOptions:
         widths = {len(position) for _, position in given}
         if len(widths) > 1:
             raise InputError("all anchors must have two coordinates, or all three")
+        normals = [(np.nan,) * 3 for _ in given]
         if self.anchors is not None:
             found = anchors_from_map(io.read_map(self.anchors), self.units)
             given += zip(found.names, map(tuple, found.positions.tolist()), strict=True)
             widths.add(found.positions.shape[1])
+            if found.normals is not None:
+                normals += map(tuple, found.normals.tolist())
         if not given:
             return None
         width = max(widths)
         rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
-        return Anchors(tuple(name for name, _ in given), np.array(rows))
+        names = tuple(name for name, _ in given)
+        return Anchors(
+            names, np.array(rows), np.array(normals) if len(normals) == len(given) else None
+        )
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,265 @@
+"""Evidence of anchors for a map or its mirror image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from anisomap.errors import InputError
+from anisomap.numerics.procrustes import SINGULAR, Similarity
+from anisomap.placement.field_fit import (
+    ERROR_EVEN,
+    PRIOR_FREEDOM,
+    Known,
+    field_kernel,
+    fit_scaled,
+    krige,
+)
+
+DECISIVE = float(np.log(1000.0))
+"""Log likelihood ratio from which the handedness counts as known.
+
+Both hands are equally likely before, so at most 1 in 1001 of such decisions is wrong.
+"""
+
+# Errors of neighbours are alike: parts of a map are shifted, bent or even mirrored together, so
+# anchors that are close tell little more than one of them. Reach of the field of errors in sizes of
+# the map, and variance of independent errors relative to it: most likely, of .3, .5 and 1 and of
+# .03, .1 and .3, for the errors of the maps above were .5 and 1, and .03 and .1. The RMS error of
+# such fields is the median of even maps, and the root mean square over the four recordings, of
+# which the errors differ more.
+FIELD_REACH, FIELD_NOISE = 0.5, 0.05
+_FIELD_EVEN, _FIELD_DISTORTED = 0.045, 0.4
+_DOUBT = 0.02
+"""Probability that a map that tells of no distortion has one: (1 + 0) / (2 + 62) of those maps."""
+
+# Concentration of the estimated normals of a map about the right ones (von Mises & Fisher), share
+# of normals that tell nothing, and probability that all of a map point inwards.
+_CONCENTRATION, _ASTRAY, _INWARD = 8.0, 0.05, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Normals:
+    """Outward unit normals of a skin.
+
+    Attributes
+    ----------
+    estimated : ndarray of shape (N, 3)
+        At the sensors of the map.
+    measured : ndarray of shape (n, 3)
+        At the anchors on the robot; NaN if unknown.
+    """
+
+    estimated: NDArray[np.float64]
+    measured: NDArray[np.float64]
+
+
+def choose_hand(
+    positions: NDArray[np.float64],
+    sensors: NDArray[np.intp],
+    targets: NDArray[np.float64],
+    known: Known,
+    normals: Normals | None,
+) -> tuple[bool, bool]:
+    """Decide between a map and its mirror image.
+
+    Parameters
+    ----------
+    positions, sensors, targets, known, normals
+        As for `anisomap.placement.anchor_fit.fit_anchors`.
+
+    Returns
+    -------
+    reflected : bool
+        Whether to reflect the map.
+    handed : bool
+        Whether that is known. If not, the skin is flat, and its positions do not depend on it.
+
+    Raises
+    ------
+    InputError
+        If neither hand is `DECISIVE`, or the stated one is contradicted.
+    """
+    flat, evidence, irrelevant = is_flat(positions), known.evidence, True
+    if not flat:
+        found = _evidence(positions, sensors, targets, known)
+        evidence, irrelevant = evidence + found.value, found.irrelevant
+    if irrelevant and positions.shape[1] == 3:
+        # Two rotations put a plane on a plane, and the map of the one is the mirror image of the
+        # other. The fit takes the better one, so anchors must tell that it is the right one.
+        within = _evidence(in_plane(positions), sensors, in_plane(targets), known)
+        if abs(within.value) < DECISIVE and not within.irrelevant:
+            raise InputError(_undecided(len(sensors), 2, known.uneven))
+    if normals is not None:
+        same, mirror = (
+            fit_scaled(positions[sensors], targets, known, reflected) for reflected in (False, True)
+        )
+        evidence += normals_evidence(
+            (same, mirror), normals.estimated[sensors], normals.measured, sided=flat
+        )
+    if known.handedness is not None:
+        against = evidence if known.handedness else -evidence
+        if against > DECISIVE:
+            raise InputError(
+                "the anchors contradict the stated handedness; check their positions and names"
+            )
+        return known.handedness, True
+    if abs(evidence) >= DECISIVE:
+        return evidence < 0, True
+    if irrelevant:
+        return evidence < 0, False
+    raise InputError(_undecided(len(sensors), positions.shape[1], known.uneven))
+
+
+def _undecided(count: int, dimensions: int, uneven: bool) -> str:
+    if dimensions == 2:
+        more = "a third anchor off their line" if count < 3 else "more anchors off their line"
+    elif count < dimensions + 1:
+        more = "a fourth anchor off their plane (map a flat skin in 2D), normals of the anchors"
+    else:
+        more = "more anchors"
+    doubt = "the map is distorted, and " if uneven else ""
+    return (
+        f"{doubt}the anchors do not tell the map from its mirror image; give {more}, --mesh, "
+        "--module, or --handedness same or mirrored"
+    )
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    """Log likelihood ratio of a map against its mirror image, and whether both agree anyway."""
+
+    value: float
+    irrelevant: bool
+
+
+def _evidence(
+    positions: NDArray[np.float64],
+    sensors: NDArray[np.intp],
+    targets: NDArray[np.float64],
+    known: Known,
+) -> _Evidence:
+    """Compare how well anchors fit a map and its mirror image."""
+    n, k = targets.shape
+    x = positions[sensors]
+    fits = [fit_scaled(x, targets, known, reflected) for reflected in (False, True)]
+    # Errors are those of the map, so residuals are taken back to its unit, alike for both hands:
+    # the scale of the wrong hand is too small, and so would be its errors.
+    unit = np.sum((x - x.mean(axis=0)) ** 2) / np.sum((targets - targets.mean(axis=0)) ** 2)
+    same, mirror = (
+        float(unit)
+        * krige(
+            x,
+            targets,
+            x,
+            fit,
+            known,
+            kernel=field_kernel(fit.apply(positions), FIELD_REACH, FIELD_NOISE),
+        ).squares
+        for fit in fits
+    )
+    freedom = n * k - k - k * (k - 1) // 2 - 1
+    value = mirror_evidence((same, mirror), freedom, known.size, uneven=known.uneven)
+    better = int(mirror < same)
+    apart = fits[0].apply(positions) - fits[1].apply(positions)
+    error = fits[better].scale * ERROR_EVEN * known.size
+    return _Evidence(value, float(np.mean(apart**2)) < error**2)
+
+
+def mirror_evidence(
+    squares: tuple[float, float], freedom: int, size: float, *, uneven: bool
+) -> float:
+    """Compare the residuals of anchors with a map and with its mirror image.
+
+    Parameters
+    ----------
+    squares : (float, float)
+        Sums of squared residuals of the map and its mirror image, in squared units of the map,
+        weighted by the inverse covariance of a field of errors of variance 1. For the right hand
+        the expectation is the variance of a coordinate times the degrees of freedom.
+    freedom : int
+        Degrees of freedom of the residuals.
+    size : float
+        Root of the summed variance of the coordinates of the map.
+    uneven : bool
+        Whether the map is known to be distorted.
+
+    Returns
+    -------
+    float
+        Log likelihood ratio of the map against its mirror image.
+
+    Notes
+    -----
+    The variance of the errors is unknown. Its prior is a mixture of two scaled inverse chi-squared
+    distributions, of good and of distorted maps, so the likelihood is a mixture of densities of
+    Student's t (Gelman et al. 2013, Bayesian Data Analysis, section 3.2). Anchors that fit one
+    hand well by chance decide nothing on a map that is known to be distorted, unless they are many.
+    """
+    doubt = 1.0 if uneven else _DOUBT
+    prior = PRIOR_FREEDOM * (size * np.array([_FIELD_EVEN, _FIELD_DISTORTED])) ** 2
+
+    def log_likelihood(value: float) -> float:
+        peaks = PRIOR_FREEDOM / 2 * np.log(prior)
+        tails = (PRIOR_FREEDOM + max(freedom, 0)) / 2 * np.log(prior + value)
+        return float(logsumexp(peaks - tails, b=[1 - doubt, doubt]))
+
+    return log_likelihood(squares[0]) - log_likelihood(squares[1])
+
+
+def is_flat(positions: NDArray[np.float64]) -> bool:
+    """Return whether points in space are in a plane, up to rounding."""
+    widths = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
+    return positions.shape[1] == 3 and bool(widths[-1] <= SINGULAR * widths[0])
+
+
+def in_plane(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the coordinates of points in the plane fitted to them, shape (n, 2)."""
+    centred = points - points.mean(axis=0)
+    return np.asarray(centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T)
+
+
+def normals_evidence(
+    fits: tuple[Similarity, Similarity],
+    estimated: NDArray[np.float64],
+    measured: NDArray[np.float64],
+    *,
+    sided: bool,
+) -> float:
+    """Compare normals of a map and of its mirror image with normals that were measured.
+
+    Parameters
+    ----------
+    fits : (Similarity, Similarity)
+        Transforms of the map, and of its mirror image, to the frame of the anchors.
+    estimated : ndarray of shape (n, 3)
+        Outward normals at the anchors on the map.
+    measured : ndarray of shape (n, 3)
+        Outward normals there on the robot; NaN if unknown.
+    sided : bool
+        Whether the normals of the map are known to point outwards.
+
+    Returns
+    -------
+    float
+        Log likelihood ratio of the map against its mirror image. Normals of the map scatter about
+        the right ones as in the distribution of von Mises and Fisher. Some are arbitrary, and all
+        may point inwards, as those of hollow skins do, unless they are known to point outwards.
+    """
+    known = np.isfinite(measured).all(axis=1)
+    if not known.any():
+        return 0.0
+    likelihoods = []
+    for fit in fits:
+        cosines = np.einsum("ni,ni->n", estimated[known] @ fit.rotation.T, measured[known])
+        total = []
+        for sign, share in ((1.0, 1.0),) if sided else ((1.0, 1 - _INWARD), (-1.0, _INWARD)):
+            # Density relative to that of directions at random.
+            kappa = _CONCENTRATION
+            peak = 2 * kappa / -np.expm1(-2 * kappa) * np.exp(kappa * (sign * cosines - 1))
+            total.append(np.log(share) + np.sum(np.log((1 - _ASTRAY) * peak + _ASTRAY)))
+        likelihoods.append(float(logsumexp(total)))
+    return likelihoods[0] - likelihoods[1]
