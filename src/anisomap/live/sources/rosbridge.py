@@ -19,12 +19,12 @@ import numpy as np
 from anisomap.errors import InputError
 from anisomap.io.parsing.libraries import import_extra
 from anisomap.live.batches import WAIT_S, Batch, Item, Notice
+from anisomap.live.sources.connections import RETRY_S, stay_connected
 from anisomap.live.sources.messages import readings_of, time_of
 from anisomap.sensor_map import SensorMap
 
 EXTRA = "rosbridge"
 
-_RETRY_S = 1.0  # between two attempts to connect
 _MAX_MESSAGE = 1 << 24
 
 
@@ -54,39 +54,25 @@ class Rosbridge:
 
     def items(self, stop: Event) -> Iterator[Item]:
         """Iterate over the frames, of one connection after another."""
-        told = False
-        while not stop.is_set():
-            opened = self._client.connect(
-                self._url, open_timeout=_RETRY_S, max_size=_MAX_MESSAGE, compression=None
-            )
-            try:
-                with opened as connection:
-                    told = False
-                    yield Notice(f"connected to {self._url}")
-                    yield from self._received(connection, stop)
-            except (OSError, self._errors.WebSocketException) as error:
-                if not told:
-                    yield Notice(f"cannot connect to {self._url} ({error}); still trying")
-                told = True
-                stop.wait(_RETRY_S)
-                continue
-            if not stop.is_set():
-                yield Notice(f"lost the connection to {self._url}; connecting again")
+        lost = (OSError, self._errors.WebSocketException)
+        yield from stay_connected(self._url, self._connected, self._received, stop, lost)
+
+    def _connected(self) -> Any:
+        return self._client.connect(
+            self._url, open_timeout=RETRY_S, max_size=_MAX_MESSAGE, compression=None
+        )
 
     def _received(self, connection: Any, stop: Event) -> Iterator[Item]:
         request = {"op": "subscribe", "topic": self._topic}
         if self._type:
             request["type"] = self._type
-        try:
-            connection.send(json.dumps(request))
-            while not stop.is_set():
-                try:
-                    text = connection.recv(timeout=WAIT_S)
-                except TimeoutError:
-                    continue
-                yield from self._frame(text)
-        except (OSError, self._errors.WebSocketException):
-            return
+        connection.send(json.dumps(request))
+        while not stop.is_set():
+            try:
+                text = connection.recv(timeout=WAIT_S)
+            except TimeoutError:
+                continue
+            yield from self._frame(text)
 
     def _frame(self, text: str | bytes) -> Iterator[Item]:
         try:

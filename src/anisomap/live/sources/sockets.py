@@ -10,15 +10,16 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import closing, suppress
+from functools import partial
 from threading import Event
+from typing import ClassVar
 
 from anisomap.errors import InputError
 from anisomap.live.batches import WAIT_S, Item, Notice
+from anisomap.live.sources.connections import READ_BYTES, RETRY_S, chunks_of, stay_connected
 from anisomap.live.sources.text_lines import LineParser
 from anisomap.sensor_map import SensorMap
 
-_READ_BYTES = 1 << 16
-_RETRY_S = 1.0  # between two attempts to connect
 _RECEIVE_BUFFER = 1 << 22  # of datagrams, which the system drops when it is full
 
 
@@ -62,46 +63,44 @@ class TcpClient(_Lines):
 
     def items(self, stop: Event) -> Iterator[Item]:
         """Iterate over the frames, of one connection after another."""
-        told = False
-        while not stop.is_set():
-            try:
-                connection = socket.create_connection(self._address, timeout=_RETRY_S)
-            except OSError as error:
-                if not told:
-                    reason = error.strerror or str(error)
-                    yield Notice(f"cannot connect to {self.description} ({reason}); still trying")
-                told = True
-                stop.wait(_RETRY_S)
-                continue
-            told = False
-            yield Notice(f"connected to {self.description}")
-            with closing(connection):
-                yield from _received(connection, stop)
-            if not stop.is_set():
-                yield Notice(f"lost the connection to {self.description}; connecting again")
-                stop.wait(WAIT_S)
+        connect = partial(socket.create_connection, self._address, timeout=RETRY_S)
+        yield from stay_connected(self.description, connect, _received, stop)
 
 
-class TcpServer(_Lines):
-    """Lines from one client at a time, which connects to us.
+class _Listener(_Lines):
+    """A port of this computer, bound when the source is made.
 
     Parameters
     ----------
     host : str
     port : int
         0 for any free port; the notice names it.
+
+    Raises
+    ------
+    InputError
+        If the port cannot be used.
     """
 
+    _scheme: ClassVar[str]
+    _kind: ClassVar[socket.SocketKind]
+
     def __init__(self, host: str, port: int) -> None:
-        super().__init__(f"tcp-listen://{host}:{port}")
-        self._server = _bound(socket.SOCK_STREAM, host, port)
-        self.port = int(self._server.getsockname()[1])
+        super().__init__(f"{self._scheme}://{host}:{port}")
+        self._socket = _bound(self._kind, host, port)
+        self._socket.settimeout(WAIT_S)
+        self.port = int(self._socket.getsockname()[1])
+
+
+class TcpServer(_Listener):
+    """Lines from one client at a time, which connects to us."""
+
+    _scheme, _kind = "tcp-listen", socket.SOCK_STREAM
 
     def items(self, stop: Event) -> Iterator[Item]:
         """Iterate over the frames, of one client after another."""
-        with closing(self._server) as server:
+        with closing(self._socket) as server:
             server.listen(1)
-            server.settimeout(WAIT_S)
             yield Notice(f"waiting for a connection on port {self.port}")
             while not stop.is_set():
                 try:
@@ -115,20 +114,10 @@ class TcpServer(_Lines):
                     yield Notice(f"{peer[0]} closed the connection; waiting for the next")
 
 
-class Udp(_Lines):
-    """Datagrams, each with one or several whole lines.
+class Udp(_Listener):
+    """Datagrams, each with one or several whole lines."""
 
-    Parameters
-    ----------
-    host : str
-    port : int
-        0 for any free port; the notice names it.
-    """
-
-    def __init__(self, host: str, port: int) -> None:
-        super().__init__(f"udp://{host}:{port}")
-        self._socket = _bound(socket.SOCK_DGRAM, host, port)
-        self.port = int(self._socket.getsockname()[1])
+    _scheme, _kind = "udp", socket.SOCK_DGRAM
 
     def items(self, stop: Event) -> Iterator[Item]:
         """Iterate over the frames."""
@@ -136,11 +125,10 @@ class Udp(_Lines):
         with closing(self._socket) as receiver:
             with suppress(OSError):
                 receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            receiver.settimeout(WAIT_S)
             yield Notice(f"waiting for datagrams on port {self.port}")
             while not stop.is_set():
                 with suppress(TimeoutError, ConnectionError):
-                    yield from parser.feed(receiver.recv(_READ_BYTES), complete=True)
+                    yield from parser.feed(receiver.recv(READ_BYTES), complete=True)
 
 
 def _bound(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
@@ -161,16 +149,7 @@ def _bound(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
 def _received(connection: socket.socket, stop: Event) -> Iterator[Item]:
     """Parse what a connection sends until it ends; a cut last line is dropped."""
     parser = LineParser()
-    connection.settimeout(WAIT_S)
-    while not stop.is_set():
-        try:
-            content = connection.recv(_READ_BYTES)
-        except TimeoutError:
-            continue
-        except OSError:
-            return
-        if not content:
-            return
+    for content in chunks_of(connection, stop):
         yield from parser.feed(content)
 
 
@@ -180,7 +159,7 @@ def _chunks_of_stdin(stop: Event) -> Iterator[bytes]:
     if os.name == "posix":
         while not stop.is_set():
             if select.select([descriptor], [], [], WAIT_S)[0]:
-                content = os.read(descriptor, _READ_BYTES)
+                content = os.read(descriptor, READ_BYTES)
                 if not content:
                     return
                 yield content
@@ -191,7 +170,7 @@ def _chunks_of_stdin(stop: Event) -> Iterator[bytes]:
     def read() -> None:
         content = b"-"
         while content:
-            content = os.read(descriptor, _READ_BYTES)
+            content = os.read(descriptor, READ_BYTES)
             held.put(content)
 
     threading.Thread(target=read, daemon=True).start()

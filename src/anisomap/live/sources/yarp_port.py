@@ -10,11 +10,11 @@ from __future__ import annotations
 import re
 import socket
 from collections.abc import Iterator
-from contextlib import closing
 from threading import Event
 
 from anisomap.errors import InputError
-from anisomap.live.batches import WAIT_S, Item, Notice
+from anisomap.live.batches import Item
+from anisomap.live.sources.connections import READ_BYTES, chunks_of, stay_connected
 from anisomap.live.sources.text_lines import LineParser
 from anisomap.sensor_map import SensorMap
 
@@ -24,8 +24,6 @@ _DATA = re.compile(rb"do?(?:\s+\d+\s+(\d+(?:\.\d*)?))?\s*")
 _BRACKETS = bytes.maketrans(b"()", b"  ")
 _END = b"*** end of message"
 _WAIT_S = 2.0  # for an answer of the name server
-_RETRY_S = 1.0
-_READ_BYTES = 1 << 16
 _MAX_LINE = 1 << 22
 
 
@@ -52,32 +50,18 @@ class YarpPort:
 
     def items(self, stop: Event) -> Iterator[Item]:
         """Iterate over the frames, of one connection after another."""
-        told = False
-        while not stop.is_set():
-            try:
-                address = self._address()
-                connection = socket.create_connection(address, _WAIT_S)
-            except OSError as error:
-                if not told:
-                    yield Notice(f"cannot connect to {self.description} ({error}); still trying")
-                told = True
-                stop.wait(_RETRY_S)
-                continue
-            told = False
-            yield Notice(f"connected to {self.description}")
-            with closing(connection):
-                yield from _received(connection, stop)
-            if not stop.is_set():
-                yield Notice(f"lost the connection to {self.description}; connecting again")
-                stop.wait(WAIT_S)
+        yield from stay_connected(self.description, self._connected, _received, stop)
+
+    def _connected(self) -> socket.socket:
+        return socket.create_connection(self._address(), _WAIT_S)
 
     def _address(self) -> tuple[str, int]:
         """Ask the name server for the address of the port."""
         with socket.create_connection(self._server, _WAIT_S) as connection:
             connection.sendall(_OURS + f"d\nquery {self._name}\n".encode())
             answer = b""
-            while _END not in answer and len(answer) < _READ_BYTES:
-                content = connection.recv(_READ_BYTES)
+            while _END not in answer and len(answer) < READ_BYTES:
+                content = connection.recv(READ_BYTES)
                 if not content:
                     break
                 answer += content
@@ -89,19 +73,9 @@ class YarpPort:
 
 def _received(connection: socket.socket, stop: Event) -> Iterator[Item]:
     """Read values, each line after the line that announces it."""
-    connection.settimeout(WAIT_S)
     connection.sendall(_OURS + b"r\n")
     parser, rest, stamp = LineParser(), b"", b""
-    yield from parser.feed(b"")
-    while not stop.is_set():
-        try:
-            content = connection.recv(_READ_BYTES)
-        except TimeoutError:
-            continue
-        except OSError:
-            return
-        if not content:
-            return
+    for content in chunks_of(connection, stop):
         *lines, rest = (rest + content).split(b"\n")
         rest = rest if len(rest) <= _MAX_LINE else b""
         for line in lines:
