@@ -48,7 +48,7 @@ def page(tmp_path_factory):
     ):
         with session.changed:
             assert session.changed.wait_for(
-                lambda: session.quick and session.checked, timeout=TOO_LONG
+                lambda: session.maps.quick and session.maps.checked, timeout=TOO_LONG
             )
         yield SimpleNamespace(session=session, server=server, folder=folder, skin=skin)
 
@@ -127,7 +127,7 @@ def test_buttons(page):
     assert act(server, do="pause", on=False)["ok"]
     assert session.state == "running"
     assert act(server, do="drop", sensors=["s3"])["text"] == "left out: s3"
-    assert session.options.drop == ("s3",)
+    assert session.maps.options.drop == ("s3",)
     assert not act(server, do="drop", sensors=["nobody"])["ok"]
     assert act(server, do="drop", sensors=[])["ok"]
     saved = act(server, do="save")
@@ -143,7 +143,7 @@ def test_buttons(page):
     positions = page.skin.positions
     rows = [f"s{i},{x},{y}" for i, (x, y) in enumerate(positions)][1:]
     assert act(server, do="truth", name="t.csv", text="name,x,y\n" + "\n".join(rows))["ok"]
-    assert session.options.truth.n_sensors == 41
+    assert session.maps.options.truth.n_sensors == 41
     assert not act(server, do="truth", name="t.exe", text="")["ok"]
     anchors = [f"s{i}={x / 1000},{y / 1000}" for i, (x, y) in enumerate(positions)][1:12]
     assert act(server, do="anchors", text="\n".join(anchors))["ok"]

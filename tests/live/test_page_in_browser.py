@@ -61,7 +61,7 @@ def test_a_session_in_the_browser(tmp_path, dimensions):
         )
         page.press("d")
         page.wait_for("document.getElementById('dropped').textContent.includes('<img')")
-        assert session.options.drop == (EVIL,)
+        assert session.maps.options.drop == (EVIL,)
         page.press("p")
         page.wait_for("document.getElementById('state').textContent === 'paused'")
         before = session.recorder.n_frames

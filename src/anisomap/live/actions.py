@@ -100,7 +100,7 @@ def _anchors(session: LiveSession, request: Mapping[str, Any]) -> Done:
     width = max(len(position) for _, position in given)
     rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
     anchors = Anchors(tuple(name for name, _ in given), np.array(rows))
-    if unknown := [name for name in anchors.names if name not in session.sensor_names]:
+    if unknown := [name for name in anchors.names if name not in session.maps.names]:
         raise InputError(f"there is no sensor {unknown[0]}")
     session.anchors = anchors
     return Done(f"saved maps are placed by {len(given)} anchors, in metres")
@@ -109,8 +109,8 @@ def _anchors(session: LiveSession, request: Mapping[str, Any]) -> Done:
 def _save(session: LiveSession, request: Mapping[str, Any]) -> Done:
     recording, spacing = _recording(session), str(request.get("spacing") or "")
     target = recording.with_suffix(".map.csv")
-    files = [save_map(session.checked, target, spacing=spacing, anchors=session.anchors)]
-    files.append(save_report(session.checked, recording.with_suffix(".report.html")))
+    files = [save_map(session.maps.checked, target, spacing=spacing, anchors=session.anchors)]
+    files.append(save_report(session.maps.checked, recording.with_suffix(".report.html")))
     return Done(_written(files), tuple(files))
 
 
@@ -120,7 +120,7 @@ def _export(session: LiveSession, request: Mapping[str, Any]) -> Done:
         raise InputError(f"a format must be one of {', '.join(EXPORTS)}")
     spacing = str(request.get("spacing") or "")
     target = _recording(session).with_suffix(f".map{suffix}")
-    files = [save_map(session.checked, target, spacing=spacing, anchors=session.anchors)]
+    files = [save_map(session.maps.checked, target, spacing=spacing, anchors=session.anchors)]
     return Done(_written(files), tuple(files))
 
 

@@ -25,6 +25,7 @@ from anisomap.methods import DEFAULT_METHOD, MethodOptions
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
+from anisomap.stages.dimension import AUTO, Dimensions
 from anisomap.usability import Verdict
 
 MAX_READINGS = 1 << 27
@@ -78,7 +79,8 @@ class ExaminationOptions:
 
     Parameters
     ----------
-    dimensions : int
+    dimensions : int or "auto"
+        Number of coordinates; "auto" chooses it for each checked map.
     method : str
     preset : str
         See `ReadOptions`.
@@ -88,7 +90,7 @@ class ExaminationOptions:
         Positions to compare with.
     """
 
-    dimensions: int = 3
+    dimensions: Dimensions = AUTO
     method: str = DEFAULT_METHOD
     preset: str = ""
     drop: tuple[str, ...] = ()

@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
+
+MAX_CURVE = 500
+"""Points of a curve over time; when there are more, every other one is left out."""
 
 _STEP_S = 0.02  # between two entries of the arrivals
 _RATE_S, _RATE_ENTRIES = 3.0, 200  # over which the rate is measured
+
+
+_Point = TypeVar("_Point")
+
+
+def thinned(curve: Sequence[_Point]) -> list[_Point]:
+    """Return the points of a curve, every other one if there are `MAX_CURVE` or more."""
+    return list(curve[::2] if len(curve) >= MAX_CURVE else curve)
 
 
 @dataclass(frozen=True)

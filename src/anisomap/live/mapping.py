@@ -80,7 +80,7 @@ class QuickMapper:
     ----------
     names : sequence of str
     dimensions : int
-        Number of coordinates.
+        Number of coordinates; may change between maps.
     drop : set of int
         Sensors to leave out.
     """
@@ -125,6 +125,8 @@ class QuickMapper:
         varying = moments.varying()
         left_out = sorted(self.drop | set(np.flatnonzero(~varying).tolist()))
         start = None
+        if self._before is not None and self._before.shape[1] != self.dimensions:
+            self._before = None  # the number of dimensions has changed
         if self._before is not None:
             start = warm_start(self._before, correlation)
         with warnings.catch_warnings():

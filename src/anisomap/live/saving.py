@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from anisomap import io
 from anisomap.drawing import figures, report
 from anisomap.errors import InputError
-from anisomap.live.examination import Examination
+from anisomap.live.examination import Examination, ExaminationOptions
+from anisomap.methods import DEFAULT_METHOD
 from anisomap.placement import Anchors, parse_length, place, scaled_to_spacing
 from anisomap.sensor_map import SensorMap
+from anisomap.stages.dimension import AUTO
 
 EXPORTS = (".csv", ".json", ".ply", ".pcd", ".npz", ".urdf", ".mjcf", ".icub.txt", ".launch.xml")
 """Suffixes of the exports that the page offers."""
@@ -106,3 +109,27 @@ def map_of(examination: Examination | None) -> SensorMap:
         reason = "" if examination is None else f": {examination.reason}"
         raise InputError(f"there is no checked map yet{reason}")
     return examination.sensor_map
+
+
+def command_for(recording: Path, options: ExaminationOptions, *, gaps: bool) -> str:
+    """Return the command that makes the final map of a session again.
+
+    Parameters
+    ----------
+    recording : pathlib.Path
+    options : ExaminationOptions
+    gaps : bool
+        Whether readings are missing.
+    """
+    words = ["anisomap", "map", str(recording)]
+    if options.dimensions != AUTO:
+        words += ["-d", str(options.dimensions)]
+    if options.method != DEFAULT_METHOD:
+        words += ["-m", options.method]
+    if options.preset:
+        words += ["--preset", options.preset]
+    for name in options.drop:
+        words += ["--drop", name]
+    if gaps:
+        words += ["--missing", "interpolate"]
+    return shlex.join(words)

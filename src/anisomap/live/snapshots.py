@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from anisomap.evaluation import median_spacing
 from anisomap.live.examination import Examination
-from anisomap.live.mapping import QuickMap
+from anisomap.live.mapping import QuickMap, turned_onto
 from anisomap.live.session import LiveSession
 from anisomap.numerics.procrustes import fit_similarity
 
@@ -20,7 +20,7 @@ _DIGITS = 3  # of seconds and errors
 
 def readings_snapshot(session: LiveSession) -> dict[str, Any]:
     """Return what changes with every frame: counts, and the readings from 0 to 255."""
-    levels = np.round(255 * session.levels).astype(np.uint8)
+    levels = np.round(255 * session.levels.values).astype(np.uint8)
     return {
         "frames": session.recorder.n_frames,
         "seconds": round(session.seconds, _DIGITS),
@@ -30,10 +30,10 @@ def readings_snapshot(session: LiveSession) -> dict[str, Any]:
 
 def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
     """Return the quick map and, turned onto it, the checked map; None before the first one."""
-    quick = session.quick
+    quick = session.maps.quick
     if quick is None:
         return None
-    checked = _checked_positions(session.checked, quick)
+    checked = _checked_positions(session.maps.checked, quick)
     return {
         "number": session.map_number,
         "names": list(quick.names),
@@ -41,8 +41,9 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
         "frames": quick.n_frames,
         "positions": _encoded(quick.positions.astype("<f4")),
         "checked": None if checked is None else _encoded(checked.astype("<f4")),
-        "checked_halo": _encoded(_checked_doubt(session.checked, quick).astype("<f4")),
-        "final": session.checked is not None and session.checked.final,
+        "checked_dimensions": None if checked is None else checked.shape[1],
+        "checked_halo": _encoded(_checked_doubt(session.maps.checked, quick).astype("<f4")),
+        "final": session.maps.checked is not None and session.maps.checked.final,
         "pairs": _encoded(quick.pairs.astype("<u4")),
         "halo": _encoded(_doubt(quick).astype("<f4")),
         "contacts": quick.contacts.tolist(),
@@ -61,19 +62,19 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
 
 def status_snapshot(session: LiveSession) -> dict[str, Any]:
     """Return the rest: verdict, curves, faults, advice, notices and files."""
-    quick, checked = session.quick, session.checked
+    quick, checked = session.maps.quick, session.maps.checked
     verdict = None if checked is None else checked.verdict
     return {
         "state": session.state,
         "source": session.source.description,
         "seconds": round(session.seconds, _DIGITS),
         "frames": session.recorder.n_frames,
-        "sensors": session.n_sensors,
+        "sensors": session.maps.n_sensors,
         "rate_hz": _finite(session.rate_hz),
-        "share_touched": session.share_touched,
+        "share_touched": session.maps.share_touched,
         "map_age": round(session.map_age, _DIGITS),
         "lags": session.lags,
-        "level": session.level,
+        "level": session.maps.level,
         "expected_error": None if verdict is None else _finite(verdict.expected_error),
         "error_against_truth": None if checked is None else _finite(checked.error_against_truth),
         "reasons": [] if verdict is None else list(verdict.reasons),
@@ -81,21 +82,21 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "enough": quick is not None and quick.advice.enough,
         "faulty": [
             {"name": sensor.name, "status": sensor.status, "reason": sensor.reason}
-            for sensor in session.faults
+            for sensor in session.maps.faults
         ],
-        "dropped": list(session.options.drop),
+        "dropped": list(session.maps.options.drop),
         "curve": [
             [
                 round(point.seconds, _DIGITS),
                 _finite(point.expected_error),
                 _finite(point.error_against_truth),
             ]
-            for point in session.curve
+            for point in session.maps.curve
         ],
         "touched": [
-            [round(seconds, 1), round(share, _DIGITS)] for seconds, share in session.touched
+            [round(seconds, 1), round(share, _DIGITS)] for seconds, share in session.maps.touched
         ],
-        "examining": session.examining,
+        "examining": session.maps.examining,
         "notices": [[round(note.seconds, 1), note.text] for note in list(session.notices)],
         "recording": "" if session.segment is None else str(session.segment.path),
         "command": session.command,
@@ -108,11 +109,13 @@ def _checked_positions(checked: Examination | None, quick: QuickMap) -> NDArray[
         return None
     made = checked.sensor_map
     row = {name: i for i, name in enumerate(quick.names)}
-    found = np.full(quick.positions.shape, np.nan)
+    found = np.full((len(quick.names), made.dimensions), np.nan)
     largest = np.flatnonzero(made.component == 0)
     for i in largest:
         if made.names[i] in row:
             found[row[made.names[i]]] = made.positions[i]
+    if made.dimensions != quick.positions.shape[1]:
+        return turned_onto(found, None) if np.isfinite(found).any() else None
     shared = np.isfinite(found).all(axis=1) & np.isfinite(quick.positions).all(axis=1)
     if np.count_nonzero(shared) <= made.dimensions:
         return None

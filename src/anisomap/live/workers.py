@@ -28,6 +28,7 @@ from anisomap.live.mapping import QuickMapper
 from anisomap.live.recorder import Segment
 from anisomap.live.statistics import TouchStatistics
 from anisomap.recording import Recording
+from anisomap.stages.dimension import AUTO, SPATIAL
 
 logger = logging.getLogger(__name__)
 
@@ -42,14 +43,27 @@ _JOIN_S = 0.5  # for a process to end by itself
 
 @dataclass(frozen=True)
 class Changed:
-    """A message to the workers: what they map from now on."""
+    """A message to the workers: what they map from now on.
+
+    Attributes
+    ----------
+    segment : Segment, optional
+    options : ExaminationOptions, optional
+    dimensions : int, optional
+        Of quick maps, if the options leave it open.
+    """
 
     segment: Segment | None = None
     options: ExaminationOptions | None = None
+    dimensions: int | None = None
 
     def updated(self, other: Changed) -> Changed:
         """Return both changes in one."""
-        return Changed(other.segment or self.segment, other.options or self.options)
+        return Changed(
+            other.segment or self.segment,
+            other.options or self.options,
+            other.dimensions or self.dimensions,
+        )
 
 
 @dataclass(frozen=True)
@@ -207,6 +221,7 @@ class _Follower:
         self.segment: Segment | None = None
         self.busy = False
         self._options = ExaminationOptions()
+        self._chosen = SPATIAL
         self._tail: JournalTail | None = None
         self._next_map = 0.0
         self._mapped_frames = 0
@@ -221,6 +236,9 @@ class _Follower:
         if message.options is not None:
             self._options = message.options
             self._mapped_frames = 0
+        if message.dimensions is not None:
+            self._chosen = message.dimensions
+            self._mapped_frames = 0
         if message.segment is not None:
             if self._tail is not None:
                 self._tail.close()
@@ -228,7 +246,7 @@ class _Follower:
             self.segment, self._mapped_frames = segment, 0
             self._tail = JournalTail(segment.path, len(segment.names), segment.header_bytes)
             self._statistics = TouchStatistics(len(segment.names))
-            self._mapper = QuickMapper(segment.names, self._options.dimensions)
+            self._mapper = QuickMapper(segment.names, self._dimensions)
 
     def pause(self, seconds: float) -> None:
         """Make no map for some seconds."""
@@ -249,11 +267,16 @@ class _Follower:
             return None
         names, left_out = self._left_out(self.segment)
         self._mapper.names, self._mapper.drop = names, left_out
-        self._mapper.dimensions = self._options.dimensions
+        self._mapper.dimensions = self._dimensions
         found = self._mapper.make(self._statistics)
         self._mapped_frames = found.n_frames
         self._next_map = time.monotonic() + _IDLE_SHARE * found.seconds
         return found
+
+    @property
+    def _dimensions(self) -> int:
+        given = self._options.dimensions
+        return self._chosen if given == AUTO else int(given)
 
     def _left_out(self, segment: Segment) -> tuple[tuple[str, ...], set[int]]:
         """Return the names of all channels, and those that are dropped or are no sensors."""

@@ -29,6 +29,7 @@ from anisomap.live.saving import save_map, save_report
 from anisomap.live.server import Server
 from anisomap.live.sources.simulated import Advised, SimulatedHand
 from anisomap.methods import DEFAULT_METHOD, find_method
+from anisomap.stages.dimension import AUTO
 
 _source = Group("Source", sort_key=0)
 _page = Group("Page", sort_key=4)
@@ -93,8 +94,8 @@ def live(
     spacing: Annotated[str, Parameter(group=options.outputs_group)] = "",
     method: Annotated[str, Parameter(alias="-m", group=options.method_group)] = DEFAULT_METHOD,
     dimensions: Annotated[
-        int, Parameter(alias="-d", group=options.method_group, validator=Number(gte=2, lte=3))
-    ] = 3,
+        Literal["auto", 2, 3], Parameter(alias="-d", group=options.method_group)
+    ] = AUTO,
     drop: options.Drop = None,
     truth: Annotated[Path | None, Parameter(group=options.score_group)] = None,
     page: Annotated[PageOptions, Parameter(name="*", group=_page)] = DEFAULT_PAGE,
@@ -130,7 +131,8 @@ def live(
     method
         Reconstruction method of the checked map: see `anisomap methods`.
     dimensions
-        Number of coordinates: 2 for flat skins, 3 for bodies.
+        Number of coordinates: 2 for flat skins, 3 for bodies. By default the checked maps choose
+        it, and the quick maps follow when two in a row agree.
     truth
         File of true positions to compare with.
     """
@@ -188,9 +190,11 @@ def _opened(
 
 def _advised(session: LiveSession) -> Advised:
     """Return where the coach asks to touch, and what was touched so far."""
-    if session.quick is None:
+    if session.maps.quick is None:
         return (), None
-    return session.quick.advice.next_sensors, np.minimum(session.quick.contacts, ENOUGH_CONTACTS)
+    return session.maps.quick.advice.next_sensors, np.minimum(
+        session.maps.quick.contacts, ENOUGH_CONTACTS
+    )
 
 
 def _run(
@@ -204,7 +208,7 @@ def _run(
     ends = None if page.duration is None else time.monotonic() + page.duration
 
     def over() -> bool:
-        done = page.until is not None and session.reached(page.until)
+        done = page.until is not None and session.maps.reached(page.until)
         return done or (ends is not None and time.monotonic() >= ends)
 
     if server is None:
@@ -250,20 +254,20 @@ def _print_lines(session: LiveSession, printer: Printer, over: Callable[[], bool
 
 
 def _facts(session: LiveSession) -> dict[str, Any]:
-    quick, checked = session.quick, session.checked
+    quick, checked = session.maps.quick, session.maps.checked
     verdict = None if checked is None else checked.verdict
     return {
         "seconds": round(session.seconds, 2),
         "frames": session.recorder.n_frames,
-        "sensors": session.n_sensors,
-        "share_touched": session.share_touched,
+        "sensors": session.maps.n_sensors,
+        "share_touched": session.maps.share_touched,
         "map_age": session.map_age,
         "lags": session.lags,
-        "level": session.level,
+        "level": session.maps.level,
         "expected_error": None if verdict is None else verdict.expected_error,
         "error_against_truth": None if checked is None else checked.error_against_truth,
         "reasons": () if verdict is None else verdict.reasons,
-        "faulty": {sensor.name: sensor.status for sensor in session.faults},
+        "faulty": {sensor.name: sensor.status for sensor in session.maps.faults},
         "advice": "" if quick is None else quick.advice.text,
         "notices": [note.text for note in session.notices],
     }

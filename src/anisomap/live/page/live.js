@@ -17,7 +17,8 @@ function decoded(text, Type) {
 function showMap() {
   if (!map) return;
   const checked = map.checked && (showsChecked || map.final);
-  view.update(checked ? { ...map, positions: map.checked, halo: map.checked_halo } : map);
+  view.update(checked
+    ? { ...map, positions: map.checked, halo: map.checked_halo, dimensions: map.checked_dimensions } : map);
   $("which").textContent = map.reason || (checked
     ? `${map.final ? "final" : "checked"} map, by the full method`
     : `quick map of ${map.frames} frames`);

@@ -59,7 +59,7 @@ def stay_connected(
                 # Only errors of the source are caught, not those of whoever takes its items.
                 try:
                     item = next(items)
-                except (StopIteration, *lost):
+                except (StopIteration, *lost):  # type: ignore[misc]
                     break
                 yield item
         if not stop.is_set():
