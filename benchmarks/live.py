@@ -3,11 +3,13 @@
 Another process sends frames of a simulated skin over TCP, at a rate in Hz or as fast as they are
 taken (``--rate 0``). Printed are the frames that were recorded, the states of the readings that a
 page receives per second, the age of the map, and the memory of all processes of the session.
+``--memory live-memory`` writes the memory of each process over time as CSV and as a figure.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import http.client
 import json
 import os
@@ -28,6 +30,8 @@ import numpy as np
 
 _SETTLING_S = 5.0  # after the first map, before measurements begin
 _KIB = 1024
+ROLES = ("session", "quick_maps", "checked_maps")
+_N_TIMES = 60  # rows of the table of memory
 
 
 def skin(n_sensors: int, n_frames: int = 2000) -> list[str]:
@@ -94,14 +98,12 @@ class Watcher:
                     self.ages.append((time.monotonic(), status["map_age"]))
 
 
-def memory_kib(pid: int) -> int:
-    """Return the proportional set size of a process and its children in KiB (Linux)."""
-    total = 0
-    for child in [pid, *children(pid)]:
-        for line in Path(f"/proc/{child}/smaps_rollup").read_text().splitlines():
-            if line.startswith("Pss:"):
-                total += int(line.split()[1])
-    return total
+def memory_mib(pid: int) -> float:
+    """Return the proportional set size of a process in MiB (Linux)."""
+    for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
+        if line.startswith("Pss:"):
+            return int(line.split()[1]) / _KIB
+    return 0.0
 
 
 def cpu_s(pid: int) -> float:
@@ -121,12 +123,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--sensors", type=int, default=1000)
     parser.add_argument("--rate", type=float, default=100.0)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--memory", type=Path, help="name of a table and a figure, without suffix")
     given = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        print(json.dumps(measured(Path(folder), given.sensors, given.rate, given.seconds)))
+        found, memory = measured(Path(folder), given.sensors, given.rate, given.seconds)
+    print(json.dumps(found))
+    if given.memory is not None:
+        write_memory(memory, given.memory)
+        draw_memory(memory, given.memory.with_suffix(".png"))
 
 
-def measured(folder: Path, n_sensors: int, rate: float, seconds: float) -> dict[str, object]:
+@dataclass(frozen=True)
+class Memory:
+    """Memory of the processes of a session at one time.
+
+    Attributes
+    ----------
+    seconds : float
+        Since the first frame.
+    n_frames : int
+        Frames that the page knew of.
+    mib : tuple of float
+        Proportional set size of each of `ROLES`, in MiB.
+    """
+
+    seconds: float
+    n_frames: int
+    mib: tuple[float, ...]
+
+
+def measured(
+    folder: Path, n_sensors: int, rate: float, seconds: float
+) -> tuple[dict[str, object], list[Memory]]:
     """Measure a session in a folder."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -140,17 +168,18 @@ def measured(folder: Path, n_sensors: int, rate: float, seconds: float) -> dict[
     threading.Thread(target=watcher.watch, daemon=True).start()
     sender = get_context("spawn").Process(target=send, args=(port, n_sensors, rate, seconds))
     sender.start()
-    memory: list[int] = []
-    roles = ("acquisition", "quick_maps", "checked_maps")
+    memory: list[Memory] = []
+    begun = time.monotonic()
     while sender.is_alive():
         sender.join(1.0)
-        memory.append(memory_kib(process.pid))
+        pids = processes(process.pid)
+        sizes = tuple(memory_mib(pid) for pid in pids)
+        memory.append(Memory(time.monotonic() - begun, watcher.frames[-1], sizes))
     last = -1
     while watcher.frames[-1] != last:  # what is still in the buffers of the system
         last = watcher.frames[-1]
         time.sleep(2.0)
-    workers = [pid for pid in children(process.pid) if b"spawn_main" in _command(pid)]
-    used = [cpu_s(pid) for pid in (process.pid, *workers)]
+    used = [cpu_s(pid) for pid in processes(process.pid)]
     process.send_signal(signal.SIGTERM)
     process.wait()
     with (folder / "r.csv").open("rb") as stream:
@@ -158,8 +187,8 @@ def measured(folder: Path, n_sensors: int, rate: float, seconds: float) -> dict[
     start = watcher.ages[0][0] + _SETTLING_S if watcher.ages else 0.0
     ages = [age for moment, age in watcher.ages if moment > start] or [float("nan")]
     moments = np.array([moment for moment in watcher.readings if moment > start])
-    quarter = memory[len(memory) // 4 : len(memory) // 2]
-    return {
+    totals = [sum(one.mib) for one in memory]
+    found: dict[str, object] = {
         "sensors": n_sensors,
         "rate_hz": rate,
         "seconds": seconds,
@@ -170,11 +199,45 @@ def measured(folder: Path, n_sensors: int, rate: float, seconds: float) -> dict[
         "map_age_95_s": round(float(np.quantile(ages, 0.95)), 2),
         "map_age_max_s": round(max(ages), 2),
         "lags": watcher.lagged,
-        "memory_mib_second_quarter": round(float(np.median(quarter)) / _KIB),
-        "memory_mib_end": round(float(np.median(memory[-5:])) / _KIB),
-        **{f"cpu_s_{role}": one for role, one in zip(roles, used, strict=True)},
+        **{
+            f"memory_mib_quarter_{i + 1}": round(float(np.median(part)))
+            for i, part in enumerate(np.array_split(totals, 4))
+        },
+        **{f"cpu_s_{role}": one for role, one in zip(ROLES, used, strict=True)},
         "load": os.getloadavg()[0],
     }
+    return found, memory
+
+
+def processes(pid: int) -> list[int]:
+    """Return the session and its workers, in the order of `ROLES`."""
+    return [pid, *(child for child in children(pid) if b"spawn_main" in _command(child))]
+
+
+def write_memory(memory: Sequence[Memory], path: Path) -> None:
+    """Write the memory over time as CSV, in equal steps."""
+    with path.with_suffix(".csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["seconds", "frames", *(f"{role}_mib" for role in ROLES)])
+        for one in memory[:: max(1, len(memory) // _N_TIMES)]:
+            sizes = (round(size, 1) for size in one.mib)
+            writer.writerow([round(one.seconds), one.n_frames, *sizes])
+
+
+def draw_memory(memory: Sequence[Memory], path: Path) -> None:
+    """Draw the memory of each process over time."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 (takes a second)
+
+    figure = Figure(figsize=(6, 3), layout="constrained")
+    ax = figure.subplots()
+    looks = (("#0b5394", "-"), ("#b35000", "--"), ("#4d5b69", ":"))
+    minutes = [one.seconds / 60 for one in memory]
+    for i, (role, (colour, line)) in enumerate(zip(ROLES, looks, strict=True)):
+        sizes = [one.mib[i] for one in memory]
+        ax.plot(minutes, sizes, line, color=colour, label=role.replace("_", " "))
+    ax.set(xlabel="time (min)", ylabel="memory (MiB)", ylim=(0, None))
+    ax.legend()
+    figure.savefig(path, dpi=110)
 
 
 def _command(pid: int) -> bytes:

@@ -19,6 +19,7 @@ import pytest
         (["skin.csv", "--recording", "skin.csv"], "skin.csv"),
         (["skin.csv", "--recording", "r.csv", "-o", "r.csv"], "r.csv"),
         (["skin.csv", "-o", "m.urdf"], "metres"),
+        (["skin.csv", "--preset", "nobody"], "unknown preset 'nobody'; known presets: icub"),
         (["skin.csv", "-m", "magic"], "there is no method"),
         (["skin.csv", "--coached", "--headless"], "--coached is for a simulated hand"),
     ],

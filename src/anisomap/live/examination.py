@@ -168,11 +168,15 @@ def _mapped_in_blocks(path: Path, options: ExaminationOptions) -> _Mapped:
     with io.open_stream(path, frames=1) as stream:
         first = next(stream.blocks).readings
         like = Recording(first, names=stream.names, source=stream.source)
+    kept = np.arange(like.n_sensors)
+    if options.preset:
+        probe = replace(like, readings=_range_of(path))
+        like = io.apply_preset(probe, options.preset)
+        kept = np.array(list(io.numbering(probe, options.preset)))
 
     def chunks() -> Iterator[NDArray[Any]]:
-        with io.open_stream(path, frames=chunk_frames(like.n_sensors)) as stream:
-            for block in stream.blocks:
-                yield block.readings
+        for block in _blocks(path):
+            yield block[:, kept]
 
     found = stream_similarity(
         complete_chunks(chunks, "interpolate"), options.method, MethodOptions(), like=like
@@ -180,6 +184,25 @@ def _mapped_in_blocks(path: Path, options: ExaminationOptions) -> _Mapped:
     drop = [name for name in options.drop if name in like.names]
     make = partial(map_streamed_similarity, found, options.method, options.dimensions)
     return make(drop=drop), found.health, summarise(found.excerpt, found.health)
+
+
+def _blocks(path: Path) -> Iterator[NDArray[Any]]:
+    """Iterate over the readings of a recording."""
+    with io.open_stream(path, frames=1) as stream:
+        n_frames = chunk_frames(stream.n_sensors)
+    with io.open_stream(path, frames=n_frames) as stream:
+        for block in stream.blocks:
+            yield block.readings
+
+
+def _range_of(path: Path) -> NDArray[np.float64]:
+    """Return the first, the lowest and the highest reading of each channel, shape (3, N)."""
+    found: list[NDArray[np.float64]] = []
+    for block in _blocks(path):
+        low, high = np.fmin.reduce(block, axis=0), np.fmax.reduce(block, axis=0)
+        first, lowest, highest = found or (block[0], low, high)
+        found = [first, np.fmin(lowest, low), np.fmax(highest, high)]
+    return np.array(found)
 
 
 def _parts_of(path: Path, n_frames: int, preset: str) -> Recording:

@@ -39,12 +39,15 @@ class Segment:
         Size of its lines before the first frame.
     number : int
         From 1.
+    source : str
+        Origin of the recording.
     """
 
     path: Path
     names: tuple[str, ...]
     header_bytes: int
     number: int
+    source: str = ""
 
 
 class Recorder:
@@ -145,7 +148,7 @@ class Recorder:
         self.n_frames, self.seconds, self._offset = 0, 0.0, None
         self._missing = np.zeros(width, dtype=bool)
         self._recent = []
-        self.segments.append(Segment(path, names, self._writer.header_bytes, number))
+        self.segments.append(Segment(path, names, self._writer.header_bytes, number, self._source))
         self._begin(self.segments[-1])
 
     def _record(self, batch: Batch, now: float) -> None:

@@ -6,7 +6,6 @@ waits for a map, a backlog takes no memory, and a map of the session is one of t
 
 from __future__ import annotations
 
-import logging
 import os
 import signal
 import threading
@@ -29,8 +28,6 @@ from anisomap.live.recorder import Segment
 from anisomap.live.statistics import TouchStatistics
 from anisomap.recording import Recording
 from anisomap.stages.dimension import AUTO, SPATIAL
-
-logger = logging.getLogger(__name__)
 
 _POLL_S = 0.03  # between two looks at a recording that has not grown
 _READ_BYTES = 1 << 22  # at a time, so that a map of a backlog is made now and then
@@ -195,7 +192,7 @@ def _make_checked_maps(connection: Connection) -> None:
 
 
 def _make_quick_maps(connection: Connection) -> None:
-    state = _Follower()
+    state, told = _Follower(), ""
     while True:
         wait = _POLL_S if state.segment is not None else None
         if connection.poll(0) if state.busy else connection.poll(wait):
@@ -210,6 +207,10 @@ def _make_quick_maps(connection: Connection) -> None:
             connection.send(Failed(f"a quick map failed: {type(error).__name__}: {error}"))
             state.pause(1.0)
             continue
+        if state.problem != told:
+            told = state.problem
+            if told:
+                connection.send(Failed(told))
         if found is not None:
             connection.send((state.number, found))
 
@@ -220,6 +221,7 @@ class _Follower:
     def __init__(self) -> None:
         self.segment: Segment | None = None
         self.busy = False
+        self.problem = ""  # why the preset does not fit
         self._options = ExaminationOptions()
         self._chosen = SPATIAL
         self._tail: JournalTail | None = None
@@ -286,11 +288,15 @@ class _Follower:
             statistics = self._statistics
             low = np.where(np.isfinite(statistics.lowest), statistics.lowest, 0)
             high = np.where(np.isfinite(statistics.highest), statistics.highest, 0)
-            probe = Recording(np.array([low, low, high]), names=segment.names)
+            # Presets ask which values vary, and of which port they are.
+            probe = Recording(
+                np.array([low, low, high]), names=segment.names, source=segment.source
+            )
+            self.problem = ""
             try:
                 kept = numbering(probe, self._options.preset)
             except InputError as error:
-                logger.warning("%s", error)
+                self.problem = str(error)
                 kept = dict(enumerate(names))
             left_out = set(range(len(names))) - set(kept)
             for i, name in kept.items():

@@ -23,6 +23,7 @@ from anisomap.drawing import report as reports
 from anisomap.errors import InputError
 from anisomap.files import check_distinct, check_target
 from anisomap.health.touch_coverage import ENOUGH_CONTACTS
+from anisomap.io.recordings.presets import PRESETS
 from anisomap.live import ExaminationOptions, LiveSession, open_source
 from anisomap.live.batches import Source
 from anisomap.live.saving import save_map, save_report
@@ -152,6 +153,9 @@ def live(
     if report:
         reports.check_writable(report)
     find_method(method)
+    if preset and preset not in PRESETS:
+        known = ", ".join(PRESETS)
+        raise InputError(f"unknown preset {preset!r}; known presets: {known}")
     chosen = ExaminationOptions(
         dimensions=dimensions,
         method=method,

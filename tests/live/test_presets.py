@@ -1,0 +1,70 @@
+"""Robots with a known numbering of sensors: every value is recorded, and sensors are mapped."""
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap import io
+from anisomap.live import examination
+from anisomap.live.batches import Batch
+from anisomap.live.examination import ExaminationOptions, examine
+from anisomap.live.journal import JournalWriter
+from anisomap.live.session import LiveSession
+from skins import lattice, rubbed
+
+PORT = "YARP port /icub/skin/right_hand"
+PADS = [96 + i for i in range(48) if i not in (11, 23, 35, 43)]
+NAMES = [f"palm.{i - 96}" for i in PADS]
+LONGEST_S = 600
+
+
+@pytest.fixture(scope="module")
+def hand():
+    """Return readings of a hand without fingers, in which values that are no pads vary too."""
+    readings = np.full((600, 192), 255.0)
+    readings[:, 96:144] = np.random.default_rng(0).random((600, 48))
+    readings[:, PADS] = rubbed(lattice(4, 11), 600)
+    return readings
+
+
+class Port:
+    description, names, truth = PORT, (), None
+
+    def __init__(self, readings):
+        self._readings = readings
+
+    def items(self, stop):
+        yield Batch(self._readings)
+        stop.wait()
+
+
+def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
+    options = ExaminationOptions(dimensions=2, preset="icub")
+    with LiveSession(Port(hand), tmp_path / "r.csv", options) as session:
+        with session.changed:
+            assert session.changed.wait_for(lambda: session.maps.quick, LONGEST_S)
+        quick = session.maps.quick
+        final = session.finish(LONGEST_S)
+        command = session.command
+    assert [quick.names[i] for i in PADS] == NAMES
+    assert quick.left_out == tuple(sorted(set(range(192)) - set(PADS)))
+    assert np.isfinite(quick.positions[PADS]).all()
+    assert list(final.sensor_map.names) == NAMES
+    assert "--preset icub" in command
+    np.testing.assert_array_equal(anisomap.read(tmp_path / "r.csv").readings, hand)
+    read = io.read(tmp_path / "r.csv", options=io.ReadOptions(preset="icub"))
+    again = anisomap.reconstruct(read, dimensions=2)
+    np.testing.assert_allclose(final.sensor_map.positions, again.positions, atol=1e-6)
+
+
+def test_long_recordings_are_named_in_blocks(hand, tmp_path, monkeypatch):
+    writer = JournalWriter(tmp_path / "r.csv", [f"s{i}" for i in range(192)], PORT)
+    writer.add(np.arange(600) / 50, hand)
+    writer.close()
+    monkeypatch.setattr(examination, "MAX_READINGS", 1000)
+    options = ExaminationOptions(dimensions=2, preset="icub", drop=("palm.0",))
+    found = examine(tmp_path / "r.csv", 600, options, final=True)
+    assert found.sensor_map is not None, found.reason
+    assert list(found.sensor_map.names) == NAMES
+    placed = np.isfinite(found.sensor_map.positions).all(axis=1)
+    assert [name for name, one in zip(NAMES, placed, strict=True) if not one] == ["palm.0"]
