@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import Recording
+from anisomap.mapping import dissimilarities
 from anisomap.methods import MethodOptions, find_method
-from anisomap.reconstruction import dissimilarities
 from anisomap.stages.pairs import compare
 
 

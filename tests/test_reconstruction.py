@@ -21,8 +21,9 @@ from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.placement import median_spacing
+from anisomap.stages.contact_average import refine_by_contacts
 from anisomap.stages.pairs import SIMILARITIES, PairStatistics
-from anisomap.stages.refinement import Refined, RefinementFacts, refine_by_contacts
+from anisomap.stages.refinement import Refined, RefinementFacts
 from skins import flat_skin, lattice, rubbed, seeing_patch, stages
 
 QUICK = MethodOptions(contacts=ContactOptions(max_readings=6000))

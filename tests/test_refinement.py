@@ -13,12 +13,8 @@ from anisomap.methods import METHODS
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.simulation import find_body
-from anisomap.stages.refinement import (
-    Refined,
-    RefinementFacts,
-    average_with_contacts,
-    refine_by_covariogram,
-)
+from anisomap.stages.contact_average import average_with_contacts
+from anisomap.stages.refinement import Refined, RefinementFacts, refine_by_covariogram
 from skins import flat_skin, lattice, seeing_patch, stages, swept
 
 EVEN = MethodOptions(even_spacing=True)

@@ -10,24 +10,25 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
-from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions
+from anisomap.map_parts import MapParts
+from anisomap.mapping import Workings
+from anisomap.methods import METHODS, MethodOptions
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.resampling import MAX_SENSORS, STEP, resampled_maps
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
-from anisomap.stages.pairs import compare
 from anisomap.usability import Verdict
 from anisomap.verdict import Evidence, judge
 from anisomap.verdict.doubts import extent_in_spacings, systematic_doubts
-from anisomap.verdict.halves import MIN_FRAMES, MIN_SENSORS, repeatability_of_halves
+from anisomap.verdict.halves import MIN_FRAMES, MIN_SENSORS
 from anisomap.verdict.uncertainty import covariances, departure_in_spacings, error_in_spacings
 
 logger = logging.getLogger(__name__)
@@ -49,6 +50,7 @@ def diagnose(
     with_verdict: bool = True,
     rng: np.random.Generator | int | None = None,
     progress: Callable[[float], None] | None = None,
+    workings: Workings | None = None,
 ) -> SensorMap:
     """Add sensor health, a verdict and the notes that follow from them to a map.
 
@@ -68,11 +70,14 @@ def diagnose(
         From `anisomap.find_faults`, if computed already.
     with_verdict : bool
         Whether to judge the map, and to estimate the covariance of every position, by maps of
-        resampled recordings and of halves; this takes two to four times as long as the map.
+        resampled recordings and of halves.
     rng : numpy.random.Generator or int, optional
         Draws the resamples; seed 0 by default.
     progress : callable, optional
         Called with the completed share, from 0 to 1.
+    workings : Workings, optional
+        From `anisomap.reconstruction.reconstruct_with_workings`, if the map comes from it. Without
+        them, the map is made again; the result is the same.
 
     Returns
     -------
@@ -104,13 +109,9 @@ def diagnose(
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
     verdict, found = Verdict(), None
     if with_verdict:
-        found, repeatability = estimate_uncertainty(
-            sensor_map, runs, options=options, rng=rng, progress=progress
-        )
-        evidence = collect_evidence(
-            sensor_map, runs, faults, options=options, repeatability=repeatability
-        )
-        verdict = judge(evidence)
+        parts = _parts(sensor_map, runs, options, workings)
+        found, repeatability = _uncertainty(sensor_map, parts, options, rng, progress)
+        verdict = judge(_evidence(sensor_map, parts, faults, repeatability))
     notes += [reason for reason in verdict.reasons if reason.startswith("insufficient evidence")]
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
@@ -161,11 +162,21 @@ def estimate_uncertainty(
     the recording are mapped from the beginning, and the covariances are scaled to their
     difference.
     """
-    runs = as_runs(recording)
-    if _unknown(sensor_map, runs):
+    parts = _parts(sensor_map, as_runs(recording), options)
+    return _uncertainty(sensor_map, parts, options, rng, progress)
+
+
+def _uncertainty(
+    sensor_map: SensorMap,
+    parts: MapParts | str,
+    options: MethodOptions | None,
+    rng: np.random.Generator | int | None,
+    progress: Callable[[float], None] | None,
+) -> tuple[NDArray[np.float64] | None, float]:
+    """See `estimate_uncertainty`."""
+    if isinstance(parts, str):
         return None, math.nan
     report = progress or (lambda _share: None)
-    complete = runs[0].complete()
     generator = np.random.default_rng(0 if rng is None else rng)
     found = np.full((*sensor_map.positions.shape, sensor_map.dimensions), np.nan)
     repeatability = math.nan
@@ -175,14 +186,15 @@ def estimate_uncertainty(
         if size < MIN_SENSORS:
             continue
         members = sensor_map.component == label
-        positions, readings = sensor_map.positions[members], complete.readings[:, members]
+        positions = sensor_map.positions[members]
         done, share = sum(sizes[:label]) / sum(sizes), size / sum(sizes)
         try:
+            part = parts[label]
             reference, maps = resampled_maps(
-                readings,
+                part.pairs,
                 positions,
                 sensor_map.method,
-                sensor_map.similarity,
+                partial(part.contacts_from, options=options or MethodOptions()),
                 options=options,
                 rng=generator,
                 progress=_part_of(report, done, share),
@@ -193,7 +205,7 @@ def estimate_uncertainty(
         component = covariances(maps, positions, STEP)
         error = error_in_spacings(component, positions)
         if departure_in_spacings(reference, positions) > _SAME_MAP:
-            by_halves = _error_of_halves(sensor_map, readings, positions, options)
+            by_halves = parts.error_of_halves(label)
             component *= (by_halves / error) ** 2 if 0 < error < math.inf else math.nan
             error = by_halves
         found[members] = np.where(np.isfinite(component), component, np.nan)
@@ -229,25 +241,29 @@ def collect_evidence(
     Evidence
         See `anisomap.verdict.judge`.
     """
-    runs = as_runs(recording)
-    if unknown := _unknown(sensor_map, runs):
-        return Evidence(doubts=systematic_doubts(sensor_map, faults), unknown=unknown)
-    largest = sensor_map.component == 0
-    positions = sensor_map.positions[largest]
-    part = runs[0].complete().select(largest)
-    statistic = sensor_map.similarity
+    parts = _parts(sensor_map, as_runs(recording), options)
     if repeatability is None:
-        repeatability = estimate_uncertainty(sensor_map, runs, options=options)[1]
+        repeatability = _uncertainty(sensor_map, parts, options, None, None)[1]
+    return _evidence(sensor_map, parts, faults, repeatability)
+
+
+def _evidence(
+    sensor_map: SensorMap, parts: MapParts | str, faults: Sequence[Finding], repeatability: float
+) -> Evidence:
+    """See `collect_evidence`."""
+    if isinstance(parts, str):
+        return Evidence(doubts=systematic_doubts(sensor_map, faults), unknown=parts)
+    part = parts[0]
+    positions = part.positions
     # Resamples start from the map, so they cannot show that the fit may end in another one.
-    halves = _error_of_halves(sensor_map, part.readings, positions, options)
-    with limited_blas(part.n_sensors):
-        pairs = compare([part], statistic, bins=(options or MethodOptions()).bins, with_noise=False)
+    halves = parts.error_of_halves(0)
+    with limited_blas(len(positions)):
         doubts = systematic_doubts(
             sensor_map,
             faults,
             readings=part.readings,
-            similarity=pairs.similarity,
-            blended=statistic == "blended-correlation",
+            similarity=part.pairs.similarity,
+            blended=sensor_map.similarity == "blended-correlation",
             repeatability=repeatability,
             halves=halves,
         )
@@ -257,6 +273,18 @@ def collect_evidence(
         dimensions=sensor_map.dimensions,
         doubts=doubts,
     )
+
+
+def _parts(
+    sensor_map: SensorMap,
+    runs: Sequence[Recording],
+    options: MethodOptions | None,
+    workings: Workings | None = None,
+) -> MapParts | str:
+    """Return the components of a map, or why its repeatability cannot be known."""
+    if unknown := _unknown(sensor_map, runs):
+        return unknown
+    return MapParts(sensor_map, runs[0].complete(), options or MethodOptions(), workings)
 
 
 def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
@@ -277,22 +305,3 @@ def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
         f"the recording has fewer than {MIN_FRAMES} frames": runs[0].n_frames < MIN_FRAMES,
     }
     return next((reason for reason, holds in reasons.items() if holds), "")
-
-
-def _error_of_halves(
-    sensor_map: SensorMap,
-    readings: NDArray[np.floating],
-    positions: NDArray[np.float64],
-    options: MethodOptions | None,
-) -> float:
-    """Map halves of the recording of a component from the beginning, and return its error."""
-    half_options = replace(options or MethodOptions(), split_unrelated=False)
-
-    def map_half(half: NDArray[np.floating]) -> NDArray[np.float64]:
-        made = reconstruct(half, DEFAULT_METHOD, sensor_map.dimensions, options=half_options)
-        return made.positions
-
-    logger.info("mapping halves of the recording to estimate the repeatability")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)  # halves are short by design
-        return repeatability_of_halves(readings, positions, map_half)

@@ -36,13 +36,9 @@ from anisomap.numerics.reliability.significance import remove_insignificant_link
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.recording import Recording
+from anisomap.stages.contact_average import average_with_contacts, refine_by_contacts
 from anisomap.stages.pairs import PairStatistics
-from anisomap.stages.refinement import (
-    Refined,
-    average_with_contacts,
-    refine_by_contacts,
-    refine_by_covariogram,
-)
+from anisomap.stages.refinement import Refined, refine_by_covariogram
 
 logger = logging.getLogger(__name__)
 
@@ -192,20 +188,21 @@ def _identity(dissimilarity: Reals) -> Reals:
 def _covariogram(
     pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
 ) -> Refined:
-    mapped = _without_contacts(pairs, metric, positions, options)
+    mapped = refine_without_contacts(pairs, metric, positions, options)
     return average_with_contacts(pairs, mapped, options.contacts)
 
 
 def _contact_fit(
     pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
 ) -> Refined:
-    mapped = _without_contacts(pairs, metric, positions, options)
+    mapped = refine_without_contacts(pairs, metric, positions, options)
     return refine_by_contacts(pairs, mapped, options.contacts)
 
 
-def _without_contacts(
+def refine_without_contacts(
     pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
 ) -> Refined:
+    """Refine one component as the default method does before it fits contacts."""
     return refine_by_covariogram(
         pairs, metric, positions, options.covariogram, evenly_spaced=options.even_spacing
     )

@@ -3,14 +3,14 @@
 `reconstruct` computes a map from readings, stage by stage; `reconstruct_from` starts from a
 precomputed stage. Every stage can be called separately:
 
-=============  ================================  =====================================
-S              `anisomap.stages.pairs.compare`   similarity of all pairs of sensors
-M              `dissimilarities`                 dissimilarity of all pairs of sensors
-D              `anisomap.methods.Method.metric`  metric: shortest path lengths
-dimensions     `anisomap.stages.dimension`       their number, if it is not given
-positions      `anisomap.stages.scaling.scale`   scaling by SMACOF
-refinement     `anisomap.stages.scaling.refine`  positions refined by S
-=============  ================================  =====================================
+=============  ==================================  =====================================
+S              `anisomap.stages.pairs.compare`     similarity of all pairs of sensors
+M              `anisomap.mapping.dissimilarities`  dissimilarity of all pairs of sensors
+D              `anisomap.methods.Method.metric`    metric: shortest path lengths
+dimensions     `anisomap.stages.dimension`         their number, if it is not given
+positions      `anisomap.stages.scaling.scale`     scaling by SMACOF
+refinement     `anisomap.stages.scaling.refine`    positions refined by S
+=============  ==================================  =====================================
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from anisomap.description import (
     unknown_pairs,
 )
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.mapping import Workings, dissimilarities, work_out
 from anisomap.memory import check_pair_memory
 from anisomap.methods import (
     DEFAULT_METHOD,
-    METHODS,
     Method,
     MethodOptions,
     check_even_spacing,
@@ -40,20 +40,18 @@ from anisomap.methods import (
 )
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.metric import check_semi_metric
-from anisomap.numerics.precision import Reals
 from anisomap.recording import Recording, Scalar, check_names, default_names, sensor_mask
 from anisomap.runs import as_runs, join_runs, select_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.stages.dimension import (
     AUTO,
     SPATIAL,
-    DimensionPlan,
     Dimensions,
     check_dimensions,
     given_dimensions,
     plan_dimensions,
 )
-from anisomap.stages.pairs import PairStatistics, compare
+from anisomap.stages.pairs import PairStatistics
 from anisomap.stages.precomputed import checked_noise, checked_start, checked_weights, only_stage
 from anisomap.stages.scaling import Configuration, configure
 
@@ -126,7 +124,41 @@ def reconstruct(
     >>> bool(abs(np.corrcoef(sensor_map.positions[:, 0], places)[0, 1]) > 0.99)
     True
     """
-    recipe, options = find_method(method), options or MethodOptions()
+    return reconstruct_with_workings(
+        recording, method, dimensions, options=options, drop=drop, stack_level=3
+    )[0]
+
+
+def reconstruct_with_workings(
+    recording: Recording | ArrayLike | Sequence[Recording],
+    method: str = DEFAULT_METHOD,
+    dimensions: Dimensions = AUTO,
+    *,
+    options: MethodOptions | None = None,
+    drop: Iterable[str | int] = (),
+    recipe: Method | None = None,
+    stack_level: int = 2,
+) -> tuple[SensorMap, Workings]:
+    """Reconstruct positions, and return the stages that `anisomap.diagnose` can use again.
+
+    Parameters
+    ----------
+    recording, method, dimensions, options, drop
+        See `reconstruct`.
+    recipe : Method, optional
+        Stages in place of those of the method.
+    stack_level : int
+        Number of calls from the warning about a note to the code that it is attributed to.
+
+    Returns
+    -------
+    sensor_map : SensorMap
+        That of `reconstruct`.
+    workings : Workings
+        They hold several matrices of all pairs, and as many numbers as there are readings.
+    """
+    named, options = find_method(method), options or MethodOptions()
+    recipe = recipe or named
     runs = as_runs(recording)
     check_even_spacing(method, options, readings=len(runs) == 1)
     joined = join_runs(runs)
@@ -134,23 +166,8 @@ def reconstruct(
     _check_size(mapped, dimensions, recipe, options)
     names = [joined.names[i] for i in np.flatnonzero(mapped)]
     complete = [run.complete() for run in select_sensors(runs, names)]
-
-    with limited_blas(len(names)):
-        similarity = recipe.similarity_of(complete)
-        pairs = compare(
-            complete, similarity, bins=options.bins, with_noise=recipe.refine is not None
-        )
-        dissimilarity = dissimilarities(pairs, method, options)
-        metric = recipe.metric(dissimilarity)
-        if dimensions == AUTO and recipe.dissimilarity != METHODS[DEFAULT_METHOD].dissimilarity:
-            plan = _plan_by_default_method(complete, options)
-        else:
-            examine = recipe.refine is not None
-            plan = plan_dimensions(dimensions, metric, pairs.weights, examine=examine)
-        configuration, plan = configure(
-            plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
-        )
-
+    workings = work_out(complete, recipe, dimensions, options)
+    pairs, configuration, plan = workings.pairs, workings.configuration, workings.plan
     _check_related(configuration, options)
     provenance = options_provenance(method, options) | plan.provenance
     provenance |= {
@@ -160,16 +177,17 @@ def reconstruct(
     }
     if len(runs) > 1:
         provenance["runs"] = len(runs)
-    notes = (*plan.note, *unknown_pairs(pairs.known, names))
-    return _as_map(
+    made = _as_map(
         configuration,
         joined.names,
         mapped,
         method=method,
         similarity=pairs.statistic,
-        notes=notes,
+        notes=(*plan.note, *unknown_pairs(pairs.known, names)),
         provenance=provenance,
+        stack_level=stack_level + 1,
     )
+    return made, workings
 
 
 def reconstruct_from(
@@ -292,53 +310,6 @@ def reconstruct_from(
     )
 
 
-def dissimilarities(
-    pairs: PairStatistics, method: str = DEFAULT_METHOD, options: MethodOptions | None = None
-) -> Reals:
-    """Compute the dissimilarity M of all pairs of sensors from their similarity S.
-
-    Parameters
-    ----------
-    pairs : PairStatistics
-        From `anisomap.stages.pairs.compare`.
-    method : str
-        A key of `METHODS`.
-    options : MethodOptions, optional
-
-    Returns
-    -------
-    ndarray of shape (n, n)
-        A semi-metric, infinite for unknown and unrelated pairs.
-
-    Raises
-    ------
-    InputError
-        If there is no such method, or it requires correlations and the similarity is not one.
-
-    Notes
-    -----
-    McGregor et al. (2011), section "ANISOMAP", step 1, doi:10.1371/journal.pone.0026561.
-    """
-    dissimilarity = find_method(method).dissimilarity(pairs, options or MethodOptions())
-    if not pairs.known.all():
-        dissimilarity[~pairs.known] = np.inf
-        np.fill_diagonal(dissimilarity, 0)
-    return dissimilarity
-
-
-def _plan_by_default_method(runs: Sequence[Recording], options: MethodOptions) -> DimensionPlan:
-    """Choose dimensions by the default method, which examines contacts if the skin looks flat."""
-    recipe = METHODS[DEFAULT_METHOD]
-    pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=True)
-    metric = recipe.metric(dissimilarities(pairs, DEFAULT_METHOD, options))
-    plan = plan_dimensions(AUTO, metric, pairs.weights)
-    if plan.dimensions == SPATIAL:
-        return plan
-    return configure(
-        plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
-    )[1]
-
-
 def _check_size(
     mapped: NDArray[np.bool_], dimensions: Dimensions, recipe: Method, options: MethodOptions
 ) -> None:
@@ -374,6 +345,7 @@ def _as_map(
     similarity: str,
     notes: Iterable[str],
     provenance: dict[str, Scalar],
+    stack_level: int = 3,
 ) -> SensorMap:
     """Make a map of all sensors from the positions of the mapped ones; warn for each note."""
     positions = np.full((len(names), configuration.positions.shape[1]), np.nan)
@@ -386,7 +358,7 @@ def _as_map(
         *configuration.notes,
     )
     for note in all_notes:
-        warnings.warn(note, AnisomapWarning, stacklevel=3)
+        warnings.warn(note, AnisomapWarning, stacklevel=stack_level)
     return SensorMap(
         positions,
         names=names,

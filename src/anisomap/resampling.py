@@ -9,24 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
+from anisomap.methods import MethodOptions, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import resampled_contact_agreement
-from anisomap.numerics.contacts.contact_fit import (
-    ContactFit,
-    fit_contacts,
-    resample_contacts,
-)
+from anisomap.numerics.contacts.contact_fit import resample_contacts
 from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.reliability.blending import blend
 from anisomap.numerics.reliability.block_bootstrap import balanced_weights, block_edges
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.numerics.similarity.resampled import resampled_correlation
 from anisomap.stages.consensus import combine_with_paths
-from anisomap.stages.pairs import SIMILARITIES, PairStatistics
-from anisomap.stages.refinement import contact_share
+from anisomap.stages.pairs import PairStatistics
+from anisomap.stages.refinement import ContactAverage
 
 N_RESAMPLES = 8
 """Number of resamples: together they take about as much time as the map.
@@ -58,10 +53,10 @@ _MAX_ITERATIONS = 5  # of each fit; with 300, spreads differed by less than 5 % 
 
 
 def resampled_maps(
-    readings: NDArray[np.floating],
+    pairs: PairStatistics,
     positions: NDArray[np.float64],
     method: str,
-    similarity: str,
+    contacts_from: Callable[[NDArray[np.float64]], ContactAverage | None],
     *,
     options: MethodOptions | None = None,
     rng: np.random.Generator,
@@ -71,14 +66,16 @@ def resampled_maps(
 
     Parameters
     ----------
-    readings : ndarray of shape (T, n)
-        Finite readings of one component, T >= 80.
+    pairs : PairStatistics
+        Of one component, with its readings, T >= 80. The similarity is blended, or the agreement of
+        contacts.
     positions : ndarray of shape (n, k)
         Its map, from which the fits start.
     method : str
         Name of a method that refines positions.
-    similarity : str
-        ``"blended-correlation"`` or ``"contact-agreement"``.
+    contacts_from : callable
+        Returns the average of the map with a fit of contacts, if it is one, from a map of the
+        recording without contacts.
     options : MethodOptions, optional
     rng : numpy.random.Generator
     progress : callable, optional
@@ -93,16 +90,19 @@ def resampled_maps(
     """
     options = replace(options or MethodOptions(), split_unrelated=False)
     recipe = find_method(method)
+    readings = np.asarray(pairs.readings)
     edges = block_edges(readings)
     drawn = balanced_weights(len(edges) - 1, N_RESAMPLES, rng)
     weights = np.vstack([np.ones(len(edges) - 1), 1 + STEP * (drawn - 1)])
     with limited_blas(len(positions)):
-        resamples, noise = _similarities(similarity, readings, edges, weights)
+        resamples, noise = _similarities(pairs, readings, edges, weights), pairs.noise
         made: list[NDArray[np.float64]] = []
         start, exponent, by_paths = positions, 1.0, True
         for i, resample in enumerate(resamples):
-            pairs = PairStatistics.from_similarity(resample, noise=noise, statistic=similarity)
-            metric = recipe.metric(recipe.dissimilarity(pairs, options))
+            compared = PairStatistics.from_similarity(
+                resample, noise=noise, statistic=pairs.statistic
+            )
+            metric = recipe.metric(recipe.dissimilarity(compared, options))
             fit = fit_covariogram(
                 resample,
                 _scaled(start, metric),
@@ -116,7 +116,7 @@ def resampled_maps(
             )
             found = np.asarray(fit.positions, dtype=np.float64)
             if by_paths:
-                consensus = combine_with_paths(pairs, found)
+                consensus = combine_with_paths(compared, found)
                 by_paths = consensus.path_weight > 0
                 found = np.asarray(consensus.positions, dtype=np.float64)
             if i == 0:
@@ -124,11 +124,10 @@ def resampled_maps(
             made.append(found)
             if progress is not None:
                 progress(len(made) / len(weights))
-        contacts = None if by_paths else fit_contacts(readings, made[0], options.contacts)
-        if contacts is not None and contacts.used:
-            share = contact_share(contacts) if method == DEFAULT_METHOD else 1.0
+        contacts = None if by_paths else contacts_from(made[0])
+        if contacts is not None:
             frames = np.repeat(weights, np.diff(edges), axis=1)
-            refined = _with_contacts(contacts, share, made, frames)
+            refined = _with_contacts(contacts, made, frames)
             # Contacts are not part of maps whose lengths came from elsewhere.
             if _misfit(refined[0], positions) < _misfit(made[0], positions):
                 made = refined
@@ -136,11 +135,13 @@ def resampled_maps(
 
 
 def _with_contacts(
-    fit: ContactFit, share: float, made: list[NDArray[np.float64]], weights: NDArray[np.float64]
+    contacts: ContactAverage, made: list[NDArray[np.float64]], weights: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
     """Average maps with a fit of contacts to frames of given weights, shape (R, T)."""
-    given = np.array([fit_similarity(one, made[0]).apply(one) for one in made])
-    refined = (1 - share) * given + share * resample_contacts(fit, given, weights)
+    whole = np.asarray(contacts.given, dtype=np.float64)
+    given = np.array([fit_similarity(one, whole).apply(one) for one in made])
+    moved = resample_contacts(contacts.fit, given, weights)
+    refined = (1 - contacts.share) * given + contacts.share * moved
     return list(refined[0] + CONTACT_INFLATION * (refined - refined[0]))
 
 
@@ -149,22 +150,21 @@ def _misfit(moved: NDArray[np.float64], positions: NDArray[np.float64]) -> float
 
 
 def _similarities(
-    similarity: str,
+    pairs: PairStatistics,
     readings: NDArray[np.floating],
     edges: NDArray[np.intp],
     weights: NDArray[np.float64],
-) -> tuple[Reals, Reals]:
-    """Compute a similarity of weighted blocks, (R, n, n), and its sampling variance, (n, n)."""
-    if similarity == "contact-agreement":
-        resampled = resampled_contact_agreement(readings, edges, weights)
-        return resampled, SIMILARITIES[similarity].variance(readings)
-    found = blend(readings)
+) -> Reals:
+    """Compute a similarity of weighted blocks of frames, shape (R, n, n)."""
+    found = pairs.blended
+    if found is None:
+        return resampled_contact_agreement(readings, edges, weights)
     blended = resampled_correlation(readings, edges, weights)
     rho = resampled_correlation(found.ranks, edges, weights)
     blended *= found.weight
     rho *= 1 - found.weight
     blended += rho
-    return blended, found.variance
+    return blended
 
 
 def _scaled(positions: NDArray[np.float64], metric: Reals) -> NDArray[np.float64]:

@@ -74,8 +74,11 @@ def combine_with_paths(pairs: PairStatistics, positions: Reals) -> Consensus:
         return Consensus(positions, share, 0.0)
     paths = _normalised_paths(pairs.similarity)
     if pairs.readings is not None:
-        depths = estimate_rest(pairs.readings).depth_ranks(pairs.readings)
-        paths = (paths + _normalised_paths(pearson(depths))) / 2
+        if pairs.blended is None:
+            ranks = estimate_rest(pairs.readings).depth_ranks(pairs.readings)
+        else:
+            ranks = pairs.blended.ranks
+        paths = (paths + _normalised_paths(pearson(ranks))) / 2
     distances = pdist(positions)
     mean = distances.mean()
     mixed = (1 - weight) * squareform(distances) + weight * mean * paths

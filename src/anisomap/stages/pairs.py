@@ -14,7 +14,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.blending import blend_with_variance, blended_correlation
+from anisomap.numerics.reliability.blending import Blend, blend, blended_correlation
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
@@ -39,25 +39,26 @@ class Similarity:
         ``scores(readings)`` returns the values, shape (T, n), whose linear correlation the
         similarity is; its sampling variance is theirs. The readings by default.
     blend : callable, optional
-        ``blend(readings)`` returns the similarity and its sampling variance, if it is not the
-        correlation of any scores.
+        ``blend(readings)`` returns the similarity, its sampling variance and what it was blended
+        from, if it is not the correlation of any scores.
     """
 
     summary: str
     compute: Callable[[ArrayLike, int], Reals]
     scores: Callable[[NDArray[np.generic]], ArrayLike] | None = None
-    blend: Callable[[ArrayLike], tuple[Reals, Reals]] | None = None
+    blend: Callable[[ArrayLike], Blend] | None = None
 
     def with_variance(self, readings: NDArray[np.generic], bins: int) -> tuple[Reals, Reals]:
         """Compute the similarity, and its sampling variance for unrelated sensors, (n, n) each."""
         if self.blend is not None:
-            return self.blend(readings)
+            found = self.blend(readings)
+            return found.similarity, found.variance
         return self.compute(readings, bins), self.variance(readings)
 
     def variance(self, readings: NDArray[np.generic]) -> Reals:
         """Compute the sampling variance of the similarity for unrelated sensors, (n, n)."""
         if self.blend is not None:
-            return self.blend(readings)[1]
+            return self.blend(readings).variance
         return sampling_variance(readings if self.scores is None else self.scores(readings))
 
 
@@ -76,7 +77,7 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
         "blended-correlation": Similarity(
             "linear correlation where it is reliable, else rank correlation",
             lambda x, _: blended_correlation(x),
-            blend=blend_with_variance,
+            blend=blend,
         ),
         "contact-agreement": Similarity(
             "agreement over distinct contacts (kappa), for readings that are on or off",
@@ -104,6 +105,8 @@ class PairStatistics:
         unknown.
     statistic : str
         Name of the similarity that was computed from readings; empty if it was precomputed.
+    blended : Blend, optional
+        What a blended correlation was computed from, of all sensors that were compared.
     """
 
     similarity: Reals
@@ -111,6 +114,7 @@ class PairStatistics:
     known: NDArray[np.bool_]
     readings: NDArray[np.generic] | None = None
     statistic: str = ""
+    blended: Blend | None = None
 
     @classmethod
     def from_similarity(
@@ -177,6 +181,7 @@ class PairStatistics:
             noise=self.noise[inside],
             known=self.known[inside],
             readings=readings,
+            blended=None if self.blended is None else self.blended.select(sensors),
         )
 
     def check_correlations(self) -> None:
@@ -226,6 +231,15 @@ def compare(
 
     if len({frozenset(run.names) for run in runs}) == 1:
         readings = _joined(runs, runs[0].names)
+        if with_noise and statistic.blend is not None:
+            blended = statistic.blend(readings)
+            pairs = PairStatistics.from_similarity(
+                blended.similarity,
+                noise=blended.variance,
+                readings=readings,
+                statistic=similarity,
+            )
+            return replace(pairs, blended=blended)
         found, variance = computed(readings)
         return PairStatistics.from_similarity(
             found,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.contacts import ContactFit, ContactOptions, fit_contacts
+from anisomap.numerics.contacts import ContactFit
 from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.geodesic.geodesic_refinement import (
@@ -28,16 +28,13 @@ from anisomap.stages.pairs import PairStatistics
 
 logger = logging.getLogger(__name__)
 
-_MIN_SENSORS = 8  # fewer have hardly more pairs than coordinates
+MIN_SENSORS = 8
+"""Sensors of a refined map: fewer have hardly more pairs than coordinates."""
+
 _MIN_FRAMES = 40  # in fewer frames, contacts cannot be distinguished
 # At most 1.49 on rolling cylinders of 60 and 120 sensors that are thresholded; at least 1.98 on
 # other skins, simulated (seed 1) and real, and 1.66 on a strip of 3 x 20 sensors.
 _MAX_CURVE_DIMENSION = 1.55
-
-# Weights of the contact fit in the average with the covariogram map. Graded readings locate a
-# contact better than readings that are on or off, of which the covariogram already compares
-# contacts. Of .5, .67, .75 and 1, chosen on simulated skins, seeds 101 and 102, and the iCub's.
-_GRADED_WEIGHT, _BINARY_WEIGHT = 0.75, 0.5
 
 _UNEVEN = "the covariogram map has very unequal distances between neighbours"
 _LONG_CONTACTS = "contacts appear to be long in one direction"
@@ -126,6 +123,29 @@ class RefinementFacts:
 
 
 @dataclass(frozen=True, eq=False)
+class ContactAverage:
+    """A map that was averaged with a fit of contacts.
+
+    Attributes
+    ----------
+    fit : ContactFit
+    given : ndarray of shape (n, k)
+        The map before, from which the fit started.
+    share : float
+        Weight of the fit in the average, in (0, 1].
+    """
+
+    fit: ContactFit
+    given: Reals
+    share: float
+
+    @property
+    def positions(self) -> Reals:
+        """The average, shape (n, k)."""
+        return np.asarray((1 - self.share) * self.given + self.share * self.fit.positions)
+
+
+@dataclass(frozen=True, eq=False)
 class Refined:
     """Refined positions.
 
@@ -135,11 +155,14 @@ class Refined:
     facts : RefinementFacts
     notes : tuple of str
         Caveats for users.
+    contacts : ContactAverage, optional
+        The average with a fit of contacts, if the positions are one.
     """
 
     positions: Reals
     facts: RefinementFacts = field(default_factory=RefinementFacts)
     notes: tuple[str, ...] = ()
+    contacts: ContactAverage | None = None
 
 
 def refine_by_covariogram(
@@ -170,7 +193,7 @@ def refine_by_covariogram(
     unused = Refined(positions)
     if evenly_spaced:
         unused = Refined(positions, RefinementFacts(even_spacing=False), (_TOO_FEW,))
-    if len(positions) < _MIN_SENSORS:
+    if len(positions) < MIN_SENSORS:
         return unused
     fit = fit_covariogram(
         pairs.similarity,
@@ -246,96 +269,8 @@ def unexamined_unevenness(
     tuple of str
         Empty if neighbours lie at similar distances.
     """
-    if len(positions) < _MIN_SENSORS or positions.shape[1] < 2:
+    if len(positions) < MIN_SENSORS or positions.shape[1] < 2:
         return ()
     joined = neighbour_graph(readings, positions, similarity=similarity).adjacency
     uneven = unevenness(positions, joined) > GeodesicOptions.max_unevenness
     return (_NOT_EXAMINED,) if uneven else ()
-
-
-def average_with_contacts(
-    pairs: PairStatistics, mapped: Refined, options: ContactOptions | None = None
-) -> Refined:
-    """Average a map with a fit of contacts, where contacts are compact and alike.
-
-    Parameters
-    ----------
-    pairs : PairStatistics
-    mapped : Refined
-        A nearly correct map.
-    options : ContactOptions, optional
-
-    Returns
-    -------
-    Refined
-        The given map if there are no readings, contacts are elongated or differ between places, or
-        the fit does not explain the readings.
-
-    Notes
-    -----
-    The covariogram assumes that correlation falls with distance in the same way everywhere, which
-    curvature and edges of the skin violate; the fit assumes that contacts are round. Both have
-    systematic errors, which differ.
-    """
-    if (
-        pairs.readings is None
-        or len(mapped.positions) < _MIN_SENSORS
-        or mapped.facts.elongated
-        or mapped.facts.path_weight
-    ):
-        return mapped
-    fit = fit_contacts(pairs.readings, mapped.positions, options)
-    logger.debug("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
-    if not fit.used:
-        return mapped
-    share = contact_share(fit)
-    return replace(
-        mapped,
-        positions=(1 - share) * mapped.positions + share * fit.positions,
-        facts=replace(mapped.facts, n_contacts=fit.n_contacts),
-    )
-
-
-def contact_share(fit: ContactFit) -> float:
-    """Return the weight of a fit of contacts in the average with the covariogram map."""
-    return _BINARY_WEIGHT if fit.n_levels == 1 else _GRADED_WEIGHT
-
-
-def refine_by_contacts(
-    pairs: PairStatistics, mapped: Refined, options: ContactOptions | None = None
-) -> Refined:
-    """Fit the contacts that caused the readings, if they are compact and explain the readings.
-
-    Parameters
-    ----------
-    pairs : PairStatistics
-        Without readings, the map is returned unchanged.
-    mapped : Refined
-        A nearly correct map.
-    options : ContactOptions, optional
-
-    Returns
-    -------
-    Refined
-        With the number of contacts among its facts, or 0 and a note why the map is unchanged.
-    """
-    if pairs.readings is None:
-        return _rejected(mapped, "readings of all sensors in the same frames were not given")
-    if len(mapped.positions) < _MIN_SENSORS:
-        return _rejected(mapped, f"{len(mapped.positions)} sensors are too few")
-    if mapped.facts.elongated:
-        return _rejected(mapped, "the contacts are elongated, and the fit assumes compact ones")
-    fit = fit_contacts(pairs.readings, mapped.positions, options)
-    logger.debug("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
-    if not fit.used:
-        return _rejected(mapped, fit.reason)
-    return replace(
-        mapped,
-        positions=fit.positions,
-        facts=replace(mapped.facts, n_contacts=fit.n_contacts),
-    )
-
-
-def _rejected(mapped: Refined, reason: str) -> Refined:
-    note = f"contacts did not refine the map, which is that of the covariogram method: {reason}"
-    return replace(mapped, facts=replace(mapped.facts, n_contacts=0), notes=(*mapped.notes, note))

@@ -16,7 +16,7 @@ from anisomap.errors import InputError
 from anisomap.evaluation.alignment import align
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.evaluation.neighbourhood import median_spacing
-from anisomap.numerics.reliability.split_half import N_BLOCKS
+from anisomap.numerics.reliability.split_half import N_BLOCKS, split_blocks
 
 MIN_SENSORS = 12
 """Minimum number of sensors: maps of fewer agree too often by chance."""
@@ -24,24 +24,25 @@ MIN_SENSORS = 12
 MIN_FRAMES = 4 * N_BLOCKS
 """Minimum number of frames."""
 
-Readings = NDArray[np.floating]
+Frames = NDArray[np.intp]
 
 
 def repeatability_of_halves(
-    readings: Readings,
+    n_frames: int,
     positions: NDArray[np.float64],
-    place: Callable[[Readings], NDArray[np.float64]],
+    place: Callable[[Frames], NDArray[np.float64]],
 ) -> float:
     """Measure the random error of a map by maps of halves of the recording.
 
     Parameters
     ----------
-    readings : ndarray of shape (T, N)
-        Finite readings, of at least `MIN_FRAMES` frames.
+    n_frames : int
+        Number of frames of the recording, at least `MIN_FRAMES`.
     positions : ndarray of shape (N, k)
         The map.
     place : callable
-        ``place(readings)`` returns positions, shape (N, k); NaN for sensors that it cannot place.
+        ``place(frames)`` returns positions, shape (N, k), from the frames of given indices; NaN for
+        sensors that it cannot place.
 
     Returns
     -------
@@ -53,22 +54,19 @@ def repeatability_of_halves(
     If a map of all frames has errors of variance v, those of a half have 2 v. Both share frames:
     their difference has a variance of v, which is that of the map.
     """
-    blocks = np.array_split(readings, N_BLOCKS)
-    squares = [
-        _squared_difference(place, np.concatenate(blocks[first::2]), positions) for first in (0, 1)
-    ]
+    squares = [_squared_difference(place, frames, positions) for frames in split_blocks(n_frames)]
     spacing = median_spacing(positions)
     return math.sqrt(float(np.mean(squares))) / spacing if spacing > 0 else math.inf
 
 
 def _squared_difference(
-    place: Callable[[Readings], NDArray[np.float64]],
-    readings: Readings,
+    place: Callable[[Frames], NDArray[np.float64]],
+    frames: Frames,
     positions: NDArray[np.float64],
 ) -> float:
     """Mean squared difference of the map of some frames and the map; infinite if there is none."""
     try:
-        made = place(readings)
+        made = place(frames)
         placed = np.isfinite(made).all(axis=1)
         if np.count_nonzero(placed) < MIN_SENSORS_COMPARED:
             return math.inf

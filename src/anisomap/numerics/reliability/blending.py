@@ -81,6 +81,13 @@ class Blend:
     weight: float
     ranks: NDArray[np.float64]
 
+    def select(self, sensors: NDArray[np.bool_]) -> Blend:
+        """Return what concerns some sensors, given as a mask of shape (N,)."""
+        inside = np.ix_(sensors, sensors)
+        return Blend(
+            self.similarity[inside], self.variance[inside], self.weight, self.ranks[:, sensors]
+        )
+
 
 def blend(readings: ArrayLike) -> Blend:
     """Compute what `blend_with_variance` does, and return all that it was computed from."""

@@ -1,0 +1,170 @@
+"""The components of a map, with the stages that they were computed from, for its diagnosis."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.mapping import Workings
+from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions, refine_without_contacts
+from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.precision import Reals
+from anisomap.reconstruction import reconstruct_with_workings
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+from anisomap.stages.contact_average import (
+    average_with_contacts,
+    average_with_known_contacts,
+)
+from anisomap.stages.pairs import PairStatistics, compare
+from anisomap.stages.refinement import ContactAverage, Refined
+from anisomap.verdict.halves import repeatability_of_halves
+from anisomap.verdict.uncertainty import departure_in_spacings
+
+logger = logging.getLogger(__name__)
+
+_SAME = 1e-6  # spacings; rounding errors of a map that was scaled or turned are far below
+
+
+@dataclass(frozen=True, eq=False)
+class MapPart:
+    """A component of a map.
+
+    Attributes
+    ----------
+    readings : ndarray of shape (T, n)
+    positions : ndarray of shape (n, k)
+    pairs : PairStatistics
+    contacts : ContactAverage, optional
+        The average with a fit of contacts, if the positions are one.
+    reproduced : bool
+        Whether the method gives these positions again, so that `contacts` are known.
+    """
+
+    readings: NDArray[np.floating]
+    positions: NDArray[np.float64]
+    pairs: PairStatistics
+    contacts: ContactAverage | None
+    reproduced: bool
+
+    def contacts_from(self, reference: Reals, options: MethodOptions) -> ContactAverage | None:
+        """Return the fit of contacts; one that starts from a reference map if it is not known."""
+        if self.reproduced:
+            return self.contacts
+        return average_with_contacts(self.pairs, Refined(reference), options.contacts).contacts
+
+
+class MapParts:
+    """The components of a map of one recording, each examined once.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+    run : Recording
+        Complete.
+    options : MethodOptions
+    workings : Workings, optional
+        The stages of the map. Without them, the map is made again.
+    """
+
+    def __init__(
+        self,
+        sensor_map: SensorMap,
+        run: Recording,
+        options: MethodOptions,
+        workings: Workings | None = None,
+    ) -> None:
+        self._map, self._run, self._options = sensor_map, run, options
+        self._workings = self._made_again() if workings is None else workings
+        self._halves: dict[int, float] = {}
+        self._parts: dict[int, MapPart] = {}
+
+    def __getitem__(self, label: int) -> MapPart:
+        """Return the component with a label.
+
+        Raises
+        ------
+        InputError
+            If no variance of its similarity can be estimated.
+        """
+        if label not in self._parts:
+            self._parts[label] = self._part(label)
+        return self._parts[label]
+
+    def error_of_halves(self, label: int) -> float:
+        """Map halves of the recording of a component, and return its error in spacings.
+
+        Notes
+        -----
+        Every half is mapped from the beginning, up to the fit of contacts. Where its map then
+        agrees with that of the whole recording, the fit of the whole recording is continued with
+        the contacts of the half, instead of repeated.
+        """
+        if label not in self._halves:
+            part = self[label]
+            logger.info("mapping halves of the recording to estimate the repeatability")
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", AnisomapWarning)  # halves are short by design
+                self._halves[label] = repeatability_of_halves(
+                    len(part.readings),
+                    part.positions,
+                    lambda frames: self._map_half(part, frames),
+                )
+        return self._halves[label]
+
+    def _part(self, label: int) -> MapPart:
+        members = self._map.component == label
+        run, workings = self._run.select(members), self._workings
+        positions = self._map.positions[members]
+        if workings is not None and len(workings.pairs.similarity) == len(positions):
+            contacts = workings.configuration.contacts
+            made = workings.configuration.positions
+            same = departure_in_spacings(made, positions) <= _SAME
+            return MapPart(
+                run.readings, positions, workings.pairs, contacts[0] if same else None, same
+            )
+        with limited_blas(run.n_sensors):
+            pairs = compare([run], self._map.similarity, bins=self._options.bins, with_noise=True)
+        return MapPart(run.readings, positions, pairs, None, False)
+
+    def _made_again(self) -> Workings | None:
+        unplaced = [self._map.names[i] for i in np.flatnonzero(~self._map.placed)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AnisomapWarning)  # the notes of the map have them
+            try:
+                return reconstruct_with_workings(
+                    self._run,
+                    self._map.method,
+                    self._map.dimensions,
+                    options=self._options,
+                    drop=unplaced,
+                )[1]
+            except InputError:
+                return None
+
+    def _map_half(self, part: MapPart, frames: NDArray[np.intp]) -> NDArray[np.float64]:
+        def refine(
+            pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
+        ) -> Refined:
+            mapped = refine_without_contacts(pairs, metric, positions, options)
+            known = part.contacts
+            if known is None and part.reproduced:
+                return mapped
+            if known is None or len(mapped.positions) < len(part.positions):
+                return average_with_contacts(pairs, mapped, options.contacts)
+            return average_with_known_contacts(known, mapped, frames) or average_with_contacts(
+                pairs, mapped, options.contacts
+            )
+
+        return reconstruct_with_workings(
+            part.readings[frames],
+            DEFAULT_METHOD,
+            self._map.dimensions,
+            options=replace(self._options, split_unrelated=False),
+            recipe=replace(METHODS[DEFAULT_METHOD], refine=refine),
+        )[0].positions

@@ -1,0 +1,122 @@
+"""From readings to a configuration, stage by stage, with what a diagnosis of the map uses again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from anisomap.methods import DEFAULT_METHOD, METHODS, Method, MethodOptions, find_method
+from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.precision import Reals
+from anisomap.recording import Recording
+from anisomap.stages.dimension import (
+    AUTO,
+    SPATIAL,
+    DimensionPlan,
+    Dimensions,
+    plan_dimensions,
+)
+from anisomap.stages.pairs import PairStatistics, compare
+from anisomap.stages.scaling import Configuration, configure
+
+
+@dataclass(frozen=True, eq=False)
+class Workings:
+    """The stages of a map.
+
+    Attributes
+    ----------
+    pairs : PairStatistics
+        Of the n mapped sensors.
+    configuration : Configuration
+    plan : DimensionPlan
+    """
+
+    pairs: PairStatistics
+    configuration: Configuration
+    plan: DimensionPlan
+
+
+def work_out(
+    runs: Sequence[Recording], recipe: Method, dimensions: Dimensions, options: MethodOptions
+) -> Workings:
+    """Compute the configuration of all sensors of some recordings.
+
+    Parameters
+    ----------
+    runs : sequence of Recording
+        Complete; every sensor varies.
+    recipe : Method
+    dimensions : int or "auto"
+    options : MethodOptions
+
+    Returns
+    -------
+    Workings
+    """
+    refined = recipe.refine is not None
+    with limited_blas(max(run.n_sensors for run in runs)):
+        pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=refined)
+        metric = recipe.metric(dissimilarity_of(pairs, recipe, options))
+        if dimensions == AUTO and recipe.dissimilarity != METHODS[DEFAULT_METHOD].dissimilarity:
+            plan = _plan_by_default_method(runs, options)
+        else:
+            plan = plan_dimensions(dimensions, metric, pairs.weights, examine=refined)
+        configuration, plan = configure(
+            plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
+        )
+    return Workings(pairs, configuration, plan)
+
+
+def dissimilarities(
+    pairs: PairStatistics, method: str = DEFAULT_METHOD, options: MethodOptions | None = None
+) -> Reals:
+    """Compute the dissimilarity M of all pairs of sensors from their similarity S.
+
+    Parameters
+    ----------
+    pairs : PairStatistics
+        From `anisomap.stages.pairs.compare`.
+    method : str
+        A key of `METHODS`.
+    options : MethodOptions, optional
+
+    Returns
+    -------
+    ndarray of shape (n, n)
+        A semi-metric, infinite for unknown and unrelated pairs.
+
+    Raises
+    ------
+    InputError
+        If there is no such method, or it requires correlations and the similarity is not one.
+
+    Notes
+    -----
+    McGregor et al. (2011), section "ANISOMAP", step 1, doi:10.1371/journal.pone.0026561.
+    """
+    return dissimilarity_of(pairs, find_method(method), options or MethodOptions())
+
+
+def dissimilarity_of(pairs: PairStatistics, recipe: Method, options: MethodOptions) -> Reals:
+    """Compute `dissimilarities` by a method."""
+    dissimilarity = recipe.dissimilarity(pairs, options)
+    if not pairs.known.all():
+        dissimilarity[~pairs.known] = np.inf
+        np.fill_diagonal(dissimilarity, 0)
+    return dissimilarity
+
+
+def _plan_by_default_method(runs: Sequence[Recording], options: MethodOptions) -> DimensionPlan:
+    """Choose dimensions by the default method, which examines contacts if the skin looks flat."""
+    recipe = METHODS[DEFAULT_METHOD]
+    pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=True)
+    metric = recipe.metric(dissimilarity_of(pairs, recipe, options))
+    plan = plan_dimensions(AUTO, metric, pairs.weights)
+    if plan.dimensions == SPATIAL:
+        return plan
+    return configure(
+        plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
+    )[1]
