@@ -15,6 +15,7 @@ from anisomap import Recording, diagnose, reconstruct, reconstruct_from
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
 from anisomap.methods import MethodOptions
+from anisomap.reconstruction import reconstruct_with_workings
 from anisomap.verdict import LEVELS, UNKNOWN, Doubt, Evidence, Verdict, judge
 from anisomap.verdict.halves import repeatability_of_halves
 from anisomap.verdict.judgement import expected_mantel_r
@@ -241,3 +242,26 @@ def test_sensors_are_unassessed_before_a_diagnosis():
     made = reconstruct(skin, "r-anisomap", 2)
     assert set(made.health) == {"unassessed"}
     assert set(diagnose(made, skin).health) == {"ok"}
+
+
+@quiet
+@pytest.mark.parametrize("method", ["covariogram", "contact-fit"])
+def test_a_diagnosis_alone_is_that_with_the_stages_of_the_map(method):
+    skin = flat_skin(n_frames=800)
+    made, workings = reconstruct_with_workings(skin, method, 2, drop=["s3"])
+    known = diagnose(made, skin, drop=["s3"], workings=workings)
+    alone = diagnose(made, skin, drop=["s3"])
+    elsewhere = diagnose(replace(made, positions=7 - 3 * made.positions), skin, drop=["s3"])
+    assert alone.verdict == known.verdict
+    np.testing.assert_array_equal(alone.covariances, known.covariances)
+    assert elsewhere.verdict.expected_error == pytest.approx(known.verdict.expected_error, 1e-3)
+    np.testing.assert_allclose(elsewhere.covariances, 9 * known.covariances, rtol=0.01, atol=1e-9)
+
+
+@quiet
+def test_a_diagnosis_of_a_map_that_was_changed_does_not_use_its_stages():
+    skin = flat_skin(n_frames=800)
+    made, workings = reconstruct_with_workings(skin, dimensions=2)
+    moved = made.positions + np.random.default_rng(0).normal(size=made.positions.shape)
+    changed = diagnose(replace(made, positions=moved), skin, workings=workings)
+    assert changed.verdict.expected_error > diagnose(made, skin).verdict.expected_error
