@@ -6,10 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks.footprints import FOOTPRINTS
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import anisomap
 from anisomap import reconstruct
 from anisomap.diagnostics import collect_evidence
+from anisomap.evaluation.neighbourhood import spacing_variation
 from anisomap.health import Finding
 from anisomap.numerics.reliability.blending import blended_correlation
 from anisomap.verdict import Evidence, judge
@@ -93,6 +96,30 @@ def test_contacts_that_are_long_or_differ_between_places_raise_doubts(kind, seed
     evidence = collect_evidence(made, skin)
     assert math.hypot(*sizes(evidence.doubts).values()) > 0.35
     assert judge(evidence).level != "usable"
+
+
+@pytest.mark.parametrize(
+    ("body", "n_sensors", "fires"), [("tube", 70, True), ("sphere", 60, False)]
+)
+def test_a_map_that_is_too_short_in_one_direction_raises_a_doubt(body, n_sensors, fires):
+    # A flat surface touches a tube along lines, and a sphere at points.
+    skin = anisomap.simulate(body, "pressing", n_sensors=n_sensors, n_frames=1000, seed=401)
+    made = reconstruct(skin, dimensions=3)
+    true = anisomap.score(made, skin.positions, permutations=0)
+    assert (true.rms_in_spacings > 1) is fires
+    evidence = collect_evidence(made, skin)
+    assert (sizes(evidence.doubts)["spacing"] > 0.3) is fires
+    assert (judge(evidence).level == "usable") is not fires
+
+
+@settings(deadline=None)
+@given(st.floats(0, 0.9), st.integers(0, 100))
+def test_the_variation_of_spacings_is_that_of_pairs(spread, seed):
+    # Pairs of sensors far apart: each is the nearest neighbour of the other.
+    gaps = 1 + spread * np.random.default_rng(seed).choice([-1, 1], 20)
+    starts = 10.0 * np.arange(20)
+    places = np.concatenate([starts, starts + gaps])[:, None]
+    assert spacing_variation(3 * places + 1) == pytest.approx(gaps.std() / gaps.mean(), abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,25 @@ def median_spacing(positions: ArrayLike) -> float:
     return float(np.median(nearest[:, 1]))
 
 
+def spacing_variation(positions: ArrayLike) -> float:
+    """Variation of the distances from sensors to their nearest neighbours.
+
+    Parameters
+    ----------
+    positions : array_like of shape (N, k)
+
+    Returns
+    -------
+    float
+        Standard deviation divided by the mean: 0 if all sensors are equally far from their nearest
+        neighbour, about .5 if sensors lie at random on a surface. 0 if all coincide.
+    """
+    points = np.asarray(positions, dtype=np.float64)
+    nearest = np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
+    mean = float(nearest.mean())
+    return float(nearest.std()) / mean if mean > 0 else 0.0
+
+
 def check_distances(positions: NDArray[np.float64], what: str) -> None:
     """Check that positions differ, and that the squares of their distances are finite.
 
