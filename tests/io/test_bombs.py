@@ -14,6 +14,7 @@ import pytest
 
 from anisomap import budget, io
 from anisomap.errors import FileError
+from anisomap.io.maps import xml_files
 
 MIB = 1 << 20
 LARGE, SMALL = 160 * MIB, 2 * MIB
@@ -274,11 +275,53 @@ def test_what_is_changed_after_its_compression_is_refused(tmp_path: Path) -> Non
         io.read(tmp_path / "a.h5")
 
 
-@pytest.mark.parametrize("element", ['<a b=""/>', "<a>", "<a/>"])
-def test_xml_of_very_many_elements_is_refused(tmp_path: Path, element: str) -> None:
-    (tmp_path / "a.urdf").write_text(f'<robot name="a">{element * 500_000}</robot>')
-    with pytest.raises(FileError, match="decompression bomb"):
-        io.read_map(tmp_path / "a.urdf")
+@pytest.mark.parametrize("root", ["robot", "mujoco"])
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda n: "<a>" * n, "nested"),
+        (lambda n: "".join(f"<a{i}/>" for i in range(n)), "different names"),
+        (lambda n: f'<a b="{"x" * 100 * n}"/>', "a tag"),
+    ],
+)
+def test_xml_that_takes_much_memory_is_refused(tmp_path, monkeypatch, root, make, reason) -> None:
+    monkeypatch.setattr(xml_files, "MAX_TAG_BYTES", MIB)
+    (tmp_path / "a.xml").write_text(f'<{root} name="a">{make(20_000)}</{root}>')
+    (tmp_path / "a.urdf").write_text(f'<{root} name="a">{make(20_000)}</{root}>')
+    with pytest.raises(FileError, match=reason):
+        io.read_map(tmp_path / ("a.urdf" if root == "robot" else "a.xml"))
+
+
+DOCUMENTS: dict[str, tuple[str, str, str]] = {
+    "empty.urdf": ("<robot>", '<a b="">    </a>', "</robot>"),
+    "sites.xml": ("<mujoco><body>", "<site/><a/>", "</body></mujoco>"),
+    "joints.urdf": ("<robot>", "<joint><origin/></joint>", "</robot>"),
+    "lists.json": ('{"a":[', "[],", "[]]}"),
+    "objects.json": ('{"a":[', '{"b":""},', "1]}"),
+    "words.json": ('{"a":[', '"aa",', "1]}"),
+    "skin.json": ('{"skin":{"a":[', '{"b":""},', '1],"taxels":[]}}'),
+}
+"""Start, repeated part and end of documents whose objects take many times their text."""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the peak of memory is in KiB on Linux")
+def test_large_documents_take_little_memory(tmp_path: Path) -> None:
+    for name, (start, part, end) in DOCUMENTS.items():
+        text = start + part * (32 * MIB // len(part)) + end
+        (tmp_path / name).write_text(text)
+    paths = [tmp_path / name for name in DOCUMENTS]
+    ran = subprocess.run(
+        [sys.executable, "-c", READ_ALL.replace("io.read(", "io.read_map("), *paths],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    found = [line.split("|") for line in ran.stdout.splitlines()]
+    assert [name for name, _, _ in found] == list(DOCUMENTS)
+    for name, more, said in found:
+        assert said != "read", name
+        assert int(more) < MAX_PEAK, name
 
 
 def test_a_skin_that_nothing_touches_is_no_bomb(tmp_path: Path) -> None:
@@ -301,11 +344,16 @@ def test_readings_are_counted_while_they_are_read(tmp_path: Path, monkeypatch) -
 
 @pytest.mark.parametrize(
     ("name", "unit"),
-    [("map.json", "[],"), ("map.csv", "1\n"), ("map.pcd", "#\n"), ("map.icub.txt", "\n")],
+    [
+        ("map.json", '{"position":[1,2,3]},'),
+        ("map.csv", "1\n"),
+        ("map.pcd", "#\n"),
+        ("map.icub.txt", "\n"),
+    ],
 )
 def test_objects_of_text_are_counted(tmp_path: Path, monkeypatch, name: str, unit: str) -> None:
-    """A list of JSON takes 20 times its text in memory, and a line 150 times."""
-    start = {"map.json": '{"a":[', "map.pcd": "VERSION 0.7\n"}.get(name, "1\n")
+    """A line takes 150 times its text in memory."""
+    start = {"map.json": '{"sensors":[', "map.pcd": "VERSION 0.7\n"}.get(name, "1\n")
     packed = gzip.compress((start + unit * 100_000).encode())
     (tmp_path / name).write_bytes(packed)
     monkeypatch.setattr(budget, "FREE_BYTES", MIB)

@@ -370,14 +370,14 @@ JOINT = '<joint name="{0}j" type="fixed"><parent link="{1}"/><child link="{0}"/>
         (
             "a.urdf",
             ROBOT.format(JOINT.format("b", "a", "") + JOINT.format("c", "b", "")),
-            "one parent link, got 2",
+            "one parent link, got '",
         ),
         ("a.urdf", "<robot><link", "damaged or cut short"),
         ("a.xml", "<mujoco><worldbody/></mujoco>", "holds no sites"),
         (
             "a.xml",
             '<mujoco><body><site/></body><body name="b"><site/></body></mujoco>',
-            "one body, got 2 bodies",
+            "one body, got two",
         ),
         (
             "a.xml",

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import logging
 import secrets
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -26,6 +28,8 @@ from anisomap.live.actions import act
 from anisomap.live.session import LiveSession
 from anisomap.live.snapshots import map_snapshot, readings_snapshot, status_snapshot
 
+logger = logging.getLogger(__name__)
+
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -39,6 +43,7 @@ _PAGE: Mapping[str, tuple[str, str]] = MappingProxyType(
         "/charts.js": ("charts.js", "text/javascript; charset=utf-8"),
     }
 )
+_BYTES: Mapping[str, str] = MappingProxyType({"errors": "surrogateescape"})  # of file names
 _STATUS_S = 0.5  # between two states of what changes slowly
 _TIMEOUT_S = 20.0  # of a connection that takes nothing
 _MAX_BODY = 1 << 23
@@ -106,7 +111,10 @@ class _HttpServer(ThreadingHTTPServer):
         super().__init__(address, _Handler)
 
     def handle_error(self, *_: object) -> None:
-        """Ignore errors of a connection, such as a browser that was closed."""
+        """Ignore errors of a connection, such as a browser that was closed; log defects."""
+        error = sys.exception()
+        if not isinstance(error, OSError):
+            logger.error("the page failed to answer a request", exc_info=error)
 
 
 def _bound(session: LiveSession, host: str, port: int, token: str) -> _HttpServer:
@@ -142,7 +150,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif address.path == "/state":
             self._send_json(_state(self.server.session))
         elif address.path.startswith("/files/"):
-            self._send_file(unquote(address.path.removeprefix("/files/")))
+            self._send_file(unquote(address.path.removeprefix("/files/"), **_BYTES))
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such page")
 
@@ -169,7 +177,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.BAD_REQUEST, "an action must be JSON")
             return
         self.server.written |= {path.name: path for path in done.files}
-        links = [{"name": path.name, "url": f"/files/{quote(path.name)}"} for path in done.files]
+        links = [
+            {"name": path.name, "url": f"/files/{quote(path.name, **_BYTES)}"}
+            for path in done.files
+        ]
         self._send_json({"ok": True, "text": done.text, "files": links})
 
     def _allowed(self, query: str) -> bool:
@@ -231,7 +242,9 @@ class _Handler(BaseHTTPRequestHandler):
             return
         content = path.read_bytes()
         self._start(HTTPStatus.OK, "application/octet-stream")
-        self.send_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(name)}")
+        self.send_header(
+            "Content-Disposition", f"attachment; filename*=UTF-8''{quote(name, **_BYTES)}"
+        )
         self.send_header("Content-Length", str(len(content)))
         self.end_headers()
         self.wfile.write(content)

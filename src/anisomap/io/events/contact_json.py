@@ -6,6 +6,8 @@ For example ``{"time": 0.12, "taxels": [3, 4, 17]}``; further properties are ign
 from __future__ import annotations
 
 import json
+import sys
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +19,8 @@ from anisomap.errors import FileError
 from anisomap.io.events.event_columns import EventColumns, find_columns, noun_of
 from anisomap.io.events.event_frames import Events, name_sensors, stream_events
 from anisomap.io.parsing.columns import is_time, units_per_second
-from anisomap.io.parsing.source import check_json, open_text, quote
+from anisomap.io.parsing.json_text import JsonReader
+from anisomap.io.parsing.source import open_text, quote
 from anisomap.io.parsing.table import LineError, Lines
 from anisomap.io.stream import ReadOptions, Stream
 
@@ -41,9 +44,8 @@ def recognises(path: Path, head: bytes) -> bool:
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a list of contacts or spikes."""
-    moments: list[float] = []
+    moments, values = array("d"), array("d")
     ids: list[str] = []
-    values: list[float] = []
     name = noun = ""
     valued = False
     for where, found in _objects(path):
@@ -54,9 +56,9 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         name, noun = keys[columns.moment], noun_of(keys[columns.sensor])
         valued = valued or columns.value >= 0
         moment, active, value = _parsed(f"{path}, {where}", found, keys, columns)
-        moments += [moment] * max(1, len(active))
-        ids += active or [""]
-        values += [value] * max(1, len(active))
+        moments.extend([moment] * max(1, len(active)))
+        ids += map(sys.intern, active or [""])
+        values.extend([value] * max(1, len(active)))
     names, index = name_sensors([text for text in ids if text], noun)
     at = np.array(moments, dtype=np.float64)
     timed = is_time(name)
@@ -76,18 +78,10 @@ def _objects(path: Path) -> Iterator[tuple[str, Any]]:
         start = next((line for line in stream if line.strip()), "")
     with open_text(path) as stream:
         if start.lstrip("\ufeff \t").startswith("["):
-            content = stream.read()
-            check_json(path, content)
-            try:
-                document = json.loads(content)
-            except json.JSONDecodeError as error:
-                raise FileError(
-                    f"{path}, line {error.lineno}, column {error.colno}: not valid JSON "
-                    f"({error.msg})"
-                ) from error
-            except (ValueError, RecursionError) as error:
-                raise FileError(f"{path}: not valid JSON ({error})") from error
-            yield from ((f"contact {i}", found) for i, found in enumerate(document))
+            reader = JsonReader(path, stream)
+            for i, _ in enumerate(reader.items()):
+                yield f"contact {i}", reader.value()
+            reader.end()
             return
         lines = Lines(path, stream)
         n_read = 0

@@ -34,6 +34,7 @@ from anisomap.usability import ERRORS, UNKNOWN, Verdict
 
 Value = TypeVar("Value")
 
+_MAX_COLUMNS = 10_000  # covariances in 140 dimensions
 _AXES = "xyz"
 _NAMES = ("name", "sensor", "taxel", "label", "id")
 _EXTRA_COLUMNS = ("component", "health")
@@ -66,6 +67,8 @@ def read_map(path: Path) -> SensorMap:
     and column.
     """
     lines = read_lines(path)
+    if any(len(line) > _MAX_COLUMNS and _n_marks(line) > _MAX_COLUMNS for line in lines):
+        raise FileError(f"{path} has a line of more than {_MAX_COLUMNS} columns; it is not a map")
     delimiter = delimited.find_delimiter(lines)
     rows = _without_trailing_columns(list(delimited.records(lines, delimiter)))
     if not rows:
@@ -99,6 +102,11 @@ def read_map(path: Path) -> SensorMap:
         normals=np.array(normals).T if is_map and len(normals) == len(_NORMAL) else None,
         **_map_properties(lines, columns.units),
     )
+
+
+def _n_marks(line: str) -> int:
+    """Return the number of delimiters in a line; comments, which may be long, have none."""
+    return 0 if line.startswith("#") else sum(map(line.count, ",;\t "))
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:

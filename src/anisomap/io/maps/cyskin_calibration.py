@@ -8,18 +8,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from anisomap.budget import Budget
 from anisomap.errors import FileError
-from anisomap.io.parsing.json_text import read_json
+from anisomap.io.parsing.json_text import JsonReader, open_json
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.parsing.source import quote
+from anisomap.io.parsing.source import quote, reachable
 from anisomap.sensor_map import SensorMap
 
 _KEYS = (b'"skin"', b'"taxels"')
 _NO_ADDRESS = 0
+_TAXEL_BYTES = 600  # measured: the numbers of a taxel as objects, with its name; CPython 3.11
+
+_Taxel: TypeAlias = tuple[int, list[float], list[float]]
+"""Address, position and normal."""
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -34,13 +39,14 @@ def read_map(path: Path) -> SensorMap:
     Taxels with address 0, which no module reads, are left out. Repeated addresses are numbered in
     the order of the file, as in recordings.
     """
-    document = read_json(path)
-    skin = document.get("skin") if isinstance(document, dict) else None
-    taxels = skin.get("taxels") if isinstance(skin, dict) else None
-    if not isinstance(taxels, list):
-        raise FileError(f"{path} is JSON without the taxels of a skin")
-    found = [_taxel(path, i, taxel) for i, taxel in enumerate(_flat(taxels))]
-    kept = [each for each in found if each[0] != _NO_ADDRESS]
+    kept, budget = list[_Taxel](), Budget(path)
+    with open_json(path) as reader:
+        for number, taxel in enumerate(_taxels(reader)):
+            found = _taxel(path, number, taxel)
+            if found[0] != _NO_ADDRESS:
+                kept.append(found)
+                n_bytes = len(kept) * _TAXEL_BYTES
+                budget.check(n_bytes, "its text", reachable=reachable(budget))
     if not kept:
         raise FileError(f"{path} holds no taxel with an address")
     return SensorMap(
@@ -51,16 +57,30 @@ def read_map(path: Path) -> SensorMap:
     )
 
 
-def _flat(taxels: list[Any]) -> Iterator[Any]:
-    """Yield the taxels; some versions list them by patch."""
-    for taxel in taxels:
-        if isinstance(taxel, list):
-            yield from taxel
-        else:
-            yield taxel
+def _taxels(reader: JsonReader) -> Iterator[Any]:
+    """Yield the taxels of a skin; some versions list them by patch."""
+    listed = False
+    for key in reader.members() if reader.peek() == "{" else ():
+        if key != "skin" or reader.peek() != "{":
+            reader.skip()
+            continue
+        for part in reader.members():
+            if part != "taxels" or reader.peek() != "[":
+                reader.skip()
+                continue
+            listed = True
+            for _ in reader.items():
+                if reader.peek() != "[":
+                    yield reader.value()
+                    continue
+                for _ in reader.items():
+                    yield reader.value()
+    if not listed:
+        raise FileError(f"{reader.path} is JSON without the taxels of a skin")
+    reader.end()
 
 
-def _taxel(path: Path, number: int, taxel: Any) -> tuple[int, list[float], list[float]]:
+def _taxel(path: Path, number: int, taxel: Any) -> _Taxel:
     """Return the address, position and unit normal of a taxel; NaN without a normal."""
     where = f"{path}, taxel {number}"
     if not isinstance(taxel, dict):

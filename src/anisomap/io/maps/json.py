@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import json
 import math
+import sys
+from array import array
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from anisomap.budget import SENSOR_BYTES, Budget
 from anisomap.errors import FileError
 from anisomap.io.parsing.comments import to_python_scalar
-from anisomap.io.parsing.json_text import read_json
+from anisomap.io.parsing.json_text import open_json
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.parsing.source import quote
+from anisomap.io.parsing.source import quote, reachable
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNASSESSED, SensorMap
 from anisomap.usability import ERRORS, UNKNOWN, Verdict
 
 _MARK = "anisomap map"
+_PROPERTIES = ("units", "method", "stress", "verdict", "notes", "provenance")
 # Strict JSON has no infinities; {"float": "inf"} differs from the string "inf".
 _INFINITE = "float"
+_ROW_BYTES = 16  # of a number in the columns and then in an array
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -34,26 +39,25 @@ def read_map(path: Path) -> SensorMap:
 
     All other properties that `write_map` writes are optional.
     """
-    document = read_json(path)
-    sensors = document.get("sensors") if isinstance(document, dict) else None
-    if not isinstance(sensors, list) or not sensors:
-        raise FileError(f"{path} is JSON without a list of sensors, so it is not a map")
-    rows = [_Sensor(path, i, sensor) for i, sensor in enumerate(sensors)]
-    dimensions = len(rows[0].value("position", (list,)))
-    oriented = all("normal" in row.content for row in rows)
-    named, placed = "name" in sensors[0], "component" in sensors[0]
-    return SensorMap(
-        np.array([row.numbers("position", dimensions) for row in rows]),
-        names=distinct_names(path, [row.value("name", (str,)) for row in rows if named]),
-        component=np.array([row.value("component", (int,)) for row in rows if placed], np.intp),
-        health=tuple(row.value("health", (str,), UNASSESSED) for row in rows),
-        errors=np.array([row.number("error") for row in rows]),
-        covariances=np.array([row.matrix("covariance", dimensions) for row in rows])
-        if "covariance" in rows[0].content
-        else None,
-        normals=np.array([row.numbers("normal", 3) for row in rows]) if oriented else None,
-        **_map_properties(path, document),
-    )
+    sensors, document = _Sensors(path), {}
+    with open_json(path) as reader:
+        if reader.peek() != "{":
+            raise _no_map(path)
+        for key in reader.members():
+            if key == "sensors":
+                sensors = _Sensors(path)
+                if reader.peek() != "[":
+                    raise _no_map(path)
+                for _ in reader.items():
+                    sensors.add(reader.value())
+            elif key in _PROPERTIES:
+                document[key] = reader.kept_value()
+            else:
+                reader.skip()
+        reader.end()
+    if not sensors.count:
+        raise _no_map(path)
+    return SensorMap(**sensors.fields(), **_map_properties(path, document))
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
@@ -103,13 +107,72 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-class _Sensor:
-    """An object in the list of sensors, with its number for messages."""
+def _no_map(path: Path) -> FileError:
+    return FileError(f"{path} is JSON without a list of sensors, so it is not a map")
 
-    def __init__(self, path: Path, number: int, content: object) -> None:
-        self.where = f"{path}, sensor {number}"
+
+class _Sensors:
+    """The columns of a map, to which the sensors of a file are added one by one."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.count = path, 0
+        self._budget = Budget(path)
+        self._dimensions = 0
+        self._named = self._placed = self._spread = False
+        self._oriented = True
+        self._names: list[str] = []
+        self._component: list[int] = []
+        self._health: list[str] = []
+        self._positions, self._errors = array("d"), array("d")
+        self._covariances, self._normals = array("d"), array("d")
+
+    def add(self, content: object) -> None:
+        row = _Sensor(f"{self.path}, sensor {self.count}", content)
+        if not self.count:
+            self._dimensions = len(row.value("position", (list,)))
+            self._named, self._placed, self._spread = (
+                key in row.content for key in ("name", "component", "covariance")
+            )
+        self.count += 1
+        n_bytes = self.count * (SENSOR_BYTES + _ROW_BYTES * (1 + self._dimensions**2))
+        self._budget.check(n_bytes, "its text", reachable=reachable(self._budget))
+        self._positions.extend(row.numbers("position", self._dimensions))
+        if self._named:
+            self._names.append(row.value("name", (str,)))
+        if self._placed:
+            self._component.append(row.value("component", (int,)))
+        self._health.append(sys.intern(row.value("health", (str,), UNASSESSED)))
+        self._errors.append(row.number("error"))
+        if self._spread:
+            for values in row.matrix("covariance", self._dimensions):
+                self._covariances.extend(values)
+        self._oriented = self._oriented and "normal" in row.content
+        if self._oriented:
+            self._normals.extend(row.numbers("normal", 3))
+
+    def fields(self) -> dict[str, Any]:
+        """Return the fields of a map that have a value per sensor."""
+        shape, size = (self.count, self._dimensions), self._dimensions
+        return {
+            "positions": np.array(self._positions).reshape(shape),
+            "names": distinct_names(self.path, self._names),
+            "component": np.array(self._component, np.intp),
+            "health": tuple(self._health),
+            "errors": np.array(self._errors),
+            "covariances": np.array(self._covariances).reshape(*shape, size)
+            if self._spread
+            else None,
+            "normals": np.array(self._normals).reshape(-1, 3) if self._oriented else None,
+        }
+
+
+class _Sensor:
+    """An object in the list of sensors, with its place for messages."""
+
+    def __init__(self, where: str, content: object) -> None:
+        self.where = where
         if not isinstance(content, dict):
-            raise FileError(f"{self.where}: must be an object with a position")
+            raise FileError(f"{where}: must be an object with a position")
         self.content: dict[str, Any] = content
 
     def value(self, key: str, kinds: tuple[type, ...], default: object = None) -> Any:
@@ -136,11 +199,7 @@ class _Sensor:
         rows = self.value(key, (list,))
         if len(rows) != size:
             raise FileError(f"{self.where}: {key} must have {size} rows, got {len(rows)}")
-        entries = _Sensor.__new__(_Sensor)
-        entries.where, entries.content = (
-            self.where,
-            {f"{key} row {i}": r for i, r in enumerate(rows)},
-        )
+        entries = _Sensor(self.where, {f"{key} row {i}": row for i, row in enumerate(rows)})
         return [entries.numbers(name, size) for name in entries.content]
 
     def number(self, key: str) -> float:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.maps import xml_files
 from anisomap.io.maps.xml_files import format_numbers, tag
+from anisomap.io.parsing.source import quote
 from anisomap.sensor_map import SensorMap
 
 
@@ -35,16 +39,36 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
 def read_map(path: Path) -> SensorMap:
     """Read the sites of one body as sensors, in the frame of that body."""
-    root: Any = xml_files.parse_xml(path)
-    owners = [element for element in root.iter() if element.find("site") is not None]
-    if len(owners) > 1:
-        raise FileError(f"{path}: sites must belong to one body, got {len(owners)} bodies")
-    positions = {}
-    for owner in owners:
-        for i, site in enumerate(owner.findall("site")):
-            name = site.get("name", f"site{i}")
-            if name in positions:
-                raise FileError(f"{path}: two sites have the name {name!r}")
-            pos = site.get("pos", "0 0 0")
-            positions[name] = xml_files.parse_vector(path, f"pos of {name!r}", pos)
-    return xml_files.map_from_positions(path, positions, "sites")
+    sites = _Sites(path)
+    xml_files.parse_xml(path, sites)
+    return xml_files.map_from_positions(path, sites.positions, "sites")
+
+
+class _Sites:
+    """Collects the positions of the sites of one body, by their names."""
+
+    def __init__(self, path: Path) -> None:
+        self.positions: dict[str, NDArray[np.float64]] = {}
+        self._path = path
+        self._open: list[int] = []  # numbers of the open elements
+        self._n_elements = 0
+        self._owner = -1
+
+    def start(self, depth: int, tag: str, attributes: Mapping[str, str]) -> None:
+        self._open[depth:] = [self._n_elements]
+        self._n_elements += 1
+        if tag != "site" or not depth:
+            return
+        owner = self._open[depth - 1]
+        if self._owner not in (-1, owner):
+            raise FileError(f"{self._path}: sites must belong to one body, got two or more bodies")
+        self._owner = owner
+        name = attributes.get("name", f"site{len(self.positions)}")
+        if name in self.positions:
+            raise FileError(f"{self._path}: two sites have the name {quote(name)}")
+        pos = attributes.get("pos", "0 0 0")
+        what = f"pos of {quote(name)}"
+        self.positions[name] = xml_files.parse_vector(self._path, what, pos)
+
+    def end(self, depth: int, tag: str) -> None:
+        """Do nothing: sites have no content."""

@@ -7,9 +7,12 @@ a channel, and position and shape of each sensor. Lengths are in metres, frames 
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.io.maps import xml_files
@@ -70,20 +73,51 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
 def read_map(path: Path) -> SensorMap:
     """Read the fixed frames of one link as sensors, in the frame of that link."""
-    root: Any = xml_files.parse_xml(path)
-    joints = {
-        joint.find("child").get("link", ""): joint
-        for joint in root.iter("joint")
-        if joint.get("type") == "fixed" and joint.find("child") is not None
-    }
-    parents = {_link(joint, "parent") for joint in joints.values()}
-    if len(parents) > 1:
-        raise FileError(f"{path}: fixed frames must have one parent link, got {len(parents)}")
-    positions = {
-        name: xml_files.parse_vector(path, f"xyz of {name!r}", _xyz(joint))
-        for name, joint in joints.items()
-    }
-    return xml_files.map_from_positions(path, positions, "fixed frames")
+    joints = _FixedJoints(path)
+    xml_files.parse_xml(path, joints)
+    return xml_files.map_from_positions(path, joints.positions, "fixed frames")
+
+
+@dataclass
+class _Joint:
+    """A joint that is not yet closed, and the first of each of its elements."""
+
+    depth: int
+    elements: dict[str, Mapping[str, str]] = field(default_factory=dict)
+
+
+class _FixedJoints:
+    """Collects the positions of the child links of fixed joints with one parent."""
+
+    def __init__(self, path: Path) -> None:
+        self.positions: dict[str, NDArray[np.float64]] = {}
+        self._path = path
+        self._open: list[_Joint] = []
+        self._parent: str | None = None
+
+    def start(self, depth: int, tag: str, attributes: Mapping[str, str]) -> None:
+        if self._open and depth == self._open[-1].depth + 1:
+            self._open[-1].elements.setdefault(tag, attributes)
+        if tag == "joint" and attributes.get("type") == "fixed":
+            self._open.append(_Joint(depth))
+
+    def end(self, depth: int, tag: str) -> None:
+        if not self._open or self._open[-1].depth != depth:
+            return
+        elements = self._open.pop().elements
+        if "child" not in elements:
+            return
+        parent = elements.get("parent", {}).get("link", "")
+        if self._parent not in (None, parent):
+            raise FileError(
+                f"{self._path}: fixed frames must have one parent link, got "
+                f"{quote(str(self._parent))} and {quote(parent)}"
+            )
+        self._parent = parent
+        name = elements["child"].get("link", "")
+        xyz = elements.get("origin", {}).get("xyz", "0 0 0")
+        what = f"xyz of {quote(name)}"
+        self.positions[name] = xml_files.parse_vector(self._path, what, xyz)
 
 
 def _without_expressions(skin: Taxels) -> Taxels:
@@ -127,13 +161,3 @@ def _tactile(skin: Taxels, parent: str) -> list[str]:
         taxel = tag("taxel", {"idx": str(index), **pose}, closed=False)
         lines.append(f"{taxel}<geometry>{sphere}</geometry></taxel>")
     return [*lines, "</tactile>", "</sensor>"]
-
-
-def _link(joint: Any, end: str) -> str:
-    found = joint.find(end)
-    return "" if found is None else str(found.get("link", ""))
-
-
-def _xyz(joint: Any) -> str:
-    origin = joint.find("origin")
-    return "0 0 0" if origin is None else str(origin.get("xyz", "0 0 0"))

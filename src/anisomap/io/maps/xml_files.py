@@ -6,13 +6,14 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Protocol
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.budget import Budget
 from anisomap.errors import FileError
+from anisomap.files import open_regular
 from anisomap.io.parsing.libraries import import_extra, library_errors
 from anisomap.io.parsing.source import quote
 from anisomap.placement import METRES, Taxels, to_taxels
@@ -24,8 +25,13 @@ SENSOR_RADIUS = 0.002
 """Radius in metres of the spheres that represent sensors; for display only."""
 
 _MAX_BYTES = 64 * 1024 * 1024
-_ELEMENT_BYTES, _ATTRIBUTE_BYTES = 270, 280  # measured: CPython 3.11, one attribute per element
-_MAX_RATIO = 20  # of these to the file; the URDFs that anisomap writes reach 13
+MAX_TAG_BYTES = 1 << 23
+"""The vertices of a mesh are an attribute in MJCF; this is a mesh of about 300,000 vertices.
+The attributes of a tag take at most 40 times its size as objects (measured: CPython 3.11)."""
+
+_STEP = 1 << 16
+_MAX_DEPTH = 1000
+_MAX_NAMES = 10_000  # of elements and attributes; the parser keeps each
 _ROOT = re.compile(rb"<\s*+([A-Za-z_][\w.-]*+)")
 _BEFORE_ROOT = {b"<!--": b"-->", b"<?": b"?>", b"<!DOCTYPE": b">"}
 # Characters that XML 1.0 cannot represent, not even escaped.
@@ -115,30 +121,82 @@ def format_numbers(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def parse_xml(path: Path) -> object:
+class Elements(Protocol):
+    """What is done with the elements of a file."""
+
+    def start(self, depth: int, tag: str, attributes: Mapping[str, str]) -> None:
+        """Take the start of an element; the root has depth 0."""
+
+    def end(self, depth: int, tag: str) -> None:
+        """Take the end of an element."""
+
+
+def parse_xml(path: Path, elements: Elements) -> None:
     """Parse an untrusted file: without entities, external files, or unlimited size.
 
-    Returns
-    -------
-    xml.etree.ElementTree.Element
+    Elements are passed on one by one, and not kept.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    elements : Elements
 
     Raises
     ------
     FileError
-        If the file is not valid XML, declares a document type, is larger than 64 MiB, or would take
-        far more memory than its size.
+        If the file is not valid XML, declares a document type, is larger than 64 MiB, has a tag of
+        more than `MAX_TAG_BYTES`, or more nested elements or different names than a map has.
     MissingExtraError
         If defusedxml is not installed.
     """
     if path.stat().st_size > _MAX_BYTES:
         raise FileError(f"{path} is larger than {_MAX_BYTES >> 20} MiB, the limit for XML")
-    parser = import_extra("defusedxml.ElementTree", "reading XML", EXTRA)
-    budget, content = Budget(path), path.read_bytes()
-    n_elements, n_attributes = content.count(b"<") - content.count(b"</"), content.count(b"=")
-    n_bytes = len(content) + _ELEMENT_BYTES * n_elements + _ATTRIBUTE_BYTES * n_attributes
-    budget.check(n_bytes, "its text", reachable=max(budget.free, _MAX_RATIO * budget.size))
+    library = import_extra("defusedxml.ElementTree", "reading XML", EXTRA)
+    target = _Target(path, elements)
+    parser, waiting, seen = library.DefusedXMLParser(target=target, forbid_dtd=True), 0, 0
+    with open_regular(path) as stream:
+        while chunk := stream.read(_STEP):
+            waiting = waiting if target.n_events == seen else 0
+            waiting, seen = waiting + len(chunk), target.n_events
+            if waiting > MAX_TAG_BYTES:
+                raise FileError(f"{path} has a tag or text of more than {MAX_TAG_BYTES} bytes")
+            with library_errors(path):
+                parser.feed(chunk)
     with library_errors(path):
-        return parser.fromstring(content, forbid_dtd=True)
+        parser.close()
+
+
+class _Target:
+    """Passes elements on, after counting what the parser keeps of them."""
+
+    def __init__(self, path: Path, elements: Elements) -> None:
+        self.n_events = 0
+        self._path, self._elements, self._depth = path, elements, 0
+        self._names: set[str] = set()
+
+    def start(self, tag: str, attributes: Mapping[str, str]) -> None:
+        self.n_events += 1
+        self._names.add(tag)
+        self._names.update(attributes)
+        if len(self._names) > _MAX_NAMES:
+            raise FileError(
+                f"{self._path} has elements with more than {_MAX_NAMES} different names"
+            )
+        if self._depth > _MAX_DEPTH:
+            raise FileError(f"{self._path} has more than {_MAX_DEPTH} nested elements")
+        self._elements.start(self._depth, tag, attributes)
+        self._depth += 1
+
+    def end(self, tag: str) -> None:
+        self.n_events += 1
+        self._depth -= 1
+        self._elements.end(self._depth, tag)
+
+    def comment(self, _text: str) -> None:
+        self.n_events += 1
+
+    def close(self) -> None:
+        """Do nothing: the parser requires this function."""
 
 
 def parse_vector(path: Path, name: str, text: str | None) -> NDArray[np.float64]:

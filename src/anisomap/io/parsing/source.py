@@ -30,9 +30,8 @@ _MAX_TEXT_RATIO = 200
 """Maximum ratio of the objects of a text to the bytes of its file. Gzipped maps of 100,000 sensors
 reach 20 in JSON and 12 in CSV, and a regular grid of whole numbers in CSV 134."""
 
-_LINE_BYTES, _VALUE_BYTES = 300, 64
-"""Memory of a line of a table and its fields, and of a list or number of JSON; the sizes of the
-objects in CPython."""
+_LINE_BYTES = 300
+"""Memory of a line of a table and its fields; the sizes of the objects in CPython."""
 
 _MAX_LINE = 1 << 23
 """Characters: a line of the readings or the names of a million sensors is shorter."""
@@ -177,25 +176,13 @@ def read_lines(path: Path) -> list[str]:
     with open_text(path) as stream:
         for line in stream:
             n_bytes += len(line) + _LINE_BYTES
-            budget.check(n_bytes, "its text", reachable=_reachable(budget))
+            budget.check(n_bytes, "its text", reachable=reachable(budget))
             lines.append(line)
     return lines
 
 
-def check_json(path: Path, content: str) -> None:
-    """Check the size of the objects of JSON before it is parsed.
-
-    Raises
-    ------
-    FileError
-        If they would take far more memory than the file.
-    """
-    budget = Budget(path)
-    n_bytes = len(content) + _VALUE_BYTES * sum(map(content.count, "[{,"))
-    budget.check(n_bytes, "its text", reachable=_reachable(budget))
-
-
-def _reachable(budget: Budget) -> int:
+def reachable(budget: Budget) -> int:
+    """Return the most bytes that the objects of a text may take."""
     return max(budget.free, _MAX_TEXT_RATIO * budget.size)
 
 

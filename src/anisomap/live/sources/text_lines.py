@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -41,7 +41,7 @@ class LineParser:
     """
 
     n_rejected: int = 0
-    _rest: bytes = b""
+    _rest: bytearray = field(default_factory=bytearray)
     _names: tuple[str, ...] = ()
     _time_column: int | None = None
     _overlong: bool = False
@@ -79,12 +79,19 @@ class LineParser:
 
     def _frames(self, content: bytes, complete: bool) -> Iterator[_Frame | Names | Notice]:
         """Parse whole lines, and keep the rest."""
-        *lines, self._rest = (self._rest + content).split(b"\n")
+        # The rest is only added to while no line ends: a line may come byte by byte.
+        ended, end, rest = content.rpartition(b"\n")
+        lines: list[bytes] = []
+        if end:
+            lines = bytes(self._rest + ended).split(b"\n")
+            self._rest.clear()
+        self._rest += rest
         if complete:
-            lines.append(self._rest)
-            self._rest = b""
+            lines.append(bytes(self._rest))
+            self._rest.clear()
         elif len(self._rest) > MAX_LINE:
-            self._rest, self._overlong = b"", True
+            self._rest.clear()
+            self._overlong = True
         for line in lines:
             if self._overlong:  # the end of a line of which the beginning was discarded
                 self._overlong = False
