@@ -38,6 +38,16 @@ Result = TypeVar("Result")
 DRAWS = 30
 BODIES = ("sphere", "cylinder", "y-shape", "torus", "cube", "hand", "tube", "hemisphere")
 SEEDS = (401, 402, 403)
+HANDS = (
+    ("recordings", "icub_hexagon", 2),
+    ("recordings", "icub_palm", 2),
+    ("recordings", "icub_torso", 2),
+    ("recordings", "plantar", 2),
+    ("recordings-hard", "insole_L", 2),
+    ("recordings-hard", "nao_head", 3),
+    ("recordings-hard", "nao_torso", 3),
+)
+HAND_DRAWS = 100
 _MM = 1e-3
 _ANCHORS = 4
 
@@ -90,8 +100,14 @@ def _figures(shared: Path | None, draws: int, bodies: Sequence[str]) -> Iterator
     if shared is not None:
         for name in ("icub_hexagon", "icub_torso"):
             yield from _real(shared, name, draws)
+        for folder, name, dimensions in HANDS:
+            recording = anisomap.read(shared / folder / f"{name}.npz")
+            yield from _hands(name, [recording], dimensions)
     for body in bodies:
         yield from _on_mesh(body, draws)
+    for name, dimensions in (*((body, 3) for body in bodies), ("plane", 2), ("hexagon", 2)):
+        made = [simulate(name, "rubbing", n_frames=1200, seed=seed) for seed in SEEDS]
+        yield from _hands(name, made, dimensions)
 
 
 def _real(shared: Path, name: str, draws: int) -> Iterator[Figure]:
@@ -232,6 +248,49 @@ def _on_mesh(name: str, draws: int) -> Iterator[Figure]:
     share = right / done if done else float("nan")
     yield Figure(name, "mesh and 3 anchors: share of the right hand where placed",
                  share, share, len(results), refused)  # fmt: skip
+
+
+def _hands(name: str, recordings: Sequence[Recording], dimensions: int) -> Iterator[Figure]:
+    """Count the hands that random anchors decide wrongly, in the plane or in space."""
+    maps = [
+        reconstruct(Recording(r.readings, names=r.names), dimensions=dimensions) for r in recordings
+    ]
+    for count in (3, 4, 5):
+        wrong = refused = 0
+        for whole, recording in zip(maps, recordings, strict=True):
+            here = np.flatnonzero(whole.component == 0)
+            truth = np.asarray(recording.positions, dtype=np.float64)[here] * _MM
+            part = SensorMap(whole.positions[here], uneven=whole.uneven)
+            right = align(part.positions, truth).aligned
+
+            def placed(
+                rows: NDArray[np.intp], part: SensorMap = part, truth: NDArray[np.float64] = truth
+            ) -> Placement:
+                return place(part, Anchors(tuple(part.names[i] for i in rows), truth[rows]))
+
+            for rows, _, placement in _draws(placed, truth, count, HAND_DRAWS):
+                refused += placement is None
+                if placement is not None:
+                    wrong += not _same_hand(placement.map.positions, right, rows)
+        draws = HAND_DRAWS * len(maps)
+        done = draws - refused
+        share = wrong / done if done else 0.0
+        title = f"{count} random anchors: share of wrong hands where placed"
+        yield Figure(name, title, share, share, draws, refused)
+
+
+def _same_hand(
+    placed: NDArray[np.float64], right: NDArray[np.float64], anchors: NDArray[np.intp]
+) -> bool:
+    """Compare the hands of two images of one map, in its plane if it is flat.
+
+    Anchors are not on the map, but where they were measured.
+    """
+    one, other = (np.delete(p, anchors, axis=0) for p in (placed, right))
+    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
+    _, widths, axes = np.linalg.svd(other, full_matrices=False)
+    axes = axes[widths > 1e-9 * widths[0]]
+    return bool(np.linalg.det((one @ axes.T).T @ (other @ axes.T)) > 0)
 
 
 def _draws(

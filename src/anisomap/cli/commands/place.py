@@ -51,7 +51,8 @@ class AnchorOptions:
     anchor
         A sensor and its position in metres: s17=0.012,0.040,0.003. May be repeated.
     anchors
-        File with the positions of some sensors: any layout that can be read.
+        File with the positions of some sensors, and optionally normals: any layout that can be
+        read.
     units
         Unit of that file, if it states none.
     """
@@ -66,21 +67,18 @@ class AnchorOptions:
         widths = {len(position) for _, position in given}
         if len(widths) > 1:
             raise InputError("all anchors must have two coordinates, or all three")
-        normals = [(np.nan,) * 3 for _ in given]
+        normals = None
         if self.anchors is not None:
             found = anchors_from_map(io.read_map(self.anchors), self.units)
+            if found.normals is not None:
+                normals = np.vstack([np.full((len(given), 3), np.nan), found.normals])
             given += zip(found.names, map(tuple, found.positions.tolist()), strict=True)
             widths.add(found.positions.shape[1])
-            if found.normals is not None:
-                normals += map(tuple, found.normals.tolist())
         if not given:
             return None
         width = max(widths)
         rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
-        names = tuple(name for name, _ in given)
-        return Anchors(
-            names, np.array(rows), np.array(normals) if len(normals) == len(given) else None
-        )
+        return Anchors(tuple(name for name, _ in given), np.array(rows), normals)
 
 
 @dataclass(frozen=True)
