@@ -1,8 +1,13 @@
 """Frames that a coached hand saves: ``python -m benchmarks.coach -o coach``.
 
-A simulated palm rubs a body in bouts of 2 s. Coached, it rubs the first place that the coach of
-`anisomap live` names; blind, it is set down anywhere. The errors of the quick maps of both are
-compared at several numbers of frames. Lifting the hand between bouts takes the same time in both.
+A simulated palm or fingertip rubs a body. Coached, it rubs in bouts of 2 s the first place that the
+coach of `anisomap live` names, and its strokes lead to sensors that were never touched; it is off
+the skin for 0.3 s before each bout. Uncoached, it rubs without a pause as in the scenario
+"rubbing", in which strokes lead to the parts that were rubbed least, as of a person who remembers
+them. The errors of the quick maps of both are compared at several numbers of frames.
+
+Rows are written as they are made; ``--read`` joins those of several runs. ``--evenness FOLDER``
+compares how evenly the uncoached hand touches with recordings of rubbed skins in a folder.
 """
 
 from __future__ import annotations
@@ -10,31 +15,35 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap import read as read_recording
 from anisomap.evaluation import median_spacing, score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
-from anisomap.health.touch_coverage import ENOUGH_CONTACTS
 from anisomap.live.mapping import QuickMapper
 from anisomap.live.sources.simulated import BOUT_FRAMES
 from anisomap.live.statistics import TouchStatistics
+from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body
-from anisomap.simulation.kinematic.guided import GuidedHand
+from anisomap.simulation.kinematic.guided import TRAVEL_FRAMES, GuidedHand
 from anisomap.simulation.kinematic.rubbing import RubbingOptions
 from anisomap.simulation.options import options_for
 
 BODIES = ("sphere", "hand", "hexagon")
 DIMENSIONS = {"hexagon": 2}  # the others are bodies in 3D
 SEEDS = range(401, 411)
-LENGTHS = (80, 120, 160, 240, 320, 480, 640, 960)
+LENGTHS = (80, 120, 160, 200, 240, 280, 320, 400, 480, 560, 640, 800, 960)
+MEAN_CONTACTS = (1, 2, 4, 8)  # at which the evenness is compared
+TICKS = (80, 160, 320, 640)  # of the figure
 STIMULI = ("palm", "fingertip")
-WAYS = ("coached", "blind")
+WAYS = ("coached", "uncoached")
 FINGERTIP = 0.3  # x the size of the palm of `RubbingOptions`: it touches a few sensors at once
 
 
@@ -63,25 +72,76 @@ class Row:
 
 def rows_of(body: Body, dimensions: int, stimulus: str, way: str, *, seed: int) -> list[Row]:
     """Rub a body in one way, and map it at several numbers of frames."""
+    hand = hand_on(body, stimulus, seed)
+    statistics = TouchStatistics(body.n_sensors)
+    mapper = QuickMapper(body.names, dimensions)
+    found: list[Row] = []
+    path = uncoached(hand, max(LENGTHS)) if way == "uncoached" else np.empty((0, 0), np.float32)
+    where: tuple[int, ...] = ()
+    touched = np.zeros(body.n_sensors, dtype=bool)
+    while (n_frames := statistics.n_frames) < max(LENGTHS):
+        if way == "uncoached":
+            part = path[n_frames : n_frames + BOUT_FRAMES]
+        else:
+            part = hand.rub(BOUT_FRAMES, where, touched.astype(np.intp))
+        statistics.add(part.astype(np.float64))
+        if way == "uncoached" and statistics.n_frames not in LENGTHS:
+            continue
+        made = mapper.make(statistics)
+        where, touched = made.advice.next_sensors, statistics.touched
+        if statistics.n_frames in LENGTHS:
+            error, share = error_of(made.positions, body), float(touched.mean())
+            found.append(Row(body.name, stimulus, way, seed, statistics.n_frames, error, share))
+    return found
+
+
+def hand_on(body: Body, stimulus: str, seed: int) -> GuidedHand:
+    """Return a hand of the size of a stimulus."""
     chosen = options_for(RubbingOptions, body)
     factor = {"palm": 1.0, "fingertip": FINGERTIP}[stimulus]
     size, depth = factor * chosen.hand_size, factor * chosen.press_depth
     options = replace(chosen, hand_size=size, press_depth=depth)
-    hand = GuidedHand(body, options, np.random.default_rng(seed))
-    statistics = TouchStatistics(body.n_sensors)
-    mapper = QuickMapper(body.names, dimensions)
-    where: tuple[int, ...] = ()
-    found = []
-    while statistics.n_frames < max(LENGTHS):
-        few = np.minimum(statistics.contacts, ENOUGH_CONTACTS) if way == "coached" else None
-        bout = hand.rub(BOUT_FRAMES, where, few)
-        statistics.add(bout.astype(np.float64))
-        made = mapper.make(statistics)
-        if way == "coached":
-            where = made.advice.next_sensors
-        if statistics.n_frames in LENGTHS:
-            error, touched = error_of(made.positions, body), float(statistics.touched.mean())
-            found.append(Row(body.name, stimulus, way, seed, statistics.n_frames, error, touched))
+    return GuidedHand(body, options, np.random.default_rng(seed))
+
+
+def uncoached(hand: GuidedHand, n_frames: int) -> NDArray[np.float32]:
+    """Rub along one path; the hand is on the skin from the first frame on."""
+    return hand.rub(TRAVEL_FRAMES + n_frames)[TRAVEL_FRAMES:]
+
+
+def evenness(readings: NDArray[np.floating], mean: float) -> tuple[float, float]:
+    """Return how evenly a skin was touched when sensors had some contacts on average.
+
+    Returns
+    -------
+    share : float
+        Of the sensors that were touched by then; NaN if there are fewer contacts.
+    variation : float
+        Standard deviation of the contacts of the sensors over their mean.
+    """
+    active = estimate_rest(readings).active(readings)
+    fresh = active & ~np.vstack([np.zeros_like(active[:1]), active[:-1]])
+    until = int(np.searchsorted(np.cumsum(fresh.mean(axis=1)), mean))
+    if until >= len(active):
+        return float("nan"), float("nan")
+    contacts = fresh[: until + 1].sum(axis=0)
+    return float((contacts > 0).mean()), float(contacts.std() / contacts.mean())
+
+
+def evenness_table(folder: Path, seeds: Sequence[int]) -> list[dict[str, object]]:
+    """Compare the evenness of recordings in a folder and of the uncoached hand."""
+    rubbed = [(path.stem, [read_recording(path).readings]) for path in sorted(folder.glob("icub*"))]
+    for name, stimulus in itertools.product(BODIES, STIMULI):
+        hands = [hand_on(find_body(name), stimulus, seed) for seed in seeds]
+        rubbed.append((f"{name}, {stimulus}", [uncoached(hand, max(LENGTHS)) for hand in hands]))
+    found: list[dict[str, object]] = []
+    for label, runs in rubbed:
+        row: dict[str, object] = {"skin": label}
+        for mean in MEAN_CONTACTS:
+            values = [evenness(np.asarray(run, dtype=np.float64), mean) for run in runs]
+            share, variation = np.mean(values, axis=0)
+            row |= {f"touched_{mean}": round(share, 2), f"variation_{mean}": round(variation, 2)}
+        found.append(row)
     return found
 
 
@@ -114,24 +174,36 @@ def frames_to_all(rows: Sequence[Row]) -> float:
 
 
 def summary(rows: Sequence[Row]) -> list[dict[str, object]]:
-    """Compare the frames that both ways take to the error that the blind one ends with."""
+    """Compare the frames that both ways take to touch every sensor, and to errors.
+
+    The goals are an error of 1 spacing, and the error that the uncoached hand ends with.
+    """
     found: list[dict[str, object]] = []
     longest = max(row.n_frames for row in rows)
     for body, stimulus in dict.fromkeys((row.body, row.stimulus) for row in rows):
         chosen = [row for row in rows if (row.body, row.stimulus) == (body, stimulus)]
         ways = {way: [row for row in chosen if row.way == way] for way in WAYS}
-        goal = float(np.median([row.error for row in ways["blind"] if row.n_frames == longest]))
-        frames = {way: frames_to(ways[way], goal) for way in WAYS}
-        found.append(
-            {
-                "body": body,
-                "stimulus": stimulus,
-                "goal_in_spacings": round(goal, 3),
-                **{f"frames_{way}": frames[way] for way in WAYS},
-                "ratio": round(frames["coached"] / frames["blind"], 2),
-                **{f"frames_all_touched_{way}": frames_to_all(ways[way]) for way in WAYS},
-            }
-        )
+        last = [row.error for row in ways["uncoached"] if row.n_frames == longest]
+        goals: dict[str, Callable[[Sequence[Row]], float]] = {
+            "every sensor touched": frames_to_all,
+            "error of 1 spacing": partial(frames_to, goal=1.0),
+            "last error": partial(frames_to, goal=float(np.median(last))),
+        }
+        for goal, frames_of in goals.items():
+            frames = {way: frames_of(ways[way]) for way in WAYS}
+            found.append(
+                {
+                    "body": body,
+                    "stimulus": stimulus,
+                    "goal": goal,
+                    "spacings": {
+                        "error of 1 spacing": 1.0,
+                        "last error": round(np.median(last), 3),
+                    }.get(goal, ""),
+                    **frames,
+                    "ratio": round(frames["coached"] / frames["uncoached"], 2),
+                }
+            )
     return found
 
 
@@ -142,13 +214,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, nargs="*", default=list(SEEDS))
     parser.add_argument("--bodies", nargs="*", default=list(BODIES))
     parser.add_argument("--read", type=Path, nargs="*", help="rows of earlier runs, to be joined")
+    parser.add_argument("--evenness", type=Path, help="folder of recordings of rubbed skins")
     given = parser.parse_args(arguments)
     given.output.mkdir(exist_ok=True)
     rows = [row for path in given.read or () for row in read(path)]
+    if given.evenness is not None:
+        write(given.output / "coach-evenness.csv", evenness_table(given.evenness, given.seeds[:3]))
+        return
     for name in () if rows else given.bodies:
         body, dimensions = find_body(name), DIMENSIONS.get(name, 3)
-        for stimulus, way, seed in itertools.product(STIMULI, WAYS, given.seeds):
+        for stimulus, seed, way in itertools.product(STIMULI, given.seeds, WAYS):
             rows += rows_of(body, dimensions, stimulus, way, seed=seed)
+            write(given.output / "coach.csv", [vars(row) for row in rows])
     write(given.output / "coach.csv", [vars(row) for row in rows])
     results = summary(rows)
     write(given.output / "coach-summary.csv", results)
@@ -189,7 +266,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     bodies = list(dict.fromkeys(row.body for row in rows))
     figure = Figure(figsize=(3.2 * len(bodies), 5.6), layout="constrained")
     axes = figure.subplots(len(STIMULI), len(bodies), sharex=True, sharey="col", squeeze=False)
-    looks = {"coached": ("#0b5394", "-", "o"), "blind": ("#b35000", "--", "s")}
+    looks = {"coached": ("#0b5394", "-", "o"), "uncoached": ("#b35000", "--", "s")}
     lengths = sorted({row.n_frames for row in rows})
     for (i, stimulus), (j, body) in itertools.product(enumerate(STIMULI), enumerate(bodies)):
         ax = axes[i, j]
@@ -200,7 +277,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
             ax.plot(lengths, middle, line, marker=mark, color=colour, label=way, markersize=4)
             ax.fill_between(lengths, low, high, color=colour, alpha=0.15)
         ax.set(title=f"{body}, {stimulus}", xscale="log", ylim=(0, None))
-        ax.set_xticks(lengths[::2], [str(n) for n in lengths[::2]])
+        ax.set_xticks(TICKS, [str(n) for n in TICKS])
         ax.minorticks_off()
     for ax in axes[-1]:
         ax.set_xlabel("frames")

@@ -26,15 +26,15 @@ def test_frames_count_from_where_the_error_stays_below_the_goal():
     assert np.isnan(coach.frames_to(found, 0.1))
 
 
-def test_the_summary_compares_with_the_last_error_of_the_blind_hand():
+def test_the_summary_compares_the_frames_to_each_goal():
     found = rows({100: 3.0, 200: 1.0, 400: 0.5}, "coached") + rows(
-        {100: 4.0, 200: 2.0, 400: 1.0}, "blind"
+        {100: 4.0, 200: 2.0, 400: 0.8}, "uncoached"
     )
-    (one,) = coach.summary(found)
-    assert one["goal_in_spacings"] == 1.0
-    assert one["frames_coached"] == 200
-    assert one["frames_blind"] == 400
-    assert one["ratio"] == 0.5
+    touched, one, last = coach.summary(found)
+    assert (touched["coached"], touched["uncoached"], touched["ratio"]) == (100, 100, 1.0)
+    assert (one["coached"], one["uncoached"], one["ratio"]) == (200, 400, 0.5)
+    assert last["spacings"] == 0.8
+    assert (last["coached"], last["uncoached"], last["ratio"]) == (400, 400, 1.0)
 
 
 def test_a_sensor_without_a_place_counts_as_in_the_middle():

@@ -12,7 +12,6 @@ import pytest
 import anisomap
 from anisomap.errors import InputError
 from anisomap.live.batches import Batch, Names, Notice
-from anisomap.live.examination import ExaminationOptions
 from anisomap.live.server import Server
 from anisomap.live.session import LiveSession
 from anisomap.usability import LEVELS, UNKNOWN
@@ -41,14 +40,14 @@ def page(tmp_path_factory):
     names = (NAME, *skin.names[1:])
     source = Given(Names(names), Notice("hello \x1b[2J"), Batch(skin.readings.astype(float)))
     folder = tmp_path_factory.mktemp("live")
-    options = ExaminationOptions(dimensions=2)
     with (
-        LiveSession(source, folder / "r.csv", options) as session,
+        LiveSession(source, folder / "r.csv") as session,
         Server(session, port=0) as server,
     ):
         with session.changed:
             assert session.changed.wait_for(
-                lambda: session.maps.quick and session.maps.checked, timeout=TOO_LONG
+                lambda: session.maps.quick and session.maps.quick.positions.shape[1] == 2,
+                timeout=TOO_LONG,
             )
         yield SimpleNamespace(session=session, server=server, folder=folder, skin=skin)
 
@@ -103,7 +102,8 @@ def test_events_hold_the_map_the_readings_and_the_status(page):
     assert set(found) == {"map", "readings", "status"}
     made, status = found["map"], found["status"]
     assert made["names"][0] == NAME
-    assert made["dimensions"] == 2
+    assert made["dimensions"] == made["checked_dimensions"] == 2
+    assert any("flat: maps have 2 dimensions" in text for _, text in status["notices"])
     assert len(made["contacts"]) == 42
     assert status["frames"] == 800
     assert status["level"] in (*LEVELS, UNKNOWN)

@@ -18,6 +18,7 @@ if sys.platform == "win32":
     pytest.skip("signals are those of Unix", allow_module_level=True)
 
 SKIN = flat_skin(n_frames=600)
+METHOD = "r-anisomap"  # takes less time than the default
 LINES = [",".join(map(repr, row)) for row in SKIN.readings.astype(float).tolist()]
 
 
@@ -43,7 +44,7 @@ def session(tmp_path):
 
 
 def test_a_skin_that_misbehaves_is_recorded_whole_and_mapped(session, tmp_path):
-    live = session("tcp-listen://127.0.0.1:0", "--headless", "-d", "2", "--recording", "r.csv")
+    live = session("tcp-listen://127.0.0.1:0", "--headless", "-m", METHOD, "--recording", "r.csv")
     port = int(live.notice("waiting for a connection").split()[-1])
     names = [f"taxel {i}" for i in range(42)]
     missing = ",".join(["nan", *LINES[99].split(",")[1:]])
@@ -70,7 +71,7 @@ def test_a_skin_that_misbehaves_is_recorded_whole_and_mapped(session, tmp_path):
     np.testing.assert_array_equal(recorded.readings, expected)
     assert (tmp_path / "r.odd.txt").read_text().endswith(",1.0,2.0,3.0\n")
     made = anisomap.read_map(tmp_path / "r.map.csv")
-    again = anisomap.reconstruct(recorded.complete("interpolate"), dimensions=2)
+    again = anisomap.reconstruct(recorded.complete("interpolate"), METHOD)
     np.testing.assert_allclose(made.positions, again.positions, atol=1e-6)
     assert live.result["frames"] == 600
     with socket.socket() as freed:

@@ -97,6 +97,14 @@ def test_a_lost_tcp_connection_is_made_again():
         found.wait(lambda f: f.told("lost the connection"))
 
 
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:{}", "rosbridge://127.0.0.1:{}/skin"])
+def test_a_peer_that_is_not_there_yet_is_waited_for(address):
+    if address.startswith("rosbridge"):
+        pytest.importorskip("websockets", reason="needs the extra 'rosbridge'")
+    with collected(open_source(address.format(free_port()))) as found:
+        found.wait(lambda f: f.told("still trying"))
+
+
 def test_a_recording_is_replayed_whole(tmp_path):
     path = tmp_path / "r.npz"
     recording = anisomap.Recording(

@@ -21,7 +21,8 @@ from anisomap.usability import UNKNOWN
 
 _MIN_NEW_FRAMES = 25  # for a first checked map; a second of a skin of usual rate
 _GROWTH = 1.15  # of the number of frames between two checked maps
-_AGREEING = 2  # checked maps in a row that choose a number of dimensions, before it is shown
+_NEARLY_ALL = 0.9  # of the sensors touched, for one checked map to suffice; chosen by hand
+_REASONS = {2: "the skin looks flat", 3: "the skin does not look flat"}
 _SHARE_S = 1.0  # between two points of the share of sensors touched
 
 
@@ -71,7 +72,8 @@ class SessionMaps:
         self.ready = threading.Event()
         self._notify, self._announce, self._clock = notify, announce, clock
         self._segment: Segment | None = None
-        self._chosen: list[int] = []
+        self._chosen = 0  # dimensions of the last checked map
+        self._has_changed = False
         self._final: Examination | None = None
         self._finished = threading.Event()
         self._examined_frames = 0
@@ -134,7 +136,7 @@ class SessionMaps:
         """Map a new recording from now on."""
         self._segment = segment
         self.quick = self.checked = None
-        self._chosen = []
+        self._chosen = 0
         self._examined_frames = 0
         self._quick.send(Changed(segment=segment))
 
@@ -208,15 +210,19 @@ class SessionMaps:
             self._finished.set()
 
     def _choose(self, dimensions: int) -> None:
-        """Show quick maps in the dimensions that checked maps have chosen again and again."""
-        self._chosen = [*self._chosen, dimensions][-_AGREEING:]
-        shown = None if self.quick is None else self.quick.positions.shape[1]
-        if self._chosen == [dimensions] * _AGREEING and dimensions != shown:
+        """Show quick maps in the number of dimensions that checked maps choose.
+
+        It is changed when two checked maps in a row agree; the first time, one suffices if nearly
+        all sensors were touched.
+        """
+        agree, self._chosen = dimensions == self._chosen, dimensions
+        first = not self._has_changed and self.share_touched >= _NEARLY_ALL
+        if self.quick is None or dimensions == self.quick.positions.shape[1]:
+            return
+        if agree or first:
+            self._has_changed = True
             self._notify(f"{_REASONS[dimensions]}: maps have {dimensions} dimensions from now on")
             self._quick.send(Changed(dimensions=dimensions))
 
     def _is_current(self, number: int) -> bool:
         return self._segment is not None and number == self._segment.number
-
-
-_REASONS = {2: "the skin looks flat", 3: "the skin does not look flat"}

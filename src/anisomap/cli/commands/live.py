@@ -22,7 +22,6 @@ from anisomap.cli.console import Printer, number, percent, print_warning, progre
 from anisomap.drawing import report as reports
 from anisomap.errors import InputError
 from anisomap.files import check_distinct, check_target
-from anisomap.health.touch_coverage import ENOUGH_CONTACTS
 from anisomap.io.recordings.presets import PRESETS
 from anisomap.live import ExaminationOptions, LiveSession, open_source
 from anisomap.live.batches import Source
@@ -193,12 +192,11 @@ def _opened(
 
 
 def _advised(session: LiveSession) -> Advised:
-    """Return where the coach asks to touch, and what was touched so far."""
-    if session.maps.quick is None:
+    """Return where the coach asks to touch, and which sensors were touched, as 0 and 1."""
+    quick = session.maps.quick
+    if quick is None:
         return (), None
-    return session.maps.quick.advice.next_sensors, np.minimum(
-        session.maps.quick.contacts, ENOUGH_CONTACTS
-    )
+    return quick.advice.next_sensors, np.minimum(quick.contacts, 1)
 
 
 def _run(

@@ -33,7 +33,7 @@ function niceStep(range, count) {
 // Draw curves: each is {points: [[x, y]], dashed}. Points with a null y are left out.
 export function drawCurves(canvas, curves, { top, unit, rule, end: last }) {
   const context = sized(canvas), width = canvas.clientWidth, height = canvas.clientHeight;
-  const left = 34, bottom = height - 16, right = width - 8, above = 6;
+  const left = 42, bottom = height - 16, right = width - 8, above = 6;
   const all = curves.flatMap((curve) => curve.points.filter(([, y]) => y !== null));
   const end = Math.max(10, last);
   const highest = top ?? Math.max(1.2, ...all.map(([, y]) => Math.min(y, 10))) * 1.1;

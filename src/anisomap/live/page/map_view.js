@@ -2,9 +2,10 @@
 
 import { COLOURS, sized } from "./charts.js";
 
-const LINE = "#b4bfca", OUTLINE = "#1c2733", HALO = "rgba(77, 91, 105, 0.16)", MARK = "#b35000";
+const LINE = "#b4bfca", OUTLINE = "#1c2733", HALO = "rgba(77, 91, 105, 0.2)", MARK = "#b35000";
 const EASE_MS = 250;
 const MARGIN = 0.1, SHELF = 96, ABOVE = 70;
+const SHELF_ROWS = 3, SHELF_STEP = 26;
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 
 export class MapView {
@@ -55,7 +56,7 @@ export class MapView {
     const k = this.dimensions, count = this.names.length, found = new Array(count);
     const cosTurn = Math.cos(this.turn), sinTurn = Math.sin(this.turn);
     const cosTilt = Math.cos(this.tilt), sinTilt = Math.sin(this.tilt);
-    let reach = 1e-9, spanX = 1e-9, spanY = 1e-9;
+    let reach = 1e-9, low = [Infinity, Infinity], high = [-Infinity, -Infinity];
     const flat = [];
     for (let i = 0; i < count; i++) {
       const x = this.shown[i * k], y = this.shown[i * k + 1], z = k > 2 ? this.shown[i * k + 2] : 0;
@@ -69,18 +70,30 @@ export class MapView {
       }
       flat.push([i, u, v, w]);
       reach = Math.max(reach, Math.hypot(x, y, z));
-      spanX = Math.max(spanX, Math.abs(u));
-      spanY = Math.max(spanY, Math.abs(v));
+      low = [Math.min(low[0], u), Math.min(low[1], v)];
+      high = [Math.max(high[0], u), Math.max(high[1], v)];
     }
-    if (k > 2) spanX = spanY = reach;
+    const middle = flat.length ? [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2] : [0, 0];
+    const spanX = Math.max(1e-9, (high[0] - low[0]) / 2), spanY = Math.max(1e-9, (high[1] - low[1]) / 2);
     const room = 1 - 2 * MARGIN;
     const goal = this.zoom * Math.min(width * room / 2 / spanX, height * room / 2 / spanY);
-    this.scale = this.scale && !calm.matches ? this.scale + 0.2 * (goal - this.scale) : goal;
-    for (const [i, u, v, w] of flat) found[i] = [width / 2 + u * this.scale, ABOVE + height / 2 - v * this.scale, w / reach];
+    // The view follows the map with a delay, so that it does not jump.
+    const share = this.scale && !calm.matches ? 0.2 : 1;
+    this.scale = (this.scale || goal) + share * (goal - (this.scale || goal));
+    this.middle = (this.middle || middle).map((at, axis) => at + share * (middle[axis] - at));
+    for (const [i, u, v, w] of flat) {
+      found[i] = [width / 2 + (u - this.middle[0]) * this.scale, ABOVE + height / 2 - (v - this.middle[1]) * this.scale, w / reach];
+    }
+    // Many sensors stand in several rows of smaller marks.
     const waiting = this.names.map((_, i) => i).filter((i) => !found[i] && !this.leftOut.has(i));
-    const step = Math.min(26, (width - 40) / Math.max(1, waiting.length));
-    waiting.forEach((i, n) => { found[i] = [16 + step * (n + 0.5), ABOVE + height + 18, 1]; });
-    this.waiting = waiting.length;
+    const rows = Math.min(SHELF_ROWS, Math.ceil(waiting.length * SHELF_STEP / (width - 40)));
+    const columns = Math.ceil(waiting.length / Math.max(rows, 1)), step = Math.min(SHELF_STEP, (width - 40) / Math.max(1, columns));
+    waiting.forEach((i, n) => {
+      const row = Math.floor(n / columns);
+      found[i] = [16 + step * (n % columns + 0.5), ABOVE + height + 4 + Math.min(step, 12) * row, 1];
+    });
+    this.waiting = new Set(waiting);
+    this.waitingRadius = Math.max(1.5, 0.42 * Math.min(step, rows > 1 ? 12 : step));
     return found;
   }
 
@@ -104,20 +117,26 @@ export class MapView {
     const untouched = new Set(this.untouched);
     const order = points.map((_, i) => i).filter((i) => points[i] && !this.leftOut.has(i));
     if (this.dimensions > 2) order.sort((i, j) => points[i][2] - points[j][2]);
+    // One path for all: halos that overlap are no darker than others.
     context.fillStyle = HALO;
+    context.beginPath();
     for (const i of order) {
-      if (untouched.has(i)) continue;
-      context.beginPath();
-      context.arc(points[i][0], points[i][1], radius * (1 + 2.5 * this.halo[i]), 0, 2 * Math.PI);
-      context.fill();
+      if (untouched.has(i) || this.waiting.has(i)) continue;
+      const reach = radius * (1 + 2.5 * this.halo[i]);
+      context.moveTo(points[i][0] + reach, points[i][1]);
+      context.arc(points[i][0], points[i][1], reach, 0, 2 * Math.PI);
     }
-    for (const i of order) this._sensor(context, i, points[i], radius, untouched.has(i));
+    context.fill();
+    for (const i of order) {
+      const size = this.waiting.has(i) ? Math.min(radius, this.waitingRadius) : radius;
+      this._sensor(context, i, points[i], size, untouched.has(i));
+    }
     this._marks(context, points, radius);
-    if (this.waiting) {
+    if (this.waiting.size) {
       context.font = "13px system-ui, 'DejaVu Sans', sans-serif";
       context.textAlign = "left";
       context.fillStyle = OUTLINE;
-      context.fillText(`${this.waiting} without a place`, 16, this.canvas.clientHeight - SHELF + 44);
+      context.fillText(`${this.waiting.size} without a place`, 16, this.canvas.clientHeight - SHELF + 44);
     }
   }
 
@@ -125,9 +144,9 @@ export class MapView {
     const size = this.dimensions > 2 ? radius * (0.85 + 0.2 * depth) : radius;
     context.beginPath();
     context.arc(x, y, size, 0, 2 * Math.PI);
-    context.lineWidth = i === this.selected ? 4 : 1.2;
+    context.lineWidth = i === this.selected ? 4 : size > 4 ? 1.2 : 0.8;
     context.strokeStyle = i === this.selected ? MARK : OUTLINE;
-    if (hollow) context.setLineDash([3, 3]);
+    if (hollow && size > 5) context.setLineDash([3, 3]);
     context.fillStyle = hollow ? "#ffffff" : COLOURS[this.levels[i] || 0];
     context.fill();
     context.stroke();

@@ -14,7 +14,8 @@ from anisomap.simulation.kinematic.rubbing import RubbingOptions, draw_angles, d
 from anisomap.simulation.kinematic.settling import LIFT_HEIGHT, Cluster, settle
 from anisomap.simulation.sensing import read_balls
 
-_TRAVEL_FRAMES = 6  # off the skin between two bouts: 0.3 s, as for a lift between strokes
+TRAVEL_FRAMES = 6
+"""Frames off the skin before each bout: 0.3 s, as for a lift between strokes."""
 
 
 @dataclass
@@ -52,7 +53,8 @@ class GuidedHand:
             Sensors at which the hand is set down; by default anywhere.
         contacts : ndarray of int, shape (N,), optional
             Contacts of each sensor before: strokes lead to sensors that have few. By default they
-            are not known.
+            are not known. 1 for sensors that were touched and 0 for others lets strokes lead to
+            those that were never touched.
 
         Returns
         -------
@@ -67,7 +69,7 @@ class GuidedHand:
             first = list(sensors)
             visits[first] = np.minimum(visits[first], 0)
             visits[first[0]] = -1  # the hand is set down at the least visited sensor
-        n_rubbing = max(1, n_frames - _TRAVEL_FRAMES)
+        n_rubbing = max(1, n_frames - TRAVEL_FRAMES)
         path = draw_strokes(self.body, self._skin, n_rubbing, options, rng, visits=visits)
         angles = draw_angles(n_rubbing, options.frame_interval, rng)
         offsets = np.einsum("tij,pj->tpi", path.orientations(angles), self._pads)
