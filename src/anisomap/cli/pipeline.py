@@ -1,17 +1,16 @@
-"""Steps that several commands share: read, examine, map, score, print and write."""
+"""Steps that several commands share: read, examine, map, score and write."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from anisomap import io
-from anisomap.cli import touches
-from anisomap.cli.console import Printer, number, percent, print_warning, progress
+from anisomap.cli import printing, touches
+from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnostics import diagnose
 from anisomap.drawing import figures, report
@@ -38,7 +37,7 @@ from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.stages.dimension import Dimensions
 from anisomap.usability import Verdict
-from anisomap.wording import as_text, join_items
+from anisomap.wording import as_text
 
 _MAX_SHOWN = 12  # faulty sensors; --sensors of anisomap info shows all
 _SHARE_OF_MAP = 0.4  # of the time of a map with its verdict; typical, for the progress display
@@ -118,15 +117,6 @@ def complete(recording: Recording, missing: MissingPolicy) -> Recording:
             raise
         hint = "use --missing drop-frames or --missing interpolate"
         raise InputError(f"{str(error).partition(';')[0]}; {hint}") from error
-
-
-def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
-    """Print the contents of a file that may contain several recordings."""
-    contents = io.contents(path, options=how)
-    if contents:
-        rows = [(c.name, c.summary, "yes" if c.usable else "no") for c in contents]
-        printer.table(f"Contents of {path.name}", ("name", "content", "a recording"), rows)
-        printer.record(contents=[asdict(content) for content in contents])
 
 
 def repair_runs(runs: Sequence[Recording]) -> tuple[list[Recording], tuple[Finding, ...]]:
@@ -226,12 +216,12 @@ def finish(
         )
     coverage = touches.coverage_of(sensor_map, examined.runs)
     files = write_outputs(outputs, sensor_map, result, examined, coverage)
-    print_health(printer, examined.health)
+    printing.print_health(printer, examined.health)
     touches.print_touches(printer, coverage, sensor_map.names)
-    _print_map(printer, sensor_map)
+    printing.print_map(printer, sensor_map)
     if result is not None:
-        print_score(printer, result, sensor_map, "Score against the true positions")
-    print_files(printer, [*already_written, *files])
+        printing.print_score(printer, result, sensor_map, "Score against the true positions")
+    printing.print_files(printer, [*already_written, *files])
 
 
 def score_with_progress(
@@ -255,129 +245,6 @@ def score_with_progress(
         )
 
 
-def print_files(printer: Printer, files: Sequence[tuple[str, Path]]) -> None:
-    """Print the files that were written."""
-    printer.table("Files", ("content", "path"), [(kind, str(path)) for kind, path in files])
-    printer.record(files=[{"content": kind, "path": str(path)} for kind, path in files])
-
-
-def print_recording(printer: Printer, examined: Examined) -> None:
-    """Print a summary of a recording."""
-    summary, recording = examined.summary, examined.recording
-    rate = "unknown" if summary.rate_hz is None else f"{number(summary.rate_hz)} Hz"
-    duration = "" if summary.duration is None else f", {number(summary.duration)} s"
-    constant = f"{summary.n_constant} constant" if summary.n_constant else "all active"
-    bin_s = recording.metadata.get("bin_s")
-    events = {} if bin_s is None else {"events": f"counted in bins of {bin_s:g} s"}
-    printer.facts(
-        "Recording",
-        {
-            "source": recording.source or "unknown",
-            "frames": f"{summary.n_frames}{duration}",
-            "rate": rate,
-            **events,
-            "sensors": f"{summary.n_sensors}, {constant}",
-            "readings": f"{number(summary.minimum)} to {number(summary.maximum)}, "
-            f"{percent(summary.share_of_zeros)} zeros, {summary.missing} missing",
-            "distinct values": f"{summary.distinct_values} per sensor (median)",
-            "true positions": "unknown" if recording.positions is None else "known",
-        },
-    )
-    printer.record(recording={"source": recording.source, **asdict(summary)})
-
-
-def print_health(
-    printer: Printer, health: Sequence[SensorHealth], *, all_sensors: bool = False
-) -> None:
-    """Print the health of faulty sensors, or of all, and the number of sensors of each status."""
-    faulty = [sensor for sensor in health if sensor.status != "ok"]
-    shown = faulty if all_sensors else faulty[:_MAX_SHOWN]
-    healthy = [sensor for sensor in health if sensor.status == "ok"]
-    counts = Counter(sensor.status for sensor in health)
-    title = "Sensor health: " + ", ".join(f"{n} {status}" for status, n in counts.most_common())
-    printer.record(sensors=[asdict(sensor) for sensor in (health if all_sensors else faulty)])
-    rows = [
-        (
-            sensor.name,
-            sensor.status,
-            f"{number(sensor.minimum)} .. {number(sensor.maximum)}",
-            str(sensor.distinct),
-            percent(sensor.active),
-            str(sensor.contacts),
-            number(sensor.best_match, 2),
-        )
-        for sensor in (shown + healthy if all_sensors else shown)
-    ]
-    if not rows:
-        printer.facts(title, {})
-        return
-    columns = ("sensor", "status", "range", "values", "active", "contacts", "best r")
-    printer.table(title, columns, rows)
-    for sensor in shown:
-        printer.line(f"  {sensor.name}: {sensor.reason}")
-    if len(faulty) > len(shown):
-        printer.line(
-            f"  ... and {len(faulty) - len(shown)} more faulty sensors: "
-            "anisomap info --sensors lists all"
-        )
-
-
-def print_findings(
-    printer: Printer, findings: Sequence[Finding], *, repaired: bool = False
-) -> None:
-    """Print the faults of a recording: what was found, and what mends it or did."""
-    printer.record(findings=[asdict(finding) for finding in findings])
-    if not findings:
-        return
-    printer.line("Faults of the recording" + (", mended where possible" if repaired else ""))
-    for finding in findings:
-        printer.line(f"  {finding.kind}: {finding}")
-        if repaired and finding.mended:
-            printer.line(f"    mended: {finding.mended}")
-    mendable = sum(finding.mendable for finding in findings)
-    if mendable and not repaired:
-        printer.line(f"  {mendable} of {len(findings)} can be mended: anisomap map --repair")
-
-
-def _print_map(printer: Printer, sensor_map: SensorMap) -> None:
-    n_placed, sizes = int(np.count_nonzero(sensor_map.placed)), sensor_map.component_sizes
-    approximate = ", approximate" if sensor_map.approximate else ""
-    because = sensor_map.provenance.get("dimensions_because")
-    printer.facts(
-        f"Map by {sensor_map.method}{approximate}",
-        {
-            "sensors placed": f"{n_placed} of {sensor_map.n_sensors}, "
-            f"in {sensor_map.dimensions} dimensions"
-            + (f", but only {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
-            **({"dimensions": f"{sensor_map.dimensions}, chosen: {because}"} if because else {}),
-            "components": join_items(sizes, max_items=12) + " sensors",
-            "Stress-1": f"{number(sensor_map.stress)} "
-            + (
-                "(within components; small ones always fit)"
-                if len(sizes) > 1
-                else "(0 is a perfect fit of the metric)"
-            ),
-            "verdict": str(sensor_map.verdict),
-            "known up to": sensor_map.known_up_to,
-        },
-    )
-    printer.record(
-        map={
-            "method": sensor_map.method,
-            "dimensions": sensor_map.dimensions,
-            "sensors": sensor_map.n_sensors,
-            "placed": n_placed,
-            "component_sizes": sensor_map.component_sizes,
-            "approximate": sensor_map.approximate,
-            "stress": sensor_map.stress,
-            "verdict": asdict(sensor_map.verdict),
-            "units": sensor_map.units,
-            "notes": sensor_map.notes,
-            "provenance": dict(sensor_map.provenance),
-        }
-    )
-
-
 def read_reference(path: Path, units: str | None = None) -> SensorMap:
     """Read the positions that a map is scored against.
 
@@ -392,65 +259,6 @@ def read_reference(path: Path, units: str | None = None) -> SensorMap:
     if units is None:
         units = "" if reference.units == "arbitrary" else reference.units
     return replace(reference, units=units)
-
-
-def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: str) -> None:
-    """Print the comparison of a map with reference positions, and name the worst sensors."""
-    units = result.units or "units of the reference"
-    null = result.mantel.quantiles()
-    facts = {"Mantel r": number(result.mantel.r)}
-    if null:
-        facts |= {
-            "null distribution": ", ".join(
-                f"{_quantile_name(level)} {value:.3f}" for level, value in null.items()
-            ),
-            "p": f"{number(result.mantel.p_value, 3)} ({result.mantel.null.size} permutations)",
-        }
-    facts |= {
-        "RMS error": f"{number(result.rms)} {units}, or {number(result.rms_in_spacings)} times the "
-        f"median sensor spacing ({number(result.spacing)} {units})",
-        "median error": f"{number(result.median_error)} {units}",
-        "mirrored": "yes" if result.alignment.reflected else "no",
-        "neighbours kept": percent(result.neighbours_kept),
-        "sensors compared": str(result.mantel.n_sensors),
-    }
-    printer.facts(title, facts)
-    for note in result.notes:
-        printer.line(f"  note: {note}")
-    worst = [
-        (sensor_map.names[result.sensors[i]], float(result.alignment.errors[i]))
-        for i in result.worst()
-    ]
-    rows = [
-        (name, number(error), number(error / result.spacing if result.spacing > 0 else None, 3))
-        for name, error in worst
-    ]
-    printer.table("Worst sensors", ("sensor", f"error ({units})", "spacings"), rows)
-    printer.record(
-        score={
-            **_score_values(result),
-            "worst": [{"sensor": name, "error": error} for name, error in worst],
-        }
-    )
-
-
-def _score_values(result: Score) -> dict[str, object]:
-    has_null = bool(result.mantel.null.size)
-    return {
-        "mantel_r": result.mantel.r,
-        "null_quantiles": {str(level): r for level, r in result.mantel.quantiles().items()},
-        "p_value": result.mantel.p_value if has_null else None,
-        "permutations": result.mantel.null.size,
-        "rms": result.rms,
-        "median_error": result.median_error,
-        "units": result.units,
-        "rms_in_spacings": result.rms_in_spacings,
-        "median_spacing": result.spacing,
-        "reflected": result.alignment.reflected,
-        "neighbours_kept": result.neighbours_kept,
-        "sensors_compared": result.mantel.n_sensors,
-        "notes": list(result.notes),
-    }
 
 
 def write_outputs(
@@ -486,8 +294,3 @@ def write_outputs(
             )
             written.append(("report", outputs.report))
     return written
-
-
-def _quantile_name(level: float) -> str:
-    names = {0.0: "min", 0.5: "median", 1.0: "max"}
-    return names.get(level, f"{level:.0%}")

@@ -11,7 +11,7 @@ from cyclopts.validators import Number
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
+from anisomap.cli import pipeline, printing
 from anisomap.cli.console import Printer, number, percent, progress
 from anisomap.drawing import figures
 from anisomap.errors import InputError
@@ -99,7 +99,7 @@ def check(
     with reporting.printer() as printer:
         _print(printer, found, f"{layout_file.name} against {recording_file.name}")
         if files:
-            pipeline.print_files(printer, files)
+            printing.print_files(printer, files)
     return 0 if found.consistent else INCONSISTENT
 
 

@@ -10,7 +10,7 @@ from cyclopts.validators import Number
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
+from anisomap.cli import pipeline, printing
 from anisomap.cli.console import progress
 from anisomap.errors import FileError
 from anisomap.evaluation import PERMUTATIONS
@@ -57,7 +57,7 @@ def demo(
         io.write(recording, output_dir / "recording.npz")
     examined = pipeline.examine(recording)
     with reporting.printer() as printer:
-        pipeline.print_recording(printer, examined)
+        printing.print_recording(printer, examined.recording, examined.summary)
         sensor_map = pipeline.make_map(examined, method, dimensions=3)
         pipeline.finish(
             printer,

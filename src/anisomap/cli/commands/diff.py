@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
+from anisomap.cli import printing
 from anisomap.cli.console import Printer, number
 from anisomap.drawing import figures
 from anisomap.evaluation import Difference, compare_maps
@@ -57,7 +57,7 @@ def diff(
     with reporting.printer() as printer:
         _print(printer, found, f"{after_file.name} compared with {before_file.name}")
         if picture:
-            pipeline.print_files(printer, [("picture", picture)])
+            printing.print_files(printer, [("picture", picture)])
     return DIFFERENT if found.found else 0
 
 

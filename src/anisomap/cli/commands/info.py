@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline, touches
+from anisomap.cli import pipeline, printing, touches
 from anisomap.cli.console import print_warning
 from anisomap.io import ChoiceError
 
@@ -29,16 +29,16 @@ def info(
     """
     how = reading.checked()
     with reporting.printer() as printer:
-        pipeline.print_contents(printer, recording, how)
+        printing.print_contents(printer, recording, how)
         try:
             found = pipeline.read(recording, how)
         except ChoiceError as error:
             print_warning(str(error))  # the contents are listed; the user must select one
             return
         examined = pipeline.examine(found)
-        pipeline.print_recording(printer, examined)
-        pipeline.print_findings(printer, examined.findings)
-        pipeline.print_health(printer, examined.health, all_sensors=sensors)
+        printing.print_recording(printer, examined.recording, examined.summary)
+        printing.print_findings(printer, examined.findings)
+        printing.print_health(printer, examined.health, all_sensors=sensors)
         touches.print_touches(printer, touches.coverage_without_map(found), found.names)
         for weakness in examined.summary.warnings:
             print_warning(weakness)

@@ -16,7 +16,7 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
 from anisomap import io
-from anisomap.cli import bodies, pipeline
+from anisomap.cli import bodies, pipeline, printing
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number, percent, print_warning, progress
 from anisomap.drawing import report as reports
@@ -308,6 +308,6 @@ def _finish(
     else:
         print_warning("no frame arrived, so nothing was recorded")
     printer.record(**_facts(session), final=final is not None and final.sensor_map is not None)
-    pipeline.print_files(printer, written)
+    printing.print_files(printer, written)
     if written:
         printer.line(f"\nMake the map again:\n  {session.command}")

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline, streams
+from anisomap.cli import pipeline, printing, streams
 from anisomap.cli.console import print_warning, progress
 from anisomap.errors import InputError
 from anisomap.evaluation import PERMUTATIONS
@@ -168,8 +168,8 @@ def map_recording(
             "--exclude has no effect: the recording has no true positions to score against"
         )
     with reporting.printer() as printer:
-        pipeline.print_recording(printer, examined)
-        pipeline.print_findings(printer, mended if repair else examined.findings, repaired=repair)
+        printing.print_recording(printer, examined.recording, examined.summary)
+        printing.print_findings(printer, mended if repair else examined.findings, repaired=repair)
         sensor_map = pipeline.make_map(
             examined,
             by,

@@ -12,7 +12,7 @@ from cyclopts.validators import Number
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
+from anisomap.cli import printing
 from anisomap.cli.console import Printer, number
 from anisomap.drawing import figures
 from anisomap.errors import InputError
@@ -203,7 +203,7 @@ def place_map(
         files.append(("picture", picture))
     with reporting.printer() as printer:
         _print(printer, placement, map_file.name)
-        pipeline.print_files(printer, files)
+        printing.print_files(printer, files)
 
 
 def _read_mesh(path: Path, units: str) -> Mesh:

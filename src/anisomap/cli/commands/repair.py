@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
+from anisomap.cli import pipeline, printing
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
 
@@ -40,7 +40,7 @@ def repair(
     (repaired,), findings = pipeline.repair_runs([found])
     io.write(repaired, output)
     with reporting.printer() as printer:
-        pipeline.print_findings(printer, findings, repaired=True)
+        printing.print_findings(printer, findings, repaired=True)
         if not findings:
             printer.line("No faults were found; the recording is unchanged.")
-        pipeline.print_files(printer, [("recording", output)])
+        printing.print_files(printer, [("recording", output)])

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
+from anisomap.cli import pipeline, printing
 from anisomap.errors import InputError
 from anisomap.evaluation import PERMUTATIONS
 
@@ -65,8 +65,8 @@ def score_map(
         )
         files = pipeline.write_outputs(outputs, sensor_map, result)
         kind = f"the map {chosen.name}" if reference.method else chosen.name
-        pipeline.print_score(
+        printing.print_score(
             printer, result, sensor_map, f"Score of {map_file.name} against {kind}"
         )
         if files:
-            pipeline.print_files(printer, files)
+            printing.print_files(printer, files)

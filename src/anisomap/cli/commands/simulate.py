@@ -9,7 +9,7 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
 from anisomap import io
-from anisomap.cli import bodies, pipeline
+from anisomap.cli import bodies, printing
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number, percent, print_warning, progress
 from anisomap.drawing import figures
@@ -83,7 +83,7 @@ def simulate_body(
             raise InputError("--picture, --video and --view show one run; leave out --runs")
         files = _simulate_many(skin, scenario, range(seed, seed + runs), target, settings)
         with reporting.printer() as printer:
-            pipeline.print_files(printer, files)
+            printing.print_files(printer, files)
         return
     with progress(f"simulating {frames} frames of {scenario} of {skin.name}") as report_progress:
         simulation = run_simulation(skin, scenario, seed=seed, progress=report_progress, **settings)
@@ -91,7 +91,7 @@ def simulate_body(
     files = [("recording", target), *_show(simulation.scene, picture, video, renderer)]
     with reporting.printer() as printer:
         _print(printer, simulation, skin)
-        pipeline.print_files(printer, files)
+        printing.print_files(printer, files)
         printer.line(f"\nMap it:\n  anisomap map {target} -o map.csv")
     if view:
         _view(simulation.scene)

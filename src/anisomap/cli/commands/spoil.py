@@ -11,7 +11,7 @@ from cyclopts.validators import Number
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
+from anisomap.cli import pipeline, printing
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
 from anisomap.simulation import inject, injected_faults, parse_fault
@@ -66,4 +66,4 @@ def spoil(
                 for kind, names in sensors.items()
             ]
         )
-        pipeline.print_files(printer, [("recording", output)])
+        printing.print_files(printer, [("recording", output)])

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline
+from anisomap.cli import pipeline, printing
 from anisomap.cli.console import Printer, number, progress
 from anisomap.drawing import figures
 from anisomap.errors import InputError
@@ -97,7 +97,7 @@ def update(
         files.append(("picture", picture))
     with reporting.printer() as printer:
         _print(printer, found, map_file.name)
-        pipeline.print_files(printer, files)
+        printing.print_files(printer, files)
 
 
 def _check_scale(outputs: list[Path], units: str) -> None:
