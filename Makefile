@@ -60,11 +60,12 @@ bench: $(READY)  ## time each stage and whole maps against other libraries, in b
 
 quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDINGS=folders adds real recordings)
 	$(BIN)/python -m benchmarks.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
+	$(if $(RECORDINGS),$(BIN)/python -m benchmarks.limits -o quality --recordings $(RECORDINGS))
 
 tables: $(READY)  ## update the tables of accuracy in README and docs from the results of make quality, faults and trust
 	cp quality/*-table.md docs/
 	cp quality/quality.png docs/_static/
-	cp quality/quality.csv docs/results/
+	cp quality/quality.csv $(wildcard quality/limits.csv) docs/results/
 	$(BIN)/python -m anisomap.paper.numbers quality docs/results README.md
 	if [ -d faults ]; then cp faults/faults-table.md docs/; cp faults/faults.csv docs/results/; fi
 	if [ -d dimension ]; then cp dimension/dimension-table.md docs/; cp dimension/dimension.csv docs/results/; fi
