@@ -224,12 +224,13 @@ def collect_evidence(
     *,
     options: MethodOptions | None = None,
     repeatability: float | None = None,
+    workings: Workings | None = None,
 ) -> Evidence:
     """Collect the evidence for the verdict on a map, of its largest component.
 
     Parameters
     ----------
-    sensor_map, recording, options
+    sensor_map, recording, options, workings
         See `diagnose`.
     faults : sequence of Finding
         Faults of the recording, from `anisomap.health.find_faults`.
@@ -241,7 +242,7 @@ def collect_evidence(
     Evidence
         See `anisomap.verdict.judge`.
     """
-    parts = _parts(sensor_map, as_runs(recording), options)
+    parts = _parts(sensor_map, as_runs(recording), options, workings)
     if repeatability is None:
         repeatability = _uncertainty(sensor_map, parts, options, None, None)[1]
     return _evidence(sensor_map, parts, faults, repeatability)
