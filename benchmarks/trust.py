@@ -13,7 +13,9 @@ import argparse
 import csv
 import logging
 import math
+import multiprocessing
 import os
+import threading
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -65,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     done = {outcome.source for outcome in outcomes}
     todo = [source for source in every[part - 1 :: parts] if str(source_name(source)) not in done]
     started = time.monotonic()
-    with ProcessPoolExecutor(chosen.workers) as pool:
+    with ProcessPoolExecutor(chosen.workers, initializer=_end_with_parent) as pool:
         jobs = [
             pool.submit(outcomes_of, source, chosen.output / "recordings", chosen.cases)
             for source in todo
@@ -85,6 +87,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     (chosen.output / "trust-table.md").write_text(text, encoding="utf-8")
     draw(outcomes, chosen.output / "trust.png")
     print(text)
+
+
+def _end_with_parent() -> None:
+    """End this worker when the process that started it ends, even if that one is killed."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def source_name(source: int | Path) -> str:

@@ -135,7 +135,8 @@ def table(outcomes: Sequence[Outcome]) -> str:
         ]
     if cost:
         lines.append(
-            f"| CPU time of the verdict over that of the map, median | {np.median(cost):.1f} | |"
+            "| CPU time of the search for faults and the verdict over that of the map, median | "
+            f"{np.median(cost):.1f} | |"
         )
     lines += ["", "| maps | number | " + " | ".join(LEVELS[:-1]) + " |", "|---" * 6 + "|"]
     between = [one for one in mapped if not one.is_bad and not one.is_good]

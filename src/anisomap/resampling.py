@@ -42,8 +42,8 @@ CONTACT_INFLATION = 1.3
 """Ratio of the errors of maps that are averaged with a fit of contacts to their differences.
 
 Resamples keep which readings are contacts, and the profile, so they differ too little. With 1.3,
-97 to 100 % of the positions are inside their ellipses of 95 % on a bombarded sphere and Y-shape,
-seeds 201 to 203; with 1, 76 to 92 % were on four simulated skins, seeds 501 to 504.
+97 % of the positions are inside their ellipses of 95 % on a bombarded sphere and a rubbed torus of
+1,000 frames, seeds 201 to 203; with 1, 76 to 92 % were on four simulated skins, seeds 501 to 504.
 """
 
 MAX_SENSORS = 3000
