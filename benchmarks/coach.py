@@ -198,7 +198,7 @@ def summary(rows: Sequence[Row]) -> list[dict[str, object]]:
                     "goal": goal,
                     "spacings": {
                         "error of 1 spacing": 1.0,
-                        "last error": round(np.median(last), 3),
+                        "last error": round(float(np.median(last)), 3),
                     }.get(goal, ""),
                     **frames,
                     "ratio": round(frames["coached"] / frames["uncoached"], 2),

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from anisomap.diagnostics import MIN_FRAMES
 from anisomap.health import SensorHealth
 from anisomap.live.coach import confirmed_faults
 from anisomap.live.examination import Examination, ExaminationOptions
@@ -19,7 +20,6 @@ from anisomap.live.workers import Changed, Examine, Failed, Ready, Worker
 from anisomap.stages.dimension import AUTO
 from anisomap.usability import UNKNOWN
 
-_MIN_NEW_FRAMES = 25  # for a first checked map; a second of a skin of usual rate
 _GROWTH = 1.15  # of the number of frames between two checked maps
 _NEARLY_ALL = 0.9  # of the sensors touched, for one checked map to suffice; chosen by hand
 _REASONS = {2: "the skin looks flat", 3: "the skin does not look flat"}
@@ -154,7 +154,7 @@ class SessionMaps:
             self.touched = [*thinned(self.touched), (now, self.share_touched)]
         if self.examining or self._segment is None:
             return
-        if n_frames < max(_MIN_NEW_FRAMES, _GROWTH * self._examined_frames):
+        if n_frames < max(MIN_FRAMES, _GROWTH * self._examined_frames):
             return
         # Half of the time is left to other processes.
         took = 0.0 if self.checked is None else self.checked.seconds

@@ -96,6 +96,7 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "touched": [
             [round(seconds, 1), round(share, _DIGITS)] for seconds, share in session.maps.touched
         ],
+        "checked_frames": 0 if checked is None else checked.n_frames,
         "examining": session.maps.examining,
         "notices": [[round(note.seconds, 1), note.text] for note in list(session.notices)],
         "recording": "" if session.segment is None else str(session.segment.path),

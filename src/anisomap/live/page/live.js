@@ -29,10 +29,15 @@ function showMap() {
 function showStatus() {
   const { level, expected_error: expected, error_against_truth: truth } = status;
   $("verdict").dataset.level = level;
-  $("level").textContent = level !== "unknown" ? level : status.examining ? "checking the first map" : "verdict unknown";
-  $("error").textContent = (expected === null ? "" : ` expected error ${expected.toFixed(2)} spacings`)
-    + (truth === null ? "" : `, ${truth.toFixed(2)} against the truth`);
+  const waits = status.examining && !status.curve.length;
+  $("level").textContent = level !== "unknown" ? level : waits ? "checking the first map" : "verdict unknown";
+  $("error").textContent = [
+    expected === null ? "" : `expected error ${expected.toFixed(2)} spacings`,
+    truth === null ? "" : `${truth.toFixed(2)} spacings from the truth`,
+  ].filter(Boolean).join(", ");
   $("reason").textContent = status.reasons[0] || "";
+  $("checked").textContent = status.checked_frames
+    ? `checked map of ${status.checked_frames} frames${status.examining ? "; the next is being made" : ""}` : "";
   $("source").textContent = `${status.source}, recorded in ${status.recording || "no file yet"}`;
   $("rate").textContent = status.rate_hz ? `${status.rate_hz.toFixed(status.rate_hz < 10 ? 1 : 0)} Hz` : "–";
   $("touched").textContent = `${Math.round(100 * status.share_touched)} % of ${status.sensors}`;
