@@ -37,7 +37,7 @@ function showStatus() {
   ].filter(Boolean).join(", ");
   $("reason").textContent = status.reasons[0] || "";
   $("checked").textContent = status.checked_frames
-    ? `checked map of ${status.checked_frames} frames${status.examining ? "; the next is being made" : ""}` : "";
+    ? `map of ${status.checked_frames} frames${status.examining ? "; the next is being made" : ""}` : "";
   $("source").textContent = `${status.source}, recorded in ${status.recording || "no file yet"}`;
   $("rate").textContent = status.rate_hz ? `${status.rate_hz.toFixed(status.rate_hz < 10 ? 1 : 0)} Hz` : "–";
   $("touched").textContent = `${Math.round(100 * status.share_touched)} % of ${status.sensors}`;
