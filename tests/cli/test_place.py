@@ -59,6 +59,8 @@ def test_anchors_on_the_command_line_and_the_default_output(run, skin_map, tmp_p
     done = run("place", skin_map, *words)
     assert done.code == 0, done.err
     assert "residual (mm)" in done.out
+    other = run("place", skin_map, "--anchor", "nobody=0.1,0.2", "-o", "other.csv")
+    assert (other.code, "nobody is no sensor of the map" in other.err) == (2, True)
     placed = io.read_map(tmp_path / "map.placed.csv")
     assert placed.anchored
     again = run("place", "map.placed.csv", *words, "-o", "again.csv")
@@ -90,6 +92,29 @@ def test_modules_give_millimetres_and_the_hand_without_anchors(run, run_map, tmp
     assert not rigid.reflected
     assert rigid.scale == pytest.approx(1, abs=0.1)
     assert np.median(rigid.errors) < np.median(free.errors)
+
+
+def test_three_anchors_with_normals_tell_the_hand(run, tmp_path):
+    """A mirrored map of half a ball, and anchors from a layout that states normals."""
+    rng = np.random.default_rng(2)
+    outward = rng.normal(size=(60, 3))
+    outward[:, 2] = np.abs(outward[:, 2])
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    anisomap.write(anisomap.SensorMap(7 * outward * [-1, 1, 1]), tmp_path / "map.csv")
+    rows = np.linspace(0, 59, 3).astype(int)
+    names = tuple(f"s{i}" for i in rows)
+    for file, normals in (("bare.npz", None), ("anchors.npz", outward[rows])):
+        layout = anisomap.SensorMap(
+            0.05 * outward[rows], names=names, units="m", anchored=True, normals=normals
+        )
+        anisomap.write(layout, tmp_path / file)
+    refused = run("place", "map.csv", "--anchors", "bare.npz", "-o", "placed.csv")
+    assert (refused.code, "normals of the anchors" in refused.err) == (2, True)
+    assert not (tmp_path / "placed.csv").exists()
+    done = run("place", "map.csv", "--anchors", "anchors.npz", "-o", "placed.csv")
+    assert done.code == 0, done.err
+    placed = io.read_map(tmp_path / "placed.csv").positions
+    np.testing.assert_allclose(placed, 0.05 * outward, atol=1e-6)
 
 
 def test_a_map_lies_on_the_mesh_of_its_part(run, tmp_path):

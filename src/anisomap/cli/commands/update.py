@@ -130,20 +130,21 @@ def _print(printer: Printer, found: Update, name: str) -> None:
     tested = found.moves
     like = {} if tested is None else dict(zip(tested.names, tested.like, strict=True))
     moved = [changes.names.index(sensor) for sensor in found.moved]
-    printer.table(
-        "Sensors that moved",
-        ("sensor", "like", f"distance ({units})", "spacings", "p"),
-        [
-            (
-                changes.names[i],
-                like[changes.names[i]],
-                number(changes.distance[i]),
-                number(changes.distance[i] / changes.spacing, 3),
-                number(changes.p_values[i], 2),
-            )
-            for i in moved[:_MAX_SHOWN]
-        ],
-    )
+    if moved:
+        printer.table(
+            "Sensors that moved",
+            ("sensor", "like", f"distance ({units})", "spacings", "p"),
+            [
+                (
+                    changes.names[i],
+                    like[changes.names[i]],
+                    number(changes.distance[i]),
+                    number(changes.distance[i] / changes.spacing, 3),
+                    number(changes.p_values[i], 2),
+                )
+                for i in moved[:_MAX_SHOWN]
+            ],
+        )
     lists = {"added": found.added, "not recorded": found.silent, "not placed": found.unplaced}
     for kind, names in lists.items():
         if names:
