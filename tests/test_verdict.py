@@ -24,7 +24,14 @@ from skins import flat_skin, lattice
 quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
 
 ERRORS = st.floats(0, 10)
-DOUBTS = st.builds(Doubt, st.just("kind"), ERRORS, st.just("a doubt"), st.booleans())
+DOUBTS = st.builds(
+    Doubt,
+    st.just("kind"),
+    ERRORS,
+    st.just("a doubt"),
+    st.booleans(),
+    excludes_usable=st.booleans(),
+)
 
 
 def evidence(repeatability=0.1, *doubts, extent=4.0):
@@ -65,6 +72,13 @@ def test_doubts_about_the_shape_leave_a_map_usable_locally():
     assert (found.level, found.reasons[0]) == ("usable locally", "contacts are long")
     assert judge(evidence(0.1, replace(bent, keeps_neighbours=False))).level == "not usable"
     assert judge(evidence(5.0, bent)).level == "not usable"
+
+
+def test_small_faults_exclude_usable_maps_and_are_the_first_reason():
+    fault = Doubt("leak", 0.1, "channels leak", keeps_neighbours=True)
+    assert judge(evidence(0.2, fault)).level == "usable"
+    found = judge(evidence(0.2, replace(fault, excludes_usable=True)))
+    assert (found.level, found.reasons[0]) == ("usable locally", "channels leak")
 
 
 def test_levels_are_ordered_and_checked():

@@ -28,6 +28,8 @@ class Doubt:
         Whether sensors still have the right neighbours: only the shape as a whole is doubtful.
     measured : float
         What was measured, in the unit of the detector; NaN if nothing was.
+    excludes_usable : bool
+        Whether the map is never called usable, however small the error.
     """
 
     kind: str
@@ -35,6 +37,7 @@ class Doubt:
     reason: str
     keeps_neighbours: bool = False
     measured: float = math.nan
+    excludes_usable: bool = False
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from anisomap.usability import Verdict
-from anisomap.verdict.evidence import MAX_CHANCE, Evidence
+from anisomap.verdict.evidence import MAX_CHANCE, Doubt, Evidence
 
 MAX_ERROR, MIN_MANTEL_R = 1.0, 0.9
 """Largest error, in spacings, and smallest Mantel r of a usable map.
@@ -27,6 +27,11 @@ MAX_LOCAL_DOUBT = 1.0
 _WORTH_SAYING = 0.25  # spacings: smaller doubts alone leave every map usable
 
 
+def _weight(doubt: Doubt) -> float:
+    """Size of a doubt, or that above which no map is usable, if that is what the doubt means."""
+    return max(doubt.size, MAX_ERROR / MARGIN) if doubt.excludes_usable else doubt.size
+
+
 def judge(evidence: Evidence) -> Verdict:
     """Return the verdict that follows from the evidence.
 
@@ -38,15 +43,15 @@ def judge(evidence: Evidence) -> Verdict:
     -------
     Verdict
         Its expected error is the root of the sum of squares of the repeatability and of the sizes
-        of all doubts. The map is usable if `MARGIN` times that error is below 1 spacing, and the
-        Mantel r that follows from it at least .9; usable locally if the repeatability is at most
-        1.5 spacings and all doubts of more than 1 spacing keep neighbours. Without a repeatability,
-        a map with a doubt of more than 1 spacing that does not keep neighbours is not usable, and
-        the verdict on others is unknown.
+        of all doubts. The map is usable if `MARGIN` times that error is below 1 spacing, the Mantel
+        r that follows from it at least .9, and no doubt excludes it; usable locally if the
+        repeatability is at most 1.5 spacings and all doubts of more than 1 spacing keep neighbours.
+        Without a repeatability, a map with a doubt of more than 1 spacing that does not keep
+        neighbours is not usable, and the verdict on others is unknown.
     """
-    doubts = sorted(evidence.doubts, key=lambda doubt: -doubt.size)
+    doubts = sorted(evidence.doubts, key=_weight, reverse=True)
     systematic = math.hypot(*(doubt.size for doubt in doubts))
-    reasons = tuple(doubt.reason for doubt in doubts if doubt.size >= _WORTH_SAYING)
+    reasons = tuple(doubt.reason for doubt in doubts if _weight(doubt) >= _WORTH_SAYING)
     local = all(doubt.keeps_neighbours or doubt.size <= MAX_LOCAL_DOUBT for doubt in doubts)
     if math.isnan(evidence.repeatability):
         unknown = evidence.unknown or "the map was not examined"
@@ -59,7 +64,8 @@ def judge(evidence: Evidence) -> Verdict:
     stated = f"maps of parts of the recording agree within {chance:.2f} spacings"
     worst = MARGIN * expected
     r = expected_mantel_r(worst, evidence.extent, evidence.dimensions)
-    if worst < MAX_ERROR and r >= MIN_MANTEL_R:
+    excluded = any(doubt.excludes_usable for doubt in doubts)
+    if worst < MAX_ERROR and r >= MIN_MANTEL_R and not excluded:
         level = "usable"
     elif chance <= MAX_CHANCE and local:
         level = "usable locally"
@@ -70,7 +76,7 @@ def judge(evidence: Evidence) -> Verdict:
             "insufficient evidence: maps of parts of the recording differ by "
             f"{chance:.2f} spacings; record longer, and touch all of the skin"
         )
-    chance_first = not doubts or chance >= doubts[0].size
+    chance_first = not doubts or chance >= _weight(doubts[0])
     return Verdict(
         level,
         expected_error=expected,
