@@ -21,6 +21,7 @@ from anisomap.large.checkpoints import Checkpoint
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation.bodies import Body, load_body
+from anisomap.tracking import map_evidence
 from fuzzing.subjects import map_suffixes, recording_suffixes
 
 MAX_MESSAGE = 300
@@ -35,6 +36,7 @@ COMPUTING_BYTES = 1_000_000_000
 _FULL_FORMATS = (".csv", ".tsv", ".npz", ".json")  # formats of maps that hold all of a map
 _PRESETS = ("icub", "icub-hand", "nothing")
 _N_SENSORS = 4
+_MAX_MAPPED = 100  # sensors
 _ALLOWED = (0, 2)
 
 
@@ -193,6 +195,14 @@ def check_checkpoint(path: Path, found: Findings, rng: Generator) -> None:
     if checkpoint is not None:
         found.attempt("verify", lambda: checkpoint.verify("total", "0f"))
         found.attempt("progress", lambda: checkpoint.progress("total"))
+    del rng
+
+
+def check_statistics(path: Path, found: Findings, rng: Generator) -> None:
+    """Read the statistics of a map, and make the map of them."""
+    evidence = _within_memory(found, "read_statistics", lambda: io.read_statistics(path))
+    if evidence is not None and len(evidence.names) <= _MAX_MAPPED:
+        found.attempt("map_evidence", lambda: map_evidence(evidence))
     del rng
 
 

@@ -25,6 +25,7 @@ from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation.bodies.imported import MESH_SUFFIXES, MODEL_SUFFIXES
+from anisomap.tracking import gather_evidence
 
 Tree: TypeAlias = Mapping[str, bytes]
 
@@ -65,7 +66,7 @@ class Subject:
         Name of the format.
     kind : str
         How its files are used: ``"file"`` (recordings and maps), ``"body"``, ``"definition"`` (of
-        messages) or ``"checkpoint"``.
+        messages), ``"checkpoint"`` or ``"statistics"`` (of a map).
     seeds : sequence of Tree
         The file to read comes first; if it is in a folder, the folder is read.
     """
@@ -82,7 +83,7 @@ def subjects() -> list[Subject]:
     -------
     list of Subject
         One per format in `anisomap.io.FORMATS`, one per suffix of meshes and models, and one for
-        definitions of messages and for checkpoints.
+        definitions of messages, for checkpoints and for statistics of maps.
     """
     seeds: dict[str, list[Tree]] = {known.name: [] for known in io.FORMATS}
     with tempfile.TemporaryDirectory(prefix="anisomap-fuzz-") as name, warnings.catch_warnings():
@@ -94,7 +95,7 @@ def subjects() -> list[Subject]:
                 _remove(path)
         found = [Subject(name, "file", trees) for name, trees in seeds.items() if trees]
         found += _bodies(folder)
-        found += [_checkpoint(folder)]
+        found += [_checkpoint(folder), _statistics(folder)]
     definition = {"lab_msgs/msg/Pads.msg": _MESSAGE.encode()}
     return [*found, Subject("message definition", "definition", [definition])]
 
@@ -228,6 +229,12 @@ def _checkpoint(folder: Path) -> Subject:
     checkpoint.update("total", 2, "0f", Moments.of(example_recording().readings))
     checkpoint.write()
     return Subject("checkpoint", "checkpoint", [_tree(path)])
+
+
+def _statistics(folder: Path) -> Subject:
+    path = folder / "skin.statistics.npz"
+    io.write_statistics(gather_evidence(example_recording(), dimensions=2), path)
+    return Subject("statistics", "statistics", [_tree(path)])
 
 
 def _tree(path: Path) -> Tree:

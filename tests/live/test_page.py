@@ -168,6 +168,8 @@ def test_buttons(page):
         ("/files/r.csv", "GET", {}),
         ("/../../etc/passwd", "GET", {}),
         ("/files/..%2fr.csv", "GET", {}),
+        ("/state", "GET", {"Host": "[::1"}),
+        ("/state", "GET", {"Origin": "http://["}),
     ],
 )
 def test_others_are_refused(page, path, method, headers):
@@ -176,6 +178,13 @@ def test_others_are_refused(page, path, method, headers):
     assert answer.status in (403, 404)
     assert b"Traceback" not in content
     assert not page.session.wanted_end.is_set()
+
+
+@pytest.mark.parametrize("length", ["-1", "8388609", "9" * 5000, "\xb2", "x"])
+def test_lengths_that_are_none_are_refused(page, length):
+    headers = {"X-Anisomap": "1", "Content-Length": length}
+    answer, content = ask(page.server, "/act", "POST", None, **headers)
+    assert answer.status == 413, content
 
 
 @pytest.mark.parametrize("body", ["", "[]", "{", "[" * 100_000, '{"do": 3}', '{"do": "drop"}'])

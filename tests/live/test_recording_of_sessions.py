@@ -109,6 +109,14 @@ def test_single_frames_of_another_width_are_set_aside(recorder, tmp_path):
     assert any("set aside in r.odd.txt" in text for text in recorder.told)
 
 
+def test_frames_that_cannot_be_set_aside_are_an_error(recorder, tmp_path):
+    (tmp_path / "r.odd.txt").mkdir()
+    recorder.put(frames(3, 3))
+    recorder.put(frames(1, 2))
+    with pytest.raises(FileError, match=r"cannot write .*r\.odd\.txt"):
+        recorder.put(frames(1, 3))
+
+
 def test_many_frames_of_another_width_begin_a_new_file(recorder, tmp_path):
     recorder.put(frames(4, 3))
     recorder.put(frames(20_000, 2))

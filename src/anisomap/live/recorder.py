@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.errors import FileError
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.live.batches import Batch
 from anisomap.live.journal import JournalWriter
@@ -227,10 +228,13 @@ class Recorder:
             return
         path = self._path.with_name(f"{self._path.stem}.odd.txt")
         parts, self._odd = self._odd, []
-        with path.open("a", encoding="utf-8") as stream:
-            for part in parts:
-                for row in part.readings.tolist():
-                    stream.write(f"{self.seconds:.6f},{','.join(map(repr, row))}\n")
+        try:
+            with path.open("a", encoding="utf-8") as stream:
+                for part in parts:
+                    for row in part.readings.tolist():
+                        stream.write(f"{self.seconds:.6f},{','.join(map(repr, row))}\n")
+        except OSError as error:
+            raise FileError(f"cannot write {path}: {error.strerror or error}") from error
         count, width = sum(len(part.readings) for part in parts), parts[0].readings.shape[1]
         self.n_odd += count
         self._notify(

@@ -21,7 +21,7 @@ from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
-from urllib.parse import parse_qs, quote, unquote, urlsplit
+from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 from anisomap.errors import AnisomapError, InputError
 from anisomap.live.actions import act
@@ -47,6 +47,7 @@ _BYTES: Mapping[str, str] = MappingProxyType({"errors": "surrogateescape"})  # o
 _STATUS_S = 0.5  # between two states of what changes slowly
 _TIMEOUT_S = 20.0  # of a connection that takes nothing
 _MAX_BODY = 1 << 23
+_MAX_DIGITS = 20  # of a length; those of numbers of 64 bits
 _MAX_VIEWERS = 16
 _TOKEN = "token"  # noqa: S105 (the name of a cookie)
 _POST_HEADER = "X-Anisomap"  # other sites cannot send it without asking first
@@ -139,7 +140,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer a request for a file, an event stream or a download."""
-        address = urlsplit(self.path)
+        address = _split(self.path)
         if not self._allowed(address.query):
             return
         if address.path in _PAGE:
@@ -162,7 +163,8 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get(_POST_HEADER) is None or self.path != "/act":
             self._refuse(HTTPStatus.FORBIDDEN, "actions are posted by the page only")
             return
-        if not length.isdecimal() or int(length) > _MAX_BODY:
+        # Beyond 4300 digits, Python refuses to convert a number.
+        if not length.isdecimal() or len(length) > _MAX_DIGITS or int(length) > _MAX_BODY:
             self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {_MAX_BODY} bytes")
             return
         try:
@@ -187,7 +189,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Check who asks: names of other hosts (DNS rebinding), other sites, the token."""
         host = self.headers.get("Host", "")
         origin = self.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and _split(origin).netloc != host:
             self._refuse(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
             return False
         token = self.server.token
@@ -298,7 +300,15 @@ def _state(session: LiveSession) -> dict[str, Any]:
 
 def _hostname(host: str) -> str:
     """Return the name in a Host header, without port and brackets."""
-    return urlsplit(f"//{host}").hostname or ""
+    return _split(f"//{host}").hostname or ""
+
+
+def _split(address: str) -> SplitResult:
+    """Split an address; one that is not valid, such as ``//[``, has no parts."""
+    try:
+        return urlsplit(address)
+    except ValueError:
+        return SplitResult("", "", "", "", "")
 
 
 def _is_loopback(host: str) -> bool:

@@ -26,6 +26,7 @@ from anisomap.live.journal import JournalTail
 from anisomap.live.mapping import QuickMapper
 from anisomap.live.recorder import Segment
 from anisomap.live.statistics import TouchStatistics
+from anisomap.memory import check_pair_memory
 from anisomap.recording import Recording
 from anisomap.stages.dimension import AUTO, SPATIAL
 
@@ -245,7 +246,12 @@ class _Follower:
             if self._tail is not None:
                 self._tail.close()
             segment = message.segment
-            self.segment, self._mapped_frames = segment, 0
+            self.segment, self._mapped_frames, self._tail = segment, 0, None
+            try:
+                check_pair_memory(len(segment.names), refined=False)
+            except InputError as error:
+                self.problem = str(error)
+                return
             self._tail = JournalTail(segment.path, len(segment.names), segment.header_bytes)
             self._statistics = TouchStatistics(len(segment.names))
             self._mapper = QuickMapper(segment.names, self._dimensions)

@@ -287,6 +287,11 @@ def _with_sensors(
         places = np.asarray(sensors, dtype=np.float64)
         if places.ndim != 2 or places.shape[1] != 3 or not len(places):
             raise InputError(f"sensors must have shape (N, 3), got {places.shape}")
+        if not (np.abs(places) < solids.MAX_LENGTH).all():
+            raise InputError(
+                f"the sensors of {name} have positions that are not finite or out of range; check "
+                "their coordinates and unit"
+            )
         positions = places - origin
         _check_near_surface(name, centred, positions, names, units)
         positions = solids.project(centred, positions)
