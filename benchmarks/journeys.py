@@ -22,8 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
-from anisomap import AnisomapWarning, Recording, diagnose, reconstruct
+from anisomap import AnisomapWarning, Recording, diagnose
 from anisomap.health import assess, find_faults
+from anisomap.reconstruction import reconstruct_with_workings
 from benchmarks.inputs import rubbed_skin
 from benchmarks.measuring import threads
 from benchmarks.tables import growth_exponent, significant
@@ -75,7 +76,7 @@ def readings_of_8_bits(n_sensors: int, n_frames: int) -> Recording:
 
 
 def travel(name: str, recording: Recording, method: str = "covariogram") -> Journey:
-    """Make a journey in this process, and time its parts.
+    """Make a journey in this process as ``anisomap map`` does, and time its parts.
 
     Parameters
     ----------
@@ -92,9 +93,9 @@ def travel(name: str, recording: Recording, method: str = "covariogram") -> Jour
         laps.append(time.process_time())
         health = assess(recording)
         laps.append(time.process_time())
-        made = reconstruct(recording, method, _DIMENSIONS)
+        made, workings = reconstruct_with_workings(recording, method, _DIMENSIONS)
         laps.append(time.process_time())
-        diagnose(made, recording, health=health, findings=findings)
+        diagnose(made, recording, health=health, findings=findings, workings=workings)
         laps.append(time.process_time())
     faults, assessing, mapping, judging = np.diff(laps).tolist()
     return Journey(

@@ -264,6 +264,7 @@ def _evidence(
             faults,
             readings=part.readings,
             similarity=part.pairs.similarity,
+            changes=part.pairs.changes,
             blended=sensor_map.similarity == "blended-correlation",
             repeatability=repeatability,
             halves=halves,

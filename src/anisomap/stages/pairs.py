@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -23,6 +24,7 @@ from anisomap.recording import Recording
 
 logger = logging.getLogger(__name__)
 
+_MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
 _ROUNDING = 1e-6  # by which a computed correlation may exceed 1
 
 
@@ -163,6 +165,16 @@ class PairStatistics:
             readings,
             statistic,
         )
+
+    @cached_property
+    def changes(self) -> Reals | None:
+        """Blended correlation of the differences between frames, shape (n, n); None without them.
+
+        It takes as long as that of the readings, and several steps use it.
+        """
+        if self.readings is None or len(self.readings) < _MIN_FRAMES:
+            return None
+        return blended_correlation(np.diff(self.readings.astype(np.float64, copy=False), axis=0))
 
     @property
     def weights(self) -> NDArray[np.float64] | None:

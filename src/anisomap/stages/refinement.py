@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.contacts import ContactFit
-from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram
+from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.geodesic.geodesic_refinement import (
     GeodesicOptions,
@@ -203,6 +203,14 @@ def refine_by_covariogram(
         known=pairs.known,
         options=options,
     )
+    return _beyond_covariogram(pairs, fit, unused, evenly_spaced=evenly_spaced)
+
+
+def _beyond_covariogram(
+    pairs: PairStatistics, fit: Covariogram, unused: Refined, *, evenly_spaced: bool
+) -> Refined:
+    """Refine a covariogram map by lengths on a neighbour graph or along paths."""
+    positions = fit.positions
     logger.debug(
         "covariogram %.2f exp(-d^%.2f) %+.2f after %d steps",
         fit.amplitude,
@@ -212,14 +220,16 @@ def refine_by_covariogram(
     )
     readings = pairs.readings if positions.shape[1] > 1 else None  # a line has no directions
     if readings is None or len(readings) < _MIN_FRAMES:
-        return _combined(pairs, replace(unused, positions=fit.positions))
+        return _combined(pairs, replace(unused, positions=positions))
     correlations = pairs.similarity if pairs.statistic == "blended-correlation" else None
     if evenly_spaced:
         spaced = refine_by_even_spacing(readings, fit.positions, similarity=correlations)
         logger.debug("unevenness %.2f; spacing used: %s", spaced.unevenness, spaced.applied)
         facts = RefinementFacts(even_spacing=spaced.applied)
         return Refined(spaced.positions, facts, (_EVEN if spaced.applied else _NOT_EVEN,))
-    found = refine_by_contact_heights(readings, fit.positions, similarity=correlations)
+    found = refine_by_contact_heights(
+        readings, positions, similarity=correlations, changes=pairs.changes
+    )
     logger.debug("unevenness %.2f; heights used: %s", found.unevenness, found.applied)
     notes = {
         _CONTACT_PEAKS: found.applied,

@@ -16,7 +16,7 @@ from anisomap.numerics.precision import Reals, row_blocks
 from anisomap.numerics.scaling.stress_minimisation import Scaling, SmacofOptions, smacof
 from anisomap.stages.dimension import DimensionPlan
 from anisomap.stages.pairs import PairStatistics
-from anisomap.stages.refinement import ContactAverage, Refined, RefinementFacts
+from anisomap.stages.refinement import Refined, RefinementFacts
 
 logger = logging.getLogger(__name__)
 
@@ -54,9 +54,8 @@ class Configuration:
         How the largest component was refined.
     notes : tuple of str
         Caveats of the refinement of any component.
-    contacts : tuple of ContactAverage or None
-        How each component was averaged with a fit of contacts, before it was rescaled; empty if
-        the positions are not refined.
+    refinements : tuple of Refined or None
+        How each component was refined, before it was rescaled; empty if none was.
     """
 
     positions: NDArray[np.float64]
@@ -66,7 +65,7 @@ class Configuration:
     n_iterations: int
     facts: RefinementFacts = field(default_factory=RefinementFacts)
     notes: tuple[str, ...] = ()
-    contacts: tuple[ContactAverage | None, ...] = ()
+    refinements: tuple[Refined | None, ...] = ()
 
 
 def scale(
@@ -155,17 +154,17 @@ def refine(
     raw = spread = 0.0
     facts = RefinementFacts()
     notes: list[str] = []
-    contacts: list[ContactAverage | None] = []
+    refinements: list[Refined | None] = []
     for label in range(configuration.component.max() + 1):
         inside = configuration.component == label
-        contacts.append(None)
+        refinements.append(None)
         lengths = _among(metric, inside)
         if np.count_nonzero(inside) >= options.min_sensors and (lengths > 0).any():
             refined = method(pairs.select(inside), lengths, positions[inside], options)
             positions[inside] = refined.positions
             facts = refined.facts if label == 0 else facts
             notes += refined.notes
-            contacts[label] = refined.contacts
+            refinements[label] = refined
         # Refinement changes the unit; rescale every component to the unit of the metric.
         factor, missed, size = _best_scale(positions[inside], lengths)
         positions[inside] *= factor if factor > 0 else 1.0
@@ -178,7 +177,7 @@ def refine(
         stress=stress,
         facts=facts,
         notes=tuple(dict.fromkeys(notes)),
-        contacts=tuple(contacts),
+        refinements=tuple(refinements),
     )
 
 

@@ -74,6 +74,7 @@ def systematic_doubts(
     *,
     readings: ArrayLike | None = None,
     similarity: ArrayLike | None = None,
+    changes: ArrayLike | None = None,
     blended: bool = True,
     repeatability: float = 0.0,
     halves: float = 0.0,
@@ -90,8 +91,10 @@ def systematic_doubts(
         compared with other maps.
     similarity : array_like of shape (n, n), optional
         Correlations of the readings; required with them.
+    changes : array_like of shape (n, n), optional
+        See `compare_with_other_maps`.
     blended : bool
-        Whether these are blended correlations: see `compare_with_other_maps`.
+        Whether the similarity is a blended correlation: see `compare_with_other_maps`.
     repeatability : float
         Random error of the map, in spacings. Other maps have random errors as well; so much of
         their difference is no doubt.
@@ -108,7 +111,9 @@ def systematic_doubts(
     found = [*_of_the_method(sensor_map), *_of_components(sensor_map)]
     found += _of_faults(faults, positions)
     if readings is not None and similarity is not None:
-        others = compare_with_other_maps(readings, positions, similarity, blended=blended)
+        others = compare_with_other_maps(
+            readings, positions, similarity, changes=changes, blended=blended
+        )
         found += _of_halves(halves, repeatability)
         found += _of_spacings(positions)
         found += _of_other_maps(others, max(repeatability, halves))

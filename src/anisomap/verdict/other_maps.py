@@ -50,6 +50,7 @@ def compare_with_other_maps(
     positions: ArrayLike,
     similarity: ArrayLike,
     *,
+    changes: ArrayLike | None = None,
     blended: bool = True,
 ) -> OtherMaps:
     """Measure how much other maps of the same recording differ from a map.
@@ -62,9 +63,11 @@ def compare_with_other_maps(
         The map; at least 4 sensors, not all at one place.
     similarity : array_like of shape (N, N)
         Correlations of the readings.
+    changes : array_like of shape (N, N), optional
+        Blended correlations of the differences between frames, if already computed.
     blended : bool
-        Whether these are `blended_correlation`, with which sensors are judged adjacent; they are
-        computed if not.
+        Whether the similarity is `blended_correlation`, with which sensors are judged adjacent; it
+        is computed if not.
 
     Returns
     -------
@@ -72,7 +75,9 @@ def compare_with_other_maps(
         0 if all assumptions lead to the same map.
     """
     points, values = np.asarray(positions, dtype=np.float64), np.asarray(similarity)
-    graph = neighbour_graph(readings, points, similarity=values if blended else None)
+    graph = neighbour_graph(
+        readings, points, similarity=values if blended else None, changes=changes
+    )
     steps = shortest_path(graph.adjacency.astype(np.float64), unweighted=True)
     paths = local_path_lengths(values, min(N_NEIGHBOURS, len(points) - 1))
     return OtherMaps(paths=_difference(points, paths), even=_difference(points, steps))

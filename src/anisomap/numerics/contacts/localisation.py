@@ -60,19 +60,24 @@ def evaluate(
 ) -> LocatedContacts:
     """Evaluate the log-likelihoods of contacts at given states, and their derivatives."""
     k = positions.shape[1]
-    offsets = positions[contacts.sensors] - states[contacts.contact_index, :k]
-    distances = np.sqrt((offsets**2).sum(axis=1) + _MIN_DISTANCE**2)
-    directions = np.column_stack([offsets / distances[:, None], np.ones(len(offsets))])
-    inside = states[contacts.contact_index, k] - distances
+    # Rows of contiguous numbers, one for each coordinate: sums over them take a third of the time.
+    of_contact = np.ascontiguousarray(states.T)[:, contacts.contact_index]
+    by_axis = np.ascontiguousarray(positions.T)[:, contacts.sensors]
+    by_axis -= of_contact[:k]
+    distances = np.sqrt(np.einsum("km,km->m", by_axis, by_axis) + _MIN_DISTANCE**2)
+    by_axis /= distances
+    components = [*by_axis, np.ones(len(distances))]
+    directions = np.stack(components, axis=1)
+    inside = of_contact[k] - distances
     score, slopes, curvatures = level_log_likelihood(contacts.levels, inside, profile)
     deviations = (states[:, k] - profile.radius) / profile.radius_sd
-    gradients = contacts.total(slopes[:, None] * directions)
+    gradients = np.stack([contacts.total(slopes * one) for one in components], axis=1)
     gradients[:, k] -= deviations / profile.radius_sd
-    rows, columns = np.triu_indices(k + 1)
     precisions = np.empty((len(states), k + 1, k + 1))
-    precisions[:, rows, columns] = precisions[:, columns, rows] = contacts.total(
-        curvatures[:, None] * directions[:, rows] * directions[:, columns]
-    )
+    for i, one in enumerate(components):
+        weighted = curvatures * one
+        for j, other in enumerate(components[: i + 1]):
+            precisions[:, i, j] = precisions[:, j, i] = contacts.total(weighted * other)
     prior = np.append(np.full(k, _PRIOR_PRECISION / profile.softness**2), profile.radius_sd**-2)
     precisions += np.diag(prior)
     scores = contacts.total(score) - deviations**2 / 2

@@ -116,6 +116,7 @@ def refine_by_contact_heights(
     positions: ArrayLike,
     *,
     similarity: ArrayLike | None = None,
+    changes: ArrayLike | None = None,
     options: HeightOptions | None = None,
 ) -> HeightRefinement:
     """Refine a map by lengths from the heights of contacts, if these contradict the map.
@@ -128,6 +129,8 @@ def refine_by_contact_heights(
         The map.
     similarity : array_like of shape (N, N), optional
         `blended_correlation` of the readings, if already computed.
+    changes : array_like of shape (N, N), optional
+        That of the differences between frames, if already computed.
     options : HeightOptions, optional
 
     Returns
@@ -143,7 +146,7 @@ def refine_by_contact_heights(
     values = np.asarray(readings)
     given = np.asarray(positions, dtype=np.float64)
     correlation = blended_correlation(values) if similarity is None else np.asarray(similarity)
-    graph = neighbour_graph(values, given, similarity=correlation)
+    graph = neighbour_graph(values, given, similarity=correlation, changes=changes)
     uneven = unevenness(given, graph.adjacency)
     unchanged = HeightRefinement(given, False, True, uneven)
     sharing = correlation > chosen.min_sharing

@@ -81,6 +81,7 @@ def neighbour_graph(
     positions: ArrayLike | None = None,
     *,
     similarity: ArrayLike | None = None,
+    changes: ArrayLike | None = None,
     options: NeighbourOptions | None = None,
 ) -> NeighbourGraph:
     """Link adjacent sensors, with few links between sensors that are not adjacent.
@@ -93,6 +94,8 @@ def neighbour_graph(
         A map on which long links are rejected as well.
     similarity : array_like of shape (N, N), optional
         `blended_correlation` of the readings, if already computed.
+    changes : array_like of shape (N, N), optional
+        `blended_correlation` of the differences between frames, if already computed.
     options : NeighbourOptions, optional
 
     Returns
@@ -127,9 +130,10 @@ def neighbour_graph(
             f"got readings of shape {values.shape}"
         )
     correlation = blended_correlation(values) if similarity is None else np.asarray(similarity)
-    changes = blended_correlation(np.diff(values.astype(np.float64, copy=False), axis=0))
+    if changes is None:
+        changes = blended_correlation(np.diff(values.astype(np.float64, copy=False), axis=0))
     adjacent = _within(_separation(correlation), chosen.max_step_ratio)
-    adjacent &= _within(_separation(changes), chosen.max_step_ratio)
+    adjacent &= _within(_separation(np.asarray(changes)), chosen.max_step_ratio)
     if positions is not None:
         points = _checked_positions(positions, values.shape[1])
         adjacent &= _within(cdist(points, points), chosen.max_map_step_ratio)
