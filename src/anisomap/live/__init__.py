@@ -7,6 +7,8 @@
 `mapping`             the quick map, `examination` the checked map
 `coach`               where to touch next
 `workers`             the processes that make the maps
+`session_maps`        when maps are made, and what they show so far
+`levels`              what each sensor reads now
 `session`             all of this together
 `server`, `page`      the page in the browser
 ====================  ============================================================
