@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import anisomap
+from anisomap.cli.app import run
 from skins import flat_skin
 
 if sys.platform == "win32":
@@ -168,6 +169,13 @@ def test_interruption_of_an_import_of_extensions(folder, module, number):
     assert code in CODES[number]
     assert errors_in(said) == ([REPORT] if number == signal.SIGINT else [])
     assert whole(folder, SIMULATE_PHYSICS)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_error_after_a_signal_is_its_consequence(capsys, number):
+    """Libraries replace the exception of a signal by others, as by an ImportError."""
+    assert run(["info", "missing.csv"], [number]) in CODES[number]
+    assert errors_in(capsys.readouterr().err) == ([REPORT] if number == signal.SIGINT else [])
 
 
 @pytest.mark.slow

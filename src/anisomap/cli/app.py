@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from cyclopts import App, CycloptsError, Parameter
 
@@ -87,32 +88,52 @@ def main(arguments: Iterable[str] | None = None) -> None:
     sys.exit(run(None if arguments is None else list(arguments)))
 
 
-def run(arguments: list[str] | None) -> int:
-    """Run a command, report any error as one sentence, and return the exit code of `main`."""
+def run(arguments: list[str] | None, received: Sequence[int] = ()) -> int:
+    """Run a command, report any error as one sentence, and return the exit code of `main`.
+
+    Parameters
+    ----------
+    arguments : list of str or None
+        None for those of the process.
+    received : sequence of int
+        Signals that ask the process to end, filled as they arrive. Libraries replace the exceptions
+        that signals raise by others; any exception after a signal is reported as the signal.
+
+    Returns
+    -------
+    int
+    """
     prepare_streams()
-    code = 0
     try:
-        code = _run(arguments)
-    except CycloptsError as error:
-        return _failed(f"{error} (see --help)", BAD_INPUT)
-    except AnisomapError as error:
-        return _failed(str(error), BAD_INPUT)
-    except MemoryError:
-        return _failed("not enough memory; map fewer sensors or frames", BAD_INPUT)
+        return _run(arguments)
     except KeyboardInterrupt:
         return _failed(INTERRUPTION, INTERRUPTED)
-    except BrokenPipeError:
-        discard_stdout()  # the reader has closed the pipe, which is not an error
     except Exception as error:
-        if os.environ.get("ANISOMAP_DEBUG"):
-            raise
-        description = f"{type(error).__name__}: {error}"
-        return _failed(
-            f"a defect in anisomap ({description}); please report it with the traceback that "
-            "ANISOMAP_DEBUG=1 in the environment prints",
-            INTERNAL_ERROR,
-        )
-    return code
+        if signal.SIGINT in received:
+            return _failed(INTERRUPTION, INTERRUPTED)
+        return 128 + received[0] if received else _report(error)
+
+
+def _report(error: Exception) -> int:
+    """Print an error as one sentence; return the exit code."""
+    match error:
+        case CycloptsError():
+            return _failed(f"{error} (see --help)", BAD_INPUT)
+        case AnisomapError():
+            return _failed(str(error), BAD_INPUT)
+        case MemoryError():
+            return _failed("not enough memory; map fewer sensors or frames", BAD_INPUT)
+        case BrokenPipeError():
+            discard_stdout()  # the reader has closed the pipe, which is not an error
+            return 0
+    if os.environ.get("ANISOMAP_DEBUG"):
+        raise error
+    description = f"{type(error).__name__}: {error}"
+    return _failed(
+        f"a defect in anisomap ({description}); please report it with the traceback that "
+        "ANISOMAP_DEBUG=1 in the environment prints",
+        INTERNAL_ERROR,
+    )
 
 
 def _run(arguments: list[str] | None) -> int:

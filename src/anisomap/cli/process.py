@@ -28,16 +28,13 @@ def run_process(arguments: list[str] | None) -> None:
     SystemExit
         Always.
     """
+    signals = _Signals()
     is_main = current_thread() is main_thread()
     if is_main:
-        for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
-            if hasattr(signal, name):
-                signal.signal(getattr(signal, name), _stop)
-        if signal.getsignal(signal.SIGINT) is end:
-            signal.signal(signal.SIGINT, _interrupt)
+        signals.handle()
     code = INTERRUPTED
     try:
-        code = run(arguments)
+        code = run(arguments, signals.received)
     except KeyboardInterrupt:
         print(f"error: {INTERRUPTION}", file=sys.stderr)  # noqa: T201
     finally:
@@ -46,15 +43,29 @@ def run_process(arguments: list[str] | None) -> None:
     sys.exit(code)
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    if not _deferred(number, frame):
-        raise KeyboardInterrupt
+class _Signals:
+    """Signals that ask the process to end, in `received`; each raises an exception."""
 
+    def __init__(self) -> None:
+        self.received: list[int] = []
 
-def _stop(number: int, frame: FrameType | None) -> None:
-    if not _deferred(number, frame):
-        signal.signal(number, signal.SIG_DFL)  # a second signal ends the process at once
-        sys.exit(128 + number)
+    def handle(self) -> None:
+        for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), self._stop)
+        if signal.getsignal(signal.SIGINT) is end:
+            signal.signal(signal.SIGINT, self._interrupt)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        self.received.append(number)
+        if not _deferred(number, frame):
+            raise KeyboardInterrupt
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self.received.append(number)
+        if not _deferred(number, frame):
+            signal.signal(number, signal.SIG_DFL)  # a second signal ends the process at once
+            sys.exit(128 + number)
 
 
 def _deferred(number: int, frame: FrameType | None) -> bool:
