@@ -1,8 +1,9 @@
 """Accuracy of placed maps and of comparisons of maps (``python -m benchmarks.placement``).
 
-Constants were tuned on the iCub hexagon and palm, the plantar recording, and simulations of seeds
-201 to 203 and 301 to 306; the figures are of the iCub torso and of simulations from seed 401 on.
-Results on the torso were seen during development, but no constant was fitted to it.
+Fits were tuned on the iCub hexagon and palm, the plantar recording, and simulations of seeds 201 to
+203 and 301 to 306; the figures are of the iCub torso and of simulations from seed 401 on. Results
+on the torso were seen during development. The errors that are expected of maps are medians over the
+real recordings and simulations of seeds 201 to 203 and 211.
 """
 
 from __future__ import annotations
