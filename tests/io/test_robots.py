@@ -99,6 +99,21 @@ def test_a_launch_file_substitutes_nothing_in_names(tmp_path: Path) -> None:
     assert tuple(found) == skin.names
 
 
+def test_ros_2_finds_no_substitution_in_names(tmp_path: Path) -> None:
+    """The parser that ROS 2's launch system uses, where ROS 2 is installed."""
+    parser = pytest.importorskip("launch.frontend.parse_substitution", reason="part of ROS 2")
+    plain = pytest.importorskip("launch.substitutions").TextSubstitution
+    skin, path = hostile_skin(), tmp_path / "skin.launch.xml"
+    io.write(skin, path)
+    nodes = xml.fromstring(path.read_text(encoding="utf-8")).findall("node")
+    parsed = [parser.parse_substitution(node.get("args")) for node in nodes]
+    assert all(isinstance(part, plain) for parts in parsed for part in parts)
+    words = [shlex.split("".join(part.text for part in parts)) for parts in parsed]
+    assert tuple(last for *_, last in words) == skin.names
+    command = parser.parse_substitution("a $(env HOME)")
+    assert not all(isinstance(part, plain) for part in command)
+
+
 def test_xacro_evaluates_nothing_in_names(tmp_path: Path) -> None:
     xacro = pytest.importorskip("xacro", reason="the parser of xacro files")
     skin, path = hostile_skin(), tmp_path / "skin.xacro"
