@@ -34,6 +34,7 @@ SUFFIX = ".statistics.npz"
 
 _KIND = "anisomap statistics 1"
 _SYMMETRIC = ("products", "weights", "precision")
+_LARGEST = 1e150  # of sums, and of the inverse of weights: products of two do not overflow
 _NON_NEGATIVE = ("squares", "weights", "precision")
 
 
@@ -145,7 +146,10 @@ def _matrix(archive: Archive, key: str, name: str, n_sensors: int) -> NDArray[np
     if archive.shape(label, NUMBERS) != shape:
         raise InputError(f"array {label} must have shape {shape}")
     values = np.asarray(archive.required(label, NUMBERS), dtype=np.float64)
-    if not np.isfinite(values).all() or (name in _NON_NEGATIVE and values.min(initial=0) < 0):
+    valid = np.abs(values) < _LARGEST
+    if name in _NON_NEGATIVE:
+        valid &= (values == 0) | (values > 1 / _LARGEST)
+    if not valid.all():
         raise InputError(f"array {label} has values that no recording gives")
     if name not in _SYMMETRIC:
         return values
