@@ -33,7 +33,7 @@ class Results:
         self._path = path
         self._run = {"seed": seed, "first": first}
         self.tallies: dict[str, Tally] = {}
-        if not resume:
+        if not (resume and path.exists()):
             return
         found = json.loads(path.read_text(encoding="utf-8"))
         if found["run"] != self._run:
