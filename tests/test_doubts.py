@@ -17,6 +17,7 @@ from anisomap.health import Finding
 from anisomap.numerics.reliability.blending import blended_correlation
 from anisomap.verdict import Evidence, judge
 from anisomap.verdict.doubts import extent_in_spacings, systematic_doubts
+from anisomap.verdict.judgement import TYPICAL
 from anisomap.verdict.other_maps import compare_with_other_maps
 from skins import flat_skin, lattice
 
@@ -142,7 +143,7 @@ def test_fits_that_end_in_different_maps_raise_doubts(skin, repeatability, halve
     )
     verdict = judge(Evidence(repeatability, 2.0, 2, doubts))
     assert verdict.level == level
-    assert verdict.expected_error >= max(repeatability, halves) * (1 - 1e-9)
+    assert verdict.expected_error >= max(repeatability, TYPICAL * halves) * (1 - 1e-9)
     assert any("halves" in reason for reason in verdict.reasons) is (halves > repeatability)
 
 

@@ -21,7 +21,8 @@ class Doubt:
     kind : str
         Name of the detector.
     size : float
-        Expected RMS error of the positions because of it, in spacings.
+        RMS error of the positions because of it, in spacings, if nothing else explains what was
+        found: see `anisomap.verdict.judgement.TYPICAL`.
     reason : str
         What was found, in one sentence.
     keeps_neighbours : bool
