@@ -115,7 +115,7 @@ COUNT = 0  # no signal
 SHARES = 0.05, 0.3, 0.55, 0.8, 0.95, 0.999
 
 
-def at_event(folder, command, number, event):
+def at_event(folder, command, number, event, **options):
     """Run a command, and send a signal at an event; return the exit code and standard error."""
     process = subprocess.Popen(
         [sys.executable, "-c", WATCHED, str(int(number)), event, *command],
@@ -124,9 +124,17 @@ def at_event(folder, command, number, event):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        **options,
     )
     _, said = process.communicate()
     return process.returncode, said
+
+
+def test_a_command_outlives_its_terminal_if_it_is_started_by_nohup(folder):
+    ignore = partial(signal.signal, signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    code, said = at_event(folder, CONVERT, signal.SIGHUP, CREATED, preexec_fn=ignore)
+    assert (code, errors_in(said)) == (0, [])
+    assert anisomap.read_map(folder / "m.urdf").n_sensors == 100
 
 
 @pytest.mark.parametrize("number", CODES)

@@ -50,9 +50,12 @@ class _Signals:
         self.received: list[int] = []
 
     def handle(self) -> None:
-        for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
-            if hasattr(signal, name):
-                signal.signal(getattr(signal, name), self._stop)
+        """Handle the signals, except those that the process was started to ignore."""
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)  # Windows has no SIGHUP
+            # `nohup` ignores SIGHUP, so that a command outlives its terminal.
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._stop)
         if signal.getsignal(signal.SIGINT) is end:
             signal.signal(signal.SIGINT, self._interrupt)
 
