@@ -244,6 +244,28 @@ def test_incomplete_knowledge_is_refused_with_what_would_settle_it():
         place(placed, anchors_at(truth, [0, 8, 66]))
 
 
+@pytest.mark.parametrize("k", [2, 3])
+@pytest.mark.parametrize(
+    ("factor", "message"),
+    [(0, "all the same"), (1e-200, "all the same"), (1e200, "out of range")],
+)
+def test_anchors_at_one_place_or_out_of_range_are_refused(k, factor, message):
+    rows = [0, 8, 66, 31, 40]
+    wrong = factor * body(k) + (0.3 if factor == 0 else 0)
+    for stated in ({}, {"handedness": "same"}):
+        with pytest.raises(InputError, match=message):
+            place(mapped(body(k), 0), anchors_at(wrong, rows), **stated)
+
+
+def test_a_stated_hand_does_not_tell_the_sides_of_a_flat_map():
+    """Three anchors fit a distorted map in space about as well from either side."""
+    flat, rows = body(2), [0, 22, 8]
+    truth = np.column_stack([flat, np.zeros(len(flat))])
+    for stated in ({}, {"handedness": "same"}):
+        with pytest.raises(InputError, match="sides of the flat map apart; give more anchors off"):
+            place(mapped(flat, 0, uneven=True), anchors_at(truth, rows), **stated)
+
+
 def test_anchors_are_read():
     assert parse_anchor("s17=0.012,0.040,-3e-3") == ("s17", (0.012, 0.04, -0.003))
     assert parse_anchor("a=b=1,2") == ("a=b", (1.0, 2.0))

@@ -10,6 +10,7 @@ from scipy.special import fdtri
 
 from anisomap.errors import InputError
 from anisomap.numerics.kriging import Kernel
+from anisomap.numerics.procrustes import SINGULAR
 from anisomap.placement.field_fit import (
     PRIOR_FREEDOM,
     Known,
@@ -33,6 +34,7 @@ _REACH, _NOISE = 1.0, 1.0
 # Other fields that are tried with many anchors, likewise.
 _REACHES, _NOISES = (0.25, 0.5, 1.0), (0.1, 0.3, 1.0)
 _MIN_REACH = 3.0  # spacings; a field that changes faster would change the spacing
+_MIN_LENGTH, _MAX_LENGTH = 1e-50, 1e50  # metres; fourth powers are within the range of float64
 _MAX_FOLDS, _MANY, _FEW_FOLDS = 50, 200, 10  # groups left out in turn; fewer of many anchors
 
 
@@ -100,9 +102,11 @@ def fit_anchors(
     Raises
     ------
     InputError
-        If anchors are too few or on a line, or do not determine the handedness.
+        If anchors are too few, on a line on the map, or at one place on the robot, or do not
+        determine the handedness.
     """
     _check_spread(positions, sensors, known.spacing)
+    _check_extent(targets)
     reflected, handed = choose_hand(positions, sensors, targets, known, normals)
     x, y = positions[sensors], targets
     fit = fit_scaled(x, y, known, reflected)
@@ -149,6 +153,21 @@ def _check_spread(
         raise InputError(
             f"the {n} anchors lie {where} on the map, so the rotation is unknown; give another "
             "anchor far from them"
+        )
+
+
+def _check_extent(targets: NDArray[np.float64]) -> None:
+    """Check that anchors are apart, and that products of four lengths do not overflow."""
+    furthest = float(np.abs(targets).max())
+    if not furthest < _MAX_LENGTH:
+        raise InputError(
+            f"an anchor has a coordinate of {furthest:.3g} m, which is out of range; check the "
+            "positions of the anchors and their unit"
+        )
+    if np.ptp(targets, axis=0).max() <= max(SINGULAR * furthest, _MIN_LENGTH):
+        raise InputError(
+            f"the positions of the {len(targets)} anchors are all the same; give those that were "
+            "measured on the robot, in metres"
         )
 
 

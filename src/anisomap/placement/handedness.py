@@ -95,7 +95,7 @@ def choose_hand(
         # other. The fit takes the better one, so anchors must tell that it is the right one.
         within = _evidence(in_plane(positions), sensors, in_plane(targets), known)
         if abs(within.value) < DECISIVE and not within.irrelevant:
-            raise InputError(_undecided(len(sensors), 2, known.uneven))
+            raise InputError(_undecided(len(sensors), 2, known.uneven, sides=True))
     if normals is not None:
         same, mirror = (
             fit_scaled(positions[sensors], targets, known, reflected) for reflected in (False, True)
@@ -117,7 +117,8 @@ def choose_hand(
     raise InputError(_undecided(len(sensors), positions.shape[1], known.uneven))
 
 
-def _undecided(count: int, dimensions: int, uneven: bool) -> str:
+def _undecided(count: int, dimensions: int, uneven: bool, *, sides: bool = False) -> str:
+    """Return what would settle the hand, or which side of a flat map in space is which."""
     if dimensions == 2:
         more = "a third anchor off their line" if count < 3 else "more anchors off their line"
     elif count < dimensions + 1:
@@ -125,6 +126,8 @@ def _undecided(count: int, dimensions: int, uneven: bool) -> str:
     else:
         more = "more anchors"
     doubt = "the map is distorted, and " if uneven else ""
+    if sides:
+        return f"{doubt}the anchors do not tell the two sides of the flat map apart; give {more}"
     return (
         f"{doubt}the anchors do not tell the map from its mirror image; give {more}, --mesh, "
         "--module, or --handedness same or mirrored"
