@@ -222,7 +222,7 @@ class LiveSession:
         Returns
         -------
         Examination or None
-            None if nothing was recorded, or it was not made in time.
+            None if nothing was recorded, or it was not made in time, or its process died.
         """
         self.stop()
         self.finishing = True

@@ -169,7 +169,8 @@ class SessionMaps:
             return None
         self._finished.clear()
         self._examiner.send(Examine(self._segment, n_frames, final=True))
-        self._finished.wait(timeout_s)
+        if not self._examiner.gone:
+            self._finished.wait(timeout_s)
         return self._final
 
     def _receive_quick(self, answer: Any) -> None:
@@ -186,7 +187,8 @@ class SessionMaps:
         self.examining, self._examined_at = False, time.monotonic()
         if isinstance(answer, Failed):
             self._notify(answer.text)
-            self._finished.set()
+            if answer.final:
+                self._finished.set()
         elif self._is_current(answer[0]):
             self._show(answer[1])
 

@@ -75,9 +75,17 @@ class Examine:
 
 @dataclass(frozen=True)
 class Failed:
-    """A message from a worker: something unexpected went wrong."""
+    """A message from a worker: something unexpected went wrong.
+
+    Attributes
+    ----------
+    text : str
+    final : bool
+        Whether no final map follows.
+    """
 
     text: str
+    final: bool = False
 
 
 @dataclass(frozen=True)
@@ -93,12 +101,18 @@ class Worker:
     role : {"quick", "checked"}
     receive : callable
         Receives each answer, in a thread.
+
+    Attributes
+    ----------
+    gone : bool
+        Whether the process died too often to be started again.
     """
 
     def __init__(self, role: str, receive: Callable[[Any], None]) -> None:
         self._role, self._receive = role, receive
         self._context = get_context("spawn")
         self._lock = threading.Lock()
+        self.gone = False
         self._closing = False
         self._restarts = 0
         self._state = Changed()
@@ -117,8 +131,8 @@ class Worker:
 
     def close(self) -> None:
         """End the process."""
-        self._closing = True
         with suppress(OSError, ValueError), self._lock:
+            self._closing = True
             self._connection.send(None)
         self._process.join(_JOIN_S)
         if self._process.is_alive():  # it is making a map
@@ -148,10 +162,14 @@ class Worker:
         connection.close()
         self._restarts += 1
         if self._restarts > _MAX_RESTARTS:
-            self._receive(Failed(f"the process of {self._role} maps ended; there are no more"))
+            self.gone = True
+            text = f"the process of {self._role} maps ended; there are no more"
+            self._receive(Failed(text, final=True))
             return
         self._receive(Failed(f"the process of {self._role} maps ended and is started again"))
         with self._lock:
+            if self._closing:  # meanwhile
+                return
             self._start()
             for message in (self._state, self._request):
                 if message is not None:
@@ -188,7 +206,8 @@ def _make_checked_maps(connection: Connection) -> None:
             found = examine(request.segment.path, request.n_frames, options, final=request.final)
             connection.send((request.segment.number, found))
         except Exception as error:  # a defect must not end the recording
-            connection.send(Failed(f"a checked map failed: {type(error).__name__}: {error}"))
+            text = f"a checked map failed: {type(error).__name__}: {error}"
+            connection.send(Failed(text, final=request.final))
         request = None
 
 

@@ -305,6 +305,8 @@ def _finish(
         printer.line(f"Final map of {final.n_frames} frames: {final.verdict}")
     elif final is not None:
         print_warning(f"there is no map: {final.reason}")
+    elif written:
+        print_warning("the final map was not made; the recording is whole")
     else:
         print_warning("no frame arrived, so nothing was recorded")
     printer.record(**_facts(session), final=final is not None and final.sensor_map is not None)

@@ -1,0 +1,71 @@
+"""The processes that make maps: what remains of a session when they are killed."""
+
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from anisomap.live import ExaminationOptions, LiveSession
+from anisomap.live.batches import Batch
+from skins import flat_skin
+
+if sys.platform == "win32":
+    pytest.skip("signals are those of Unix", allow_module_level=True)
+
+TOO_LONG = 600
+
+
+class Skin:
+    """A source that yields a recording and then waits."""
+
+    description, names, truth = "a test", (), None
+
+    def items(self, stop):
+        yield Batch(flat_skin(n_frames=300).readings.astype(float))
+        stop.wait()
+
+
+@pytest.fixture
+def session(tmp_path):
+    options = ExaminationOptions(method="r-anisomap", dimensions=2)
+    with LiveSession(Skin(), tmp_path / "r.csv", options) as started:
+        with started.changed:
+            assert started.changed.wait_for(lambda: started.maps.checked, timeout=TOO_LONG)
+        yield started
+
+
+def finish_while(session, action):
+    """Finish a session; repeat an action until it is finished."""
+    with ThreadPoolExecutor(1) as pool:
+        final = pool.submit(session.finish, TOO_LONG)
+        while not (session.finishing or final.done()):
+            time.sleep(0.01)
+        while not final.done():
+            action()
+            time.sleep(0.01)
+        return final.result()
+
+
+def test_the_final_map_is_made_though_its_process_is_killed(session):
+    workers = multiprocessing.active_children()
+    for worker in workers:
+        os.kill(worker.pid, signal.SIGSTOP)  # the request for the final map stays unanswered
+    final = finish_while(session, lambda: [worker.kill() for worker in workers])
+    assert final.final
+    assert final.n_frames == 300
+    assert final.sensor_map is not None
+
+
+def test_a_session_ends_though_its_processes_die_again_and_again(session):
+    def kill():
+        for worker in multiprocessing.active_children():
+            worker.kill()
+
+    assert finish_while(session, kill) is None
+    begun = time.monotonic()
+    assert session.finish(TOO_LONG) is None
+    assert time.monotonic() - begun < TOO_LONG  # it does not wait for a process that is gone
