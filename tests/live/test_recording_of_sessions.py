@@ -110,11 +110,28 @@ def test_single_frames_of_another_width_are_set_aside(recorder, tmp_path):
 
 
 def test_frames_that_cannot_be_set_aside_are_an_error(recorder, tmp_path):
-    (tmp_path / "r.odd.txt").mkdir()
     recorder.put(frames(3, 3))
+    (tmp_path / "r.csv").rename(tmp_path.with_name(f"{tmp_path.name}.csv"))
+    tmp_path.rmdir()
     recorder.put(frames(1, 2))
     with pytest.raises(FileError, match=r"cannot write .*r\.odd\.txt"):
         recorder.put(frames(1, 3))
+    tmp_path.mkdir()
+
+
+def test_files_of_earlier_sessions_are_left_as_they_are(recorder, tmp_path):
+    earlier = {name: tmp_path / name for name in ("r.odd.txt", "r-2.csv", "r-3.csv")}
+    for name, path in earlier.items():
+        path.write_text(name)
+    (tmp_path / "r-2.odd.txt").symlink_to(tmp_path / "elsewhere.txt")
+    for width in (3, 2, 3, 5, 3):
+        recorder.put(frames(1, width))
+    recorder.put(frames(20_000, 2))
+    recorder.close()
+    assert all(path.read_text() == name for name, path in earlier.items())
+    assert not (tmp_path / "elsewhere.txt").exists()
+    assert (tmp_path / "r-3.odd.txt").read_text().count("\n") == 2
+    assert anisomap.read(tmp_path / "r-4.csv").readings.shape == (20_000, 2)
 
 
 def test_many_frames_of_another_width_begin_a_new_file(recorder, tmp_path):

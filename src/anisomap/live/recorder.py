@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -57,7 +59,8 @@ class Recorder:
     Parameters
     ----------
     path : pathlib.Path
-        The first file; later ones are numbered, as in ``skin-2.csv``.
+        The first file; later ones are numbered, as in ``skin-2.csv``. Numbers of files that exist
+        are left out: they belong to earlier sessions.
     source : str
         Origin of the recording.
     notify : callable
@@ -85,6 +88,7 @@ class Recorder:
         self._lock = Lock()
         self._recent: list[NDArray[np.float64]] = []
         self._odd: list[Batch] = []
+        self._odd_path: Path | None = None
         self._odd_since = 0.0
         self._missing = np.zeros(0, dtype=bool)
         self._offset: float | None = None
@@ -142,7 +146,9 @@ class Recorder:
 
     def _start(self, width: int) -> None:
         number = len(self.segments) + 1
-        path = self._path if number == 1 else self._path.with_stem(f"{self._path.stem}-{number}")
+        path = self._path
+        if number > 1:
+            path = _free(path.with_stem(f"{path.stem}-{at}") for at in count(number))
         names = self.names if len(self.names) == width else default_names(width)
         names = distinct_names(path, [printable(name) for name in names])
         self._writer = JournalWriter(path, names, self._source)
@@ -172,7 +178,7 @@ class Recorder:
 
     def _times(self, batch: Batch, now: float) -> NDArray[np.float64]:
         """Return increasing times of frames in seconds since the first one."""
-        count, last = len(batch.readings), self.seconds
+        n_frames, last = len(batch.readings), self.seconds
         times: NDArray[Any]
         if batch.times is not None:
             times = np.asarray(batch.times, dtype=np.float64)
@@ -188,10 +194,10 @@ class Recorder:
                 self._notify("the clock of the source went back; its times are shifted")
         if self.n_frames == 0:
             self._began = now
-            times = np.asarray(_TICK * np.arange(count))
+            times = np.asarray(_TICK * np.arange(n_frames))
         else:
-            until = max(now - self._began, last + 2 * _TICK * count)
-            times = np.asarray(last + (until - last) / count * np.arange(1.0, count + 1))
+            until = max(now - self._began, last + 2 * _TICK * n_frames)
+            times = np.asarray(last + (until - last) / n_frames * np.arange(1.0, n_frames + 1))
         if batch.times is not None:
             self._offset = float(times[-1] - batch.times[-1])
         self.seconds = float(times[-1])
@@ -226,19 +232,25 @@ class Recorder:
         """Write held frames of another width to the file of odd frames."""
         if not self._odd:
             return
-        path = self._path.with_name(f"{self._path.stem}.odd.txt")
         parts, self._odd = self._odd, []
+        stem = self._path.stem
+        path = self._odd_path or _free(
+            self._path.with_name(f"{stem}{mark}.odd.txt")
+            for mark in chain([""], (f"-{at}" for at in count(2)))
+        )
         try:
-            with path.open("a", encoding="utf-8") as stream:
+            # The first time, a file that another session has made meanwhile is not added to.
+            with path.open("a" if self._odd_path else "x", encoding="utf-8") as stream:
+                self._odd_path = path
                 for part in parts:
                     for row in part.readings.tolist():
                         stream.write(f"{self.seconds:.6f},{','.join(map(repr, row))}\n")
         except OSError as error:
             raise FileError(f"cannot write {path}: {error.strerror or error}") from error
-        count, width = sum(len(part.readings) for part in parts), parts[0].readings.shape[1]
-        self.n_odd += count
+        n_frames, width = sum(len(part.readings) for part in parts), parts[0].readings.shape[1]
+        self.n_odd += n_frames
         self._notify(
-            f"{count} frame{'s' if count > 1 else ''} of {width} readings instead of {self.width} "
+            f"{n_frames} frame{'s' if n_frames > 1 else ''} of {width} readings instead of {self.width} "
             f"set aside in {path.name}"
         )
 
@@ -250,6 +262,11 @@ class Recorder:
         if self._writer is not None:
             writer, self._writer = self._writer, None
             writer.close()
+
+
+def _free(paths: Iterable[Path]) -> Path:
+    """Return the first path at which there is nothing, not even a link."""
+    return next(path for path in paths if not os.path.lexists(path))
 
 
 def names_of(segments: Sequence[Segment]) -> str:
