@@ -87,6 +87,9 @@ def test_a_mesh_that_does_not_fit_is_refused():
         place(mapped(found, 0), mesh=mesh)
     with pytest.raises(InputError, match="triangles with finite vertices"):
         place(mapped(found, 0), anchors, mesh=Mesh(mesh.vertices, np.empty((0, 3), int)))
+    far = 1e200 * mesh.vertices  # its areas overflow
+    with pytest.raises(InputError, match="coordinates of a mesh must be at most"):
+        place(mapped(found, 0), anchors, mesh=Mesh(far, mesh.faces))
     flat = SensorMap(mapped(found, 0).positions[:, :2])
     with pytest.raises(InputError, match="anchors on a mesh must have three coordinates"):
         place(flat, Anchors(anchors.names, anchors.positions[:, :2]), mesh=mesh)

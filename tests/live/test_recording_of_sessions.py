@@ -12,7 +12,7 @@ import anisomap
 from anisomap.errors import FileError
 from anisomap.live.batches import Batch
 from anisomap.live.journal import JournalTail, JournalWriter
-from anisomap.live.recorder import Recorder
+from anisomap.live.recorder import MAX_WIDTH, Recorder
 
 READINGS = arrays.arrays(
     float, st.tuples(st.integers(1, 30), st.integers(2, 5)), elements=st.floats(width=64)
@@ -143,6 +143,17 @@ def test_many_frames_of_another_width_begin_a_new_file(recorder, tmp_path):
     assert anisomap.read(tmp_path / "r.csv").readings.shape == (4, 3)
     assert anisomap.read(tmp_path / "r-2.csv").readings.shape == (20_005, 2)
     assert any("now sends 2 readings per frame instead of 3" in text for text in recorder.told)
+
+
+def test_every_frame_that_is_recorded_can_be_read(recorder, tmp_path):
+    recorder.put(frames(1, MAX_WIDTH + 1))
+    assert not recorder.begun
+    assert "at most 250000" in recorder.told[0]
+    longest = -1.2345678901234567e-300
+    recorder.put(frames(2, MAX_WIDTH, longest))
+    recorder.close()
+    with (tmp_path / "r.csv").open() as stream:
+        assert max(map(len, stream)) < 1 << 23
 
 
 def test_times_increase_whatever_the_clock_of_the_source_does(recorder, tmp_path):

@@ -24,6 +24,10 @@ from anisomap.wording import printable
 MAX_SEGMENTS = 50
 """Files of one session, above which frames of another width go to the file of odd frames."""
 
+MAX_WIDTH = 250_000
+"""Readings of a frame. Text files with lines of 2^23 characters or more cannot be read, and a
+reading has up to 25 characters; sensors without a number have names of up to 7."""
+
 _SILENCE_S = 1.0  # without a frame, after which a gap is noticed
 _CHANGED_S, _CHANGED_FRAMES = 1.0, 10  # of frames of one new width, before the width counts as new
 _MAX_ODD = 10_000  # frames of another width that are held in memory
@@ -100,7 +104,7 @@ class Recorder:
         return len(self.segments[-1].names) if self._writer is not None else 0
 
     def put(self, batch: Batch) -> None:
-        """Record frames.
+        """Record frames, unless they are wider than `MAX_WIDTH`.
 
         Raises
         ------
@@ -109,12 +113,16 @@ class Recorder:
         """
         if not batch.readings.size:
             return
+        width = batch.readings.shape[1]
+        if width > MAX_WIDTH:
+            self._notify(f"ignored a frame of {width} readings; at most {MAX_WIDTH} are recorded")
+            return
         with self._lock:
             now = time.monotonic()
             self._notice_silence(now)
             if self._writer is None:
-                self._start(batch.readings.shape[1])
-            if batch.readings.shape[1] == self.width:
+                self._start(width)
+            if width == self.width:
                 self._set_aside()
                 self._record(batch, now)
             else:
