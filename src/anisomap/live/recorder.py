@@ -258,8 +258,8 @@ class Recorder:
         n_frames, width = sum(len(part.readings) for part in parts), parts[0].readings.shape[1]
         self.n_odd += n_frames
         self._notify(
-            f"{n_frames} frame{'s' if n_frames > 1 else ''} of {width} readings instead of {self.width} "
-            f"set aside in {path.name}"
+            f"{n_frames} frame{'s' if n_frames > 1 else ''} of {width} readings instead of "
+            f"{self.width} set aside in {path.name}"
         )
 
     def _notice_silence(self, now: float) -> None:
