@@ -43,33 +43,16 @@ def blended_correlation(readings: ArrayLike) -> Reals:
     return _blended(values, estimate_rest(values).depth_ranks(values))[0]
 
 
-def blend_with_variance(readings: ArrayLike) -> tuple[Reals, Reals]:
-    """Compute `blended_correlation`, and its sampling variance for unrelated sensors.
-
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, T >= 2.
-
-    Returns
-    -------
-    blended, variance : ndarray of shape (N, N)
-        The variance is ``(w sd(r) + (1 - w) sd(rho))^2``, with those of
-        `anisomap.numerics.reliability.sampling_noise.sampling_variance` for the readings and for
-        the ranks: the errors of r and rho are taken to be proportional, as they nearly are.
-    """
-    found = blend(readings)
-    return found.similarity, found.variance
-
-
 @dataclass(frozen=True, eq=False)
 class Blend:
     """A blended correlation, and what it was blended from.
 
     Attributes
     ----------
-    similarity, variance : ndarray of shape (N, N)
-        See `blend_with_variance`.
+    similarity : ndarray of shape (N, N)
+        See `blended_correlation`.
+    variance : ndarray of shape (N, N)
+        Its sampling variance for unrelated sensors.
     weight : float
         Weight of Pearson's r, in [0, 1].
     ranks : ndarray of shape (T, N)
@@ -90,7 +73,28 @@ class Blend:
 
 
 def blend(readings: ArrayLike) -> Blend:
-    """Compute what `blend_with_variance` does, and return all that it was computed from."""
+    """Compute `blended_correlation` and its sampling variance, with what they are computed from.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings, T >= 2.
+
+    Returns
+    -------
+    Blend
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 2 frames.
+
+    Notes
+    -----
+    The variance is ``(w sd(r) + (1 - w) sd(rho))^2``, with the standard deviations of
+    `anisomap.numerics.reliability.sampling_noise.sampling_variance` for the readings and for the
+    ranks: the errors of r and rho are taken to be proportional, as they nearly are.
+    """
     values = np.asarray(readings)
     ranks = estimate_rest(values).depth_ranks(values)
     blended, weight = _blended(values, ranks)
