@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from anisomap.numerics.contacts import ContactFit, ContactOptions, fit_contacts
 from anisomap.numerics.contacts.contact_fit import refit_contacts
@@ -91,11 +90,13 @@ def average_with_known_contacts(
     """
     if mapped.facts.elongated or mapped.facts.path_weight:
         return mapped
+    if known.fit.solution is None:
+        return None
     given = np.asarray(known.given, dtype=np.float64)
     positions = np.asarray(mapped.positions, dtype=np.float64)
     moved = fit_similarity(positions, given).apply(positions)
-    unit = float(np.median(np.asarray(KDTree(given).query(given, k=2)[0])[:, 1]))
-    if float(np.sqrt(np.square(moved - given).sum(axis=1).mean())) > _NEAR * unit:
+    spacing = known.fit.solution.unit
+    if float(np.sqrt(np.square(moved - given).sum(axis=1).mean())) > _NEAR * spacing:
         return None
     aligned = replace(mapped, positions=moved)
     fit = refit_contacts(known.fit, moved, frames)

@@ -132,7 +132,19 @@ class ContactFit:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The contacts of a fit and their states, in the unit and around the centre of its map."""
+    """The contacts of a fit and their states.
+
+    Attributes
+    ----------
+    contacts : Contacts
+    state : ContactState
+        In spacings, around the centre of the map that the fit started from.
+    centre : ndarray of shape (k,)
+        That centre.
+    unit : float
+        Median distance from a sensor to its nearest neighbour on that map.
+    options : ContactOptions
+    """
 
     contacts: Contacts
     state: ContactState
