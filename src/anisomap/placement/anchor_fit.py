@@ -53,7 +53,7 @@ class AnchorFit:
     left_out : ndarray of shape (n,)
         The same with a fit to the other anchors; NaN with fewer than `MIN_LEFT_OUT`.
     warped : bool
-        Whether anchors that were left out tell the field of corrections.
+        Whether a field of corrections was chosen by leaving anchors out.
     reflected : bool
         Whether the map was a mirror image.
     handed : bool
@@ -127,7 +127,7 @@ def fit_anchors(
     else:
         variance += float(np.sum((fit.apply(x) - y) ** 2))
     variance /= PRIOR_FREEDOM + max(freedom, 0)
-    found = krige(x, y, positions, fit, known, kernel=kernel, told=kernel is not usual)
+    found = krige(x, y, positions, fit, known, kernel=kernel, validated=kernel is not usual)
     quantile = fdtri(k, PRIOR_FREEDOM + max(freedom, 0), COVERAGE)
     return AnchorFit(
         positions=found.positions,
@@ -198,7 +198,7 @@ def _choose_kernel(
         rest = np.setdiff1d(np.arange(n), fold)
         fit = fit_scaled(x[rest], y[rest], known, reflected)
         for i, kernel in enumerate(kernels):
-            found = krige(x[rest], y[rest], x[fold], fit, known, kernel=kernel, told=i > 0)
+            found = krige(x[rest], y[rest], x[fold], fit, known, kernel=kernel, validated=i > 0)
             predictions[i, fold], relative[i, fold] = found.positions, found.relative
     squares = np.sum((predictions - y) ** 2, axis=2)
     gain = squares[0] - squares

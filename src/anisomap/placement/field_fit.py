@@ -19,9 +19,9 @@ degrees of freedom it is .40.
 
 # RMS error of a coordinate relative to the size of a map, the root of the summed variance of its
 # coordinates. Errors grow with the size of a map more than with its spacing. Medians over 62 maps
-# that tell of no distortion (`SensorMap.uneven`): the iCub hexagon, palm and torso, and simulated
-# bodies rubbed, struck and rolled, seeds 201 to 203 and 211; and over the uneven maps of the
-# plantar, Nao and insole recordings.
+# that are not marked as distorted (`SensorMap.uneven`): the iCub hexagon, palm and torso, and
+# simulated bodies rubbed, struck and rolled, seeds 201 to 203 and 211; and over those that are: the
+# maps of four recordings, plantar, Nao's head and torso, and insole.
 ERROR_EVEN, ERROR_UNEVEN = 0.06, 0.25
 
 
@@ -54,14 +54,28 @@ class Known:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of a coordinate of the map before anchors tell more."""
+        """Standard deviation of a coordinate of the map, as assumed before anchors are used."""
         return (ERROR_UNEVEN if self.uneven else ERROR_EVEN) * self.size
 
 
 def fit_scaled(
     x: NDArray[np.float64], y: NDArray[np.float64], known: Known, reflected: bool
 ) -> Similarity:
-    """Fit a similarity of given handedness; its scale is a compromise with what is known of it."""
+    """Fit a similarity of given handedness; its scale is weighted with what is known of it.
+
+    Parameters
+    ----------
+    x, y : ndarray of shape (n, k)
+        Anchors on the map and on the robot.
+    known : Known
+    reflected : bool
+        Whether the similarity reflects the map.
+
+    Returns
+    -------
+    Similarity
+        From `x` to `y`.
+    """
     free = fit_similarity(x, y, reflection=reflected)
     if not np.isfinite(known.scale_sigma):
         return free
@@ -80,10 +94,17 @@ def field_kernel(placed: NDArray[np.float64], reach: float, noise: float) -> Ker
 
 @dataclass(frozen=True, eq=False)
 class Kriged:
-    """Positions in the frame of the anchors, and variances relative to that of the map.
+    """Predicted positions.
 
-    `squares` is the weighted sum of squares of residuals; its expectation is the variance of the
-    map times the degrees of freedom.
+    Attributes
+    ----------
+    positions : ndarray of shape (m, k)
+        In the frame of the anchors.
+    relative : ndarray of shape (m,)
+        Variances of a coordinate relative to that of the map.
+    squares : float
+        Weighted sum of squares of the residuals of the anchors; its expectation is the variance of
+        the map times the degrees of freedom.
     """
 
     positions: NDArray[np.float64]
@@ -99,10 +120,31 @@ def krige(
     known: Known,
     *,
     kernel: Kernel,
-    told: bool = False,
+    validated: bool = False,
 ) -> Kriged:
     """Predict positions by universal kriging, with small changes of a similarity as the drift.
 
+    Parameters
+    ----------
+    x, y : ndarray of shape (n, k)
+        Anchors on the map and on the robot.
+    positions : ndarray of shape (m, k)
+        The map where it is predicted.
+    fit : Similarity
+        Of the anchors, from `fit_scaled`.
+    known : Known
+    kernel : Kernel
+        Covariance of the field of corrections, in the frame of the anchors.
+    validated : bool
+        Whether anchors that were left out have shown that the field predicts better; then it makes
+        the variances smaller.
+
+    Returns
+    -------
+    Kriged
+
+    Notes
+    -----
     Chiles & Delfiner (2012), Geostatistics, section 3.4.
     """
     anchors, placed = fit.apply(x), fit.apply(positions)
@@ -127,11 +169,11 @@ def krige(
     spread = np.linalg.pinv(information, rcond=1e-9)
     drift = spread @ wanted
     rest = residual - here @ drift
-    # Errors are stated as for a similarity whose errors are independent, unless anchors that were
-    # left out told the field: a wrong field must not make them smaller.
+    # Without validation, errors are those of a similarity whose errors are independent: a wrong
+    # field must not make them smaller.
     even = np.linalg.pinv(np.einsum("nki,nkj->ij", here, here), rcond=1e-9)
     relative = 1.0 + np.einsum("mki,ij,mkj->m", there, even, there) / k
-    if told:
+    if validated:
         relative -= np.einsum("mn,mn->m", weights, across) / total
     return Kriged(
         placed + there @ drift + weights @ rest,

@@ -22,19 +22,22 @@ from anisomap.placement.field_fit import (
 DECISIVE = float(np.log(1000.0))
 """Log likelihood ratio from which the handedness counts as known.
 
-Both hands are equally likely before, so at most 1 in 1001 of such decisions is wrong.
+Both hands are equally likely before, so at most 1 in 1001 of such decisions is wrong if the errors of
+maps are as assumed below.
 """
 
 # Errors of neighbours are alike: parts of a map are shifted, bent or even mirrored together, so
-# anchors that are close tell little more than one of them. Reach of the field of errors in sizes of
-# the map, and variance of independent errors relative to it: most likely, of .3, .5 and 1 and of
-# .03, .1 and .3, for the errors of the maps above were .5 and 1, and .03 and .1. The RMS error of
-# such fields is the median of even maps, and the root mean square over the four recordings, of
-# which the errors differ more.
+# anchors that are close are worth little more than one of them. FIELD_REACH is the reach of the
+# field of errors in sizes of the map, and FIELD_NOISE the variance of independent errors relative
+# to it. Of reaches of .3, .5 and 1, and noises of .03, .1 and .3, the errors of the maps on which
+# `ERROR_EVEN` was measured were most likely with .5 and 1, and .03 and .1. The RMS errors of such
+# fields are the median over even maps, and the root mean square over the four distorted ones, which
+# differ more.
 FIELD_REACH, FIELD_NOISE = 0.5, 0.05
 _FIELD_EVEN, _FIELD_DISTORTED = 0.045, 0.4
 _DOUBT = 0.02
-"""Probability that a map that tells of no distortion has one: (1 + 0) / (2 + 62) of those maps."""
+"""Probability that a map that is not marked as distorted is: (1 + 0) / (2 + 62), by the rule of
+succession, since none of those 62 maps was."""
 
 # Normals estimated from maps: concentration about the right ones (von Mises & Fisher), share of
 # reversed ones, and of those that tell nothing. On eight simulated bodies, rubbed, seeds 201 to
