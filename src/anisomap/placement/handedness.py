@@ -22,8 +22,8 @@ from anisomap.placement.field_fit import (
 DECISIVE = float(np.log(1000.0))
 """Log likelihood ratio from which the handedness counts as known.
 
-Both hands are equally likely before, so at most 1 in 1001 of such decisions is wrong if the errors of
-maps are as assumed below.
+Both hands are equally likely before, so at most 1 in 1001 of such decisions is wrong if the errors
+of maps are as assumed below.
 """
 
 # Errors of neighbours are alike: parts of a map are shifted, bent or even mirrored together, so
