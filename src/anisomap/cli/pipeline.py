@@ -39,7 +39,6 @@ from anisomap.stages.dimension import Dimensions
 from anisomap.usability import Verdict
 from anisomap.wording import as_text
 
-_MAX_SHOWN = 12  # faulty sensors; --sensors of anisomap info shows all
 _SHARE_OF_MAP = 0.4  # of the time of a map with its verdict; typical, for the progress display
 
 

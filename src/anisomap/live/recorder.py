@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
@@ -275,8 +275,3 @@ class Recorder:
 def _free(paths: Iterable[Path]) -> Path:
     """Return the first path at which there is nothing, not even a link."""
     return next(path for path in paths if not os.path.lexists(path))
-
-
-def names_of(segments: Sequence[Segment]) -> str:
-    """Return the files of segments, for messages."""
-    return ", ".join(segment.path.name for segment in segments)

@@ -35,8 +35,8 @@ FREE_CHARACTERS = 1 << 22
 _STEP = 1 << 16
 _MAX_DEPTH = 100
 _BLANKS = " \t\r\n"
-_LITERAL = 12  # characters: a literal or an escape that is cut short begins so far from the end
-_EXPONENT = 3  # characters that a number may have lost: of "1e+5", "1" is a number
+_LITERAL = 12  # characters: an incomplete literal or escape begins that close to the end of text
+_EXPONENT = 3  # characters: the "1" of an incomplete "1e+5" ends that close to the end of the text
 
 
 @contextmanager

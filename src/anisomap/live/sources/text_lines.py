@@ -17,7 +17,6 @@ MAX_LINE = 1 << 22
 """Bytes; a longer line is no frame. A frame of 100,000 sensors in JSON has fewer."""
 
 _MIN_SENSORS = 2
-_SEPARATORS = re.compile(r"[\s,;\t]+")
 _MISSING = frozenset({"", "nan", "null", "none", "na", "-"})
 _TIMES = frozenset({"t", "time", "time_s", "timestamp", "stamp"})
 _SHOWN = 40  # characters of a line in a notice

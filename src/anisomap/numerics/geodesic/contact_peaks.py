@@ -63,11 +63,6 @@ def contacts_of(
     return touched[highest[first]], heights, np.asarray(durations)
 
 
-def contact_durations(raised: ArrayLike) -> NDArray[np.intp]:
-    """Return the number of frames of each contact of one sensor, see `contact_peaks`."""
-    return contacts_of(raised)[2]
-
-
 def _contacts(values: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the frames of all contacts, and the index of the first frame of each among them."""
     level = _CONTACT_THRESHOLD * max(float(np.quantile(values, _RANGE_QUANTILE)), 0.0)
