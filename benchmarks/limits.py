@@ -2,8 +2,8 @@
 
 The table shows, beside the default map of each real recording,
 
-- the map if the method starts from the true positions: where it is no better, the fit found its
-  optimum, and only another model could do better;
+- the map if the method starts from the true positions: where it is no better, a better start does
+  not help, and only another model could do better;
 - Mantel r between the true distances and the decreasing function of the similarity that predicts
   them best (isotonic regression): how far the similarity itself is a function of distance;
 - Mantel r of the maps of both halves of the recording with each other, and of each with the truth.
