@@ -94,7 +94,7 @@ def reconstruct(
     ------
     InputError
         If a reading is missing, fewer than 3 sensors vary or are related, the method or a sensor
-        is unknown, `dimensions` is less than 1 or not less than the number of sensors that are
+        is unknown, `dimensions` is less than 1 or more than the number of sensors that are
         mapped, or the matrices of all pairs do not fit in memory.
 
     Warns
@@ -320,10 +320,8 @@ def _check_size(
             f"a map requires at least {options.min_sensors} sensors that vary and are not "
             f"dropped, got {n_mapped} of {len(mapped)}"
         )
-    if dimensions != AUTO and dimensions >= n_mapped:
-        raise InputError(
-            f"a map of {n_mapped} sensors has at most {n_mapped - 1} dimensions, got {dimensions}"
-        )
+    if dimensions != AUTO and dimensions > n_mapped:
+        raise InputError(f"{dimensions} dimensions require as many sensors, got {n_mapped}")
     check_pair_memory(int(n_mapped), refined=recipe.refine is not None)
 
 
