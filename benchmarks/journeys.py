@@ -24,7 +24,7 @@ import numpy as np
 
 from anisomap import AnisomapWarning, Recording, diagnose
 from anisomap.health import assess, find_faults
-from anisomap.reconstruction import reconstruct_with_workings
+from anisomap.reconstruction import reconstruct_with_stages
 from benchmarks.inputs import rubbed_skin
 from benchmarks.measuring import threads
 from benchmarks.tables import growth_exponent, significant
@@ -93,9 +93,9 @@ def travel(name: str, recording: Recording, method: str = "covariogram") -> Jour
         laps.append(time.process_time())
         health = assess(recording)
         laps.append(time.process_time())
-        made, workings = reconstruct_with_workings(recording, method, _DIMENSIONS)
+        made, stages = reconstruct_with_stages(recording, method, _DIMENSIONS)
         laps.append(time.process_time())
-        diagnose(made, recording, health=health, findings=findings, workings=workings)
+        diagnose(made, recording, health=health, findings=findings, stages=stages)
         laps.append(time.process_time())
     faults, assessing, mapping, judging = np.diff(laps).tolist()
     return Journey(

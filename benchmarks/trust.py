@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 
 import anisomap
 from anisomap.diagnostics import collect_evidence
-from anisomap.reconstruction import reconstruct_with_workings
+from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.verdict import judge
 from benchmarks.trust_recordings import Case, cases_of_file, cases_of_seed
 from benchmarks.trust_tables import Outcome, draw, number, table
@@ -130,10 +130,10 @@ def judged(case: Case, source: str = "") -> Outcome:
         warnings.simplefilter("ignore", anisomap.AnisomapWarning)
         try:
             begun = time.process_time()
-            made, workings = reconstruct_with_workings(recording, dimensions=case.dimensions)
+            made, stages = reconstruct_with_stages(recording, dimensions=case.dimensions)
             mapped = time.process_time()
             faults = anisomap.find_faults(recording)
-            evidence = collect_evidence(made, recording, faults, workings=workings)
+            evidence = collect_evidence(made, recording, faults, stages=stages)
             verdict = judge(evidence)
             facts["cpu map"] = mapped - begun
             facts["cpu verdict"] = time.process_time() - mapped

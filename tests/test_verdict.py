@@ -15,7 +15,7 @@ from anisomap import Recording, diagnose, reconstruct, reconstruct_from
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
 from anisomap.methods import MethodOptions
-from anisomap.reconstruction import reconstruct_with_workings
+from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.verdict import LEVELS, UNKNOWN, Doubt, Evidence, Verdict, judge
 from anisomap.verdict.halves import repeatability_of_halves
 from anisomap.verdict.judgement import expected_mantel_r
@@ -262,8 +262,8 @@ def test_sensors_are_unassessed_before_a_diagnosis():
 @pytest.mark.parametrize("method", ["covariogram", "contact-fit"])
 def test_a_diagnosis_alone_is_that_with_the_stages_of_the_map(method):
     skin = flat_skin(n_frames=800)
-    made, workings = reconstruct_with_workings(skin, method, 2, drop=["s3"])
-    known = diagnose(made, skin, drop=["s3"], workings=workings)
+    made, stages = reconstruct_with_stages(skin, method, 2, drop=["s3"])
+    known = diagnose(made, skin, drop=["s3"], stages=stages)
     alone = diagnose(made, skin, drop=["s3"])
     elsewhere = diagnose(replace(made, positions=7 - 3 * made.positions), skin, drop=["s3"])
     assert alone.verdict == known.verdict
@@ -275,7 +275,7 @@ def test_a_diagnosis_alone_is_that_with_the_stages_of_the_map(method):
 @quiet
 def test_a_diagnosis_of_a_map_that_was_changed_does_not_use_its_stages():
     skin = flat_skin(n_frames=800)
-    made, workings = reconstruct_with_workings(skin, dimensions=2)
+    made, stages = reconstruct_with_stages(skin, dimensions=2)
     moved = made.positions + np.random.default_rng(0).normal(size=made.positions.shape)
-    changed = diagnose(replace(made, positions=moved), skin, workings=workings)
+    changed = diagnose(replace(made, positions=moved), skin, stages=stages)
     assert changed.verdict.expected_error > diagnose(made, skin).verdict.expected_error

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.map_parts import MapParts
-from anisomap.mapping import Workings
+from anisomap.mapping import Stages
 from anisomap.methods import METHODS, MethodOptions
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording
@@ -50,7 +50,7 @@ def diagnose(
     with_verdict: bool = True,
     rng: np.random.Generator | int | None = None,
     progress: Callable[[float], None] | None = None,
-    workings: Workings | None = None,
+    stages: Stages | None = None,
 ) -> SensorMap:
     """Add sensor health, a verdict and the notes that follow from them to a map.
 
@@ -75,8 +75,8 @@ def diagnose(
         Draws the resamples; seed 0 by default.
     progress : callable, optional
         Called with the completed share, from 0 to 1.
-    workings : Workings, optional
-        From `anisomap.reconstruction.reconstruct_with_workings`, if the map comes from it. Without
+    stages : Stages, optional
+        From `anisomap.reconstruction.reconstruct_with_stages`, if the map comes from it. Without
         them, the map is made again; the result is the same.
 
     Returns
@@ -109,7 +109,7 @@ def diagnose(
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
     verdict, found = Verdict(), None
     if with_verdict:
-        parts = _parts(sensor_map, runs, options, workings)
+        parts = _parts(sensor_map, runs, options, stages)
         found, repeatability = _uncertainty(sensor_map, parts, options, rng, progress)
         verdict = judge(_evidence(sensor_map, parts, faults, repeatability))
     notes += [reason for reason in verdict.reasons if reason.startswith("insufficient evidence")]
@@ -224,13 +224,13 @@ def collect_evidence(
     *,
     options: MethodOptions | None = None,
     repeatability: float | None = None,
-    workings: Workings | None = None,
+    stages: Stages | None = None,
 ) -> Evidence:
     """Collect the evidence for the verdict on a map, of its largest component.
 
     Parameters
     ----------
-    sensor_map, recording, options, workings
+    sensor_map, recording, options, stages
         See `diagnose`.
     faults : sequence of Finding
         Faults of the recording, from `anisomap.health.find_faults`.
@@ -242,7 +242,7 @@ def collect_evidence(
     Evidence
         See `anisomap.verdict.judge`.
     """
-    parts = _parts(sensor_map, as_runs(recording), options, workings)
+    parts = _parts(sensor_map, as_runs(recording), options, stages)
     if repeatability is None:
         repeatability = _uncertainty(sensor_map, parts, options, None, None)[1]
     return _evidence(sensor_map, parts, faults, repeatability)
@@ -281,12 +281,12 @@ def _parts(
     sensor_map: SensorMap,
     runs: Sequence[Recording],
     options: MethodOptions | None,
-    workings: Workings | None = None,
+    stages: Stages | None = None,
 ) -> MapParts | str:
     """Return the components of a map, or why its repeatability cannot be known."""
     if unknown := _unknown(sensor_map, runs):
         return unknown
-    return MapParts(sensor_map, runs[0].complete(), options or MethodOptions(), workings)
+    return MapParts(sensor_map, runs[0].complete(), options or MethodOptions(), stages)
 
 
 def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:

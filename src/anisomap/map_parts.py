@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.mapping import Workings
+from anisomap.mapping import Stages
 from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions, refine_without_contacts
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.precision import Reals
-from anisomap.reconstruction import reconstruct_with_workings
+from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.stages.contact_average import (
@@ -72,7 +72,7 @@ class MapParts:
     run : Recording
         Complete.
     options : MethodOptions
-    workings : Workings, optional
+    stages : Stages, optional
         The stages of the map. Without them, the map is made again.
     """
 
@@ -81,10 +81,10 @@ class MapParts:
         sensor_map: SensorMap,
         run: Recording,
         options: MethodOptions,
-        workings: Workings | None = None,
+        stages: Stages | None = None,
     ) -> None:
         self._map, self._run, self._options = sensor_map, run, options
-        self._workings = self._made_again() if workings is None else workings
+        self._stages = self._made_again() if stages is None else stages
         self._halves: dict[int, float] = {}
         self._parts: dict[int, MapPart] = {}
 
@@ -123,24 +123,24 @@ class MapParts:
 
     def _part(self, label: int) -> MapPart:
         members = self._map.component == label
-        run, workings = self._run.select(members), self._workings
+        run, stages = self._run.select(members), self._stages
         positions = self._map.positions[members]
         components = self._map.component[self._map.placed]
-        if workings is not None and np.array_equal(workings.configuration.component, components):
-            made, inside = workings.configuration, components == label
+        if stages is not None and np.array_equal(stages.configuration.component, components):
+            made, inside = stages.configuration, components == label
             same = departure_in_spacings(made.positions[inside], positions) <= _SAME
             refinement = made.refinements[label] if same else None
-            return MapPart(run.readings, positions, workings.pairs.select(inside), refinement)
+            return MapPart(run.readings, positions, stages.pairs.select(inside), refinement)
         with limited_blas(run.n_sensors):
             pairs = compare([run], self._map.similarity, bins=self._options.bins, with_noise=True)
         return MapPart(run.readings, positions, pairs)
 
-    def _made_again(self) -> Workings | None:
+    def _made_again(self) -> Stages | None:
         unplaced = [self._map.names[i] for i in np.flatnonzero(~self._map.placed)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AnisomapWarning)  # the notes of the map have them
             try:
-                return reconstruct_with_workings(
+                return reconstruct_with_stages(
                     self._run,
                     self._map.method,
                     self._map.dimensions,
@@ -165,7 +165,7 @@ class MapParts:
             )
 
         covariogram = self._options.covariogram
-        return reconstruct_with_workings(
+        return reconstruct_with_stages(
             part.readings[frames],
             DEFAULT_METHOD,
             self._map.dimensions,

@@ -23,7 +23,7 @@ from anisomap.stages.scaling import Configuration, configure
 
 
 @dataclass(frozen=True, eq=False)
-class Workings:
+class Stages:
     """The stages of a map.
 
     Attributes
@@ -39,9 +39,9 @@ class Workings:
     plan: DimensionPlan
 
 
-def work_out(
+def compute_stages(
     runs: Sequence[Recording], recipe: Method, dimensions: Dimensions, options: MethodOptions
-) -> Workings:
+) -> Stages:
     """Compute the configuration of all sensors of some recordings.
 
     Parameters
@@ -54,7 +54,7 @@ def work_out(
 
     Returns
     -------
-    Workings
+    Stages
     """
     refined = recipe.refine is not None
     with limited_blas(max(run.n_sensors for run in runs)):
@@ -67,7 +67,7 @@ def work_out(
         configuration, plan = configure(
             plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
         )
-    return Workings(pairs, configuration, plan)
+    return Stages(pairs, configuration, plan)
 
 
 def dissimilarities(

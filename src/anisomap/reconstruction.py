@@ -28,7 +28,7 @@ from anisomap.description import (
     unknown_pairs,
 )
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.mapping import Workings, dissimilarities, work_out
+from anisomap.mapping import Stages, compute_stages, dissimilarities
 from anisomap.memory import check_pair_memory
 from anisomap.methods import (
     DEFAULT_METHOD,
@@ -124,12 +124,12 @@ def reconstruct(
     >>> bool(abs(np.corrcoef(sensor_map.positions[:, 0], places)[0, 1]) > 0.99)
     True
     """
-    return reconstruct_with_workings(
+    return reconstruct_with_stages(
         recording, method, dimensions, options=options, drop=drop, stack_level=3
     )[0]
 
 
-def reconstruct_with_workings(
+def reconstruct_with_stages(
     recording: Recording | ArrayLike | Sequence[Recording],
     method: str = DEFAULT_METHOD,
     dimensions: Dimensions = AUTO,
@@ -138,7 +138,7 @@ def reconstruct_with_workings(
     drop: Iterable[str | int] = (),
     recipe: Method | None = None,
     stack_level: int = 2,
-) -> tuple[SensorMap, Workings]:
+) -> tuple[SensorMap, Stages]:
     """Reconstruct positions, and return the stages that `anisomap.diagnose` can use again.
 
     Parameters
@@ -146,7 +146,7 @@ def reconstruct_with_workings(
     recording, method, dimensions, options, drop
         See `reconstruct`.
     recipe : Method, optional
-        Stages in place of those of the method.
+        Functions of the stages, in place of those of the method.
     stack_level : int
         Number of calls from the warning about a note to the code that it is attributed to.
 
@@ -154,7 +154,7 @@ def reconstruct_with_workings(
     -------
     sensor_map : SensorMap
         That of `reconstruct`.
-    workings : Workings
+    stages : Stages
         They hold several matrices of all pairs, and as many numbers as there are readings.
     """
     named, options = find_method(method), options or MethodOptions()
@@ -166,8 +166,8 @@ def reconstruct_with_workings(
     _check_size(mapped, dimensions, recipe, options)
     names = [joined.names[i] for i in np.flatnonzero(mapped)]
     complete = [run.complete() for run in select_sensors(runs, names)]
-    workings = work_out(complete, recipe, dimensions, options)
-    pairs, configuration, plan = workings.pairs, workings.configuration, workings.plan
+    stages = compute_stages(complete, recipe, dimensions, options)
+    pairs, configuration, plan = stages.pairs, stages.configuration, stages.plan
     _check_related(configuration, options)
     provenance = options_provenance(method, options) | plan.provenance
     provenance |= {
@@ -187,7 +187,7 @@ def reconstruct_with_workings(
         provenance=provenance,
         stack_level=stack_level + 1,
     )
-    return made, workings
+    return made, stages
 
 
 def reconstruct_from(

@@ -31,7 +31,7 @@ from anisomap.large.approximation import SimilarityGraph, map_similarity_graph
 from anisomap.large.streaming import StreamedSimilarity, map_streamed_similarity
 from anisomap.memory import check_pair_memory
 from anisomap.methods import MethodOptions
-from anisomap.reconstruction import reconstruct_with_workings
+from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
@@ -168,7 +168,7 @@ def make_map(
             return map_similarity_graph(streamed, dimensions, options=options)
         if streamed is not None:
             return map_streamed_similarity(streamed, method, dimensions, options=options, drop=drop)
-        made, workings = reconstruct_with_workings(
+        made, stages = reconstruct_with_stages(
             examined.runs, method, dimensions, options=options, drop=drop
         )
         if with_verdict:
@@ -183,7 +183,7 @@ def make_map(
             with_verdict=with_verdict,
             rng=seed,
             progress=lambda share: report_progress(_SHARE_OF_MAP + (1 - _SHARE_OF_MAP) * share),
-            workings=workings,
+            stages=stages,
         )
 
 

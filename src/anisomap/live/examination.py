@@ -22,7 +22,7 @@ from anisomap.io.stream import ReadOptions
 from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.large.streaming import map_streamed_similarity, stream_similarity
 from anisomap.methods import DEFAULT_METHOD, MethodOptions
-from anisomap.reconstruction import reconstruct_with_workings
+from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.stages.dimension import AUTO, Dimensions
@@ -158,11 +158,9 @@ def _mapped(path: Path, n_frames: int, options: ExaminationOptions, final: bool)
         recording = io.read(path, options=how)
     recording = recording.complete("interpolate")
     drop = [name for name in options.drop if name in recording.names]
-    made, workings = reconstruct_with_workings(
-        recording, options.method, options.dimensions, drop=drop
-    )
+    made, stages = reconstruct_with_stages(recording, options.method, options.dimensions, drop=drop)
     health = assess(recording)
-    diagnosed = diagnose(made, recording, drop=drop, health=health, workings=workings)
+    diagnosed = diagnose(made, recording, drop=drop, health=health, stages=stages)
     return diagnosed, health, summarise(recording, health)
 
 
