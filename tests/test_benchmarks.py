@@ -12,6 +12,7 @@ from benchmarks import (
     paths,
     placement,
     scalings,
+    self_touch,
     similarities,
     updating,
     whole_maps,
@@ -212,6 +213,16 @@ def test_placed_maps_are_measured(tmp_path):
     error = found["mesh and 3 anchors: median error (spacings)"]
     assert 0 < float(error["median"]) < 1
     assert float(found["mesh and 3 anchors: share of the right hand where placed"]["median"]) == 1
+
+
+@pytest.mark.slow
+def test_the_accuracy_of_self_touch_is_measured(tmp_path):
+    output = tmp_path / "self-touch.csv"
+    self_touch.main(["--seeds", "1", "--contacts", "30", "-o", str(output)])
+    with output.open(encoding="utf-8") as file:
+        found = list(csv.DictReader(file))
+    assert [row["taxel positions"] for row in found] == ["known", "from a map"] * 2
+    assert all(0 < float(row["in spacings"]) < 0.6 for row in found)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from anisomap.io.registry import contents as contents
 from anisomap.io.registry import open_stream as open_stream
 from anisomap.io.registry import read as read
 from anisomap.io.registry import read_map as read_map
+from anisomap.io.robots import read_robot as read_robot
 from anisomap.io.statistics_files import read_statistics as read_statistics
 from anisomap.io.statistics_files import statistics_beside as statistics_beside
 from anisomap.io.statistics_files import write_statistics as write_statistics

@@ -100,17 +100,27 @@ def noise_scale(residuals: NDArray[np.float64], dimensions: int) -> float:
     return float(np.median(residuals) / np.sqrt(2 * gammaincinv(dimensions / 2, 0.5)))
 
 
-def fit_similarity_robustly(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similarity:
+def fit_similarity_robustly(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    *,
+    scaling: bool = True,
+    reflection: bool | None = None,
+) -> Similarity:
     """Fit a similarity that points far from their target do not bend.
 
     Parameters
     ----------
     source, target : ndarray of shape (n, k)
+    scaling : bool
+        Whether to fit the scale; it is 1 otherwise.
+    reflection : bool, optional
+        Whether the result is a mirror image.
 
     Returns
     -------
     Similarity
-        The rotation or the mirror image, whichever has the smaller median residual.
+        By default the rotation or the mirror image, whichever has the smaller median residual.
 
     Notes
     -----
@@ -121,8 +131,8 @@ def fit_similarity_robustly(source: NDArray[np.float64], target: NDArray[np.floa
     fits = []
     # Residuals of an exact fit are rounding errors, of which the ratios mean nothing.
     least = max(float(np.finfo(float).eps * np.ptp(target)), float(np.finfo(float).tiny))
-    for reflection in (False, True):
-        fit = fit_similarity(source, target, reflection=reflection)
+    for hand in (False, True) if reflection is None else (reflection,):
+        fit = fit_similarity(source, target, scaling=scaling, reflection=hand)
         weights = np.ones(len(source))
         for i in range(_MAX_ITERATIONS):
             residuals = np.linalg.norm(fit.apply(source) - target, axis=1)
@@ -132,8 +142,8 @@ def fit_similarity_robustly(source: NDArray[np.float64], target: NDArray[np.floa
                 weights = scale / np.maximum(residuals, scale)
             else:
                 weights = 1 / (1 + (residuals / (_WIDTH * scale)) ** 2) ** 2
-            fit = fit_similarity(source, target, weights, reflection=reflection)
+            fit = fit_similarity(source, target, weights, scaling=scaling, reflection=hand)
             if i > _FIRST_ITERATIONS and np.abs(weights - before).max() < _CONVERGED:
                 break
-        fits.append((float(np.median(residuals)), reflection, fit))
+        fits.append((float(np.median(residuals)), hand, fit))
     return min(fits, key=lambda found: found[:2])[2]

@@ -23,5 +23,8 @@ from anisomap.placement.scale import METRES as METRES
 from anisomap.placement.scale import median_spacing as median_spacing
 from anisomap.placement.scale import parse_length as parse_length
 from anisomap.placement.scale import scaled_to_spacing as scaled_to_spacing
+from anisomap.placement.self_touch import SelfTouch as SelfTouch
+from anisomap.placement.self_touch import TouchPlacement as TouchPlacement
+from anisomap.placement.self_touch import place_by_self_touch as place_by_self_touch
 from anisomap.placement.taxels import Taxels as Taxels
 from anisomap.placement.taxels import to_taxels as to_taxels

@@ -1,0 +1,334 @@
+"""Placing a patch on its link by touching it with another patch of the same robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.special import fdtri
+
+from anisomap.errors import InputError
+from anisomap.numerics.kinematics import KinematicTree
+from anisomap.numerics.patch_pose import FAR, MIN_PLACES, fit_patch_pose
+from anisomap.numerics.procrustes import fit_similarity, noise_scale
+from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.placement.anchor_fit import COVERAGE, fit_anchors
+from anisomap.placement.field_fit import Known
+from anisomap.placement.orientation import pad_to_3d
+from anisomap.placement.placing import Placement
+from anisomap.placement.scale import METRES, median_spacing
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+
+# Of the range of readings; light contacts have a noisy centre. Tuned on simulations of two arms,
+# seeds 1 to 20, with the other constants.
+_MIN_DEPTH = 0.1
+_RANGE_QUANTILE = 0.998  # of the depths of a patch; excludes glitches
+_MIN_SENSORS = 3  # active on each patch; the centre of fewer is known to a spacing only
+_APART = 1.0  # spacings between contacts of one run of frames
+_SYSTEMATIC = 0.02  # share of the variance of contacts that is alike for all, as by curvature
+_MAX_COORDINATE = 1e100  # so that sums of squares are finite
+_INCONSISTENT = 3.0  # medians of the misfits of contacts
+_NEIGHBOURS = 6  # contacts that a contact is compared with
+_SHUFFLES = 99
+_CHANCE = 0.01  # probability at which shuffled contacts may fit as well; the least that 99 can show
+
+
+@dataclass(frozen=True, eq=False)
+class SelfTouch:
+    """A recording during which two patches of a robot touch each other.
+
+    Attributes
+    ----------
+    recording : Recording
+        Of T frames, of the sensors of both patches.
+    robot : KinematicTree
+    angles : mapping of str to ndarray of shape (T,)
+        Angles in radians, or displacements in metres, of the joints between the links.
+    link : str
+        Link of the patch that is placed.
+    other_link : str
+        Link of the other patch.
+    """
+
+    recording: Recording
+    robot: KinematicTree
+    angles: Mapping[str, NDArray[np.float64]]
+    link: str
+    other_link: str
+
+
+@dataclass(frozen=True, eq=False)
+class TouchPlacement:
+    """A patch in the frame of its link.
+
+    Attributes
+    ----------
+    map : SensorMap
+        In metres, with `SensorMap.errors`.
+    frames : ndarray of int, shape (C,)
+        Frames of the contacts.
+    used : ndarray of bool, shape (C,)
+        False for contacts that contradict the others.
+    residuals : ndarray of shape (C,)
+        Distances between the places of each contact according to the two patches, in metres.
+    method : str
+        How the map was placed.
+    """
+
+    map: SensorMap
+    frames: NDArray[np.intp]
+    used: NDArray[np.bool_]
+    residuals: NDArray[np.float64]
+    method: str
+
+    @property
+    def placement(self) -> Placement:
+        """The same as a placement without anchors, to be drawn."""
+        empty = np.empty(0)
+        return Placement(self.map, (), empty, empty, (self.method,), ())
+
+
+def place_by_self_touch(
+    sensor_map: SensorMap,
+    touches: SelfTouch,
+    other: SensorMap,
+    *,
+    exact: bool = False,
+    handedness: str = "",
+) -> TouchPlacement:
+    """Place a patch in the frame of its link from contacts with a patch of known position.
+
+    The centre of each contact on either patch is one point of the robot. Joint angles bring the
+    centre on the other patch to the frame of the link, so contacts serve as anchors.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        The patch: a map in arbitrary units, or a layout in a frame of its own.
+    touches : SelfTouch
+        With the sensors of both patches, by name.
+    other : SensorMap
+        The other patch in the frame of its link, with a unit.
+    exact : bool
+        Whether `sensor_map` holds the positions of the sensors, in a unit of length and
+        right-handed axes; then only the pose is fitted. Otherwise scale, handedness and smooth
+        corrections of the map are fitted as well.
+    handedness : {"", "same", "mirrored"}
+        Whether a map has the handedness of the skin, if the user knows.
+
+    Returns
+    -------
+    TouchPlacement
+
+    Raises
+    ------
+    InputError
+        If there are too few contacts, they do not determine the pose or the handedness, or they
+        agree no better with the joint angles than with shuffled ones.
+    """
+    _check(sensor_map, other, exact=exact, handedness=handedness)
+    places, targets, frames = _contacts(sensor_map, touches, other)
+    _check_agreement(places, targets, scaling=not exact)
+    if exact:
+        factor = METRES[sensor_map.units]
+        pose = fit_patch_pose(factor * places, targets)
+        points = pad_to_3d(sensor_map.positions)
+        positions = pose.similarity.apply(factor * points)
+        spread = np.trace(pose.position_covariances(positions), axis1=1, axis2=2)
+        spread += 3 * _SYSTEMATIC * pose.sigma**2
+        errors = np.sqrt(spread * fdtri(3, pose.freedom, COVERAGE))
+        used, residuals = pose.used, pose.residuals
+        how, handed, reflected = "rigid pose", True, False
+    else:
+        known = _known(sensor_map, handedness)
+        used = _consistent(places, targets)
+        members = np.flatnonzero(sensor_map.placed)
+        points = np.vstack([pad_to_3d(sensor_map.positions[members]), places])
+        fit = fit_anchors(points, len(members) + np.flatnonzero(used), targets[used], known)
+        residuals = np.linalg.norm(fit.positions[len(members) :] - targets, axis=1)
+        positions = np.full((sensor_map.n_sensors, 3), np.nan)
+        errors = np.full(sensor_map.n_sensors, np.nan)
+        positions[members] = fit.positions[: len(members)]
+        errors[members] = fit.errors[: len(members)]
+        how = "similarity and smooth field" if fit.warped else "similarity"
+        handed, reflected = fit.handed, fit.reflected
+    method = f"{how}, {int(used.sum())} of {len(used)} contacts"
+    placed = replace(
+        sensor_map,
+        positions=positions,
+        errors=errors,
+        covariances=None,  # errors contain them
+        normals=None,
+        units="m",
+        frame=touches.link,
+        handed=handed,
+        anchored=True,
+        mirrored=sensor_map.mirrored != reflected,
+        provenance={**sensor_map.provenance, "contacts": int(used.sum()), "placed_by": method},
+    )
+    return TouchPlacement(placed, frames, used, residuals, method)
+
+
+def _check(sensor_map: SensorMap, other: SensorMap, *, exact: bool, handedness: str) -> None:
+    if handedness not in ("", "same", "mirrored"):
+        raise InputError(f"handedness must be same or mirrored, got {handedness!r}")
+    if sensor_map.anchored:
+        raise InputError("the map is in the frame of the robot already; place the original map")
+    for patch, what in ((sensor_map, "the map"), (other, "the layout of the other patch")):
+        if patch.dimensions not in (2, 3) or len(patch.component_sizes) != 1:
+            raise InputError(
+                f"{what} must have 2 or 3 dimensions and one component, got {patch.dimensions} "
+                f"dimensions and {len(patch.component_sizes)} components"
+            )
+    if exact and sensor_map.units not in METRES:
+        raise InputError(
+            "the exact positions of a patch must have a unit of length, such as x [mm]"
+        )
+    if other.units not in METRES:
+        raise InputError("the layout of the other patch must have a unit of length, such as x [mm]")
+
+
+def _contacts(
+    sensor_map: SensorMap, touches: SelfTouch, other: SensorMap
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+    """Return the centres of contacts on the map and in the frame of its link, and their frames."""
+    n_frames = touches.recording.n_frames
+    pose = touches.robot.relative_pose(touches.link, touches.other_link, touches.angles)
+    if len(pose) == 1 != n_frames:
+        raise InputError(
+            f"no moving joint is between the links {touches.link!r} and {touches.other_link!r}, so "
+            "contacts do not tell their positions"
+        )
+    if len(pose) != n_frames:
+        raise InputError(
+            f"joint angles must have a row for each of {n_frames} frames of the recording, got "
+            f"{len(pose)}"
+        )
+    own, depth = _centres(sensor_map, touches.recording, "the map")
+    across, _ = _centres(other, touches.recording, "the other patch")
+    parts = np.hstack([own, across, pose.reshape(n_frames, -1)])
+    both: NDArray[np.bool_] = np.all(np.isfinite(parts), axis=1)
+    frames = _distinct(own, depth, both, _APART * median_spacing(sensor_map))
+    if len(frames) < MIN_PLACES:
+        raise InputError(
+            f"a pose needs at least {MIN_PLACES} contacts between the patches, each of "
+            f"{_MIN_SENSORS} sensors or more on both, got {len(frames)}"
+        )
+    known = METRES[other.units] * across[frames]
+    turned = np.einsum("nij,nj->ni", pose[frames, :3, :3], known)
+    places, targets = own[frames], turned + pose[frames, :3, 3]
+    if max(np.abs(places).max(), np.abs(targets).max()) > _MAX_COORDINATE:
+        raise InputError(
+            f"coordinates of contacts must be below {_MAX_COORDINATE:g}; check the units of the "
+            "layouts and of the robot"
+        )
+    return places, targets, frames
+
+
+def _centres(
+    patch: SensorMap, recording: Recording, what: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the centre of contact in each frame, NaN without one, and the total depth."""
+    columns = {name: i for i, name in enumerate(recording.names)}
+    rows = [i for i in np.flatnonzero(patch.placed) if patch.names[i] in columns]
+    if len(rows) < _MIN_SENSORS:
+        raise InputError(
+            f"the recording must have {_MIN_SENSORS} sensors of {what} or more, got {len(rows)}"
+        )
+    readings = recording.readings[:, [columns[patch.names[i]] for i in rows]]
+    depth = estimate_rest(readings).depth(readings)
+    deepest = float(np.quantile(depth.max(axis=1), _RANGE_QUANTILE))
+    depth[depth <= _MIN_DEPTH * deepest] = 0.0
+    total = depth.sum(axis=1)
+    depth /= max(deepest, float(np.finfo(float).tiny))
+    touched = np.count_nonzero(depth, axis=1) >= _MIN_SENSORS
+    weights = depth / np.where(touched, total, np.nan)[:, None]
+    # Squares: at the edge of a patch, the part of a contact beyond it has no sensors, and the
+    # centre is drawn inwards less by them than by depths.
+    squares = np.where(touched[:, None], depth, np.nan) ** 2
+    weights = squares / squares.sum(axis=1, keepdims=True)
+    return weights @ pad_to_3d(patch.positions[rows]), total
+
+
+def _distinct(
+    centres: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    both: NDArray[np.bool_],
+    apart: float,
+) -> NDArray[np.intp]:
+    """Choose frames of different contacts: of each run the deepest ones that are apart."""
+    active = np.flatnonzero(both)
+    found: list[int] = []
+    for run in np.split(active, np.flatnonzero(np.diff(active) > 1) + 1):
+        kept: list[int] = []
+        for frame in run[np.argsort(-depth[run], kind="stable")]:
+            gaps = np.linalg.norm(centres[kept] - centres[frame], axis=1)
+            if (gaps >= apart).all():
+                kept.append(int(frame))
+        found += kept
+    return np.sort(np.array(found, dtype=np.intp))
+
+
+def _check_agreement(
+    places: NDArray[np.float64], targets: NDArray[np.float64], *, scaling: bool
+) -> None:
+    """Refuse contacts that agree no better than pairs of the places of different contacts.
+
+    A permutation test of the sum of squared residuals. Targets far from the others are left out, as
+    they would dominate it; which ones does not depend on the order.
+    """
+    off = np.linalg.norm(targets - np.median(targets, axis=0), axis=1)
+    near = off <= FAR * noise_scale(off, 3)
+    x, y = places[near], targets[near]
+    rng = np.random.default_rng(0)
+
+    def misfit(order: NDArray[np.intp]) -> float:
+        return float(
+            np.sum((fit_similarity(x, y[order], scaling=scaling).apply(x) - y[order]) ** 2)
+        )
+
+    own = misfit(np.arange(len(x)))
+    chance = sum(misfit(rng.permutation(len(x))) <= own for _ in range(_SHUFFLES))
+    if (chance + 1) / (_SHUFFLES + 1) > _CHANCE:
+        raise InputError(
+            f"the {len(places)} contacts agree with the joint angles no better than chance allows; "
+            "record more of them, or check the links, the units of the angles (radians) and that "
+            "their rows match the frames"
+        )
+
+
+def _consistent(places: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which contacts are as far from their neighbours in space as on the map.
+
+    A bent skin is no similarity of its map, but nearly one among neighbours. Distances do not
+    depend on the handedness.
+    """
+    near = np.asarray(KDTree(places).query(places, min(_NEIGHBOURS, len(places) - 1) + 1)[1])
+    on_map, apart = (
+        np.linalg.norm(points[near[:, 1:]] - points[:, None], axis=2)
+        for points in (places, targets)
+    )
+    scale = np.median(apart) / np.median(on_map)
+    misfit = np.median(np.abs(apart - scale * on_map), axis=1)
+    used = misfit <= _INCONSISTENT * np.median(misfit)
+    if used.sum() < MIN_PLACES:
+        raise InputError(
+            f"a pose needs at least {MIN_PLACES} contacts that agree with their neighbours on the "
+            f"map, got {int(used.sum())} of {len(used)}"
+        )
+    return np.asarray(used)
+
+
+def _known(sensor_map: SensorMap, handedness: str) -> Known:
+    positions = sensor_map.positions[sensor_map.placed]
+    stated = handedness == "mirrored" if handedness else (False if sensor_map.handed else None)
+    return Known(
+        spacing=median_spacing(sensor_map),
+        size=float(np.sqrt(np.sum(np.var(positions, axis=0)))),
+        uneven=sensor_map.uneven,
+        handedness=stated,
+    )
