@@ -107,3 +107,19 @@ def test_a_pose_does_not_depend_on_gains_and_zeros_of_the_recording(robot):
         for each in (recording, replace(recording, readings=300 - 7 * recording.readings))
     )
     np.testing.assert_allclose(same.map.positions, found.map.positions, atol=1e-9)
+
+
+def test_a_contact_that_lasts_counts_once(robot):
+    scene = simulate(robot, 561, 30, "flat")
+    recording = scene.touches.recording
+    longer = replace(
+        scene.touches,
+        recording=Recording(np.repeat(recording.readings, 3, axis=0), names=recording.names),
+        angles={name: np.repeat(column, 3) for name, column in scene.touches.angles.items()},
+    )
+    once, thrice = (
+        place_by_self_touch(scene.shape, touches, scene.other, exact=True)
+        for touches in (scene.touches, longer)
+    )
+    assert len(thrice.frames) == len(once.frames) == 30
+    np.testing.assert_allclose(thrice.map.positions, once.map.positions, atol=1e-4)

@@ -1,9 +1,11 @@
 """Journeys of `anisomap place`: a map in the frame of the robot."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks import self_touch
 
 import anisomap
 from anisomap import io
@@ -180,3 +182,85 @@ def test_what_cannot_be_placed_is_one_message(run, skin_map, tmp_path, arguments
     assert done.code == 2
     assert message in done.err
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.fixture
+def two_arms(tmp_path):
+    """Files of a robot that touches one patch with another, and the truth."""
+    pytest.importorskip("defusedxml")
+    (tmp_path / "robot.urdf").write_text(self_touch.URDF)
+    scene = self_touch.simulate(io.read_robot(tmp_path / "robot.urdf"), 561, 40, "flat")
+    anisomap.write(scene.touches.recording, tmp_path / "touches.npz")
+    anisomap.write(scene.rubbing, tmp_path / "patch.npz")
+    anisomap.write(scene.shape, tmp_path / "shape.csv")
+    anisomap.write(scene.other, tmp_path / "other.csv")
+    angles = np.column_stack(list(scene.touches.angles.values()))
+    header = ",".join(scene.touches.angles)
+    np.savetxt(tmp_path / "joints.csv", angles, delimiter=",", header=header, comments="")
+    turned = angles * np.where(np.arange(6) < 5, 180 / np.pi, 1)  # the last joint slides
+    np.savetxt(tmp_path / "degrees.csv", turned, delimiter=",", header=header, comments="")
+    return scene
+
+
+TOUCHING = {
+    "--self-touch": "touches.npz",
+    "--urdf": "robot.urdf",
+    "--joints": "joints.csv",
+    "--link": "left",
+    "--other": "other.csv",
+    "--other-link": "right",
+}
+
+
+def touching(**changes):
+    given = TOUCHING | {f"--{key.replace('_', '-')}": value for key, value in changes.items()}
+    return [word for pair in given.items() if pair[1] for word in pair]
+
+
+def test_a_map_is_placed_by_self_touch(run, run_map, two_arms, tmp_path):
+    assert run_map("patch.npz", "-d", 2, "-o", "map.csv").code == 0
+    done = run("place", "map.csv", *touching(), "-o", "placed.urdf", "-o", "placed.npz",
+               "--picture", "placed.png", "--json")  # fmt: skip
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
+    assert (found["anchored"], found["units"]) == (True, "m")
+    assert 30 < sum(contact["used"] for contact in found["contacts"]) <= 40
+    placed = io.read_map(tmp_path / "placed.npz")
+    off = np.linalg.norm(placed.positions - two_arms.truth, axis=1)
+    assert np.median(off) < 0.4 * self_touch.SPACING
+    assert placed.frame == "left"
+    assert (tmp_path / "placed.png").stat().st_size > 10_000
+    exact = run("place", "shape.csv", *touching(joints="degrees.csv"), "--degrees", "--exact",
+                "-o", "exact.npz")  # fmt: skip
+    assert exact.code == 0, exact.err
+    assert "agree" in exact.out
+    off = np.linalg.norm(io.read_map(tmp_path / "exact.npz").positions - two_arms.truth, axis=1)
+    assert off.max() < 0.4 * self_touch.SPACING
+
+
+WRONG_TOUCHING = {
+    "an option is missing": ({"joints": ""}, "give --joints as well"),
+    "no file": ({"urdf": "none.urdf"}, "none.urdf"),
+    "another file": ({"urdf": "shape.csv"}, "shape.csv is no URDF"),
+    "another link": ({"link": "nose"}, "no link 'nose'"),
+    "other frames": ({"joints": "short.csv"}, "each of 80 frames"),
+    "other joints": ({"joints": "strange.csv"}, "angles of joint 'a1' are missing"),
+    "other sensors": ({"other": "strangers.csv"}, "sensors of the other patch"),
+    "other units": ({"joints": "degrees.csv"}, "no better than chance"),
+    "both": ({"anchor": "a0=1,2,3"}, "by self-touch alone"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG_TOUCHING)
+def test_bad_input_of_self_touch(run, two_arms, tmp_path, what):
+    lines = (tmp_path / "joints.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "short.csv").write_text("".join(lines[:20]))
+    (tmp_path / "strange.csv").write_text(lines[0].replace("a1", "x1") + "".join(lines[1:]))
+    strangers = replace(two_arms.other, names=tuple(f"c{i}" for i in range(60)))
+    anisomap.write(strangers, tmp_path / "strangers.csv")
+    changes, message = WRONG_TOUCHING[what]
+    done = run("place", "shape.csv", "--exact", *touching(**changes), "-o", "placed.csv")
+    assert done.code == 2
+    assert message in done.err
+    assert len(done.err.splitlines()) == 1
+    assert not (tmp_path / "placed.csv").exists()

@@ -23,18 +23,18 @@ from anisomap.placement.scale import METRES, median_spacing
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
-# Of the range of readings; light contacts have a noisy centre. Tuned on simulations of two arms,
-# seeds 1 to 20, with the other constants.
-_MIN_DEPTH = 0.1
+# Chosen by hand.
+_MIN_DEPTH = 0.1  # of the range of readings; light contacts have a noisy centre
 _RANGE_QUANTILE = 0.998  # of the depths of a patch; excludes glitches
 _MIN_SENSORS = 3  # active on each patch; the centre of fewer is known to a spacing only
 _APART = 1.0  # spacings between contacts of one run of frames
-_SYSTEMATIC = 0.02  # share of the variance of contacts that is alike for all, as by curvature
-_MAX_COORDINATE = 1e100  # so that sums of squares are finite
-_INCONSISTENT = 3.0  # medians of the misfits of contacts
 _NEIGHBOURS = 6  # contacts that a contact is compared with
-_SHUFFLES = 99
-_CHANCE = 0.01  # probability at which shuffled contacts may fit as well; the least that 99 can show
+_MAX_COORDINATE = 1e100  # so that sums of squares are finite
+# Tuned on the simulations of `benchmarks.self_touch`, seeds 1 to 20.
+_SYSTEMATIC = 0.02  # share of the variance of contacts that is alike for all, as by curvature
+_INCONSISTENT = 3.0  # medians of the misfits of contacts
+# A permutation test at the least level that so many shuffles can show.
+_SHUFFLES, _CHANCE = 99, 0.01
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import printing
 from anisomap.cli.console import Printer, number
+from anisomap.cli.self_touch import NO_SELF_TOUCH, SelfTouchOptions
 from anisomap.drawing import figures
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
@@ -22,6 +23,7 @@ from anisomap.placement import (
     Anchors,
     Modules,
     Placement,
+    TouchPlacement,
     anchors_from_map,
     median_spacing,
     modules_by_size,
@@ -37,6 +39,7 @@ from anisomap.wording import join_items
 
 anchors_group = Group("Anchors", sort_key=2)
 modules_group = Group("Modules", sort_key=3)
+touch_group = Group("Self-touch", sort_key=4)
 
 _MAX_SHOWN = 50
 _MM = 1e3  # per metre
@@ -105,7 +108,7 @@ class ModuleOptions:
 
     def read(self, sensor_map: SensorMap) -> Modules | None:
         """Read the modules; None if there are none."""
-        if self.module is None and self.modules is None and self.module_size is None:
+        if not self.given:
             return None
         if self.module is None or (self.modules is None) == (self.module_size is None):
             raise InputError(
@@ -117,6 +120,11 @@ class ModuleOptions:
         else:
             divided = modules_by_size(sensor_map.names, self.module_size or 0, self.module_first)
         return divided.with_template(io.read_map(self.module))
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is known of modules."""
+        return bool(self.module or self.modules or self.module_size)
 
     @property
     def files(self) -> list[Path]:
@@ -135,6 +143,7 @@ def place_map(
     frame: Annotated[str, Parameter(group=options.outputs_group)] = "",
     known: Annotated[AnchorOptions, Parameter(name="*", group=anchors_group)] = AnchorOptions(),
     rigid: Annotated[ModuleOptions, Parameter(name="*", group=modules_group)] = ModuleOptions(),
+    touching: Annotated[SelfTouchOptions, Parameter(name="*", group=touch_group)] = NO_SELF_TOUCH,
     mesh: Path | None = None,
     mesh_units: str = "m",
     spacing: str = "",
@@ -145,7 +154,8 @@ def place_map(
     """Place a map in the frame of the robot, in metres, with an error for each sensor.
 
     Everything that is known is used together. Three and more sensors with a known position
-    determine the pose; known rigid modules the scale, and a more accurate map.
+    determine the pose; known rigid modules the scale, and a more accurate map. Contacts with
+    another patch of the robot take the place of all these.
 
     Parameters
     ----------
@@ -176,7 +186,10 @@ def place_map(
             printer.record(suggested=names)
         return
     outputs = output or [Path(f"{map_file.name.split('.')[0]}.placed.csv")]
-    inputs = [map_file, *rigid.files, *(path for path in (known.anchors, mesh) if path)]
+    alone = not (known.anchor or known.anchors or rigid.given or mesh or spacing)
+    by_touch = touching.check(alone=alone)
+    inputs = [map_file, *rigid.files, *touching.files]
+    inputs += [path for path in (known.anchors, mesh) if path]
     check_distinct([*outputs, *([picture] if picture else [])], inputs)
     for path in outputs:
         io.check_writable(path)
@@ -184,14 +197,18 @@ def place_map(
         figures.check_writable(picture)
     sensor_map, anchors = io.read_map(map_file), known.read()
     surface = None if mesh is None else _read_mesh(mesh, mesh_units)
-    placement = place(
-        sensor_map,
-        anchors,
-        modules=rigid.read(sensor_map),
-        mesh=surface,
-        spacing=parse_length(spacing) if spacing else None,
-        handedness=handedness,
-    )
+    touched = touching.place(sensor_map, handedness) if by_touch else None
+    if touched is not None:
+        placement = touched.placement
+    else:
+        placement = place(
+            sensor_map,
+            anchors,
+            modules=rigid.read(sensor_map),
+            mesh=surface,
+            spacing=parse_length(spacing) if spacing else None,
+            handedness=handedness,
+        )
     if frame:
         placement = replace(placement, map=replace(placement.map, frame=frame))
     files = []
@@ -203,6 +220,8 @@ def place_map(
         files.append(("picture", picture))
     with reporting.printer() as printer:
         _print(printer, placement, map_file.name)
+        if touched is not None:
+            _print_contacts(printer, touched)
         printing.print_files(printer, files)
 
 
@@ -278,4 +297,23 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
         ],
         left_out=placement.left_out,
         notes=placed.notes,
+    )
+
+
+def _print_contacts(printer: Printer, touched: TouchPlacement) -> None:
+    median = float(np.median(touched.residuals[touched.used]))
+    printer.line(
+        f"contacts: {int(touched.used.sum())} of {len(touched.used)} agree, "
+        f"{number(_MM * median, 3)} mm apart in the median"
+    )
+    printer.record(
+        contacts=[
+            {"frame": frame, "residual": residual, "used": used}
+            for frame, residual, used in zip(
+                touched.frames.tolist(),
+                touched.residuals.tolist(),
+                touched.used.tolist(),
+                strict=True,
+            )
+        ]
     )
