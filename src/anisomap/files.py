@@ -90,8 +90,11 @@ def read_small(path: str | os.PathLike[str], limit: int, what: str) -> str:
     FileError
         If the file cannot be read, is larger than `limit`, or is not UTF-8.
     """
-    with open_regular(path) as stream:
-        content = stream.read(limit + 1)
+    try:
+        with open_regular(path) as stream:
+            content = stream.read(limit + 1)
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
     if len(content) > limit:
         raise FileError(f"{path} is larger than {limit} bytes, the limit for {what}")
     try:

@@ -365,3 +365,31 @@ def test_sizes_of_many_digits_are_refused_in_one_sentence(tmp_path):
     with pytest.raises(FileError, match="expands to 1000000000000000000 bytes") as refused:
         budget.Budget(path).check(10**400, "it")
     assert len(str(refused.value)) < 300
+
+
+@pytest.mark.parametrize(
+    ("start", "line", "what"),
+    [
+        (b"time,sensor\n", b"1,2\n", "list of contacts"),
+        (b"", b'{"time":1,"sensor":2}\n', "list of contacts"),
+        (b"", b"1\n", "table of readings"),
+        (b"", b"1,2,3,4,5,6,7,8\n", "table of readings"),
+        (b"", b"1," * 20_000 + b"1\n", "list of sensors"),
+    ],
+)
+def test_repeated_lines_are_refused_before_they_take_memory(
+    tmp_path, monkeypatch, start, line, what
+) -> None:
+    monkeypatch.setattr(budget, "FREE_BYTES", 1 << 20)
+    path = tmp_path / "r.gz"
+    path.write_bytes(gzip.compress(start + line * ((1 << 20) // len(line))))
+    with pytest.raises(FileError, match=f"its {what} expands to"):
+        io.read(path)
+
+
+def test_blank_lines_and_comments_are_not_counted_as_rows(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(budget, "FREE_BYTES", 1 << 18)
+    path = tmp_path / "r.csv.gz"
+    filling = b"\n#\n \n\t\n" * 100_000
+    path.write_bytes(gzip.compress(b"1,2,3\n2,2,4\n" * 10 + filling))
+    assert io.read(path).readings.shape == (20, 3)

@@ -6,8 +6,6 @@ For example ``{"time": 0.12, "taxels": [3, 4, 17]}``; further properties are ign
 from __future__ import annotations
 
 import json
-import sys
-from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +15,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.events.event_columns import EventColumns, find_columns, noun_of
-from anisomap.io.events.event_frames import Events, name_sensors, stream_events
+from anisomap.io.events.event_frames import EventList, Events, name_sensors, stream_events
 from anisomap.io.parsing.columns import is_time, units_per_second
 from anisomap.io.parsing.json_text import JsonReader
 from anisomap.io.parsing.source import open_text, quote
@@ -44,8 +42,7 @@ def recognises(path: Path, head: bytes) -> bool:
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a list of contacts or spikes."""
-    moments, values = array("d"), array("d")
-    ids: list[str] = []
+    events_read = EventList[str](path)
     name = noun = ""
     valued = False
     for where, found in _objects(path):
@@ -56,17 +53,15 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         name, noun = keys[columns.moment], noun_of(keys[columns.sensor])
         valued = valued or columns.value >= 0
         moment, active, value = _parsed(f"{path}, {where}", found, keys, columns)
-        moments.extend([moment] * max(1, len(active)))
-        ids += map(sys.intern, active or [""])
-        values.extend([value] * max(1, len(active)))
-    names, index = name_sensors([text for text in ids if text], noun)
-    at = np.array(moments, dtype=np.float64)
+        events_read.add(moment, active, value)
+    names, index = name_sensors(events_read.sensors, noun)
+    at = np.array(events_read.moments, dtype=np.float64)
     timed = is_time(name)
     events = Events(
         at / units_per_second(name, at) if timed else at,
-        np.array([index[text] if text else -1 for text in ids], dtype=np.intp),
+        events_read.indices(index),
         names,
-        np.array(values) if valued else None,
+        np.array(events_read.values) if valued else None,
         timed=timed,
     )
     yield stream_events(path, events, bin_s=options.bin_s, metadata={"format": "list of contacts"})

@@ -20,7 +20,7 @@ import numpy as np
 
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.io.events.event_columns import find_columns, noun_of
-from anisomap.io.events.event_frames import Events, name_sensors, stream_events
+from anisomap.io.events.event_frames import EventList, Events, name_sensors, stream_events
 from anisomap.io.parsing import delimited
 from anisomap.io.parsing.columns import is_time, units_per_second
 from anisomap.io.parsing.libraries import error_reason
@@ -189,9 +189,7 @@ def _listed(cell: str) -> list[str]:
 
 
 def _stream(path: Path, layout: _Layout, options: ReadOptions) -> Stream:
-    moments: list[float] = []
-    ids: list[str] = []
-    values: list[float] = []
+    found = EventList[str](path)
     try:
         with open_text(path) as stream:
             lines = Lines(path, stream)
@@ -200,22 +198,20 @@ def _stream(path: Path, layout: _Layout, options: ReadOptions) -> Stream:
                     moment, active, value = _parsed(path, line, fields, layout)
                     if moment is None:
                         continue
-                    moments += [moment] * max(1, len(active))
-                    ids += active or [""]
-                    values += [value] * max(1, len(active))
+                    found.add(moment, active, value)
             except (LineError, csv.Error) as error:
-                lines.end_early(error, len(moments), "contacts")
+                lines.end_early(error, len(found.moments), "contacts")
     except GZIP_ERRORS as error:
-        if not moments:
+        if not found.moments:
             raise
         warnings.warn(
-            f"{path} is damaged or cut short ({error_reason(error)}): read the {len(moments)} "
-            "contacts before the damage, lost the rest",
+            f"{path} is damaged or cut short ({error_reason(error)}): read the "
+            f"{len(found.moments)} contacts before the damage, lost the rest",
             AnisomapWarning,
             stacklevel=2,
         )
-    names, index = name_sensors([text for text in ids if text], layout.noun)
-    at = np.array(moments, dtype=np.float64)
+    names, index = name_sensors(found.sensors, layout.noun)
+    at = np.array(found.moments, dtype=np.float64)
     name = layout.header[layout.moment] if layout.header else ""
     # Without a name of a time, whole numbers count events.
     timed = is_time(name, layout.moment) or bool((at != np.floor(at)).any())
@@ -223,9 +219,9 @@ def _stream(path: Path, layout: _Layout, options: ReadOptions) -> Stream:
         at /= units_per_second(name, at)
     events = Events(
         at,
-        np.array([index[text] if text else -1 for text in ids], dtype=np.intp),
+        found.indices(index),
         names,
-        np.array(values) if layout.value >= 0 else None,
+        np.array(found.values) if layout.value >= 0 else None,
         timed=timed,
     )
     return stream_events(path, events, bin_s=options.bin_s, metadata={"format": "list of contacts"})

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,11 @@ DEFAULT_BIN_S = 1.0
 The reader of the retinal wave repository counts in intervals of this length by default (Eglen et
 al. 2014, GigaScience 3:3, doi:10.1186/2047-217X-3-3).
 """
+
+_Key = TypeVar("_Key", bound=Hashable)
+
+_EVENT_BYTES = 64
+"""Memory per event: moment, sensor and value (24), and the arrays that sort them by moment."""
 
 _BLOCK_BYTES = 1 << 22
 # Chosen by hand: a recording in which fewer than one bin in a thousand holds an event has a wrong
@@ -64,6 +71,51 @@ class Events:
             for field, array in vars(self).copy().items():
                 if isinstance(array, np.ndarray):
                     object.__setattr__(self, field, array[order])
+
+
+class EventList(Generic[_Key]):
+    """Events while they are read, within the budget of their file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+
+    Attributes
+    ----------
+    moments, values : array of float
+        One entry per event; `values` is a second number of each.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.moments, self.values = array("d"), array("d")
+        self._numbers = array("q")
+        self._seen: dict[_Key, int] = {}
+        self._budget = Budget(path)
+
+    @property
+    def sensors(self) -> list[_Key]:
+        """All sensors, in the order of their first event."""
+        return list(self._seen)
+
+    def add(self, moment: float, active: Sequence[_Key], value: float = 1.0) -> None:
+        """Add the active sensors of a moment; none is an event without a sensor.
+
+        Raises
+        ------
+        FileError
+            If the events would take far more memory than the file.
+        """
+        count = max(1, len(active))
+        self._budget.spend(_EVENT_BYTES * count, "its list of contacts")
+        self.moments.extend([moment] * count)
+        self.values.extend([value] * count)
+        seen = self._seen
+        self._numbers.extend([seen.setdefault(key, len(seen)) for key in active] or [-1])
+
+    def indices(self, index: Mapping[_Key, int]) -> NDArray[np.intp]:
+        """Return the index of the sensor of each event, -1 for none."""
+        places = np.array([*(index[key] for key in self._seen), -1], dtype=np.intp)
+        return places[np.asarray(self._numbers, dtype=np.intp)]
 
 
 def name_sensors(ids: Sequence[str], noun: str) -> tuple[tuple[str, ...], dict[str, int]]:

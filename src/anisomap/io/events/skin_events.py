@@ -18,7 +18,7 @@ import numpy as np
 
 from anisomap.errors import AnisomapWarning
 from anisomap.io.choice import Content
-from anisomap.io.events.event_frames import Events, stream_events
+from anisomap.io.events.event_frames import EventList, Events, stream_events
 from anisomap.io.parsing.libraries import error_reason
 from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote
 from anisomap.io.parsing.table import LineError, Lines, is_skipped
@@ -94,26 +94,22 @@ def stream_contacts(path: Path, parts: Sequence[str], bin_s: float | None) -> St
     Stream
         A reading is 1 where a contact lists the taxel.
     """
-    moments: list[float] = []
-    received: list[float] = []
-    touched: list[tuple[str, int]] = []
+    found = EventList[tuple[str, int]](path)
     wanted = set(parts)
     for frame in _frames(path):
         active = [
             (part, taxel) for part, taxels in frame.taxels if part in wanted for taxel in taxels
         ]
-        # A line without contact is a frame too; number -1 marks it.
-        active = active or [("", -1)]
-        touched += active
-        moments += [frame.stamps[0]] * len(active)
-        received += [frame.stamps[-1]] * len(active)
+        # A line without contact is a frame too.
+        found.add(frame.stamps[0], active, frame.stamps[-1])
     order = {part: i for i, part in enumerate(parts)}
-    sensors = sorted({each for each in touched if each[0]}, key=lambda s: (order[s[0]], s[1]))
+    sensors = sorted(found.sensors, key=lambda s: (order[s[0]], s[1]))
     index = {sensor: i for i, sensor in enumerate(sensors)}
     one = len(parts) == 1
+    sent, received = np.array(found.moments), np.array(found.values)
     events = Events(
-        np.array(moments if sorted(moments) == moments else received, dtype=np.float64),
-        np.array([index.get(each, -1) for each in touched], dtype=np.intp),
+        sent if (np.diff(sent) >= 0).all() else received,
+        found.indices(index),
         tuple(f"taxel{taxel}" if one else f"{part}/taxel{taxel}" for part, taxel in sensors),
     )
     metadata = {"format": "YARP skin_events", "skin_parts": ", ".join(parts)}

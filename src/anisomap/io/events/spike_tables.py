@@ -19,7 +19,7 @@ import numpy as np
 from anisomap.errors import FileError
 from anisomap.io.events.event_frames import Events, stream_events
 from anisomap.io.parsing import delimited
-from anisomap.io.parsing.source import open_text
+from anisomap.io.parsing.source import read_lines
 from anisomap.io.parsing.table import is_number, parse_number
 from anisomap.io.stream import Stream
 
@@ -46,8 +46,7 @@ def stream_table(path: Path, bin_s: float) -> Stream:
     FileError
         If the numbers do not increase along all lines or all columns.
     """
-    with open_text(path) as stream:
-        lines = list(stream)
+    lines = read_lines(path)
     delimiter = delimited.find_delimiter(lines[:1000])
     try:
         rows = [fields for _, fields in delimited.records(lines, delimiter)]

@@ -21,7 +21,7 @@ Record = tuple[int, list[str]]
 FORMULA_STARTS = (*"=+-@\t\r", *"\uff1d\uff0b\uff0d\uff20")
 """First characters of a cell that spreadsheets take for a formula, some in full width."""
 
-_SAMPLE_LINES, _SAMPLE_CHARACTERS = 1000, 1 << 22
+_SAMPLE_LINES, _SAMPLE_CHARACTERS = 1000, 1 << 21
 _SAMPLE_RECORDS = 50
 # In order of reliability: numbers and names rarely contain semicolons and tabs; commas may be
 # decimal.
@@ -306,6 +306,6 @@ def _looks_like_header(
 def _counts(fields: Sequence[str]) -> bool:
     """Return whether fields are 0, 1, 2, ... or 1, 2, 3, ...: default labels of data frames."""
     return len(fields) >= _MIN_COUNTED and any(
-        [field.strip() for field in fields] == [str(start + i) for i in range(len(fields))]
+        all(field.strip() == str(number) for number, field in enumerate(fields, start))
         for start in (0, 1)
     )

@@ -164,6 +164,12 @@ def open_text_with_progress(path: Path) -> Iterator[Text]:
             yield Text(text, lambda: raw.tell() / size)
 
 
+def is_gzipped(path: Path) -> bool:
+    """Return whether a file starts with the gzip magic number."""
+    with open_regular(path) as raw:
+        return raw.peek(len(_GZIP))[: len(_GZIP)] == _GZIP
+
+
 def read_lines(path: Path) -> list[str]:
     """Read all lines of a file as `open_text` does, within the budget of the file.
 

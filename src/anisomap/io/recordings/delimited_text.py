@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from anisomap.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io.choice import Content, choose
 from anisomap.io.events import contact_text, spike_tables
@@ -32,8 +33,8 @@ from anisomap.io.parsing.columns import (
     warn_of_guesses,
 )
 from anisomap.io.parsing.frames import to_float32_if_exact
-from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote_if_needed
-from anisomap.io.parsing.table import Table, first_rows, line_of, read_blocks
+from anisomap.io.parsing.source import GZIP_ERRORS, is_gzipped, open_text, quote_if_needed
+from anisomap.io.parsing.table import Table, first_rows, least_rows, line_of, read_blocks
 from anisomap.io.recordings.list_columns import (
     ListColumn,
     contents_of_lists,
@@ -49,6 +50,7 @@ MAP_TITLE = "anisomap map"
 """First words of files written by anisomap, after ``#``."""
 
 _MAX_NAME_LINES = 500  # of the lines from which the layout of a table is detected
+_MAX_CLOCKS = 2  # columns that are a time or a frame counter
 _TIME_COLUMN = "time_s"
 _DELIMITERS = {"separated by commas": ",", "separated by tabs": "\t"}
 _IN_FIRST_COLUMN, _NO_TIMES = "first column, seconds", "none"
@@ -81,6 +83,9 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     layout = delimited.find_layout(
         sample[preamble:], own_delimiter=_DELIMITERS.get(str(known.get("fields")), "")
     )
+    budget = Budget(path)
+    n_least = layout.n_columns - len(layout.text_columns) - _MAX_CLOCKS
+    budget.check(SENSOR_BYTES * n_least, "its list of sensors")
     if not known and (lists := find_list_columns(sample[preamble:], layout)):
         table = _table(path, layout, sample, preamble)
         chosen = choose(path, contents_of_lists(lists), options.select, "list column")
@@ -105,6 +110,11 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     roles = _own_roles(known) if known else _detected_roles(table, names)
     if len(roles.non_sensors) == layout.n_columns:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
+    if is_gzipped(path):
+        # Lines are counted far faster than parsed, and take no memory.
+        n_rows = least_rows(path) - table.first_line
+        n_readings = n_rows * (layout.n_columns - len(roles.non_sensors))
+        budget.check(n_readings * bytes_kept(np.dtype(np.float32)), "its table of readings")
     rate_hz = known.get("rate_hz")
     yield Stream(
         path,
