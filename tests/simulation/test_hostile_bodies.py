@@ -12,6 +12,7 @@ import pytest
 
 from anisomap.errors import FileError
 from anisomap.simulation.bodies import load_body
+from anisomap.simulation.geometry.mesh_files import read_mesh
 
 trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
 pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
@@ -139,3 +140,18 @@ def test_materials_are_not_opened(tmp_path: Path, named: str) -> None:
     text = trimesh.creation.box().export(file_type="obj")
     (tmp_path / "box.obj").write_text(f"mtllib {named}\nusemtl a\n{text}")
     assert load_body(tmp_path / "box.obj", 9).n_sensors == 9
+
+
+def test_groups_of_a_mesh_are_not_divided(tmp_path: Path) -> None:
+    """The 20,000 groups would take a minute."""
+    box = trimesh.creation.box().export(file_type="obj", include_normals=False)
+    vertices = [line for line in box.splitlines() if line.startswith("v ")]
+    faces = [line for line in box.splitlines() if line.startswith("f ")]
+    groups = [f"o a{i}\ng g{i}\nusemtl m{i}\ns {i}" for i in range(20_000)]
+    groups[: len(faces)] = [f"{g}\n{face}" for g, face in zip(groups, faces, strict=False)]
+    (tmp_path / "plain.obj").write_text("\n".join(vertices + faces))
+    (tmp_path / "groups.obj").write_text("\n".join(vertices + groups))
+    plain, grouped = read_mesh(tmp_path / "plain.obj"), read_mesh(tmp_path / "groups.obj")
+    assert len(plain[1]) == 12
+    for expected, found in zip(plain, grouped, strict=True):
+        np.testing.assert_array_equal(found, expected)

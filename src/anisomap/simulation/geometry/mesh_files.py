@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from io import BytesIO
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from anisomap.files import open_regular, without_log
 from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.solids import Points
 
+# Names of objects, groups and materials: trimesh takes quadratic time to divide a mesh by them.
+_OBJ_GROUPS = re.compile(rb"^[ \t]*+(?:usemtl|mtllib|o|g|s)\b[^\r\n]*+", re.MULTILINE)
 _MAX_REASON = 150  # characters of a message of trimesh
 _GLB, _GLB_HEADER = b"glTF", 20  # bytes before the JSON
 _ITEM_BYTES = 64  # largest item of an accessor: 16 floating-point numbers
@@ -46,6 +49,8 @@ def read_mesh(path: Path) -> tuple[Points, NDArray[np.intp]]:
         content = stream.read()
     if suffix == ".glb":
         _check_accessors(path, content)
+    if suffix == ".obj":
+        content = _OBJ_GROUPS.sub(b"", content)
     # Its messages concern parts that are not read, such as the normals of faces.
     with without_log("trimesh"):
         try:
