@@ -147,7 +147,7 @@ def place_map(
     mesh: Path | None = None,
     mesh_units: str = "m",
     spacing: str = "",
-    handedness: Literal["", "same", "mirrored"] = "",
+    handedness: Literal["same", "mirrored"] | None = None,
     suggest: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
@@ -197,7 +197,7 @@ def place_map(
         figures.check_writable(picture)
     sensor_map, anchors = io.read_map(map_file), known.read()
     surface = None if mesh is None else _read_mesh(mesh, mesh_units)
-    touched = touching.place(sensor_map, handedness) if by_touch else None
+    touched = touching.place(sensor_map, handedness or "") if by_touch else None
     if touched is not None:
         placement = touched.placement
     else:
@@ -207,7 +207,7 @@ def place_map(
             modules=rigid.read(sensor_map),
             mesh=surface,
             spacing=parse_length(spacing) if spacing else None,
-            handedness=handedness,
+            handedness=handedness or "",
         )
     if frame:
         placement = replace(placement, map=replace(placement.map, frame=frame))
