@@ -57,7 +57,7 @@ class MapPart:
     refinement: Refined | None = None
 
     def contacts_from(self, reference: Reals, options: MethodOptions) -> ContactAverage | None:
-        """Return the fit of contacts; one that starts from a reference map if it is not known."""
+        """Return the fit of contacts of the map; if unknown, that of a reference map instead."""
         if self.refinement is not None:
             return self.refinement.contacts
         return average_with_contacts(self.pairs, Refined(reference), options.contacts).contacts

@@ -74,8 +74,8 @@ def resampled_maps(
     method : str
         Name of a method that refines positions.
     contacts_from : callable
-        Returns the average of the map with a fit of contacts, if it is one, from a map of the
-        recording without contacts.
+        Takes a map of the recording that is not averaged with a fit of contacts, and returns that
+        average; None if the map itself is not such an average.
     options : MethodOptions, optional
     rng : numpy.random.Generator
     progress : callable, optional

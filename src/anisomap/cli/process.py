@@ -44,7 +44,7 @@ def run_process(arguments: list[str] | None) -> None:
 
 
 class _Signals:
-    """Signals that ask the process to end, in `received`; each raises an exception."""
+    """Handlers of signals that ask the process to end; `received` lists what arrived."""
 
     def __init__(self) -> None:
         self.received: list[int] = []

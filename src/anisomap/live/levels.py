@@ -39,7 +39,8 @@ class Levels:
         width : int
             Number of sensors.
         quick : QuickMap or None
-            Knows the rest of the sensors. Before it, the first frame counts as rest.
+            Holds the resting readings of the sensors. Before it is made, the first frame counts as
+            rest.
         """
         parts = [part for part in parts if part.shape[1] == width]
         if not parts:

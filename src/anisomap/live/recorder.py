@@ -247,7 +247,7 @@ class Recorder:
             for mark in chain([""], (f"-{at}" for at in count(2)))
         )
         try:
-            # The first time, a file that another session has made meanwhile is not added to.
+            # The first time, "x": a file that another session has made meanwhile is left as it is.
             with path.open("a" if self._odd_path else "x", encoding="utf-8") as stream:
                 self._odd_path = path
                 for part in parts:

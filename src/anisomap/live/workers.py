@@ -313,7 +313,7 @@ class _Follower:
             statistics = self._statistics
             low = np.where(np.isfinite(statistics.lowest), statistics.lowest, 0)
             high = np.where(np.isfinite(statistics.highest), statistics.highest, 0)
-            # Presets ask which values vary, and of which port they are.
+            # Presets depend on which values vary, and on the port that the values come from.
             probe = Recording(
                 np.array([low, low, high]), names=segment.names, source=segment.source
             )

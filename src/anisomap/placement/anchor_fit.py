@@ -79,9 +79,9 @@ def fit_anchors(
 ) -> AnchorFit:
     """Transform a map to the frame of its anchors.
 
-    A similarity and a smooth field of corrections are fitted together, with the scale weighted by
-    what anchors and prior knowledge are worth. With `MIN_LEFT_OUT` and more anchors another field
-    is taken if it predicts anchors that were left out better.
+    A similarity and a smooth field of corrections are fitted together. The scale is weighted by the
+    precision of the anchors and of prior knowledge. With `MIN_LEFT_OUT` anchors or more, another
+    field is used if it predicts anchors that were left out better.
 
     Parameters
     ----------

@@ -136,8 +136,8 @@ def krige(
     kernel : Kernel
         Covariance of the field of corrections, in the frame of the anchors.
     validated : bool
-        Whether anchors that were left out have shown that the field predicts better; then it makes
-        the variances smaller.
+        Whether anchors that were left out have shown that the field predicts better; then the
+        field makes the variances smaller.
 
     Returns
     -------
@@ -161,7 +161,7 @@ def krige(
     residual = y - anchors
     wanted = np.einsum("nki,nm,mk->i", here, inverse, residual)
     if np.isfinite(known.scale_sigma):
-        # The last parameter is the change of the scale, which the fit knows from elsewhere.
+        # The last parameter is the change of the scale, of which `known` has prior knowledge.
         sigma = known.sigma * fit.scale / np.sqrt(total)
         precision = (sigma / (size * max(known.scale_sigma, np.finfo(float).eps))) ** 2
         information[-1, -1] += precision

@@ -40,7 +40,7 @@ _DOUBT = 0.02
 succession, since none of those 62 maps was."""
 
 # Normals estimated from maps: concentration about the right ones (von Mises & Fisher), share of
-# reversed ones, and of those that tell nothing. On eight simulated bodies, rubbed, seeds 201 to
+# reversed ones, and of arbitrary ones. On eight simulated bodies, rubbed, seeds 201 to
 # 203, 15 % were more than 72 degrees off, most of them reversed ones of y-shapes and hands; the
 # concentration of the others was 16, and 8 on cubes. The probability that all normals of a map
 # point inwards is a guess.
@@ -94,8 +94,8 @@ def choose_hand(
         found = _evidence(positions, sensors, targets, known)
         evidence, irrelevant = evidence + found.value, found.irrelevant
     if irrelevant and positions.shape[1] == 3:
-        # Two rotations put a plane on a plane, and the map of the one is the mirror image of the
-        # other. The fit takes the better one, so anchors must tell that it is the right one.
+        # Two rotations put one plane on another; the maps that they place are mirror images of each
+        # other. The fit takes the better rotation, so anchors must show that it is the right one.
         within = _evidence(in_plane(positions), sensors, in_plane(targets), known)
         if abs(within.value) < DECISIVE and not within.irrelevant:
             raise InputError(_undecided(len(sensors), 2, known.uneven, sides=True))
@@ -121,7 +121,7 @@ def choose_hand(
 
 
 def _undecided(count: int, dimensions: int, uneven: bool, *, sides: bool = False) -> str:
-    """Return what would settle the hand, or which side of a flat map in space is which."""
+    """Return what would settle the handedness of a map, or the side of a flat map in space."""
     if dimensions == 2:
         more = "a third anchor off their line" if count < 3 else "more anchors off their line"
     elif count < dimensions + 1:
@@ -155,8 +155,8 @@ def _evidence(
     n, k = targets.shape
     x = positions[sensors]
     fits = [fit_scaled(x, targets, known, reflected) for reflected in (False, True)]
-    # Errors are those of the map, so residuals are taken back to its unit, alike for both hands:
-    # the scale of the wrong hand is too small, and so would be its errors.
+    # Errors are those of the map, so residuals are converted to its unit, by one factor for both
+    # hands: the fitted scale of the wrong hand is too small, which would make its errors too small.
     unit = np.sum((x - x.mean(axis=0)) ** 2) / np.sum((targets - targets.mean(axis=0)) ** 2)
     same, mirror = (
         float(unit)

@@ -33,7 +33,7 @@ _MAX_COORDINATE = 1e100  # so that sums of squares are finite
 # Tuned on the simulations of `benchmarks.self_touch`, seeds 1 to 20.
 _SYSTEMATIC = 0.02  # share of the variance of contacts that is alike for all, as by curvature
 _INCONSISTENT = 3.0  # medians of the misfits of contacts
-# A permutation test at the least level that so many shuffles can show.
+# A permutation test at the lowest level that this number of shuffles can show.
 _SHUFFLES, _CHANCE = 99, 0.01
 
 
@@ -247,8 +247,8 @@ def _centres(
     depth /= max(deepest, float(np.finfo(float).tiny))
     touched = np.count_nonzero(depth, axis=1) >= _MIN_SENSORS
     weights = depth / np.where(touched, total, np.nan)[:, None]
-    # Squares: at the edge of a patch, the part of a contact beyond it has no sensors, and the
-    # centre is drawn inwards less by them than by depths.
+    # Depths are squared: at the edge of a patch, the part of a contact beyond the edge has no
+    # sensors, which draws the centre inwards; squares reduce this.
     squares = np.where(touched[:, None], depth, np.nan) ** 2
     weights = squares / squares.sum(axis=1, keepdims=True)
     return weights @ pad_to_3d(patch.positions[rows]), total
@@ -279,7 +279,7 @@ def _check_agreement(
     """Refuse contacts that agree no better than pairs of the places of different contacts.
 
     A permutation test of the sum of squared residuals. Targets far from the others are left out, as
-    they would dominate it; which ones does not depend on the order.
+    they would dominate the sum; the choice of these targets does not depend on the order.
     """
     off = np.linalg.norm(targets - np.median(targets, axis=0), axis=1)
     near = off <= FAR * noise_scale(off, 3)
@@ -304,8 +304,8 @@ def _check_agreement(
 def _consistent(places: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which contacts are as far from their neighbours in space as on the map.
 
-    A bent skin is no similarity of its map, but nearly one among neighbours. Distances do not
-    depend on the handedness.
+    No similarity transform takes a map to a bent skin, but among neighbours one nearly does.
+    Distances do not depend on the handedness.
     """
     near = np.asarray(KDTree(places).query(places, min(_NEIGHBOURS, len(places) - 1) + 1)[1])
     on_map, apart = (

@@ -170,7 +170,7 @@ class PairStatistics:
     def changes(self) -> Reals | None:
         """Blended correlation of the differences between frames, shape (n, n); None without them.
 
-        It takes as long as that of the readings, and several steps use it.
+        Computing it takes as long as that of the readings, and several steps use it.
         """
         if self.readings is None or len(self.readings) < _MIN_FRAMES:
             return None

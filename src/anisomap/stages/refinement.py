@@ -130,7 +130,7 @@ class ContactAverage:
     ----------
     fit : ContactFit
     given : ndarray of shape (n, k)
-        The map before, from which the fit started.
+        The map before the average, from which the fit started.
     share : float
         Weight of the fit in the average, in (0, 1].
     """

@@ -96,8 +96,8 @@ def systematic_doubts(
     blended : bool
         Whether the similarity is a blended correlation: see `compare_with_other_maps`.
     repeatability : float
-        Random error of the map, in spacings. Other maps have random errors as well; so much of
-        their difference is no doubt.
+        Random error of the map, in spacings. Other maps have random errors as well; that part of
+        their difference is not a doubt.
     halves : float
         The same from halves of the recording that are mapped from the beginning. It is larger if
         the fit can end in different maps of the same skin; 0 if unknown.

@@ -153,9 +153,9 @@ def place_map(
 ) -> None:
     """Place a map in the frame of the robot, in metres, with an error for each sensor.
 
-    Everything that is known is used together. Three and more sensors with a known position
-    determine the pose; known rigid modules the scale, and a more accurate map. Contacts with
-    another patch of the robot take the place of all these.
+    Everything that is known is used together. Three or more sensors with a known position
+    determine the pose. Rigid modules of known shape determine the scale and make the map more
+    accurate. Contacts with another patch of the robot are used instead of all these.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def place_map(
         Whether the map has the handedness of the skin, if you know: same or mirrored. By default
         it follows from anchors and modules.
     suggest
-        Only name so many sensors of each component that are worth measuring, and place nothing.
+        Number of sensors of each component to name as worth measuring; nothing is placed.
     """
     if suggest:
         with reporting.printer() as printer:

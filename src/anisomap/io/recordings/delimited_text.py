@@ -111,7 +111,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     if len(roles.non_sensors) == layout.n_columns:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
     if is_gzipped(path):
-        # Lines are counted far faster than parsed, and take no memory.
+        # Counting lines is far faster than parsing them, and takes no memory.
         n_rows = least_rows(path) - table.first_line
         n_readings = n_rows * (layout.n_columns - len(roles.non_sensors))
         budget.check(n_readings * bytes_kept(np.dtype(np.float32)), "its table of readings")

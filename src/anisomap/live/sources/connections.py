@@ -56,7 +56,7 @@ def stay_connected(
         with opened as connection:
             items = receive(connection, stop)
             while True:
-                # Only errors of the source are caught, not those of whoever takes its items.
+                # Only errors of the source are caught, not those of the code that takes its items.
                 try:
                     item = next(items)
                 except (StopIteration, *lost):  # type: ignore[misc]

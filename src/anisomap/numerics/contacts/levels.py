@@ -82,7 +82,7 @@ def assign_levels(readings: ArrayLike, n_levels: int, max_gain_spread: float) ->
 
 def _typical_maximum(depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a high quantile of the depth of each sensor, or its maximum if that is 0."""
-    # Quantiles of rows of contiguous numbers take a fraction of the time of those of columns.
+    # Quantiles of contiguous rows take a fraction of the time that quantiles of columns take.
     by_sensor = np.array(depth.T, order="C", copy=True)
     highest = np.quantile(by_sensor, _RANGE_QUANTILE, axis=1, overwrite_input=True)
     return np.where(highest > 0, highest, depth.max(axis=0))

@@ -65,7 +65,7 @@ class Blend:
     ranks: NDArray[np.float64]
 
     def select(self, sensors: NDArray[np.bool_]) -> Blend:
-        """Return what concerns some sensors, given as a mask of shape (N,)."""
+        """Return the blend of some of the sensors, given as a mask of shape (N,)."""
         inside = np.ix_(sensors, sensors)
         return Blend(
             self.similarity[inside], self.variance[inside], self.weight, self.ranks[:, sensors]

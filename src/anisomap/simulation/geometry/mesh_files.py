@@ -51,7 +51,7 @@ def read_mesh(path: Path) -> tuple[Points, NDArray[np.intp]]:
         _check_accessors(path, content)
     if suffix == ".obj":
         content = _OBJ_GROUPS.sub(b"", content)
-    # Its messages concern parts that are not read, such as the normals of faces.
+    # Messages of trimesh concern parts that are not read, such as the normals of faces.
     with without_log("trimesh"):
         try:
             # Given bytes without a name, trimesh opens no other file.
