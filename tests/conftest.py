@@ -13,10 +13,13 @@ SHARED = Path(os.environ.get("ANISOMAP_SHARED", Path(__file__).parents[2] / "sha
 def interruptible() -> None:
     """Let tests interrupt the processes that they start.
 
-    A shell starts background jobs with SIGINT ignored, and child processes inherit that.
+    A shell starts background jobs with SIGINT ignored, and nohup with SIGHUP ignored; child
+    processes inherit that.
     """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if hasattr(signal, "SIGHUP"):  # not on Windows
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")
