@@ -66,6 +66,7 @@ class SessionMaps:
         self.options = options
         self.quick: QuickMap | None = None
         self.checked: Examination | None = None
+        self._previous: Examination | None = None
         self.curve: list[Point] = []
         self.touched: list[tuple[float, float]] = []
         self.examining = False
@@ -129,13 +130,17 @@ class SessionMaps:
         return confirmed_faults(kept, untouched, self.share_touched)
 
     def reached(self, level: str) -> bool:
-        """Return whether the checked map has a level, or a better one."""
-        return self.checked is not None and self.checked.verdict.is_at_least(level)
+        """Return whether the last two checked maps have a level, or a better one.
+
+        Verdicts on few frames vary from one checked map to the next.
+        """
+        last = (self._previous, self.checked)
+        return all(found is not None and found.verdict.is_at_least(level) for found in last)
 
     def begin(self, segment: Segment) -> None:
         """Map a new recording from now on."""
         self._segment = segment
-        self.quick = self.checked = None
+        self.quick = self.checked = self._previous = None
         self._chosen = 0
         self._examined_frames = 0
         self._quick.send(Changed(segment=segment))
@@ -193,7 +198,7 @@ class SessionMaps:
             self._show(answer[1])
 
     def _show(self, found: Examination) -> None:
-        self.checked = found
+        self._previous, self.checked = self.checked, found
         self.curve = [
             *thinned(self.curve),
             Point(

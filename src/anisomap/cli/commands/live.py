@@ -54,7 +54,7 @@ class PageOptions:
     headless
         Show no page: print lines instead, or JSON objects with --json.
     until
-        End when the map is of this level, or of a better one.
+        End when two checked maps in a row are of this level, or of a better one.
     for
         End after this number of seconds.
     """
