@@ -99,9 +99,10 @@ def measure_on_one_thread(run: Callable[[], Result]) -> tuple[Cost, Result]:
 def _begin_peak() -> float:
     """Reset the peak and return the current memory in megabytes; NaN where not possible."""
     try:
-        (_PROCESS / "clear_refs").write_text("5")
-        # Memory that was freed but not returned to the system would be reused unnoticed.
+        # Memory that was freed but not returned to the system would be reused unnoticed, and would
+        # count as part of the peak if it were returned after the reset.
         ctypes.CDLL(None).malloc_trim(0)
+        (_PROCESS / "clear_refs").write_text("5")
     except (OSError, AttributeError):
         return math.nan
     return _status("VmRSS")
