@@ -59,7 +59,7 @@ def compute_stages(
     refined = recipe.refine is not None
     with limited_blas(max(run.n_sensors for run in runs)):
         pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=refined)
-        metric = recipe.metric(dissimilarity_of(pairs, recipe, options))
+        metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
         if dimensions == AUTO and recipe.dissimilarity != METHODS[DEFAULT_METHOD].dissimilarity:
             plan = _plan_by_default_method(runs, options)
         else:
@@ -97,10 +97,10 @@ def dissimilarities(
     -----
     McGregor et al. (2011), section "ANISOMAP", step 1, doi:10.1371/journal.pone.0026561.
     """
-    return dissimilarity_of(pairs, find_method(method), options or MethodOptions())
+    return _dissimilarity_of(pairs, find_method(method), options or MethodOptions())
 
 
-def dissimilarity_of(pairs: PairStatistics, recipe: Method, options: MethodOptions) -> Reals:
+def _dissimilarity_of(pairs: PairStatistics, recipe: Method, options: MethodOptions) -> Reals:
     """Compute `dissimilarities` by a method."""
     dissimilarity = recipe.dissimilarity(pairs, options)
     if not pairs.known.all():
@@ -113,7 +113,7 @@ def _plan_by_default_method(runs: Sequence[Recording], options: MethodOptions) -
     """Choose dimensions by the default method, which examines contacts if the skin looks flat."""
     recipe = METHODS[DEFAULT_METHOD]
     pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=True)
-    metric = recipe.metric(dissimilarity_of(pairs, recipe, options))
+    metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
     plan = plan_dimensions(AUTO, metric, pairs.weights)
     if plan.dimensions == SPATIAL:
         return plan

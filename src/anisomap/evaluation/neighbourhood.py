@@ -23,9 +23,7 @@ _SHELLS = 16  # neighbours that are looked for around a tie, per neighbour asked
 
 def median_spacing(positions: ArrayLike) -> float:
     """Median distance from a sensor to its nearest neighbour, in the units of `positions`."""
-    points = np.asarray(positions, dtype=np.float64)
-    nearest = np.asarray(KDTree(points).query(points, k=2)[0])
-    return float(np.median(nearest[:, 1]))
+    return float(np.median(_nearest_distances(positions)))
 
 
 def spacing_variation(positions: ArrayLike) -> float:
@@ -41,10 +39,15 @@ def spacing_variation(positions: ArrayLike) -> float:
         Standard deviation divided by the mean: 0 if all sensors are equally far from their nearest
         neighbour, about .5 if sensors lie at random on a surface. 0 if all coincide.
     """
-    points = np.asarray(positions, dtype=np.float64)
-    nearest = np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
+    nearest = _nearest_distances(positions)
     mean = float(nearest.mean())
     return float(nearest.std()) / mean if mean > 0 else 0.0
+
+
+def _nearest_distances(positions: ArrayLike) -> NDArray[np.float64]:
+    """Return the distance from each sensor to its nearest neighbour."""
+    points = np.asarray(positions, dtype=np.float64)
+    return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
 
 
 def check_distances(positions: NDArray[np.float64], what: str) -> None:
