@@ -22,7 +22,7 @@ from anisomap.cli.console import Printer, number, percent, print_warning, progre
 from anisomap.drawing import report as reports
 from anisomap.errors import InputError
 from anisomap.files import check_distinct, check_target
-from anisomap.io.recordings.presets import PRESETS
+from anisomap.io.recordings.presets import check_preset
 from anisomap.live import ExaminationOptions, LiveSession, open_source
 from anisomap.live.batches import Source
 from anisomap.live.saving import save_map, save_report
@@ -152,9 +152,8 @@ def live(
     if report:
         reports.check_writable(report)
     find_method(method)
-    if preset and preset not in PRESETS:
-        known = ", ".join(PRESETS)
-        raise InputError(f"unknown preset {preset!r}; known presets: {known}")
+    if preset:
+        check_preset(preset)
     chosen = ExaminationOptions(
         dimensions=dimensions,
         method=method,

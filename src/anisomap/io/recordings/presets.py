@@ -62,6 +62,18 @@ def apply_preset(recording: Recording, preset: str) -> Recording:
     )
 
 
+def check_preset(preset: str) -> None:
+    """Check that a preset exists.
+
+    Raises
+    ------
+    InputError
+        If the preset is unknown.
+    """
+    if preset not in PRESETS:
+        raise InputError(f"unknown preset {preset!r}; known presets: {', '.join(PRESETS)}")
+
+
 def numbering(recording: Recording, preset: str) -> dict[int, str]:
     """Return the index and name of each sensor in a robot's recording.
 
@@ -82,8 +94,7 @@ def numbering(recording: Recording, preset: str) -> dict[int, str]:
     InputError
         As `apply_preset`.
     """
-    if preset not in PRESETS:
-        raise InputError(f"unknown preset {preset!r}; known presets: {', '.join(PRESETS)}")
+    check_preset(preset)
     kept = {
         index: name
         for port, indices in _ports(recording).items()
