@@ -219,6 +219,25 @@ def test_provenance_accepts_numpy_scalars(tmp_path: Path) -> None:
         assert dict(found) == {"seed": 3, "mu": 0.1, "on": True}
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz"])
+@pytest.mark.parametrize(
+    "field", ["approximate", "uneven", "mirrored", "handed", "anchored", "frame"]
+)
+@pytest.mark.parametrize("value", ["", True, "base"])
+def test_provenance_may_use_the_names_of_fields(
+    tmp_path: Path, suffix: str, field: str, value: Scalar
+) -> None:
+    provenance = {field: value, f"~{field}": 2, f"~~{field}": 3, "~": 4}
+    for flag in (False, True):
+        path = tmp_path / f"{flag}{suffix}"
+        changed = {field: ("base" if flag else "skin") if field == "frame" else flag}
+        sensor_map = replace(SensorMap(np.eye(2), provenance=provenance), **changed)
+        io.write(sensor_map, path)
+        found = io.read_map(path)
+        assert dict(found.provenance) == provenance
+        assert getattr(found, field) == getattr(sensor_map, field)
+
+
 def test_provenance_rejects_lists(tmp_path: Path) -> None:
     for suffix in (".csv", ".json", ".npz"):
         with pytest.raises(InputError, match="got list"):
