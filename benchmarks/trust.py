@@ -27,9 +27,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import anisomap
-from anisomap.diagnostics import collect_evidence
+from anisomap.diagnosis import judge
+from anisomap.diagnosis.diagnostics import collect_evidence
 from anisomap.reconstruction import reconstruct_with_stages
-from anisomap.verdict import judge
 from benchmarks.trust_recordings import Case, cases_of_file, cases_of_seed
 from benchmarks.trust_tables import Outcome, draw, number, table
 

@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 
 import anisomap
 from anisomap.covariance_ellipses import radius
-from anisomap.diagnostics import estimate_uncertainty
+from anisomap.diagnosis.diagnostics import estimate_uncertainty
 from anisomap.evaluation import median_spacing
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.split_half import split_blocks

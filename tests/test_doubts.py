@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 import anisomap
 from anisomap import reconstruct
-from anisomap.diagnostics import collect_evidence
+from anisomap.diagnosis import Evidence, judge
+from anisomap.diagnosis.diagnostics import collect_evidence
+from anisomap.diagnosis.doubts import extent_in_spacings, systematic_doubts
+from anisomap.diagnosis.judgement import TYPICAL
+from anisomap.diagnosis.other_maps import compare_with_other_maps
 from anisomap.evaluation.neighbourhood import spacing_variation
 from anisomap.health import Finding
 from anisomap.numerics.reliability.blending import blended_correlation
-from anisomap.verdict import Evidence, judge
-from anisomap.verdict.doubts import extent_in_spacings, systematic_doubts
-from anisomap.verdict.judgement import TYPICAL
-from anisomap.verdict.other_maps import compare_with_other_maps
 from skins import flat_skin, lattice
 
 pytestmark = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")

@@ -11,12 +11,17 @@ from scipy.stats import special_ortho_group
 import anisomap
 from anisomap import SensorMap, diagnose, reconstruct
 from anisomap.covariance_ellipses import ellipses, radius
-from anisomap.diagnostics import estimate_uncertainty
+from anisomap.diagnosis.diagnostics import estimate_uncertainty
+from anisomap.diagnosis.uncertainty import (
+    INFLATION,
+    aligned_to_mean,
+    covariances,
+    error_in_spacings,
+)
 from anisomap.drawing.view import drawn_components, outlines
 from anisomap.errors import InputError
 from anisomap.evaluation import align
 from anisomap.placement import mirrored, scaled_to_spacing
-from anisomap.verdict.uncertainty import INFLATION, aligned_to_mean, covariances, error_in_spacings
 from skins import flat_skin, lattice
 
 quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 import anisomap
 from anisomap import Recording, diagnose, reconstruct, reconstruct_from
+from anisomap.diagnosis import LEVELS, UNKNOWN, Doubt, Evidence, Verdict, judge
+from anisomap.diagnosis.halves import repeatability_of_halves
+from anisomap.diagnosis.judgement import expected_mantel_r
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
 from anisomap.methods import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
-from anisomap.verdict import LEVELS, UNKNOWN, Doubt, Evidence, Verdict, judge
-from anisomap.verdict.halves import repeatability_of_halves
-from anisomap.verdict.judgement import expected_mantel_r
 from skins import flat_skin, lattice
 
 quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")

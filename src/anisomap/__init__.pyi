@@ -13,7 +13,7 @@ from . import simulation as simulation
 from . import tracking as tracking
 from ._version import __version__ as __version__
 from .covariance_ellipses import ellipses as ellipses
-from .diagnostics import diagnose as diagnose
+from .diagnosis.diagnostics import diagnose as diagnose
 from .errors import AnisomapError as AnisomapError
 from .errors import AnisomapWarning as AnisomapWarning
 from .errors import InputError as InputError

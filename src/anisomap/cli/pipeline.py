@@ -12,7 +12,7 @@ from anisomap import io
 from anisomap.cli import printing, touches
 from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
-from anisomap.diagnostics import diagnose
+from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.drawing import figures, report
 from anisomap.errors import InputError
 from anisomap.evaluation import Score, score

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from anisomap.diagnostics import diagnose
+from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.errors import AnisomapWarning
 from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
 from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import io
-from anisomap.diagnostics import diagnose
+from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.errors import AnisomapError
 from anisomap.evaluation import score
 from anisomap.health import RecordingSummary, SensorHealth, assess, summarise

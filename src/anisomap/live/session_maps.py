@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from anisomap.diagnosis.halves import MIN_FRAMES
 from anisomap.health import SensorHealth
 from anisomap.live.coach import confirmed_faults
 from anisomap.live.examination import Examination, ExaminationOptions
@@ -18,7 +19,6 @@ from anisomap.live.recorder import Segment
 from anisomap.live.workers import Changed, Examine, Failed, Ready, Worker
 from anisomap.stages.dimension import AUTO
 from anisomap.usability import UNKNOWN
-from anisomap.verdict.halves import MIN_FRAMES
 
 _GROWTH = 1.15  # of the number of frames between two checked maps
 _NEARLY_ALL = 0.9  # of the sensors touched, for one checked map to suffice; chosen by hand

@@ -22,7 +22,7 @@ class Doubt:
         Name of the detector.
     size : float
         RMS error of the positions because of it, in spacings, if nothing else explains what was
-        found: see `anisomap.verdict.judgement.TYPICAL`.
+        found: see `anisomap.diagnosis.judgement.TYPICAL`.
     reason : str
         What was found, in one sentence.
     keeps_neighbours : bool

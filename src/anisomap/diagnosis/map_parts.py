@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.diagnosis.halves import repeatability_of_halves
+from anisomap.diagnosis.uncertainty import departure_in_spacings
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.mapping import Stages
 from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions, refine_without_contacts
@@ -23,8 +25,6 @@ from anisomap.stages.contact_average import (
 )
 from anisomap.stages.pairs import PairStatistics, compare
 from anisomap.stages.refinement import ContactAverage, Refined
-from anisomap.verdict.halves import repeatability_of_halves
-from anisomap.verdict.uncertainty import departure_in_spacings
 
 logger = logging.getLogger(__name__)
 

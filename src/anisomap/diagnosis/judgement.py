@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from anisomap.diagnosis.evidence import MAX_CHANCE, Doubt, Evidence
 from anisomap.usability import Verdict
-from anisomap.verdict.evidence import MAX_CHANCE, Doubt, Evidence
 
 MAX_ERROR, MIN_MANTEL_R = 1.0, 0.9
 """Largest error, in spacings, and smallest Mantel r of a usable map.

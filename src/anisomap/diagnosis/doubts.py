@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import pdist
 
+from anisomap.diagnosis.evidence import MAX_CHANCE, Doubt
+from anisomap.diagnosis.other_maps import OtherMaps, compare_with_other_maps
 from anisomap.evaluation.neighbourhood import median_spacing, spacing_variation
 from anisomap.health import Finding, spoiling
 from anisomap.sensor_map import SensorMap
-from anisomap.verdict.evidence import MAX_CHANCE, Doubt
-from anisomap.verdict.other_maps import OtherMaps, compare_with_other_maps
 
 PATHS, PATHS_TOLERANCE = 1.05, 0.2
 EVEN, EVEN_TOLERANCE = 1.0, 0.5

@@ -15,21 +15,21 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.diagnosis import Evidence, judge
+from anisomap.diagnosis.doubts import extent_in_spacings, systematic_doubts
+from anisomap.diagnosis.halves import MIN_FRAMES, MIN_SENSORS
+from anisomap.diagnosis.map_parts import MapParts
+from anisomap.diagnosis.resampling import MAX_SENSORS, STEP, resampled_maps
+from anisomap.diagnosis.uncertainty import covariances, departure_in_spacings, error_in_spacings
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
-from anisomap.map_parts import MapParts
 from anisomap.mapping import Stages
 from anisomap.methods import METHODS, MethodOptions
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording
-from anisomap.resampling import MAX_SENSORS, STEP, resampled_maps
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
-from anisomap.verdict import Evidence, judge
-from anisomap.verdict.doubts import extent_in_spacings, systematic_doubts
-from anisomap.verdict.halves import MIN_FRAMES, MIN_SENSORS
-from anisomap.verdict.uncertainty import covariances, departure_in_spacings, error_in_spacings
 
 logger = logging.getLogger(__name__)
 
@@ -240,7 +240,7 @@ def collect_evidence(
     Returns
     -------
     Evidence
-        See `anisomap.verdict.judge`.
+        See `anisomap.diagnosis.judge`.
     """
     parts = _parts(sensor_map, as_runs(recording), options, stages)
     if repeatability is None:
