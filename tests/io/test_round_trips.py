@@ -139,6 +139,26 @@ def test_maps(folder: Path, suffix: str, sensor_map: SensorMap) -> None:
     assert_same_map(io.read_map(path), sensor_map)
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".json"])
+@pytest.mark.parametrize(
+    "mark",
+    [
+        *("taxel2Repr", "taxel2Repr ( 0 )", "skin", "taxels", "<robot/>", "<mujoco/>", "<launch/>"),
+        *("VERSION ", "ply", "a\nframe 1\nframe 2\n", "a\n1 1.5 ((2))\n", "a\ntime,sensors\n1,2\n"),
+    ],
+)
+def test_texts_may_be_marks_of_other_formats(tmp_path: Path, suffix: str, mark: str) -> None:
+    texts = {"method": mark, "units": mark, "notes": [mark, "skin"], "provenance": {mark: "taxels"}}
+    sensor_map = SensorMap(np.eye(2), names=[mark, "b"], **texts)
+    io.write(sensor_map, tmp_path / f"map{suffix}")
+    assert_same_map(io.read_map(tmp_path / f"map{suffix}"), sensor_map)
+    if suffix != ".json":
+        recording = Recording(np.eye(2), names=[mark, "b"], source=mark, metadata={mark: mark})
+        io.write(recording, tmp_path / f"skin{suffix}")
+        found = io.read(tmp_path / f"skin{suffix}")
+        assert (found.names, found.source) == (recording.names, recording.source)
+
+
 @given(sensor_map=maps(2, 3))
 def test_point_clouds(folder: Path, sensor_map: SensorMap) -> None:
     path = folder / "map.ply"

@@ -46,6 +46,9 @@ class Format:
         Extra that installs the required library; empty if none is required.
     in_metres : bool
         Whether the format stores metres, so that a map needs a scale.
+    signature : bytes
+        First bytes of the files that anisomap writes, if no other format's files start with them.
+        They decide before `recognises`, since names and notes may contain the marks of others.
     """
 
     name: str
@@ -59,3 +62,4 @@ class Format:
     contents: Callable[[Path, ReadOptions], tuple[Content, ...]] | None = None
     extra: str = ""
     in_metres: bool = False
+    signature: bytes = b""

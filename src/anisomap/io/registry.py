@@ -69,7 +69,7 @@ FORMATS = (
     Format("contacts-json", (".jsonl",), "list of contacts or spikes (JSON)",
            contact_json.recognises, contact_json.open_recording),
     Format("json", (".json",), "JSON", json.recognises,
-           read_map=json.read_map, write_map=json.write_map),
+           read_map=json.read_map, write_map=json.write_map, signature=json.SIGNATURE),
     Format("ply", (".ply",), "PLY point cloud (ASCII)", ply.recognises,
            read_map=ply.read_map, write_map=ply.write_map),
     Format("pcd", (".pcd",), "PCD point cloud with normals (ASCII)", pcd.recognises,
@@ -105,7 +105,8 @@ FORMATS = (
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            delimited_text.recognises,
            delimited_text.open_recording, csv.read_map, csv.write_map,
-           delimited_text.write_recording, contents=delimited_text.contents),
+           delimited_text.write_recording, contents=delimited_text.contents,
+           signature=delimited_text.SIGNATURE),
 )
 # fmt: on
 """All formats; the first one that recognises a file reads it."""
@@ -329,6 +330,9 @@ def _recognise(file: Path) -> Format:
     start = read_head(file)
     *marked, text_format = FORMATS
     suffixes = [s.lower() for s in file.suffixes if s.lower() != ".gz"]
+    for chosen in FORMATS:
+        if chosen.signature and start.startswith(chosen.signature):
+            return chosen
     for chosen in marked:
         if chosen.recognises(file, start):
             return chosen

@@ -23,6 +23,7 @@ from anisomap.sensor_map import UNASSESSED, SensorMap
 from anisomap.usability import ERRORS, UNKNOWN, Verdict
 
 _MARK = "anisomap map"
+SIGNATURE = f'{{\n "format": "{_MARK}"'.encode()
 _PROPERTIES = ("units", "method", "stress", "verdict", "notes", "provenance")
 # Strict JSON has no infinities; {"float": "inf"} differs from the string "inf".
 _INFINITE = "float"

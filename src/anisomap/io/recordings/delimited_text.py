@@ -49,6 +49,8 @@ TITLE = "anisomap recording"
 MAP_TITLE = "anisomap map"
 """First words of files written by anisomap, after ``#``."""
 
+SIGNATURE = b"# anisomap "
+
 _MAX_NAME_LINES = 500  # of the lines from which the layout of a table is detected
 _MAX_CLOCKS = 2  # columns that are a time or a frame counter
 _TIME_COLUMN = "time_s"
