@@ -387,6 +387,11 @@ JOINT = '<joint name="{0}j" type="fixed"><parent link="{1}"/><child link="{0}"/>
             ROBOT.format(JOINT.format("b", "a", "") + JOINT.format("c", "b", "")),
             "one parent link, got '",
         ),
+        (
+            "a.urdf",
+            ROBOT.format(2 * JOINT.format("b", "a", "")),
+            "is the child of two fixed joints",
+        ),
         ("a.urdf", "<robot><link", "damaged or cut short"),
         ("a.xml", "<mujoco><worldbody/></mujoco>", "holds no sites"),
         (

@@ -117,6 +117,8 @@ class _FixedJoints:
         name = elements["child"].get("link", "")
         xyz = elements.get("origin", {}).get("xyz", "0 0 0")
         what = f"xyz of {quote(name)}"
+        if name in self.positions:
+            raise FileError(f"{self._path}: {quote(name)} is the child of two fixed joints")
         self.positions[name] = xml_files.parse_vector(self._path, what, xyz)
 
 

@@ -92,7 +92,7 @@ def column_chunks(path: Path, stream: BufferedReader) -> list[list[ColumnChunk]]
             [_chunk(column[_COLUMN_METADATA]) for column in group[_COLUMNS]]
             for group in footer[_ROW_GROUPS]
         ]
-    except (KeyError, IndexError, ValueError) as error:
+    except (KeyError, TypeError, IndexError, ValueError) as error:  # fields missing, of other types
         raise DamagedError(f"{path} is damaged: its row groups are not described") from error
 
 

@@ -74,10 +74,14 @@ class YarpPort:
 def _received(connection: socket.socket, stop: Event) -> Iterator[Item]:
     """Read values, each line after the line that announces it."""
     connection.sendall(_OURS + b"r\n")
-    parser, rest, stamp = LineParser(), b"", b""
+    parser, rest, stamp = LineParser(), bytearray(), b""
     for content in chunks_of(connection, stop):
-        *lines, rest = (rest + content).split(b"\n")
-        rest = rest if len(rest) <= _MAX_LINE else b""
+        # The rest is only added to while no line ends: a line may come byte by byte.
+        ended, end, begun = content.rpartition(b"\n")
+        lines = bytes(rest + ended).split(b"\n") if end else []
+        if end or len(rest) > _MAX_LINE:
+            rest.clear()
+        rest += begun
         for line in lines:
             if found := _DATA.fullmatch(line):
                 stamp = found[1] or b""
