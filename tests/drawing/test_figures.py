@@ -18,17 +18,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
+from anisomap.drawing.colours import VIEWS, place_colours, view_axes
 from anisomap.drawing.figures import KINDS, check_writable, figure_bytes, map_figure, save_figure
 from anisomap.drawing.figures.panels import MAX_VECTOR_DOTS
 from anisomap.drawing.view import (
     MAX_JOINED,
-    VIEWS,
     best_view,
     drawn_components,
     neighbour_pairs,
-    place_colours,
     printable,
-    view_axes,
 )
 from anisomap.errors import FileError, InputError
 from anisomap.evaluation import Score, score

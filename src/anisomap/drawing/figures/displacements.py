@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.drawing.colours import View
 from anisomap.drawing.figures.backend import (
     FAINT,
     INK,
@@ -22,7 +23,7 @@ from anisomap.drawing.figures.backend import (
     write_title,
 )
 from anisomap.drawing.figures.panels import set_up_axes, write_label
-from anisomap.drawing.view import View, best_view, box_around, printable
+from anisomap.drawing.view import best_view, box_around, printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

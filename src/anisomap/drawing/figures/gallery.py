@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.drawing.colours import VIEWS, View, place_colours
 from anisomap.drawing.figures.backend import (
     FAINT,
     Axes,
@@ -23,14 +24,7 @@ from anisomap.drawing.figures.backend import (
     write_title,
 )
 from anisomap.drawing.figures.panels import Look, draw_configuration
-from anisomap.drawing.view import (
-    VIEWS,
-    View,
-    best_view,
-    box_around,
-    neighbour_pairs,
-    place_colours,
-)
+from anisomap.drawing.view import best_view, box_around, neighbour_pairs
 from anisomap.errors import InputError
 from anisomap.evaluation import Score
 from anisomap.sensor_map import SensorMap

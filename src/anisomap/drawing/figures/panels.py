@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
+from anisomap.drawing.colours import View, view_axes
 from anisomap.drawing.figures.backend import FAINT, INK, PALETTE, Axes, load, set_ticks
-from anisomap.drawing.view import View, axis_title, view_axes
+from anisomap.drawing.view import axis_title
 
 MAX_VECTOR_DOTS = 5_000
 """Above this number of sensors, dots and lines are stored as pixels in SVG and PDF files."""
