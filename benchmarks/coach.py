@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from anisomap import read as read_recording
 from anisomap.evaluation import median_spacing, score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
-from anisomap.live.mapping import QuickMapper
+from anisomap.live.maps.quick_map import QuickMapper
+from anisomap.live.maps.statistics import TouchStatistics
 from anisomap.live.sources.simulated import BOUT_FRAMES
-from anisomap.live.statistics import TouchStatistics
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body

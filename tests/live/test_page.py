@@ -12,7 +12,7 @@ import pytest
 import anisomap
 from anisomap.errors import InputError
 from anisomap.live.batches import Batch, Names, Notice
-from anisomap.live.server import Server
+from anisomap.live.page.server import Server
 from anisomap.live.session import LiveSession
 from anisomap.usability import LEVELS, UNKNOWN
 from skins import flat_skin

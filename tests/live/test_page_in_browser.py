@@ -7,8 +7,8 @@ import pytest
 from benchmarks.browser import browser, find_chromium
 
 from anisomap.live.batches import Batch, Names
-from anisomap.live.examination import ExaminationOptions
-from anisomap.live.server import Server
+from anisomap.live.maps.examination import ExaminationOptions
+from anisomap.live.page.server import Server
 from anisomap.live.session import LiveSession
 from skins import flat_skin
 

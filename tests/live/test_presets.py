@@ -5,10 +5,10 @@ import pytest
 
 import anisomap
 from anisomap import io
-from anisomap.live import examination
 from anisomap.live.batches import Batch
-from anisomap.live.examination import ExaminationOptions, examine
 from anisomap.live.journal import JournalWriter
+from anisomap.live.maps import examination
+from anisomap.live.maps.examination import ExaminationOptions, examine
 from anisomap.live.session import LiveSession
 from skins import lattice, rubbed
 

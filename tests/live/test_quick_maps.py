@@ -9,9 +9,9 @@ from anisomap import SensorMap, reconstruct
 from anisomap.evaluation import align, score
 from anisomap.health import SensorHealth
 from anisomap.health.touch_coverage import count_contacts, count_joint_contacts
-from anisomap.live.coach import advise, confirmed_faults
-from anisomap.live.mapping import QuickMapper, turned_onto, warm_start
-from anisomap.live.statistics import SAMPLE_FRAMES, TouchStatistics
+from anisomap.live.maps.coach import advise, confirmed_faults
+from anisomap.live.maps.quick_map import QuickMapper, turned_onto, warm_start
+from anisomap.live.maps.statistics import SAMPLE_FRAMES, TouchStatistics
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.numerics.similarity.rest import estimate_rest

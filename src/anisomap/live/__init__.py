@@ -3,18 +3,16 @@
 ====================  ============================================================
 `sources`             where frames come from
 `recorder`            the recording on disk, `journal` its file
-`statistics`          what is accumulated of the frames
-`mapping`             the quick map, `examination` the checked map
-`coach`               where to touch next
-`workers`             the processes that make the maps
-`session_maps`        when maps are made, and what they show so far
+`maps`                the quick and the checked maps, and where to touch next
 `levels`              what each sensor reads now
+`history`             what has happened so far
 `session`             all of this together
-`server`, `page`      the page in the browser
+`saving`              the files that a session writes besides its recording
+`page`                the page in the browser
 ====================  ============================================================
 """
 
-from anisomap.live.examination import Examination, ExaminationOptions
+from anisomap.live.maps.examination import Examination, ExaminationOptions
 from anisomap.live.session import LiveSession
 from anisomap.live.sources import SOURCES, open_source
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.live.mapping import QuickMap
+from anisomap.live.maps.quick_map import QuickMap
 
 
 class Levels:

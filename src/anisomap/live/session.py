@@ -12,12 +12,12 @@ from typing import Any
 
 from anisomap.errors import AnisomapError, InputError
 from anisomap.live.batches import Batch, Names, Notice, Source
-from anisomap.live.examination import Examination, ExaminationOptions
 from anisomap.live.history import Arrivals, Note
 from anisomap.live.levels import Levels
+from anisomap.live.maps.examination import Examination, ExaminationOptions
+from anisomap.live.maps.session_maps import SessionMaps
 from anisomap.live.recorder import Recorder, Segment
 from anisomap.live.saving import command_for
-from anisomap.live.session_maps import SessionMaps
 from anisomap.placement import Anchors
 from anisomap.wording import printable
 

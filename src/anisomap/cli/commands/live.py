@@ -25,8 +25,8 @@ from anisomap.files import check_distinct, check_target
 from anisomap.io.recordings.presets import check_preset
 from anisomap.live import ExaminationOptions, LiveSession, open_source
 from anisomap.live.batches import Source
+from anisomap.live.page.server import Server
 from anisomap.live.saving import save_map, save_report
-from anisomap.live.server import Server
 from anisomap.live.sources.simulated import Advised, SimulatedHand
 from anisomap.methods import DEFAULT_METHOD, find_method
 from anisomap.stages.dimension import AUTO

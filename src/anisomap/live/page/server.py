@@ -24,9 +24,9 @@ from typing import Any
 from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 from anisomap.errors import AnisomapError, InputError
-from anisomap.live.actions import act
+from anisomap.live.page.actions import act
+from anisomap.live.page.snapshots import map_snapshot, readings_snapshot, status_snapshot
 from anisomap.live.session import LiveSession
-from anisomap.live.snapshots import map_snapshot, readings_snapshot, status_snapshot
 
 logger = logging.getLogger(__name__)
 
@@ -145,7 +145,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         if address.path in _PAGE:
             name, kind = _PAGE[address.path]
-            self._send((files("anisomap.live") / "page" / name).read_bytes(), kind)
+            self._send((files("anisomap.live.page") / "static" / name).read_bytes(), kind)
         elif address.path == "/events":
             self._send_events()
         elif address.path == "/state":

@@ -11,12 +11,12 @@ import numpy as np
 
 from anisomap.diagnosis.halves import MIN_FRAMES
 from anisomap.health import SensorHealth
-from anisomap.live.coach import confirmed_faults
-from anisomap.live.examination import Examination, ExaminationOptions
 from anisomap.live.history import Point, thinned
-from anisomap.live.mapping import QuickMap
+from anisomap.live.maps.coach import confirmed_faults
+from anisomap.live.maps.examination import Examination, ExaminationOptions
+from anisomap.live.maps.quick_map import QuickMap
+from anisomap.live.maps.workers import Changed, Examine, Failed, Ready, Worker
 from anisomap.live.recorder import Segment
-from anisomap.live.workers import Changed, Examine, Failed, Ready, Worker
 from anisomap.stages.dimension import AUTO
 from anisomap.usability import UNKNOWN
 

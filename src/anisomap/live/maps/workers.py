@@ -21,11 +21,11 @@ import numpy as np
 
 from anisomap.errors import InputError
 from anisomap.io import numbering
-from anisomap.live.examination import ExaminationOptions, examine
 from anisomap.live.journal import JournalTail
-from anisomap.live.mapping import QuickMapper
+from anisomap.live.maps.examination import ExaminationOptions, examine
+from anisomap.live.maps.quick_map import QuickMapper
+from anisomap.live.maps.statistics import TouchStatistics
 from anisomap.live.recorder import Segment
-from anisomap.live.statistics import TouchStatistics
 from anisomap.memory import check_pair_memory
 from anisomap.recording import Recording
 from anisomap.stages.dimension import AUTO, SPATIAL

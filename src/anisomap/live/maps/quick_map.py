@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from anisomap.drawing.view import MAX_JOINED, neighbour_pairs
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.live.coach import Advice, advise
-from anisomap.live.statistics import TouchStatistics
+from anisomap.live.maps.coach import Advice, advise
+from anisomap.live.maps.statistics import TouchStatistics
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.similarity.rest import Rest
 from anisomap.reconstruction import reconstruct_from

@@ -1,0 +1,1 @@
+"""The page of a session in the browser: its server, what it shows, and what its buttons do."""
