@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap import Recording
+from anisomap import Recording, SensorMap, score
 from anisomap.mapping import dissimilarities
 from anisomap.methods import MethodOptions, find_method
 from anisomap.stages.pairs import compare
@@ -64,6 +64,11 @@ def stages(readings, method="covariogram", options=None):
         dissimilarity=dissimilarity,
         metric=recipe.metric(dissimilarity),
     )
+
+
+def mantel_r(sensor_map: SensorMap, recording: Recording) -> float:
+    """Return the Mantel r of a map with the true positions in its recording."""
+    return score(sensor_map, recording.positions, permutations=0).mantel.r
 
 
 def triangles(columns: int = 4, rows: int = 2) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Reconstruction from a recording or a precomputed stage: quality, components, notes, refusals."""
+"""Reconstruction from a recording: quality, components, notes, refusals."""
 
 import contextlib
 import pickle
@@ -8,30 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.inputs import tiled_places, tiled_torso
 
 import anisomap
-from anisomap import Recording, diagnose, reconstruct, reconstruct_from, score
+from anisomap import Recording, diagnose, reconstruct, score
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation import mantel
 from anisomap.methods import METHODS, PAPER_METHODS, MethodOptions
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
-from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
-from anisomap.numerics.similarity.correlation import pearson
 from anisomap.placement import median_spacing
 from anisomap.stages.contact_average import refine_by_contacts
 from anisomap.stages.pairs import SIMILARITIES, PairStatistics
 from anisomap.stages.refinement import Refined, RefinementFacts
-from skins import flat_skin, lattice, rubbed, seeing_patch, stages
+from skins import flat_skin, lattice, mantel_r, rubbed, seeing_patch
 
 QUICK = MethodOptions(contacts=ContactOptions(max_readings=6000))
-WITHOUT_CONTACTS = MethodOptions(contacts=ContactOptions(min_explained=2))
-
-
-def mantel_r(sensor_map, recording):
-    return score(sensor_map, recording.positions, permutations=0).mantel.r
 
 
 @pytest.mark.parametrize("method", ["r-anisomap", "spearman-anisomap", "co-activation-anisomap"])
@@ -97,39 +87,6 @@ def test_the_same_recording_gives_the_same_bytes():
         assert first.positions.tobytes() == second.positions.tobytes()
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_reconstruction_can_start_from_every_stage(method):
-    skin = flat_skin()
-    # Contacts are in readings only: the other stages give the map that contacts would refine.
-    whole = reconstruct(
-        skin, "covariogram" if method == "contact-fit" else method, 2, options=WITHOUT_CONTACTS
-    )
-    known = stages(skin.readings, method)
-    refined = METHODS[method].refine is not None
-    for stage in ("similarity", "dissimilarity", "metric"):
-        given = {stage: getattr(known, stage)}
-        if stage == "similarity" and refined:
-            given["noise"] = known.pairs.noise
-        with warnings.catch_warnings(record=True) as told:
-            warnings.simplefilter("always")
-            entered = reconstruct_from(method=method, dimensions=2, **given)
-        assert entered.provenance["precomputed"] == stage
-        only_started = refined and stage != "similarity"
-        assert any("are unrefined" in str(w.message) for w in told) == only_started
-        assert any("contacts did not refine the map" in str(w.message) for w in told) == (
-            method == "contact-fit" and stage == "similarity"
-        )
-        if not only_started:
-            np.testing.assert_allclose(entered.positions, whole.positions, atol=1e-9)
-
-
-def test_exactly_one_stage_is_required():
-    with pytest.raises(InputError, match="exactly one of similarity, dissimilarity, metric"):
-        reconstruct_from()
-    with pytest.raises(InputError, match="got similarity, metric"):
-        reconstruct_from(similarity=np.eye(5), metric=np.eye(5))
-
-
 def test_arrays_and_lists_of_frames_are_recordings():
     skin = flat_skin()
     expected = reconstruct(skin, dimensions=2).positions
@@ -149,35 +106,6 @@ def test_columns_of_a_data_frame_name_the_sensors():
 def test_invalid_recordings_are_refused(nonsense):
     with pytest.raises(InputError, match=r"shape \(T, N\) \(frames x sensors\)"):
         reconstruct(nonsense)
-
-
-def test_scaling_starts_from_the_given_positions():
-    skin = flat_skin()
-    stay = MethodOptions(smacof=SmacofOptions(max_iterations=0))
-    with pytest.warns(AnisomapWarning, match="converged"):
-        started = reconstruct_from(
-            metric=stages(skin.readings, "r-anisomap").metric,
-            method="r-anisomap",
-            dimensions=2,
-            start=lattice(),
-            options=stay,
-        )
-    np.testing.assert_allclose(started.positions, lattice() - lattice().mean(axis=0))
-
-
-def test_distances_with_zero_weight_are_ignored():
-    skin = flat_skin()
-    metric = np.array(stages(skin.readings, "r-anisomap").metric)
-    how = {"method": "r-anisomap", "dimensions": 2}
-    truth = reconstruct_from(metric=metric, **how)
-    wrong, weights = metric.copy(), np.ones_like(metric)
-    wrong[0, 30] = wrong[30, 0] = 1e3
-    weights[0, 30] = weights[30, 0] = 0
-    spared = reconstruct_from(metric=wrong, weights=weights, **how)
-    misled = reconstruct_from(metric=wrong, **how)
-    close = anisomap.mantel(spared, truth, permutations=0).r
-    assert close > 0.999
-    assert anisomap.mantel(misled, truth, permutations=0).r < close
 
 
 def test_the_number_of_contacts_is_in_the_provenance():
@@ -268,29 +196,6 @@ def test_skins_that_were_touched_independently_are_separate_maps():
         assert score(piece, places, permutations=0).mantel.r > 0.95
 
 
-@pytest.mark.parametrize("known", [0.45, 0.7])
-def test_many_unknown_pairs_are_bridged(known):
-    found = {"covariogram": [], "r-anisomap": []}
-    for seed in range(3):
-        skin = flat_skin(seed=seed)
-        weights = np.random.default_rng(seed).uniform(size=(42, 42)) < 1 - np.sqrt(1 - known)
-        weights = (weights | weights.T).astype(float)
-        for method, scores in found.items():
-            pairs = stages(skin.readings, method).pairs
-            noise = {"noise": pairs.noise} if method == "covariogram" else {}
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", AnisomapWarning)
-                made = reconstruct_from(
-                    similarity=pairs.similarity,
-                    method=method,
-                    dimensions=2,
-                    weights=weights,
-                    **noise,
-                )
-            scores.append(mantel_r(made, skin))
-    assert np.mean(found["covariogram"]) > np.mean(found["r-anisomap"]) - 0.01
-
-
 def test_components_have_the_same_unit():
     skin, patch = flat_skin(n_frames=4000), flat_skin(seed=9, n_frames=4000)
     for size in (6, 9, 12, 30):
@@ -300,30 +205,6 @@ def test_components_have_the_same_unit():
             made = reconstruct(both, dimensions=2)
         spacings = [median_spacing(piece) for piece in made.split() if piece.n_sensors > 3]
         assert max(spacings) < 2 * min(spacings)
-
-
-@pytest.mark.parametrize("similarity", [np.full((10, 10), 2.0), 5 * np.eye(10) + 1])
-def test_the_covariogram_requires_correlations(similarity):
-    with pytest.raises(InputError, match=r"in \[-1, 1\]"):
-        reconstruct_from(similarity=similarity)
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"noise": np.ones((3, 3))}, r"noise must be of shape \(42, 42\), got \(3, 3\)"),
-        ({"noise": 0.01}, "noise must be of shape"),
-        ({"noise": np.zeros((42, 42))}, "above 0"),
-        ({"noise": np.full((42, 42), np.inf)}, "finite"),
-        ({"weights": np.triu(np.ones((42, 42)))}, "weight matrix is not symmetric"),
-        ({"weights": np.full((42, 42), -1.0)}, "weights must be"),
-        ({"weights": np.full((42, 42), np.nan)}, "weights must be"),
-    ],
-)
-def test_invalid_companions_of_a_similarity_are_refused(given, message):
-    similarity = np.corrcoef(flat_skin().readings.T)
-    with pytest.raises(InputError, match=message):
-        reconstruct_from(similarity=similarity, **given)
 
 
 @pytest.mark.parametrize("unit", [1e-200, 1e-165, 1e152, 1e200])
@@ -398,24 +279,6 @@ def test_invalid_arguments_are_refused(arguments, message):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"similarity": np.zeros((3, 4))}, r"must be of shape \(N, N\), got \(3, 4\)"),
-        (
-            {"similarity": np.eye(9), "start": np.zeros((9, 2)), "dimensions": 3},
-            r"\(9, 3\), got \(9, 2\)",
-        ),
-        ({"metric": 1 - np.eye(9), "weights": np.zeros((2, 2))}, r"\(9, 9\), got \(2, 2\)"),
-        ({"dissimilarity": -np.ones((9, 9))}, "dissimilarity"),
-        ({"metric": 1 - np.eye(9), "names": ["a"]}, "9 sensors need 9 names, got 1"),
-    ],
-)
-def test_invalid_precomputed_stages_are_refused(given, message):
-    with pytest.raises(InputError, match=message):
-        reconstruct_from(**given)
-
-
-@pytest.mark.parametrize(
     ("option", "value", "message"),
     [
         ("bins", 1, "at least 2, got 1"),
@@ -448,98 +311,3 @@ def test_registries_are_consistent():
     assert used == set(SIMILARITIES)
     for entry in [*METHODS.values(), *SIMILARITIES.values()]:
         assert entry.summary
-
-
-REAL = [
-    ("icub_hexagon", 2, 0.985),
-    pytest.param("icub_torso", 2, 0.985, marks=pytest.mark.slow),
-    ("icub_palm", 3, 0.980),
-    ("plantar", 2, 0.950),
-]
-
-
-# Feet roll off: neighbours on the plantar map are uneven, contacts differ, and it says so. Flat
-# skins in 3D are noted.
-uneven = pytest.mark.filterwarnings(
-    "ignore:this looks flat",
-    "ignore:the covariogram map has very unequal",
-    "ignore:no single function of distance",
-)
-
-
-@uneven
-@pytest.mark.parametrize(("name", "dimensions", "least"), REAL)
-def test_real_skins(recordings_folder, name, dimensions, least):
-    recording = anisomap.read(recordings_folder / f"{name}.npz")
-    assert mantel_r(reconstruct(recording, dimensions=dimensions), recording) >= least
-
-
-@uneven
-@pytest.mark.parametrize("name", ["icub_hexagon", "icub_palm", "plantar"])
-@pytest.mark.parametrize("dimensions", [2, 3])
-def test_isomap_and_information_distance_are_worse_on_real_skins(
-    recordings_folder, name, dimensions
-):
-    recording = anisomap.read(recordings_folder / f"{name}.npz")
-    best = mantel_r(reconstruct(recording, dimensions=dimensions), recording)
-    for rival in ("information-distance", "isomap"):
-        assert mantel_r(reconstruct(recording, rival, dimensions), recording) < best - 0.01
-
-
-@pytest.mark.parametrize("name", ["icub_hexagon", "icub_palm"])
-def test_thresholded_skins_have_two_bins(recordings_folder, name):
-    recording = anisomap.read(recordings_folder / f"{name}.npz")
-    few, many = (
-        stages(recording.readings, "i-anisomap", MethodOptions(bins=bins)).similarity
-        for bins in (2, 8)
-    )
-    assert few.max() > 0.1
-    np.testing.assert_allclose(few, many, atol=1e-12)
-
-
-def test_bins_of_continuous_readings_are_all_used(recordings_folder):
-    recording = anisomap.read(recordings_folder / "plantar.npz")
-    for bins in (4, 6, 8):
-        information = stages(recording.readings, "i-anisomap", MethodOptions(bins=bins)).similarity
-        entropy = np.diag(information)
-        assert entropy.max() > 0.9 * np.log(bins)
-        assert (entropy <= np.log(bins) + 1e-12).all()
-        assert mantel_r(reconstruct(recording, "isomap", 2, options=MethodOptions(bins=bins)),
-                        recording) > 0.88  # fmt: skip
-
-
-@pytest.mark.slow
-@uneven
-def test_copies_of_a_real_skin_side_by_side_are_one_large_skin(recordings_folder):
-    # By chance 1,300 sensors make so many links that maps which follow them all reach only .66.
-    skin = recordings_folder / "icub_torso.npz"
-    truth = tiled_places(skin, 1300, 28_000)
-    readings = tiled_torso(skin, 1300, 28_000)
-    found = reconstruct_from(
-        dimensions=2, similarity=pearson(readings), noise=sampling_variance(readings)
-    )
-    assert mantel(found.positions, truth, permutations=0).r > 0.985
-
-
-@pytest.mark.parametrize("method", ["covariogram", "r-anisomap", "isomap"])
-@pytest.mark.parametrize("nonsense", [1.0, np.nan])
-def test_values_of_unknown_pairs_are_ignored(method, nonsense):
-    skin = flat_skin()
-    how = "i-anisomap" if method == "isomap" else "r-anisomap"
-    similarity = np.array(stages(skin.readings, how).similarity)
-    rng = np.random.default_rng(0)
-    unknown = np.triu(rng.uniform(size=similarity.shape) < 0.1, 1)
-    unknown |= unknown.T
-    maps = []
-    for value in (0.0, nonsense):
-        given = np.where(unknown, value, similarity)
-        made = reconstruct_from(similarity=given, method=method, dimensions=2, weights=~unknown)
-        maps.append(made.positions)
-    np.testing.assert_array_equal(*maps)
-    assert mantel(maps[0], skin.positions, permutations=0).r > (0.6 if method == "isomap" else 0.95)
-
-
-@pytest.mark.parametrize("matrix", [[["a", "b"], ["c", "d"]], [[1, 2], [3]], np.eye(3) * 1j])
-def test_a_precomputed_stage_must_be_a_matrix(matrix):
-    with pytest.raises(InputError, match="must be a matrix of real numbers"):
-        reconstruct_from(similarity=matrix)

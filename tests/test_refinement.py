@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap import MethodOptions, Recording, diagnose, reconstruct, reconstruct_from, score
+from anisomap import MethodOptions, Recording, diagnose, reconstruct, reconstruct_from
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.methods import METHODS
 from anisomap.numerics.contacts import ContactOptions
@@ -15,15 +15,11 @@ from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.simulation import find_body
 from anisomap.stages.contact_average import average_with_contacts
 from anisomap.stages.refinement import Refined, RefinementFacts, refine_by_covariogram
-from skins import flat_skin, lattice, seeing_patch, stages, swept
+from skins import flat_skin, lattice, mantel_r, seeing_patch, stages, swept
 
 EVEN = MethodOptions(even_spacing=True)
 WITHOUT_CONTACTS = MethodOptions(contacts=ContactOptions(min_explained=2))
 UNTRUSTED = "do not trust the map's scale along one direction"
-
-
-def mantel_r(sensor_map, recording):
-    return score(sensor_map, recording.positions, permutations=0).mantel.r
 
 
 def mapped(recording, **arguments):

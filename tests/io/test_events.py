@@ -1,6 +1,5 @@
-"""Recordings of events: contacts with the sensors they touch, and spikes."""
+"""Recordings of contacts with the sensors they touch."""
 
-import csv
 import gzip
 from collections.abc import Callable
 from pathlib import Path
@@ -8,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy
-from hypothesis import given
-from hypothesis import strategies as st
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError
@@ -122,42 +119,6 @@ def test_tables_of_readings_are_not_lists_of_contacts(put: Put, text: str) -> No
     )
 
 
-spike_trains = st.lists(
-    st.lists(st.integers(0, 400), min_size=1, max_size=20, unique=True), min_size=2, max_size=4
-)
-
-
-@given(trains=spike_trains, bin_ms=st.sampled_from([20, 50, 1000]))
-def test_counts_in_bins(tmp_path_factory, trains: list[list[int]], bin_ms: int) -> None:
-    """Every spike is counted once, in the bin of its time."""
-    spikes = [(time, channel) for channel, times in enumerate(trains) for time in times]
-    path = tmp_path_factory.mktemp("spikes") / "spikes.csv"
-    with path.open("w", newline="") as file:
-        rows = csv.writer(file)
-        rows.writerow(("time_ms", "channel"))
-        rows.writerows((10 * time + 5, channel) for time, channel in spikes)
-    found = io.read(path, options=OPTIONS(bin_s=bin_ms / 1000))
-    start = min(10 * time for time, _ in spikes)
-    expected = np.zeros_like(found.readings)
-    for time, channel in spikes:
-        expected[(10 * time - start) // bin_ms, channel] += 1
-    np.testing.assert_array_equal(found.readings, expected)
-    assert found.names == tuple(f"channel{i}" for i in range(len(trains)))
-    assert found.rate_hz == pytest.approx(1000 / bin_ms)
-    assert found.metadata["bin_s"] == bin_ms / 1000
-
-
-def test_the_default_width_of_bins_is_said(put: Put) -> None:
-    times = np.linspace(0.1, 9.4, 40)
-    rows = "".join(f"{time:.4f},{i % 3}\n" for i, time in enumerate(times))
-    path = put("spikes.csv", "time,electrode\n" + rows)
-    with pytest.warns(AnisomapWarning, match=r"in bins of 1 s, the default width.*--bin"):
-        found = io.read(path)
-    assert found.readings.sum() == 40
-    assert found.metadata["bin_s"] == 1
-    assert found.n_frames == 10
-
-
 @pytest.mark.parametrize(
     ("row", "message"),
     [
@@ -191,13 +152,6 @@ def test_a_truncated_list_loses_its_last_line(put: Put) -> None:
     assert found.readings.sum() == 9
 
 
-def test_times_far_away_are_refused(put: Put) -> None:
-    rows = "".join(f"{i / 7:.3f},{i % 3}\n" for i in range(60))
-    path = put("spikes.csv", "time,channel\n" + rows + "1e12,1\n")
-    with pytest.raises(FileError, match=r"61 events from 0 to 1e\+12 s would fill .* bins of 1 s"):
-        io.read(path, options=OPTIONS(bin_s=1.0))
-
-
 def test_readings_have_no_bins(tmp_path: Path) -> None:
     np.save(tmp_path / "x.npy", np.eye(3))
     with pytest.raises(FileError, match=r"x\.npy .* holds readings, not events; leave out --bin"):
@@ -223,164 +177,6 @@ def test_positions_match_by_number(put: Put) -> None:
     other = put("other.csv", "name,x,y\nleft,2,0\nright,0,0\n")
     with pytest.raises(FileError, match=r"other\.csv has no position for a sensor of .*x\.csv"):
         io.read(put("x.csv", "1,2,3\n4,5,6\n"), options=OPTIONS(positions=other))
-
-
-class TestGrids:
-    """Grids with dead cells: full, in lists, or with the live cells alone."""
-
-    def test_some_cells_by_their_numbers(self, put: Put) -> None:
-        for names in ("c1,c4,c5", "r0c1,r1c1,r1c2"):
-            path = put("mat.csv", f"{names}\n1,2,3\n4,5,6\n")
-            found = io.read(path, options=OPTIONS(grid=(2, 3)))
-            np.testing.assert_array_equal(found.positions, [[1, 0], [1, 1], [2, 1]])
-            assert found.names == tuple(names.split(","))
-
-    @pytest.mark.parametrize("names", ["c1,c4,c6", "c1,c1x,c2", "r0c1,r2c1,r1c2", "a,b,c"])
-    def test_names_that_give_no_cells(self, put: Put, names: str) -> None:
-        path = put("mat.csv", f"{names}\n1,2,3\n4,5,6\n")
-        with pytest.raises(FileError, match=r"2 x 3 grid has 6 sensors.* not give the cells"):
-            io.read(path, options=OPTIONS(grid=(2, 3)))
-
-    def test_cells_without_a_reading_are_dead(self, put: Put) -> None:
-        path = put("mat.csv", "a,b,c,d\n1,,3,\n4,,6,\n7,nan,8,1\n")
-        with pytest.warns(AnisomapWarning, match="1 of 4 cells of the grid have no reading"):
-            found = io.read(path, options=OPTIONS(grid=(2, 2)))
-        np.testing.assert_array_equal(found.readings[:, 1], 0)
-        assert np.isnan(found.readings[:2, 3]).all(), "cells with a reading keep their gaps"
-
-    def test_lists_in_cells(self, put: Put) -> None:
-        rows = ['12.5,0,"0,1,2,0","[9 8 7]"', '13.0,1,"0,3,4,0","[6 5 4]"']
-        path = put("walk.csv", "Timestamp,Frame,left,right\n" + "\n".join(rows) + "\n")
-        assert [content.name for content in io.contents(path)] == ["left", "right"]
-        with pytest.raises(io.ChoiceError, match="2 possible recordings"):
-            io.read(path)
-        left = io.read(path, options=OPTIONS(select="left", grid=(2, 2)))
-        np.testing.assert_array_equal(left.readings, [[0, 1, 2, 0], [0, 3, 4, 0]])
-        np.testing.assert_array_equal(left.times, [0, 0.5])
-        assert left.names == ("r0c0", "r0c1", "r1c0", "r1c1")
-        assert not left.varying()[[0, 3]].any()
-        right = io.read(path, options=OPTIONS(select="right"))
-        np.testing.assert_array_equal(right.readings, [[9, 8, 7], [6, 5, 4]])
-
-    def test_lists_of_another_length(self, put: Put) -> None:
-        rows = "".join(f'{i},"1,2,3"\n' for i in range(60))
-        with pytest.raises(FileError, match=r"line 62, column 2: the list has 2 numbers"):
-            io.read(put("walk.csv", f'frame,cells\n{rows}60,"1,2"\n61,"1,2,3"\n'))
-        with pytest.warns(AnisomapWarning, match="last line is truncated"):
-            found = io.read(put("walk.csv", f'frame,cells\n{rows}60,"1,2'))
-        assert found.n_frames == 60
-
-
-class TestSpikeTrains:
-    """Times of spikes in HDF5: three layouts, with positions, names and span."""
-
-    TRAINS = ([0.25, 1.5, 1.75], [], [0.5, 2.25])
-    COUNTS = ([1, 0, 1], [2, 0, 0], [0, 0, 1])
-
-    @pytest.fixture
-    def saved(self, tmp_path: Path) -> Callable[..., Path]:
-        h5py = pytest.importorskip("h5py")
-
-        def save(**arrays: object) -> Path:
-            with h5py.File(tmp_path / "spikes.h5", "w") as file:
-                for name, values in arrays.items():
-                    file[name.replace("__", "/")] = values
-            return tmp_path / "spikes.h5"
-
-        return save
-
-    @pytest.mark.parametrize(
-        ("arrays", "names"),
-        [
-            (
-                {"spikes": np.concatenate(TRAINS), "sCount": [3.0, 0, 2], "array": b"MEA"},
-                ("e0", "e1", "e2"),
-            ),
-            (
-                {
-                    "units__spike_times": np.concatenate(TRAINS),
-                    "units__spike_times_index": [3, 3, 5],
-                    "units__names": np.array(["a", "b", "c"], dtype="S"),
-                },
-                ("a", "b", "c"),
-            ),
-            (
-                {f"spikes__ch{i}": np.array(train) for i, train in enumerate(TRAINS)},
-                ("ch0", "ch1", "ch2"),
-            ),
-        ],
-    )
-    def test_layouts(self, saved, arrays: dict[str, object], names: tuple[str, ...]) -> None:
-        path = saved(**arrays)
-        found = io.read(path, options=OPTIONS(bin_s=1.0))
-        assert found.names == names
-        # The first bin begins with the first spike, at 0.25 s.
-        np.testing.assert_array_equal(found.readings, self.COUNTS)
-        assert found.rate_hz == 1
-        with pytest.warns(AnisomapWarning, match="in bins of 1 s, the default"):
-            io.read(path)
-
-    @pytest.mark.parametrize("transposed", [False, True])
-    def test_positions_and_span(self, saved, transposed: bool) -> None:
-        positions = np.array([[0.0, 42], [42, 42], [84, 0]])
-        path = saved(
-            spikes=np.concatenate(self.TRAINS),
-            sCount=[3, 0, 2],
-            epos=positions.T if transposed else positions,
-            recordingtime=[0.0, 4.0],
-            summary__N=[3.0],
-            summary__frate=[1.0, 0, 0.5],
-        )
-        found = io.read(path, options=OPTIONS(bin_s=1.0))
-        np.testing.assert_array_equal(found.readings, [*self.COUNTS, [0, 0, 0]])
-        np.testing.assert_array_equal(found.times, np.arange(4))
-        if not transposed:  # three positions of three coordinates would be ambiguous
-            np.testing.assert_array_equal(found.positions, positions)
-        assert found.units == "um"
-
-    @pytest.mark.parametrize("counts", [[3, 0, 1], [3, -1, 3], [2.5, 0, 2.5], [np.nan, 1, 1]])
-    def test_counts_that_do_not_agree(self, saved, counts: list[float]) -> None:
-        path = saved(spikes=np.concatenate(self.TRAINS), sCount=counts)
-        with pytest.raises(
-            FileError, match=r"spikes\.h5: sCount must divide the 5 times of spikes"
-        ):
-            io.read(path, options=OPTIONS(bin_s=1.0))
-
-    def test_readings_beside_vectors_are_preferred(self, saved) -> None:
-        path = saved(
-            skin__readings=np.eye(4), events__ch1=np.array([0.5]), events__ch2=np.array([0.5, 1.5])
-        )
-        assert io.read(path).n_sensors == 4
-        events = io.read(path, options=OPTIONS(select="events", bin_s=1.0))
-        np.testing.assert_array_equal(events.readings, [[1, 1], [0, 1]])
-
-
-class TestSpikeTables:
-    """Times of spikes in text, one line or one column per channel, with a width of bins."""
-
-    ROWS = ("0.25,1.5,1.75", "", "0.5,2.25")
-
-    @pytest.mark.parametrize(
-        ("text", "names"),
-        [
-            ("a,0.25,1.5,1.75\nb\nc,0.5,2.25\n", ("a", "b", "c")),
-            ("a 0.25 1.5 1.75\nb \nc 0.5 2.25\n", ("a", "b", "c")),
-            ("a,b,c\n0.25,,0.5\n1.5,,2.25\n1.75,,\n", ("a", "b", "c")),
-            ("0.25;;0.5\n1.5;;2.25\n1.75;;\n", ("channel1", "channel2", "channel3")),
-        ],
-    )
-    def test_layouts(self, put: Put, text: str, names: tuple[str, ...]) -> None:
-        found = io.read(put("spikes.txt", text), options=OPTIONS(bin_s=1.0))
-        assert found.names == names
-        np.testing.assert_array_equal(found.readings, TestSpikeTrains.COUNTS)
-
-    @pytest.mark.parametrize(
-        "text",
-        ["a,b\n1,2\n3,4\n", "a,b\n1.5,2\n0.5,4\n", "a,b\n0.5,1\n,2\n1.5,3\n", "a,b\n0.5,x\n"],
-    )
-    def test_readings_are_not_spikes(self, put: Put, text: str) -> None:
-        with pytest.raises(FileError, match=r"x\.csv .* holds readings, not events.*--bin"):
-            io.read(put("x.csv", text), options=OPTIONS(bin_s=1.0))
 
 
 class TestMatlab:
@@ -432,9 +228,10 @@ class TestMatlab:
         assert arm.source == "touch.mat:arm/activatedTaxels"
 
     def test_spike_trains(self, saved) -> None:
-        trains = [np.array(train).reshape(-1, 1) for train in TestSpikeTrains.TRAINS]
+        trains = [np.array(train).reshape(-1, 1) for train in ([0.25, 1.5], [], [0.5, 2.25])]
         found = io.read(saved(spikes=self.cells(trains)), options=OPTIONS(bin_s=1.0))
-        np.testing.assert_array_equal(found.readings, TestSpikeTrains.COUNTS)
+        # The first bin begins with the first spike, at 0.25 s.
+        np.testing.assert_array_equal(found.readings, [[1, 0, 1], [1, 0, 0], [0, 0, 1]])
         assert found.names == ("channel1", "channel2", "channel3")
 
     def test_readings_beside_cells_are_preferred(self, saved) -> None:

@@ -1,0 +1,138 @@
+"""Reports are self-contained, and safe with any sensor names."""
+
+import base64
+import hashlib
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from anisomap.drawing.report import render_report, write_report
+from anisomap.drawing.view import printable
+from anisomap.evaluation import score
+from anisomap.health import SensorHealth
+from anisomap.sensor_map import SensorMap
+from reports import LIBRARY, PNG, Page, example, scene_of, summary
+
+HOSTILE = (
+    "</script><script>alert(1)</script>",
+    "<img src=x onerror=alert(2)>",
+    '"><svg onload=alert(3)>',
+    "';alert(4)//",
+    "{{ 7 * 7 }}{% raw %}",
+    '%{x}<a href="https://example.org/">link</a>',
+    "javascript:alert(5)",
+    "<!--<script>",
+    "&lt;script&gt;alert(6)&lt;/script&gt;",
+    "\u2028\u202e\x00\ud800",
+    "</style></textarea></title>",
+    "plain",
+)
+
+
+@pytest.mark.parametrize("true_dimensions", [None, 3])
+def test_a_report_is_self_contained(tmp_path: Path, true_dimensions: int | None) -> None:
+    sensor_map, scored = example(true_dimensions)
+    path = tmp_path / "report.html"
+    write_report(path, sensor_map, score=scored, figure_png=PNG, summary=summary())
+    page = Page(path.read_text(encoding="utf-8"), whole=True)
+    addresses = [
+        v for name in ("src", "href", "srcset", "action", "data") for v in page.values(name)
+    ]
+    assert addresses
+    assert all(address.startswith(("data:", "#")) for address in addresses)
+    assert not {"link", "base", "iframe", "object", "embed", "a"} & set(page.tags)
+    (style,) = page.texts["style"]
+    assert "@import" not in style
+    assert "url(" not in style
+    assert len(page.texts["script"]) == 3
+    assert any("plotly.js" in script[:200] for script in page.texts["script"])
+
+
+def test_the_content_security_policy_forbids_requests_and_foreign_scripts() -> None:
+    sensor_map, scored = example()
+    page = Page(render_report(sensor_map, score=scored), whole=True)
+    (policy,) = [value for value in page.values("content") if "default-src" in value]
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    assert rules["default-src"] == "'none'"
+    assert rules["img-src"] == "data: blob:"
+    assert "connect-src" not in rules
+    assert "http" not in policy
+    run = [text for text in page.texts["script"] if not text.startswith("[{")]
+    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in run]
+    assert rules["script-src"].split() == [*(f"'sha256-{h}'" for h in hashes), "'unsafe-eval'"]
+    assert not [name for _, name, _ in page.attributes if name.startswith("on")]
+
+
+def hostile_report(texts: tuple[str, ...]) -> str:
+    places = np.random.default_rng(0).normal(size=(len(texts), 3))
+    sensor_map = SensorMap(
+        places,
+        names=texts,
+        health=texts,
+        units=texts[0],
+        method=texts[0],
+        notes=texts,
+        provenance={text: text for text in texts},
+    )
+    scored = score(sensor_map, places[::-1], units=texts[0], permutations=9)
+    source = render_report(
+        sensor_map,
+        score=scored,
+        health=[SensorHealth(text, "noisy", text, 0, 1, 2, 0.1, 3, 0.2, 0.3) for text in texts],
+        summary=summary(*texts),
+        figure_png=PNG,
+        title=texts[0],
+    )
+    return source.replace(LIBRARY, "")
+
+
+def test_hostile_names_are_escaped(tmp_path: Path) -> None:
+    source = hostile_report(HOSTILE)
+    page = Page(source)
+    harmless = Page(hostile_report(tuple(f"name {i}" for i in range(len(HOSTILE)))))
+    assert page.tags == harmless.tags
+    assert not [name for _, name, _ in page.attributes if name.startswith("on")]
+    for sample in ("<script>alert", "<img src=x", "<svg onload", "<a href"):
+        assert sample not in source
+    assert "{{ 7 * 7 }}" in page.text, "names are not templates"
+    assert sorted(row[0] for row in page.sensor_rows) == sorted(map(printable, HOSTILE))
+    in_view = json.dumps(scene_of(page))
+    assert not re.search(r"<(?!/?b>|br>)", in_view), "plotly interprets markup in its labels"
+    sensor_map, scored = example()
+    assert scored is not None
+    half = score(sensor_map, scored.truth, units="\ud800", permutations=9)
+    write_report(tmp_path / "report.html", sensor_map, score=half, title="\ud800")
+    (tmp_path / "report.html").read_bytes().decode("utf-8")
+
+
+@pytest.fixture(scope="module")
+def harmless_tags() -> list[str]:
+    return Page(hostile_report(tuple("abcde"))).tags
+
+
+@settings(max_examples=12)
+@given(st.lists(st.text(min_size=1), min_size=5, max_size=5, unique=True).map(tuple))
+def test_names_do_not_change_the_structure_of_the_page(
+    harmless_tags: list[str], names: tuple[str, ...]
+) -> None:
+    page = Page(hostile_report(names))
+    # Notes that are equal once printable are listed once.
+    elements, expected = (
+        [tag for tag in tags if tag != "li"] for tags in (page.tags, harmless_tags)
+    )
+    assert elements == expected
+    assert sorted(row[0] for row in page.sensor_rows) == sorted(map(printable, names))
+    scene_of(page)
+
+
+def test_scripts_contain_no_end_tag() -> None:
+    sensor_map, scored = example()
+    source = render_report(sensor_map, score=scored)
+    scripts = Page(source, whole=True).texts["script"]
+    assert source.lower().count("</script") == len(scripts)
+    assert not [text for text in scripts if "<!--" in text or "\r" in text]

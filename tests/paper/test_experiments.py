@@ -1,0 +1,163 @@
+"""Quick runs of the experiments that reproduce the paper."""
+
+import csv
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from anisomap import io
+from anisomap.cli.app import main
+from anisomap.paper import EXPERIMENTS, Settings, reproduce, results
+from anisomap.paper.cases import find_case
+from anisomap.paper.claim_checks import NOT_REPRODUCED, PARTLY, REPRODUCED
+from anisomap.paper.claims import CLAIMS
+from anisomap.simulation import find_body
+
+pytest.importorskip("mujoco")
+pytest.importorskip("matplotlib")
+pytest.importorskip("jinja2")
+
+QUICK = Settings(quick=True)
+CHEAP = ("data-s1-s6", "data-s7-s11", "text-s3", "figure-s3", "figure-s10")
+
+
+@pytest.fixture(
+    scope="module", params=[CHEAP, pytest.param((), marks=pytest.mark.slow)], ids=["cheap", "all"]
+)
+def quick(tmp_path_factory, request):
+    """Return the folder of a run of ``anisomap paper --quick``."""
+    folder = tmp_path_factory.mktemp("paper") / "out"
+    chosen = [word for name in request.param for word in ("--only", name)]
+    workers = "1" if chosen else "2"
+    with pytest.raises(SystemExit) as end:
+        main(["paper", "-o", str(folder), "--quick", "--workers", workers, *chosen])
+    assert not end.value.code
+    return folder
+
+
+def computed_in(folder):
+    return {path.parent.name for path in folder.glob(f"*/{results.RECORD}")}
+
+
+def read_table(folder, name):
+    with (folder / name / f"{name}.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_experiment_writes_the_files_in_its_record(quick, request):
+    chosen = request.node.callspec.params["quick"]
+    assert computed_in(quick) == set(
+        chosen or (one.name for one in EXPERIMENTS.values() if not one.files)
+    )
+    for name in computed_in(quick):
+        record = json.loads((quick / name / results.RECORD).read_text())
+        assert record["pictures"] or record["tables"] or record["documents"]
+        for table in record["tables"]:
+            with (quick / name / f"{table['name']}.csv").open(newline="") as file:
+                header, *rows = csv.reader(file)
+            assert header == list(table["columns"])
+            assert rows
+            assert all(table["columns"].values()), "every column has a description"
+        for picture in record["pictures"]:
+            for kind in results.FIGURE_FORMATS:
+                assert (quick / name / f"{picture['name']}.{kind}").stat().st_size > 5000
+
+
+def test_the_page_shows_all_results_without_a_network(quick):
+    page = (quick / "index.html").read_text()
+    links = re.findall(r'(?:href|src)="([^"]+)"', page)
+    assert not [link for link in links if "//" in link]
+    for link in links:
+        assert link.startswith("#") or (quick / link).is_file(), link
+    for name, experiment in EXPERIMENTS.items():
+        shown = bool(experiment.title) and (name in computed_in(quick) or bool(experiment.files))
+        assert (f'id="{name}"' in page) == shown
+    assert "matejhof/robotic-homunculus-supporting-materials" in page, "source of real recordings"
+    pictures = {path.relative_to(quick).as_posix() for path in quick.glob("*/*.png")}
+    assert pictures <= set(links)
+
+
+def test_finished_experiments_are_not_repeated(quick):
+    before = {path: path.stat().st_mtime_ns for path in quick.glob("*/*")}
+    found = reproduce(quick, QUICK, only=[*computed_in(quick), "real-skin"], workers=2)
+    assert {one.name for one in found if one.state == "cached"} == computed_in(quick)
+    assert {one.name for one in found if one.state == "skipped"} == {"real-skin"}
+    assert before == {path: path.stat().st_mtime_ns for path in quick.glob("*/*")}
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_the_number_of_workers(quick, tmp_path):
+    chosen = ("figure-s10", "data-s7-s11")
+    reproduce(tmp_path, QUICK, only=chosen, workers=2)
+    for name in chosen:
+        for path in (tmp_path / name).iterdir():
+            if path.name != results.RECORD:  # holds the duration
+                assert path.read_bytes() == (quick / name / path.name).read_bytes(), path.name
+
+
+@pytest.mark.parametrize("quick", [pytest.param((), marks=pytest.mark.slow)], indirect=True)
+def test_every_claim_has_a_verdict_that_agrees_with_its_cases(quick):
+    rows = read_table(quick, "claims")
+    assert [row["claim"] for row in rows] == [claim.text for claim in CLAIMS]
+    for row in rows:
+        held, n_cases = map(int, row["cases"].split(" of "))
+        assert row["verdict"].startswith((REPRODUCED, NOT_REPRODUCED, PARTLY))
+        assert (row["verdict"] == REPRODUCED) == (held == n_cases)
+        assert (row["verdict"] == NOT_REPRODUCED) == (held == 0)
+
+
+def test_sample_data_hold_the_readings_positions_and_parameters(quick):
+    path = quick / "data-s1-s6" / "data-s2.txt"
+    case = find_case("sphere")
+    recording = case.record(QUICK, QUICK.picked_seed(case.name))
+    found = io.read(path)
+    assert found.names == recording.names
+    np.testing.assert_allclose(found.readings, recording.readings, rtol=1e-4)
+    text = path.read_text()
+    positions = np.array(
+        [line.split()[3:6] for line in text.splitlines() if line.startswith("# sensor")], float
+    )
+    np.testing.assert_allclose(positions, find_body("sphere").positions, atol=1e-5)
+    description = (quick / "data-s1-s6" / "text-s1.txt").read_text()
+    for name in re.findall(r"^# (\w+): ", text, flags=re.MULTILINE):
+        facts = {"frames", "rate_hz", "body", "scenario", "seed", "anisomap", "mujoco"}
+        measured = {"energy_drift", "deepest_overlap"}
+        assert name in facts | measured or f"{name} = " in description, name
+
+
+def test_the_simulated_patch_has_the_failures_of_the_paper(quick):
+    early, late = (io.read(quick / "data-s7-s11" / f"data-s{n}.txt") for n in (9, 11))
+    for recording in (early, late):
+        silent = np.array([name.startswith("t5") for name in recording.names])
+        assert (recording.varying() == ~silent).all()
+    saturated = (late.readings == late.readings.max()).sum(axis=0)
+    assert late.names[int(np.argmax(saturated))] == "t3p0"
+    assert saturated.max() > 10 * np.sort(saturated)[-2]
+
+
+@pytest.mark.slow
+def test_real_skin_is_mapped_if_its_recording_is_given(recordings_folder, tmp_path):
+    settings = replace(QUICK, recordings=recordings_folder)
+    reproduce(tmp_path, settings, only=["real-skin"], workers=1)
+    found = {row["method"]: float(row["mantel_r"]) for row in read_table(tmp_path, "real-skin")}
+    assert found["r-anisomap"] > 0.98
+    assert "was not given" not in (tmp_path / "index.html").read_text()
+
+
+@pytest.mark.slow
+def test_missing_extras_are_reported_in_one_sentence(tmp_path):
+    code = (
+        "import sys; sys.modules.update(dict.fromkeys(('mujoco', 'matplotlib', 'jinja2')));"
+        f"from anisomap.cli import main; main(['paper', '-o', {str(tmp_path / 'out')!r}])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == [
+        "error: reproducing the paper needs an extra: pip install 'anisomap[paper]'"
+    ]
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,201 @@
+"""The runner of experiments, with experiments that take no time, and numbers in documents."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from anisomap.errors import FileError, InputError
+from anisomap.paper import (
+    Document,
+    Experiment,
+    Outcome,
+    Settings,
+    Table,
+    numbers,
+    reproduce,
+    results,
+)
+from anisomap.paper.claims import CLAIMS
+
+ROOT = Path(__file__).parents[2]
+QUICK = Settings(quick=True)
+
+
+def add_up(settings, tables):
+    value = settings.seed + sum(row[0] for table in tables.values() for row in table.rows)
+    return Outcome(tables=(Table("number", "A number.", {"value": "a number"}, ((value,),)),))
+
+
+def write_text(_settings, _tables):
+    return Outcome(documents=(Document("text.txt", "A text.", "text\n"),))
+
+
+def fail(_settings, _tables):
+    raise InputError("this experiment fails")
+
+
+def interrupt(_settings, _tables):
+    raise KeyboardInterrupt
+
+
+def count_threads(_settings, _tables):
+    rows = tuple((pool["user_api"], pool["num_threads"]) for pool in threadpool_info())
+    columns = {"pool": "kind of thread pool", "threads": "number of threads"}
+    return Outcome(tables=(Table("threads", "Threads.", columns, rows),))
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.glob("*/*")}
+
+
+def registry(*experiments):
+    return {one.name: one for one in experiments}
+
+
+FIRST = Experiment("first", "First", "A number.", add_up)
+SECOND = Experiment("second", "Second", "A sum.", add_up, needs=("first",))
+TEXT = Experiment("text", "Text", "A text.", write_text)
+ALL = registry(SECOND, FIRST, TEXT)
+
+
+def compute(folder, settings=QUICK, experiments=ALL, **options):
+    """Return the names of the experiments that were computed."""
+    found = reproduce(folder, settings, experiments=experiments, workers=1, **options)
+    return {one.name for one in found if one.state == "computed"}
+
+
+def number_of(folder, name):
+    return (folder / name / "number.csv").read_text()
+
+
+def test_needed_experiments_run_first_and_all_run_once(tmp_path):
+    assert compute(tmp_path) == {"first", "second", "text"}
+    assert number_of(tmp_path, "second") == "value\n2\n"
+    assert compute(tmp_path) == set()
+    assert compute(tmp_path, only=["second"]) == set()
+
+
+def test_another_seed_repeats_all_experiments(tmp_path):
+    compute(tmp_path)
+    assert compute(tmp_path, replace(QUICK, seed=5)) == {"first", "second", "text"}
+    assert number_of(tmp_path, "second") == "value\n10\n"
+
+
+def test_progress_is_reported_up_to_the_end(tmp_path):
+    for state in ("computed", "cached"):
+        calls = []
+        compute(
+            tmp_path, report=lambda status, fraction, calls=calls: calls.append((status, fraction))
+        )
+        assert {status.state for status, _ in calls} == {state}
+        assert [fraction for _, fraction in calls] == pytest.approx([1 / 3, 2 / 3, 1])
+
+
+@pytest.mark.parametrize("name", ["text.txt", results.RECORD])
+@pytest.mark.parametrize("damage", ["truncated", "removed", "changed"])
+def test_damaged_results_are_computed_again(tmp_path, name, damage):
+    compute(tmp_path)
+    path = tmp_path / "text" / name
+    if damage == "removed":
+        path.unlink()
+    else:
+        path.write_text(path.read_text()[:-3] if damage == "truncated" else "{}")
+    assert compute(tmp_path) == {"text"}
+    assert (tmp_path / "text" / "text.txt").read_text() == "text\n"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("finished")
+    compute(folder, experiments=registry(FIRST))
+    record = (folder / "first" / results.RECORD).read_bytes()
+    return folder, record
+
+
+@given(st.integers(0, 10_000), st.binary(min_size=1, max_size=4))
+def test_a_damaged_record_never_gives_other_rows(finished, position, junk):
+    folder, record = finished
+    position %= len(record)
+    damaged = record[:position] + junk + record[position + len(junk) :]
+    (folder / "first" / results.RECORD).write_bytes(damaged)
+    found = results.load(folder, "first", json.loads(record)["fingerprint"])
+    assert found is None or found.tables[0].rows == ((1,),)
+
+
+@pytest.mark.parametrize(("broken", "error"), [(fail, InputError), (interrupt, KeyboardInterrupt)])
+def test_a_stopped_run_continues_with_the_unfinished_experiments(tmp_path, broken, error):
+    with pytest.raises(error):
+        compute(tmp_path, experiments=registry(FIRST, replace(SECOND, compute=broken)))
+    assert [path.name for path in tmp_path.iterdir()] == ["first"]
+    before = contents(tmp_path)
+    assert compute(tmp_path) == {"second", "text"}
+    assert before.items() <= contents(tmp_path).items()
+
+
+def test_experiments_use_one_thread_per_worker(tmp_path):
+    with threadpool_limits(2):
+        compute(tmp_path, experiments=registry(Experiment("threads", "Threads", "", count_threads)))
+    with (tmp_path / "threads" / "threads.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert rows
+    assert {row["threads"] for row in rows} == {"1"}
+
+
+def test_invalid_arguments_raise_errors(tmp_path):
+    with pytest.raises(InputError, match="choose from second, first, text"):
+        compute(tmp_path, only=["third"])
+    with pytest.raises(InputError, match="workers must be at least 1, got 0"):
+        reproduce(tmp_path, QUICK, experiments=ALL, workers=0)
+    with pytest.raises(FileError, match="nowhere does not exist"):
+        compute(tmp_path, replace(QUICK, recordings=tmp_path / "nowhere"))
+    with pytest.raises(InputError, match="seed must be at least 0"):
+        Settings(seed=-1)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match="cannot create the folder"):
+        compute(tmp_path / "file")
+    with pytest.raises(InputError, match="2 values for 1 columns"):
+        Table("wrong", "", {"value": "a number"}, ((1, 2),))
+
+
+def test_seeds_are_picked_at_random_and_reproducibly():
+    settings = Settings()
+    picked = {purpose: settings.picked_seed(purpose) for purpose in "abcdefghijkl"}
+    assert set(picked.values()) <= set(settings.seeds)
+    assert len(set(picked.values())) > 3
+    assert picked == {purpose: settings.picked_seed(purpose) for purpose in picked}
+
+
+def test_documents_hold_the_numbers_of_the_tables():
+    paper = (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for text in (paper, readme):
+        assert numbers.fill(text, ROOT / "docs" / "results") == text, "run make numbers"
+        assert numbers.tables_in(text)
+    assert all(f"| {claim.text} |" in paper for claim in CLAIMS), "run make numbers"
+
+
+def test_documents_are_updated_from_results(tmp_path):
+    compute(tmp_path / "out")
+    page = tmp_path / "page.md"
+    page.write_text("A\n<!-- numbers: number: value -->\nold\n<!-- end of numbers -->\nB\n")
+    arguments = [str(tmp_path / "out"), str(tmp_path / "tables"), str(page)]
+    numbers.main(arguments)
+    assert "| value |\n| --- |\n| 1 |\n" in page.read_text()
+    assert page.read_text() == numbers.fill(page.read_text(), tmp_path / "tables")
+    page.write_text("<!-- numbers: number: worth -->\n<!-- end of numbers -->")
+    with pytest.raises(FileError, match="no column 'worth'"):
+        numbers.main(arguments)
+    old = "<!-- numbers: old -->\n<!-- end of numbers -->"
+    (tmp_path / "tables" / "old.csv").write_text("kept\n2\n")
+    page.write_text(old)
+    numbers.main(arguments)
+    assert "| kept |\n| --- |\n| 2 |\n" in page.read_text()
+    page.write_text("<!-- numbers: absent -->\n<!-- end of numbers -->")
+    with pytest.raises(FileError, match="run anisomap paper first"):
+        numbers.main(arguments)

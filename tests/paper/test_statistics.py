@@ -1,0 +1,77 @@
+"""Scores, responses and shapes in the experiments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap.paper import Settings, shape_statistics
+from anisomap.paper.cases import METHODS, find_case
+from anisomap.paper.experiments.unlike_responses import radial_basis
+from anisomap.paper.map_scores import SCORE_COLUMNS, map_and_score, null_box, score_rows
+from anisomap.simulation import find_body
+
+cbook = pytest.importorskip("matplotlib.cbook")
+
+QUICK = Settings(quick=True)
+
+
+def test_box_plots_keep_every_value_beyond_the_whiskers():
+    recording = find_case("sphere").record(QUICK, 1)
+    settings = replace(QUICK, seed=1)
+    row = dict(
+        zip(SCORE_COLUMNS, next(score_rows("sphere", recording, 1, [3], settings)), strict=True)
+    )
+    box = null_box(row)
+    truth, made = recording.positions, map_and_score(recording, METHODS[0], 3, permutations=200)
+    drawn = cbook.boxplot_stats(made.score.mantel.null)[0]
+    assert len(truth) == made.score.mantel.n_sensors
+    assert len(box.outliers) == len(drawn["fliers"]) > 2
+    np.testing.assert_allclose(box.outliers, np.sort(drawn["fliers"]), atol=1e-4)
+    assert (box.whisker_low, box.whisker_high) == (drawn["whislo"], drawn["whishi"])
+
+
+@pytest.mark.parametrize("quantile", [0.25, 0.5, 1.0])
+def test_radial_basis_sensors_respond_most_at_their_optimum(quantile):
+    depth = np.concatenate([np.zeros(50), np.linspace(0.01, 1, 100)])[:, None]
+    response = radial_basis(depth, quantile)[:, 0]
+    assert abs(depth[response.argmax(), 0] - np.quantile(depth[depth > 0], quantile)) < 0.01
+    assert response[0] == pytest.approx(np.exp(-2))
+    assert (np.diff(response) >= 0).all() == (quantile == 1)
+
+
+@given(st.floats(0.05, 3), st.integers(0, 100))
+def test_axial_scale_recovers_the_compression_of_a_cylinder(factor, seed):
+    truth = find_body("cylinder").positions
+    rotation = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    scale = shape_statistics.axial_scale(7 * truth * [1, 1, factor] @ rotation + 3, truth)
+    assert scale.local == pytest.approx(factor, rel=1e-6)
+    if factor > 0.5:  # the axis of a much flatter cylinder is not aligned with the true axis
+        assert scale.whole == pytest.approx(factor, rel=1e-3)
+
+
+def test_spread_of_radii_of_a_sphere_and_of_a_line():
+    assert shape_statistics.spread_of_radii(find_body("sphere").positions) < 0.01
+    line = np.linspace(-1, 1, 2001)[:, None]
+    assert shape_statistics.spread_of_radii(line) == pytest.approx(1 / 3**0.5, abs=1e-3)
+
+
+def test_isolation_inside_and_outside_a_lattice():
+    grid = np.stack(np.meshgrid(range(5), range(5)), -1).reshape(-1, 2).astype(float)
+    assert shape_statistics.isolation(grid, 7) == pytest.approx(1)
+    grid[0] -= [3, 4]
+    assert shape_statistics.isolation(grid, 0) == pytest.approx(np.hypot(4, 4))
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3, 5])
+def test_the_spectrum_of_k_dimensional_points_has_k_positive_variances(dimensions):
+    points = np.random.default_rng(dimensions).normal(size=(400, dimensions))
+    distances = np.linalg.norm(points[:, None] - points, axis=2)
+    variances = shape_statistics.spectrum(distances)
+    assert shape_statistics.n_dimensions(variances) == dimensions
+    np.testing.assert_allclose(
+        variances[:dimensions].sum(), ((points - points.mean(axis=0)) ** 2).sum()
+    )
+    np.testing.assert_allclose(variances[dimensions:], 0, atol=1e-9)

@@ -1,0 +1,168 @@
+"""Maps made from a precomputed similarity, dissimilarity or metric."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap import reconstruct, reconstruct_from
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.evaluation import mantel
+from anisomap.methods import METHODS, MethodOptions
+from anisomap.numerics.contacts import ContactOptions
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
+from skins import flat_skin, lattice, mantel_r, stages
+
+WITHOUT_CONTACTS = MethodOptions(contacts=ContactOptions(min_explained=2))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_reconstruction_can_start_from_every_stage(method):
+    skin = flat_skin()
+    # Contacts are in readings only: the other stages give the map that contacts would refine.
+    whole = reconstruct(
+        skin, "covariogram" if method == "contact-fit" else method, 2, options=WITHOUT_CONTACTS
+    )
+    known = stages(skin.readings, method)
+    refined = METHODS[method].refine is not None
+    for stage in ("similarity", "dissimilarity", "metric"):
+        given = {stage: getattr(known, stage)}
+        if stage == "similarity" and refined:
+            given["noise"] = known.pairs.noise
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            entered = reconstruct_from(method=method, dimensions=2, **given)
+        assert entered.provenance["precomputed"] == stage
+        only_started = refined and stage != "similarity"
+        assert any("are unrefined" in str(w.message) for w in told) == only_started
+        assert any("contacts did not refine the map" in str(w.message) for w in told) == (
+            method == "contact-fit" and stage == "similarity"
+        )
+        if not only_started:
+            np.testing.assert_allclose(entered.positions, whole.positions, atol=1e-9)
+
+
+def test_exactly_one_stage_is_required():
+    with pytest.raises(InputError, match="exactly one of similarity, dissimilarity, metric"):
+        reconstruct_from()
+    with pytest.raises(InputError, match="got similarity, metric"):
+        reconstruct_from(similarity=np.eye(5), metric=np.eye(5))
+
+
+def test_scaling_starts_from_the_given_positions():
+    skin = flat_skin()
+    stay = MethodOptions(smacof=SmacofOptions(max_iterations=0))
+    with pytest.warns(AnisomapWarning, match="converged"):
+        started = reconstruct_from(
+            metric=stages(skin.readings, "r-anisomap").metric,
+            method="r-anisomap",
+            dimensions=2,
+            start=lattice(),
+            options=stay,
+        )
+    np.testing.assert_allclose(started.positions, lattice() - lattice().mean(axis=0))
+
+
+def test_distances_with_zero_weight_are_ignored():
+    skin = flat_skin()
+    metric = np.array(stages(skin.readings, "r-anisomap").metric)
+    how = {"method": "r-anisomap", "dimensions": 2}
+    truth = reconstruct_from(metric=metric, **how)
+    wrong, weights = metric.copy(), np.ones_like(metric)
+    wrong[0, 30] = wrong[30, 0] = 1e3
+    weights[0, 30] = weights[30, 0] = 0
+    spared = reconstruct_from(metric=wrong, weights=weights, **how)
+    misled = reconstruct_from(metric=wrong, **how)
+    close = anisomap.mantel(spared, truth, permutations=0).r
+    assert close > 0.999
+    assert anisomap.mantel(misled, truth, permutations=0).r < close
+
+
+@pytest.mark.parametrize("known", [0.45, 0.7])
+def test_many_unknown_pairs_are_bridged(known):
+    found = {"covariogram": [], "r-anisomap": []}
+    for seed in range(3):
+        skin = flat_skin(seed=seed)
+        weights = np.random.default_rng(seed).uniform(size=(42, 42)) < 1 - np.sqrt(1 - known)
+        weights = (weights | weights.T).astype(float)
+        for method, scores in found.items():
+            pairs = stages(skin.readings, method).pairs
+            noise = {"noise": pairs.noise} if method == "covariogram" else {}
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", AnisomapWarning)
+                made = reconstruct_from(
+                    similarity=pairs.similarity,
+                    method=method,
+                    dimensions=2,
+                    weights=weights,
+                    **noise,
+                )
+            scores.append(mantel_r(made, skin))
+    assert np.mean(found["covariogram"]) > np.mean(found["r-anisomap"]) - 0.01
+
+
+@pytest.mark.parametrize("similarity", [np.full((10, 10), 2.0), 5 * np.eye(10) + 1])
+def test_the_covariogram_requires_correlations(similarity):
+    with pytest.raises(InputError, match=r"in \[-1, 1\]"):
+        reconstruct_from(similarity=similarity)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"noise": np.ones((3, 3))}, r"noise must be of shape \(42, 42\), got \(3, 3\)"),
+        ({"noise": 0.01}, "noise must be of shape"),
+        ({"noise": np.zeros((42, 42))}, "above 0"),
+        ({"noise": np.full((42, 42), np.inf)}, "finite"),
+        ({"weights": np.triu(np.ones((42, 42)))}, "weight matrix is not symmetric"),
+        ({"weights": np.full((42, 42), -1.0)}, "weights must be"),
+        ({"weights": np.full((42, 42), np.nan)}, "weights must be"),
+    ],
+)
+def test_invalid_companions_of_a_similarity_are_refused(given, message):
+    similarity = np.corrcoef(flat_skin().readings.T)
+    with pytest.raises(InputError, match=message):
+        reconstruct_from(similarity=similarity, **given)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"similarity": np.zeros((3, 4))}, r"must be of shape \(N, N\), got \(3, 4\)"),
+        (
+            {"similarity": np.eye(9), "start": np.zeros((9, 2)), "dimensions": 3},
+            r"\(9, 3\), got \(9, 2\)",
+        ),
+        ({"metric": 1 - np.eye(9), "weights": np.zeros((2, 2))}, r"\(9, 9\), got \(2, 2\)"),
+        ({"dissimilarity": -np.ones((9, 9))}, "dissimilarity"),
+        ({"metric": 1 - np.eye(9), "names": ["a"]}, "9 sensors need 9 names, got 1"),
+    ],
+)
+def test_invalid_precomputed_stages_are_refused(given, message):
+    with pytest.raises(InputError, match=message):
+        reconstruct_from(**given)
+
+
+@pytest.mark.parametrize("method", ["covariogram", "r-anisomap", "isomap"])
+@pytest.mark.parametrize("nonsense", [1.0, np.nan])
+def test_values_of_unknown_pairs_are_ignored(method, nonsense):
+    skin = flat_skin()
+    how = "i-anisomap" if method == "isomap" else "r-anisomap"
+    similarity = np.array(stages(skin.readings, how).similarity)
+    rng = np.random.default_rng(0)
+    unknown = np.triu(rng.uniform(size=similarity.shape) < 0.1, 1)
+    unknown |= unknown.T
+    maps = []
+    for value in (0.0, nonsense):
+        given = np.where(unknown, value, similarity)
+        made = reconstruct_from(similarity=given, method=method, dimensions=2, weights=~unknown)
+        maps.append(made.positions)
+    np.testing.assert_array_equal(*maps)
+    assert mantel(maps[0], skin.positions, permutations=0).r > (0.6 if method == "isomap" else 0.95)
+
+
+@pytest.mark.parametrize("matrix", [[["a", "b"], ["c", "d"]], [[1, 2], [3]], np.eye(3) * 1j])
+def test_a_precomputed_stage_must_be_a_matrix(matrix):
+    with pytest.raises(InputError, match="must be a matrix of real numbers"):
+        reconstruct_from(similarity=matrix)
