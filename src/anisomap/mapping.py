@@ -70,6 +70,31 @@ def compute_stages(
     return Stages(pairs, configuration, plan)
 
 
+def configure_pairs(
+    pairs: PairStatistics, recipe: Method, dimensions: int, options: MethodOptions
+) -> Configuration:
+    """Compute the configuration of sensors of which all pairs were compared.
+
+    Parameters
+    ----------
+    pairs : PairStatistics
+    recipe : Method
+    dimensions : int
+        It is not examined whether the readings show another number.
+    options : MethodOptions
+
+    Returns
+    -------
+    Configuration
+    """
+    with limited_blas(len(pairs.similarity)):
+        metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
+        plan = plan_dimensions(dimensions, None)
+        return configure(
+            plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
+        )[0]
+
+
 def dissimilarities(
     pairs: PairStatistics, method: str = DEFAULT_METHOD, options: MethodOptions | None = None
 ) -> Reals:

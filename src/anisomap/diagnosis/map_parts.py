@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from anisomap.diagnosis.halves import repeatability_of_halves
 from anisomap.diagnosis.uncertainty import departure_in_spacings
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.mapping import Stages
+from anisomap.mapping import Stages, configure_pairs
 from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions, refine_without_contacts
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.precision import Reals
@@ -165,16 +165,19 @@ class MapParts:
             )
 
         covariogram = self._options.covariogram
-        return reconstruct_with_stages(
-            part.readings[frames],
-            DEFAULT_METHOD,
-            self._map.dimensions,
-            options=replace(
-                self._options,
-                split_unrelated=False,
-                covariogram=replace(
-                    covariogram, max_iterations=min(covariogram.max_iterations, _MAX_ITERATIONS)
-                ),
+        options = replace(
+            self._options,
+            split_unrelated=False,
+            covariogram=replace(
+                covariogram, max_iterations=min(covariogram.max_iterations, _MAX_ITERATIONS)
             ),
-            recipe=replace(METHODS[DEFAULT_METHOD], refine=refine),
-        )[0].positions
+        )
+        recipe = replace(METHODS[DEFAULT_METHOD], refine=refine)
+        # The half that begins with the first frame is the first.
+        pairs = part.pairs.of_half(int(frames[0] > 0))
+        if len(pairs.similarity) < max(options.min_sensors, self._map.dimensions):
+            raise InputError("too few sensors vary in a half of the recording")
+        positions = np.full(part.positions.shape, np.nan)
+        varying = np.ptp(part.readings[frames], axis=0) > 0
+        positions[varying] = configure_pairs(pairs, recipe, self._map.dimensions, options).positions
+        return positions

@@ -289,4 +289,4 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
     def _set_map(self, sensor_map: SensorMap) -> None:
         self.map_ = sensor_map
         self.positions_ = sensor_map.positions
-        self.n_iter_ = sensor_map.n_iterations
+        self.n_iter_ = max(1, sensor_map.n_iterations)  # 0 if the initial positions fit exactly

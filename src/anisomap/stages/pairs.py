@@ -15,8 +15,15 @@ from anisomap.errors import InputError
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.blending import Blend, blend, blended_correlation
+from anisomap.numerics.reliability.blending import (
+    Blend,
+    blend,
+    blended_correlation,
+    split_blend,
+)
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
+from anisomap.numerics.reliability.split_half import split_blocks
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.numerics.similarity.rest import estimate_rest
@@ -109,6 +116,8 @@ class PairStatistics:
         Name of the similarity that was computed from readings; empty if it was precomputed.
     blended : Blend, optional
         What a blended correlation was computed from, of all sensors that were compared.
+    given_changes : ndarray of shape (n, n), optional
+        `changes`, if they were computed already.
     """
 
     similarity: Reals
@@ -117,6 +126,7 @@ class PairStatistics:
     readings: NDArray[np.generic] | None = None
     statistic: str = ""
     blended: Blend | None = None
+    given_changes: Reals | None = None
 
     @classmethod
     def from_similarity(
@@ -166,15 +176,65 @@ class PairStatistics:
             statistic,
         )
 
-    @cached_property
+    @property
     def changes(self) -> Reals | None:
         """Blended correlation of the differences between frames, shape (n, n); None without them.
 
         Computing it takes as long as that of the readings, and several steps use it.
         """
+        return self._changes[0] if self._changes else None
+
+    @cached_property
+    def _changes(self) -> tuple[Reals, ...]:
+        """Blended correlation of the changes in all frames, and in the halves."""
+        if self.given_changes is not None:
+            return (self.given_changes,)
         if self.readings is None or len(self.readings) < _MIN_FRAMES:
-            return None
-        return blended_correlation(np.diff(self.readings.astype(np.float64, copy=False), axis=0))
+            return ()
+        found = split_blend(
+            np.diff(self.readings.astype(np.float64, copy=False), axis=0), halves=True
+        )
+        return found.similarity, *found.halves
+
+    def of_half(self, half: int) -> PairStatistics:
+        """Return the statistics of one of two halves of the frames, without constant sensors.
+
+        Parameters
+        ----------
+        half : int
+            Index of one of the results of `anisomap.numerics.reliability.split_half.split_blocks`.
+
+        Returns
+        -------
+        PairStatistics
+            By the same statistic, with ranks among all frames.
+
+        Raises
+        ------
+        ValueError
+            If there are no readings.
+        """
+        if self.readings is None:
+            raise ValueError("there are no readings")
+        frames = split_blocks(len(self.readings))[half]
+        readings = self.readings[frames]
+        blended, changes, statistic = self.blended, self._changes, SIMILARITIES[self.statistic]
+        if blended is not None and blended.halves:
+            blended = blended.of_half(half, frames, readings)
+            similarity, noise = blended.similarity, blended.variance
+        elif statistic.blend is not None:
+            blended = statistic.blend(readings)
+            similarity, noise = blended.similarity, blended.variance
+        else:
+            similarity, noise = statistic.with_variance(readings, DEFAULT_BINS)
+        return replace(
+            self,
+            similarity=similarity,
+            noise=noise,
+            readings=readings,
+            blended=blended,
+            given_changes=changes[1 + half] if len(changes) > 1 else None,
+        ).select(np.ptp(readings, axis=0) > 0)
 
     @property
     def weights(self) -> NDArray[np.float64] | None:
@@ -194,6 +254,7 @@ class PairStatistics:
             known=self.known[inside],
             readings=readings,
             blended=None if self.blended is None else self.blended.select(sensors),
+            given_changes=None if self.given_changes is None else self.given_changes[inside],
         )
 
     def check_correlations(self) -> None:

@@ -9,12 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.reliability.split_half import correlation_and_reliability
+from anisomap.numerics.reliability.split_half import (
+    SplitCorrelation,
+    correlation_and_reliability,
+)
 from anisomap.numerics.similarity.rest import estimate_rest
 
 # Tuned on simulated skins, seeds 101-105; 3 to 10 in place of 5 give about equal maps.
 _POWER_OF_RELIABILITY = 5.0
 _POWER_OF_RATIO = 10.0
+_MAX_SENSORS_OF_HALVES = 1500  # of which the halves of two similarities take 72 MB
 
 
 def blended_correlation(readings: ArrayLike) -> Reals:
@@ -39,8 +43,55 @@ def blended_correlation(readings: ArrayLike) -> Reals:
     With the reliabilities p of r and q of rho, ``1 - w = (1 - p^5) min(1, q / p)^10``: rho has
     weight if r is unreliable, unless rho is even less reliable.
     """
+    return split_blend(readings).similarity
+
+
+@dataclass(frozen=True, eq=False)
+class SplitBlend:
+    """A blended correlation of all frames, and those of the two halves of the frames.
+
+    Attributes
+    ----------
+    similarity : ndarray of shape (N, N)
+        See `blended_correlation`.
+    weights : tuple of float
+        Weight of Pearson's r, in [0, 1], in all frames and in each of the `halves`.
+    ranks : ndarray of shape (T, N)
+        Ranks of depths beyond rest.
+    halves : tuple of ndarray of shape (N, N)
+        Blended correlations of the halves of the frames
+        (`anisomap.numerics.reliability.split_half.split_blocks`), with ranks among all frames;
+        empty if they were not asked for.
+    """
+
+    similarity: Reals
+    weights: tuple[float, ...]
+    ranks: NDArray[np.float64]
+    halves: tuple[Reals, ...] = ()
+
+
+def split_blend(readings: ArrayLike, *, halves: bool = False) -> SplitBlend:
+    """Compute `blended_correlation` with what it was blended from, and that of halves.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings.
+    halves : bool
+        Whether to blend the halves of the frames, too. They take little longer, except for more
+        than 1,500 sensors, for which they are left out: their matrices take too much memory.
+
+    Returns
+    -------
+    SplitBlend
+    """
     values = np.asarray(readings)
-    return _blended(values, estimate_rest(values).depth_ranks(values))[0]
+    ranks = estimate_rest(values).depth_ranks(values)
+    halves = halves and values.shape[1] <= _MAX_SENSORS_OF_HALVES
+    linear, by_rank = (correlation_and_reliability(one, halves=halves) for one in (values, ranks))
+    parts = zip((linear, *linear.halves), (by_rank, *by_rank.halves), strict=True)
+    blended, weights = zip(*(_blended(*part) for part in parts), strict=True)
+    return SplitBlend(blended[0], weights, ranks, blended[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,23 +104,41 @@ class Blend:
         See `blended_correlation`.
     variance : ndarray of shape (N, N)
         Its sampling variance for unrelated sensors.
-    weight : float
-        Weight of Pearson's r, in [0, 1].
+    weights : tuple of float
+        Weight of Pearson's r, in [0, 1], in all frames and in each of the `halves`.
     ranks : ndarray of shape (T, N)
         Ranks of depths beyond rest.
+    halves : tuple of ndarray of shape (N, N)
+        See `SplitBlend`.
     """
 
     similarity: Reals
     variance: Reals
-    weight: float
+    weights: tuple[float, ...]
     ranks: NDArray[np.float64]
+    halves: tuple[Reals, ...] = ()
 
     def select(self, sensors: NDArray[np.bool_]) -> Blend:
         """Return the blend of some of the sensors, given as a mask of shape (N,)."""
         inside = np.ix_(sensors, sensors)
         return Blend(
-            self.similarity[inside], self.variance[inside], self.weight, self.ranks[:, sensors]
+            self.similarity[inside],
+            self.variance[inside],
+            self.weights,
+            self.ranks[:, sensors],
+            tuple(half[inside] for half in self.halves),
         )
+
+    @property
+    def weight(self) -> float:
+        """Weight of Pearson's r in all frames, in [0, 1]."""
+        return self.weights[0]
+
+    def of_half(self, half: int, frames: NDArray[np.intp], readings: NDArray[np.generic]) -> Blend:
+        """Return the blend of one of the halves, given its frames and its readings."""
+        ranks = self.ranks[frames]
+        variance = _blended_variance(self.weights[1 + half], readings, ranks)
+        return Blend(self.halves[half], variance, (self.weights[1 + half],), ranks)
 
 
 def blend(readings: ArrayLike) -> Blend:
@@ -95,23 +164,26 @@ def blend(readings: ArrayLike) -> Blend:
     `anisomap.numerics.reliability.sampling_noise.sampling_variance` for the readings and for the
     ranks: the errors of r and rho are taken to be proportional, as they nearly are.
     """
-    values = np.asarray(readings)
-    ranks = estimate_rest(values).depth_ranks(values)
-    blended, weight = _blended(values, ranks)
-    deviation = weight * np.sqrt(sampling_variance(values))
+    found = split_blend(readings, halves=True)
+    variance = _blended_variance(found.weights[0], np.asarray(readings), found.ranks)
+    return Blend(found.similarity, variance, found.weights, found.ranks, found.halves)
+
+
+def _blended_variance(
+    weight: float, readings: NDArray[np.generic], ranks: NDArray[np.float64]
+) -> Reals:
+    deviation = weight * np.sqrt(sampling_variance(readings))
     deviation += (1 - weight) * np.sqrt(sampling_variance(ranks))
-    return Blend(blended, np.square(deviation, out=deviation), weight, ranks)
+    return np.asarray(np.square(deviation, out=deviation))
 
 
-def _blended(values: NDArray[np.generic], ranks: NDArray[np.float64]) -> tuple[Reals, float]:
-    """Return the blended correlation, and the weight of Pearson's r."""
-    blended, reliability = correlation_and_reliability(values)
-    rho, reliability_of_rho = correlation_and_reliability(ranks)
-    p, q = max(reliability, 0.0), max(reliability_of_rho, 0.0)
+def _blended(linear: SplitCorrelation, by_rank: SplitCorrelation) -> tuple[Reals, float]:
+    """Return the blended correlation, and the weight of Pearson's r; overwrite `linear`."""
+    p, q = max(linear.reliability, 0.0), max(by_rank.reliability, 0.0)
     ratio = 1.0 if q >= p else q / p
     weight = 1 - (1 - p**_POWER_OF_RELIABILITY) * ratio**_POWER_OF_RATIO
+    blended = linear.correlation
     blended *= weight
-    rho *= 1 - weight
-    blended += rho
+    blended += (1 - weight) * by_rank.correlation
     np.fill_diagonal(blended, 1.0)
     return blended, weight

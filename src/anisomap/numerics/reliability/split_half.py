@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.precision import Reals
+from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.numerics.similarity.correlation import moments, scale_extremes
 
 N_BLOCKS = 20
@@ -19,6 +23,7 @@ MIN_SENSORS = 3
 """Minimum number of sensors for a reliability: a correlation over 3 pairs."""
 
 _MAX_SENSORS = 4000  # sampled sensors; their 8 million pairs determine the reliability
+_ROUNDING = 1e-12  # relative, of a variance over pairs that is 0
 
 
 def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -48,34 +53,89 @@ def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
 
 
-def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
+@dataclass(frozen=True, eq=False)
+class SplitCorrelation:
+    """Pearson's r of all pairs of sensors, and how well it repeats.
+
+    Attributes
+    ----------
+    correlation : ndarray of shape (N, N)
+        Of all frames: see `anisomap.numerics.similarity.correlation.pearson`.
+    reliability : float
+        Correlation between the halves of the frames, over pairs of sensors, in [-1, 1].
+    halves : tuple of SplitCorrelation
+        Those of the two halves; empty if they were not asked for.
+    """
+
+    correlation: Reals
+    reliability: float
+    halves: tuple[SplitCorrelation, ...] = ()
+
+
+def correlation_and_reliability(readings: ArrayLike, *, halves: bool = False) -> SplitCorrelation:
     """Compute Pearson's r, and correlate it between the two halves, over pairs of sensors.
 
     Parameters
     ----------
     readings : array_like of shape (T, N)
         Finite readings.
+    halves : bool
+        Whether to return those of the halves, too; for at most 4,000 sensors. Quarters of the
+        frames are then multiplied in place of halves, which takes hardly longer.
 
     Returns
     -------
-    correlation : ndarray of shape (N, N)
-        Of all frames: see `anisomap.numerics.similarity.correlation.pearson`.
-    reliability : float
-        Correlation between the halves, in [-1, 1]. 0 for fewer than 4 frames or 3 sensors, and if
-        all pairs of a half are equal. For more than 4,000 sensors, a regular sample is used.
+    SplitCorrelation
+        With reliability 0 for fewer than 4 frames or 3 sensors that vary, and if all pairs of a
+        half are equal. For more than 4,000 sensors, it is that of a regular sample.
     """
     values = scale_extremes(readings)
     n_frames, n_sensors = values.shape
-    if n_frames < MIN_FRAMES or n_sensors < MIN_SENSORS:
-        return moments(values).correlation(), 0.0
     step = -(-n_sensors // _MAX_SENSORS)
-    sampled = values[:, ::step]
-    halves = [moments(sampled[half]) for half in split_blocks(n_frames)]
+    if step == 1:
+        return _split(values, np.arange(n_frames), 2 if halves else 1)[1]
+    whole = moments(values).correlation()
+    sampled = _split(values[:, ::step], np.arange(n_frames), 1)[1]
+    return SplitCorrelation(whole, sampled.reliability)
+
+
+def _split(
+    values: NDArray[np.generic], frames: NDArray[np.intp], depth: int
+) -> tuple[Moments, SplitCorrelation]:
+    """Compute the moments of some frames from those of their halves, `depth` times over."""
+    if not depth or len(frames) < MIN_FRAMES:
+        found = moments(values[frames])
+        return found, SplitCorrelation(found.correlation(), 0.0)
     # Merging the halves takes a tenth of the time of multiplying all frames again.
-    whole = halves[0].merged(halves[1]) if step == 1 else moments(values)
-    pairs = np.triu(np.ones((sampled.shape[1],) * 2, dtype=bool), 1)
-    first, second = (half.correlation()[pairs] for half in halves)
-    correlation = whole.correlation()
-    if np.ptp(first) == 0 or np.ptp(second) == 0:
-        return correlation, 0.0
-    return correlation, float(np.corrcoef(first, second)[0, 1])
+    (first, even), (second, odd) = (
+        _split(values, frames[half], depth - 1) for half in split_blocks(len(frames))
+    )
+    found = first.merged(second)
+    # Sensors that are constant in a half are left out of its map.
+    compared = found.varying() if len(frames) < len(values) else np.ones(len(first.mean), bool)
+    reliability = _agreement(even.correlation, odd.correlation, int(compared.sum()))
+    halves = (replace(even, halves=()), replace(odd, halves=())) if depth > 1 else ()
+    return found, SplitCorrelation(found.correlation(), reliability, halves)
+
+
+def _agreement(first: Reals, second: Reals, n_compared: int) -> float:
+    """Correlate two matrices over the pairs of some sensors; 0 if either is constant.
+
+    Both matrices are symmetric, have a diagonal of 1, and are 0 in the rows of all other sensors,
+    so that sums over all elements replace the selection of pairs.
+    """
+    if n_compared < MIN_SENSORS:
+        return 0.0
+    a, b = (np.asarray(one, dtype=np.float64).ravel() for one in (first, second))
+    n_pairs = n_compared * (n_compared - 1)
+
+    def mean(total: float) -> float:
+        return (total - len(first)) / n_pairs
+
+    squares = mean(float(a @ a)), mean(float(b @ b))
+    means = mean(float(a.sum())), mean(float(b.sum()))
+    variances = [square - one**2 for square, one in zip(squares, means, strict=True)]
+    if any(v <= _ROUNDING * s for v, s in zip(variances, squares, strict=True)):
+        return 0.0
+    covariance = mean(float(a @ b)) - means[0] * means[1]
+    return float(np.clip(covariance / math.sqrt(variances[0] * variances[1]), -1, 1))
