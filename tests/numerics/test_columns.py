@@ -11,10 +11,13 @@ from anisomap.numerics.columns import columns, count_values, mean_ranks, rank_co
 
 MOSTLY_ZERO = st.one_of(st.just(0.0), st.just(0.0), st.just(-0.0), st.floats(-9, 9))
 
+WHOLE = st.one_of(st.integers(-300, 300), st.integers(2**24 - 9, 2**24)).map(float)
+
 
 @given(
     st.one_of(
         arrays(np.float64, st.integers(1, 200), elements=MOSTLY_ZERO),
+        arrays(np.float32, st.integers(1, 200), elements=WHOLE),
         arrays(np.uint8, st.integers(1, 200)),
         arrays(np.int8, st.integers(1, 200)),
         arrays(np.bool_, st.integers(1, 9)),
@@ -27,7 +30,7 @@ def test_values_are_counted_as_by_numpy_unique(column):
     assert found[0].dtype == column.dtype
 
 
-@given(arrays(np.float64, st.integers(1, 200), elements=MOSTLY_ZERO))
+@given(arrays(np.float64, st.integers(1, 200), elements=st.one_of(MOSTLY_ZERO, WHOLE)))
 def test_ranks_are_those_of_scipy(column):
     np.testing.assert_array_equal(mean_ranks(column), rankdata(column))
     both = np.stack([column, -column], axis=1)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from anisomap.errors import InputError
 from anisomap.numerics.reliability.blending import blended_correlation
 from anisomap.numerics.reliability.split_half import correlation_and_reliability, split_blocks
+from anisomap.numerics.similarity.correlation import pearson
 from skins import flat_skin
 
 
@@ -20,8 +21,8 @@ def test_the_halves_partition_the_frames(n_frames):
 
 def test_short_recordings_have_no_reliability():
     readings = flat_skin(n_frames=300).readings
-    assert correlation_and_reliability(readings[:3])[1] == 0
-    assert correlation_and_reliability(readings[:, :2])[1] == 0
+    assert correlation_and_reliability(readings[:3]).reliability == 0
+    assert correlation_and_reliability(readings[:, :2]).reliability == 0
     assert blended_correlation(readings[:1]).shape == (42, 42)
     with pytest.raises(InputError, match="split-half needs at least 2 frames"):
         split_blocks(1)
@@ -29,6 +30,27 @@ def test_short_recordings_have_no_reliability():
 
 def test_a_long_recording_is_reliable_and_noise_is_not():
     noise = np.random.default_rng(0).standard_normal((2000, 30))
-    assert abs(correlation_and_reliability(noise)[1]) < 0.2
-    assert correlation_and_reliability(flat_skin().readings)[1] > 0.9
-    assert correlation_and_reliability(np.tile([[0.0], [1.0]], (50, 4)))[1] == 0
+    assert abs(correlation_and_reliability(noise).reliability) < 0.2
+    assert correlation_and_reliability(flat_skin().readings).reliability > 0.9
+    assert correlation_and_reliability(np.tile([[0.0], [1.0]], (50, 4))).reliability == 0
+
+
+def test_halves_have_the_statistics_of_their_frames():
+    readings = np.array(flat_skin(n_frames=350).readings)
+    readings[split_blocks(350)[0], 3] = 7.0  # constant in one half only
+    found = correlation_and_reliability(readings, halves=True)
+    np.testing.assert_allclose(found.correlation, pearson(readings), atol=1e-12)
+    for half, frames in zip(found.halves, split_blocks(350), strict=True):
+        varying = np.ptp(readings[frames], axis=0) > 0
+        alone = correlation_and_reliability(readings[frames][:, varying])
+        inside = np.ix_(varying, varying)
+        np.testing.assert_allclose(half.correlation[inside], alone.correlation, atol=1e-12)
+        assert half.reliability == pytest.approx(alone.reliability, abs=1e-12)
+
+
+def test_the_reliability_is_that_of_pairs_of_sensors():
+    readings = flat_skin(n_frames=300).readings
+    halves = [pearson(readings[frames]) for frames in split_blocks(300)]
+    pairs = np.triu_indices(readings.shape[1], 1)
+    expected = np.corrcoef(halves[0][pairs], halves[1][pairs])[0, 1]
+    assert correlation_and_reliability(readings).reliability == pytest.approx(expected, abs=1e-12)

@@ -15,7 +15,7 @@ from anisomap.numerics.contacts.localisation import LocatedContacts
 Matrix = NDArray[np.float64]
 
 _DAMPING = 0.01  # of the curvature's diagonal; chosen by hand
-_TOLERANCE = 1e-6  # relative, of conjugate gradients; far below the size of a step
+_TOLERANCE = 1e-3  # relative, of conjugate gradients: a step is corrected by the next one
 _MAX_ITERATIONS = 1000  # of conjugate gradients
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
-from scipy.special import expit
 
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -79,11 +79,21 @@ def level_log_likelihood(
     its slope is ``w (1 - a - b) / s`` and its curvature ``w (a (1 - a) + b (1 - b)) / s^2``; the
     derivative of w is omitted, so that the curvature is never negative.
     """
-    at_least, above, _, _ = _probabilities(levels, inside, profile.thresholds, profile.softness)
-    share, total = _with_outliers(at_least, above, len(profile.thresholds))
-    slope = share * (1 - at_least - above) / profile.softness
-    bend = at_least * (1 - at_least) + above * (1 - above)
-    return np.log(total), slope, share * bend / profile.softness**2
+    where, per_width = np.asarray(levels), 0.5 / profile.softness
+    edges = np.concatenate([[-_FAR], profile.thresholds, [_FAR]]) * per_width
+    scaled = np.asarray(inside, dtype=np.float64) * per_width
+    # With A = 2 a - 1 = tanh(logit / 2), which takes a fifth of the time of a logistic function.
+    at_least = np.tanh(scaled - edges[:-1][where])
+    above = np.tanh(scaled - edges[1:][where])
+    share, total = _with_outliers((at_least - above) / 2, len(profile.thresholds))
+    slope = (at_least + above) * share
+    slope *= -per_width
+    curvature = np.square(at_least, out=at_least)
+    curvature += np.square(above, out=above)
+    np.subtract(2, curvature, out=curvature)
+    curvature *= share
+    curvature *= per_width**2
+    return np.log(total, out=total), slope, curvature
 
 
 def fit_profile(
@@ -108,13 +118,18 @@ def fit_profile(
     """
     counts = np.asarray(weights, dtype=np.float64)
     used = counts > 0
-    arguments = (np.asarray(levels)[used], np.asarray(inside)[used], counts[used] / counts.sum())
+    readings = _ByLevel.of(
+        np.asarray(levels)[used],
+        np.asarray(inside, dtype=np.float64)[used],
+        counts[used] / counts.sum(),
+        len(profile.thresholds),
+    )
     steps = np.maximum(np.diff(profile.thresholds), 1e-3 * profile.softness)
     start = np.concatenate([profile.thresholds[:1], np.log(steps), [np.log(profile.softness)]])
     found = minimize(
-        negative_log_likelihood,
+        _negative_log_likelihood,
         start,
-        args=arguments,
+        args=(readings,),
         jac=True,
         method="L-BFGS-B",
         bounds=[(None, None), *[_LOG_LENGTHS] * len(steps), _LOG_LENGTHS],
@@ -122,6 +137,20 @@ def fit_profile(
     )
     thresholds, softness = _unpack(found.x)
     return Profile(thresholds, softness, profile.radius, profile.radius_sd)
+
+
+@dataclass(frozen=True, eq=False)
+class _ByLevel:
+    """Distances and weights of readings, one array for each level from 0 on."""
+
+    inside: list[Matrix]
+    weights: list[Matrix]
+
+    @classmethod
+    def of(cls, levels: Indices, inside: Matrix, weights: Matrix, n_levels: int) -> _ByLevel:
+        order = levels.argsort(kind="stable")
+        ends = np.cumsum(np.bincount(levels, minlength=n_levels + 1))[:-1]
+        return cls(np.split(inside[order], ends), np.split(weights[order], ends))
 
 
 def negative_log_likelihood(
@@ -132,19 +161,39 @@ def negative_log_likelihood(
     The parameters are the first threshold and the logarithms of the further steps and of the
     softness.
     """
+    readings = _ByLevel.of(levels, inside, weights, len(parameters) - 1)
+    return _negative_log_likelihood(parameters, readings)
+
+
+def _negative_log_likelihood(parameters: Matrix, readings: _ByLevel) -> tuple[float, Matrix]:
+    """See `negative_log_likelihood`."""
     thresholds, softness = _unpack(parameters)
-    n_levels = len(thresholds)
-    at_least, above, lower, upper = _probabilities(levels, inside, thresholds, softness)
-    _, total = _with_outliers(at_least, above, n_levels)
-    scale = weights * (1 - OUTLIER_SHARE) / total
-    falls, rises = scale * at_least * (1 - at_least), scale * above * (1 - above)
-    by_threshold = (
-        np.bincount(levels + 1, rises, n_levels + 2) - np.bincount(levels, falls, n_levels + 2)
-    )[1:-1] / softness
-    by_softness = float(rises @ upper - falls @ lower)
-    by_step = np.cumsum(by_threshold[::-1])[::-1]
+    n_levels, per_width = len(thresholds), 0.5 / softness
+    by_threshold, by_softness, score = np.zeros(n_levels), 0.0, 0.0
+    for level, (inside, weights) in enumerate(zip(readings.inside, readings.weights, strict=True)):
+        edges = {i: (inside - thresholds[i]) * per_width for i in _bounds(level, n_levels)}
+        sides = {i: np.tanh(one) for i, one in edges.items()}
+        # Half the difference of 1 below the lowest, and -1 above the highest threshold.
+        regular = (sides.get(level - 1, 1.0) - sides.get(level, -1.0)) / 2
+        _, total = _with_outliers(np.asarray(regular), n_levels)
+        score += float(weights @ np.log(total))
+        scale = weights * (0.25 * (1 - OUTLIER_SHARE)) / total
+        for i, side in sides.items():
+            change = scale * (1 - side * side)
+            sign = 1.0 if i == level else -1.0
+            by_threshold[i] += sign * float(change.sum())
+            by_softness += sign * 2 * float(change @ edges[i])
+    by_step = np.cumsum(by_threshold[::-1])[::-1] / softness
     by_step[1:] *= np.exp(parameters[1:-1])
-    return -float(weights @ np.log(total)), -np.append(by_step, by_softness)
+    return -score, -np.append(by_step, by_softness)
+
+
+def _bounds(level: int, n_levels: int) -> Iterator[int]:
+    """Yield the indices of the thresholds below and above a level."""
+    if level:
+        yield level - 1
+    if level < n_levels:
+        yield level
 
 
 def _unpack(parameters: Matrix) -> tuple[Matrix, float]:
@@ -152,18 +201,13 @@ def _unpack(parameters: Matrix) -> tuple[Matrix, float]:
     return np.cumsum(steps), float(np.exp(parameters[-1]))
 
 
-def _probabilities(
-    levels: ArrayLike, inside: ArrayLike, thresholds: Matrix, softness: float
-) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """Return P(level >= l), P(level > l), and their logits."""
-    edges = np.concatenate([[-_FAR], thresholds, [_FAR]])
-    where, u = np.asarray(levels), np.asarray(inside, dtype=np.float64)
-    lower, upper = (u - edges[where]) / softness, (u - edges[where + 1]) / softness
-    return expit(lower), expit(upper), lower, upper
+def _with_outliers(within: Matrix, n_levels: int) -> tuple[Matrix, Matrix]:
+    """Return the posterior probability that a reading is not an outlier, and its probability.
 
-
-def _with_outliers(at_least: Matrix, above: Matrix, n_levels: int) -> tuple[Matrix, Matrix]:
-    """Return the posterior probability that a reading is not an outlier, and its probability."""
-    regular = (1 - OUTLIER_SHARE) * np.maximum(at_least - above, _MIN_PROBABILITY)
+    Given the probability of its level if it is not an outlier.
+    """
+    regular = np.maximum(within, _MIN_PROBABILITY)
+    regular *= 1 - OUTLIER_SHARE
     total = regular + OUTLIER_SHARE / (n_levels + 1)
-    return regular / total, total
+    regular /= total
+    return regular, total

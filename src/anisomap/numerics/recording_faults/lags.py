@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -115,8 +117,9 @@ def _find_once(readings: NDArray[Any]) -> Lags | None:
         return None
     ranks = rank_columns(columns(values), values.shape)
     n_parts = int(np.clip(len(ranks) // (10 * MAX_LAG), 2, 4))
-    parts = [_Correlations.of(standardised(part)) for part in np.array_split(ranks, n_parts)]
-    whole = _Correlations(np.mean([part.at_lag for part in parts], axis=0))
+    equal = ranks[: len(ranks) // n_parts * n_parts]
+    parts = [standardised(part) for part in np.split(equal, n_parts)]
+    whole = _Correlations.of(parts)
     links = whole.strongest_links()
     tree = whole.lags_along_tree()
     anywhere = _fitted(whole, links, _anywhere(tree))
@@ -138,27 +141,52 @@ def _find_once(readings: NDArray[Any]) -> Lags | None:
 
 @dataclass(frozen=True, eq=False)
 class _Correlations:
-    """Correlations of all pairs at all lags: ``at_lag[MAX_LAG + l, i, j]`` of i(t) and j(t + l)."""
+    """Correlations of all pairs: ``at_lag[l, i, j]`` of i(t) and j(t + l), lags from 0 on."""
 
     at_lag: NDArray[np.float32]
 
     @classmethod
-    def of(cls, values: NDArray[np.float32]) -> _Correlations:
-        n_frames, n_sensors = values.shape
-        result = np.empty((2 * MAX_LAG + 1, n_sensors, n_sensors), dtype=np.float32)
+    def of(cls, parts: Sequence[NDArray[np.float32]]) -> _Correlations:
+        """Average over parts of equal length."""
+        n_frames, n_sensors = parts[0].shape
+        # Zeros between the parts keep the frames of one from those of the next: one product.
+        gap = np.zeros((MAX_LAG, n_sensors), dtype=np.float32)
+        joined = np.concatenate([block for part in parts for block in (part, gap)])
+        result = np.empty((MAX_LAG + 1, n_sensors, n_sensors), dtype=np.float32)
         for lag in range(MAX_LAG + 1):
-            product = values[: n_frames - lag].T @ values[lag:] / (n_frames - lag)
-            np.fill_diagonal(product, -1)
-            result[MAX_LAG + lag], result[MAX_LAG - lag] = product, product.T
+            np.matmul(joined[: len(joined) - lag].T, joined[lag:], out=result[lag])
+            result[lag] /= np.float32(len(parts) * (n_frames - lag))
+            np.fill_diagonal(result[lag], -1)
         return cls(result)
+
+    @cached_property
+    def _highest(self) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+        peak = self.at_lag[0].copy()
+        peak_lag = np.zeros(peak.shape, dtype=np.intp)
+        for lag, later in enumerate(self.at_lag[1:], 1):
+            for signed, found in ((lag, later), (-lag, later.T)):
+                higher = found > peak
+                np.copyto(peak, found, where=higher)
+                peak_lag[higher] = signed
+        return peak, peak_lag
 
     @property
     def peak(self) -> NDArray[np.float32]:
-        return np.asarray(self.at_lag.max(axis=0))
+        """Highest correlation of each pair."""
+        return self._highest[0]
 
     @property
     def peak_lag(self) -> NDArray[np.intp]:
-        return np.asarray(self.at_lag.argmax(axis=0)) - MAX_LAG
+        """Lag of the highest correlation; the smallest of equal ones."""
+        return self._highest[1]
+
+    def at(
+        self, lags: NDArray[np.intp], i: NDArray[np.intp], j: NDArray[np.intp]
+    ) -> NDArray[np.float32]:
+        """Return the correlations of some pairs at lags of either sign, up to `MAX_LAG`."""
+        apart = np.clip(lags, -MAX_LAG, MAX_LAG)
+        later = apart >= 0
+        return np.asarray(self.at_lag[np.abs(apart), np.where(later, i, j), np.where(later, j, i)])
 
     def strongest_links(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return pairs: each sensor and the ones that it is most similar to at any lag."""
@@ -171,8 +199,7 @@ class _Correlations:
     ) -> NDArray[np.float32]:
         """Return the correlation of each link if sensors have the given lags."""
         i, j = links
-        apart = np.clip(lags[j] - lags[i], -MAX_LAG, MAX_LAG)
-        return np.asarray(self.at_lag[MAX_LAG + apart, i, j])
+        return self.at(lags[j] - lags[i], i, j)
 
     def lags_along_tree(self) -> NDArray[np.intp]:
         """Add up the lags of the links of a maximum spanning tree; Prim's algorithm."""
@@ -248,8 +275,7 @@ def _fitted(
             sums = np.zeros(steps.size)
             for part, sign in ((leaving, -1), (arriving, 1)):
                 apart = (lags[j] - lags[i])[part] + sign * steps[:, None]
-                apart = np.clip(apart, -MAX_LAG, MAX_LAG)
-                sums += correlations.at_lag[MAX_LAG + apart, i[part], j[part]].sum(axis=1)
+                sums += correlations.at(apart, i[part], j[part]).sum(axis=1)
             best = steps[np.lexsort((-np.abs(steps), sums.round(6)))[-1]]
             if best:
                 lags[groups == group] += best
@@ -261,7 +287,7 @@ def _fitted(
 
 def _check(
     whole: _Correlations,
-    parts: list[_Correlations],
+    parts: Sequence[NDArray[np.float32]],
     links: tuple[NDArray[np.intp], NDArray[np.intp]],
     lags: NDArray[np.intp],
     groups: NDArray[np.intp],
@@ -294,7 +320,7 @@ def _check(
     ):
         return None
     for part in parts:
-        again = _fitted(part, links, (lags, groups))[0]
+        again = _fitted(_Correlations.of([part]), links, (lags, groups))[0]
         same = np.abs(again[j] - again[i] - expected)[across] <= 1
         if np.mean(same) < _MIN_AGAIN:
             return None
@@ -311,8 +337,8 @@ def _cost_of_lags(
     """Return the share of correlation that links within groups lose at each lag from 0 on."""
     if not i.size:
         return np.zeros(MAX_LAG + 1)
-    course = correlations.at_lag[:, i, j].astype(np.float64).mean(axis=1)
-    both = (course[MAX_LAG:] + course[MAX_LAG::-1]) / 2
+    course = (correlations.at_lag[:, i, j], correlations.at_lag[:, j, i])
+    both = np.asarray(np.mean(course, axis=(0, 2), dtype=np.float64))
     return np.asarray(1 - both / max(float(both[0]), 1e-12))
 
 
