@@ -13,9 +13,13 @@ from sphinx.util import logging as sphinx_logging
 from sphinx.writers.html5 import HTML5Translator
 
 from anisomap import __version__
+from anisomap.cli.app import COMMANDS, describe
 
 sys.path.insert(0, str(Path(__file__).parent))
 from notebooks import to_markdown
+
+for command in COMMANDS:
+    describe(command)
 
 project = "anisomap"
 author = "The anisomap developers"

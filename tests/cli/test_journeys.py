@@ -237,6 +237,19 @@ def test_help_imports_nothing_heavy():
     assert "map" in done.stdout
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("diff", "The exit code is 0 if no difference is found, and 1 otherwise."),
+        ("live", "Ctrl-C ends the session and makes the final map."),
+        ("place", "Rigid modules of known shape determine the scale"),
+    ],
+)
+def test_the_help_of_a_command_says_more_than_its_line_in_the_list(run, name, said):
+    assert said in " ".join(run(name, "--help").out.split())
+    assert said not in " ".join(run("--help").out.split())
+
+
 def test_several_recordings_are_one_map(run_map, skin_csv, tmp_path):
     header, *lines = skin_csv.read_text().splitlines()
     for name, part in (("one", lines[:700]), ("two", lines[700:])):

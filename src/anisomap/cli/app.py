@@ -6,7 +6,9 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from inspect import getdoc
+from types import MappingProxyType
 
 from cyclopts import App, CycloptsError, Parameter
 
@@ -35,39 +37,59 @@ app = App(
     default_parameter=Parameter(json_list=False, json_dict=False),  # "[a].csv" is a file name
 )
 
-# Commands are imported when they run, so that --help stays fast.
-for name, target, summary in (
-    ("map", "map:map_recording", "Make a map from a recording."),
-    ("live", "live:live", "Map a skin while it is touched, and show where to touch next."),
-    ("info", "info:info", "Summarise a recording and flag faulty sensors."),
-    ("score", "score:score_map", "Score a map against reference positions."),
-    (
-        "diff",
-        "diff:diff",
-        "Compare two maps of one skin: which sensors moved, appeared, were lost.",
-    ),
-    ("update", "update:update", "Add the evidence of a new recording to a map."),
-    ("place", "place:place_map", "Place a map in the frame of the robot, in metres."),
-    ("check", "check:check", "Check sensor positions against a recording."),
-    ("convert", "convert:convert", "Write a map in another format, or in metres."),
-    ("compare", "compare:compare", "Score several methods on recordings with known positions."),
-    ("methods", "listing:methods", "List the methods and the similarities."),
-    ("formats", "listing:formats", "List the file formats."),
-    ("demo", "demo:demo", "Simulate a skin, map it, and score the map."),
-    ("simulate", "simulate:simulate_body", "Simulate a recording with known sensor positions."),
-    ("paper", "paper:paper", "Reproduce every figure and table of the paper."),
-    ("coverage", "coverage:coverage", "Estimate how long a skin must be stimulated."),
-    ("spoil", "spoil:spoil", "Inject documented faults into a recording."),
-    ("repair", "repair:repair", "Mend the faults of a recording."),
-    ("bodies", "listing:bodies", "List the bodies that can be simulated."),
-    ("scenarios", "listing:scenarios", "List the scenarios of simulation and their parameters."),
-    ("faults", "listing:faults", "List the faults that can be injected."),
-):
-    app.command(f"anisomap.cli.commands.{target}", name=name, help=summary)
+COMMANDS: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "map": ("map:map_recording", "Make a map from a recording."),
+        "live": ("live:live", "Map a skin while it is touched, and show where to touch next."),
+        "info": ("info:info", "Summarise a recording and flag faulty sensors."),
+        "score": ("score:score_map", "Score a map against reference positions."),
+        "diff": (
+            "diff:diff",
+            "Compare two maps of one skin: which sensors moved, appeared or were lost.",
+        ),
+        "update": ("update:update", "Add the evidence of a new recording to a map."),
+        "place": ("place:place_map", "Place a map in the frame of the robot, in metres."),
+        "check": ("check:check", "Check sensor positions against a recording."),
+        "convert": ("convert:convert", "Write a map in another format, or in metres."),
+        "compare": ("compare:compare", "Score several methods on recordings with known positions."),
+        "methods": ("listing:methods", "List the methods and the similarities."),
+        "formats": ("listing:formats", "List the file formats."),
+        "demo": ("demo:demo", "Simulate a skin, map it, and score the map."),
+        "simulate": ("simulate:simulate_body", "Simulate a recording with known sensor positions."),
+        "paper": ("paper:paper", "Reproduce every figure and table of the paper."),
+        "coverage": ("coverage:coverage", "Estimate how long a skin must be stimulated."),
+        "spoil": ("spoil:spoil", "Inject documented faults into a recording."),
+        "repair": ("repair:repair", "Mend the faults of a recording."),
+        "bodies": ("listing:bodies", "List the bodies that can be simulated."),
+        "scenarios": (
+            "listing:scenarios",
+            "List the scenarios of simulation and their parameters.",
+        ),
+        "faults": ("listing:faults", "List the faults that can be injected."),
+    }
+)
+"""Where the function of each command is, and a line for the list of commands. Commands are imported
+when they run, so that --help stays fast."""
+
+for _name, (_target, _summary) in COMMANDS.items():
+    app.command(f"anisomap.cli.commands.{_target}", name=_name, help=_summary)
 
 app.register_install_completion_command(
     help="Install completion for the current shell (bash, zsh or fish)."
 )
+
+
+def describe(name: str) -> None:
+    """Show the docstring of a command on its help page, instead of its line in `COMMANDS`.
+
+    Parameters
+    ----------
+    name : str
+        Key of `COMMANDS`; the command is imported.
+    """
+    command = app[name]
+    text = (getdoc(command.default_command) or "").partition("\n\nParameters\n")[0]
+    command.help = "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
 
 
 def main(arguments: Iterable[str] | None = None) -> None:
@@ -82,8 +104,7 @@ def main(arguments: Iterable[str] | None = None) -> None:
     ------
     SystemExit
         Always: 0 on success, 1 if a comparison finds a difference or a map does not reach
-        `--min-quality`, 2 for bad input, 70 for a defect
-        in anisomap, 130 if interrupted.
+        `--min-quality`, 2 for bad input, 70 for a defect in anisomap, 130 if interrupted.
     """
     sys.exit(run(None if arguments is None else list(arguments)))
 
@@ -142,7 +163,10 @@ def _run(arguments: list[str] | None) -> int:
         warnings.simplefilter("ignore")  # users cannot act on warnings of other packages
         warnings.simplefilter("always", AnisomapWarning)
         warnings.showwarning = lambda message, *_, **__: print_warning(str(message))
-        code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        given = sys.argv[1:] if arguments is None else arguments
+        if given and given[0] in COMMANDS:
+            describe(given[0])
+        code = app(given, exit_on_error=False, print_error=False, result_action="return_value")
     return code if isinstance(code, int) else 0
 
 
