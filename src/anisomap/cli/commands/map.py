@@ -130,20 +130,11 @@ def map_recording(
     by = large.method(method)
     find_method(by)  # report an unknown method before the recording is read
     reference = None if truth is None else pipeline.read_reference(truth)
-    found = None
+    streamed = None
     mended: Sequence[Finding] = ()
     if large.is_requested or streams.too_large(recordings, how):
-        if keep_statistics:
-            raise InputError(
-                "--keep-statistics requires a recording in memory, below 512 MiB and without the "
-                "options for large recordings"
-            )
-        if repair:
-            raise InputError(
-                "--repair requires a recording in memory, below 512 MiB and without the options "
-                "for large recordings; repair parts of it with anisomap repair"
-            )
-        examined, found = streams.examine(
+        _check_in_blocks(repair=repair, keep_statistics=keep_statistics)
+        examined, streamed = streams.examine(
             recordings,
             how,
             missing=missing,
@@ -178,23 +169,19 @@ def map_recording(
             drop=dropped,
             with_verdict=verdict,
             seed=seed,
-            streamed=found,
+            streamed=streamed,
         )
         if done := dict.fromkeys(one.kind for one in mended if one.mendable):
             provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
             sensor_map = replace(sensor_map, provenance=provenance)
-        statistics = []
+        written = []
         if outputs.statistics is not None:
             with progress("gathering statistics"):
                 evidence = gather_evidence(
-                    examined.runs,
-                    by,
-                    sensor_map.dimensions,
-                    options=chosen,
-                    drop=dropped,
+                    examined.runs, by, sensor_map.dimensions, options=chosen, drop=dropped
                 )
             io.write_statistics(evidence, outputs.statistics)
-            statistics = [("statistics", outputs.statistics)]
+            written.append(("statistics", outputs.statistics))
         pipeline.finish(
             printer,
             outputs,
@@ -203,8 +190,22 @@ def map_recording(
             permutations=permutations,
             seed=seed,
             exclude=left_out,
-            already_written=statistics,
+            already_written=written,
             truth=reference,
         )
     level = (min_quality or "").replace("-", " ")
     return 0 if not level or pipeline.reaches(sensor_map.verdict, level) else 1
+
+
+def _check_in_blocks(*, repair: bool, keep_statistics: bool) -> None:
+    """Raise InputError for options that require a recording in memory."""
+    if keep_statistics:
+        raise InputError(
+            "--keep-statistics requires a recording in memory, below 512 MiB and without the "
+            "options for large recordings"
+        )
+    if repair:
+        raise InputError(
+            "--repair requires a recording in memory, below 512 MiB and without the options "
+            "for large recordings; repair parts of it with anisomap repair"
+        )
