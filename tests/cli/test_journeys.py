@@ -392,6 +392,18 @@ def test_maps_that_cannot_be_compared_are_one_message(run, truth_csv, arguments,
     assert truth_csv.read_bytes() == before
 
 
+def test_maps_without_a_unit_are_compared_in_units_of_the_first(run, tmp_path):
+    before = np.stack(np.meshgrid(range(4), range(4)), -1).reshape(-1, 2).astype(float)
+    after = before.copy()
+    after[5] += [9, 0]
+    for name, places in (("before", before), ("after", after)):
+        rows = [f"s{i},{x},{y}" for i, (x, y) in enumerate(places)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["name,x,y", *rows]) + "\n")
+    found = run("diff", "before.csv", "after.csv")
+    assert found.code == 1
+    assert "distance (units of the first map)" in found.out
+
+
 def test_a_map_of_few_of_the_sensors_is_not_called_a_perfect_fit(run, tmp_path):
     places = np.stack(np.meshgrid(range(8), range(8)), -1).reshape(-1, 2)
     touches = np.random.default_rng(1).uniform(0, 7, (18, 1, 2))

@@ -21,6 +21,7 @@ from PIL import Image
 from anisomap.drawing.colours import VIEWS, place_colours, view_axes
 from anisomap.drawing.figures import KINDS, check_writable, figure_bytes, map_figure, save_figure
 from anisomap.drawing.figures.panels import MAX_VECTOR_DOTS
+from anisomap.drawing.figures.touches import touch_figure
 from anisomap.drawing.view import (
     MAX_JOINED,
     best_view,
@@ -30,6 +31,8 @@ from anisomap.drawing.view import (
 )
 from anisomap.errors import FileError, InputError
 from anisomap.evaluation import Score, score
+from anisomap.health import touch_coverage
+from anisomap.recording import Recording
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 UNFRIENDLY = (
@@ -226,6 +229,9 @@ def test_names_are_drawn_literally() -> None:
     scored = score(sensor_map, truth, units="$\\frac{$\ud800\n", permutations=0)
     for scored_or_none, kind in ((None, "png"), (scored, "svg"), (None, "pdf")):
         assert figure_bytes(map_figure(sensor_map, scored_or_none), kind)
+    readings = np.random.default_rng(0).uniform(size=(50, len(UNFRIENDLY))) > 0.8
+    coverage = touch_coverage(sensor_map, Recording(readings, names=UNFRIENDLY))
+    assert figure_bytes(touch_figure(sensor_map, coverage))
 
 
 @pytest.mark.parametrize("n_sensors", [1, 2, 3])

@@ -2,6 +2,7 @@
 
 import base64
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -198,6 +199,16 @@ def test_a_score_without_null_is_reported_without_null() -> None:
     text = Page(render_report(sensor_map, score=bare)).text
     assert "not computed" in text
     assert "random permutations of the sensors have" not in text
+
+
+@pytest.mark.parametrize(
+    ("units", "title"), [("mm", "95 % (mm)"), ("arbitrary", "95 %"), ("", "95 %")]
+)
+def test_the_column_of_ellipses_has_the_unit_of_the_map(units: str, title: str) -> None:
+    covariances = np.tile(0.01 * np.eye(3), (12, 1, 1))
+    sensor_map = replace(example()[0], covariances=covariances, units=units)
+    header = next(row for row in Page(render_report(sensor_map)).rows if row[0] == "Sensor")
+    assert title in map(str.strip, header)
 
 
 def test_large_maps_are_shown_in_part() -> None:

@@ -16,6 +16,7 @@ from anisomap.drawing import figures
 from anisomap.evaluation import Difference, compare_maps
 from anisomap.evaluation.difference import LEVEL
 from anisomap.files import check_distinct
+from anisomap.sensor_map import UNSCALED
 from anisomap.wording import join_items
 
 DIFFERENT = 1
@@ -62,7 +63,7 @@ def diff(
 
 
 def _print(printer: Printer, found: Difference, title: str) -> None:
-    units = found.units if found.units != "arbitrary" else "units of the first map"
+    units = "units of the first map" if found.units in UNSCALED else found.units
     spacing = found.spacing  # 0 if most sensors have the place of another
     counts = {
         "moved": found.moved,

@@ -112,7 +112,7 @@ def _check_scale(outputs: list[Path], units: str) -> None:
 def _print(printer: Printer, found: Update, name: str) -> None:
     changes, total = found.difference, found.evidence
     known = changes.distance[changes.compared & ~changes.moved]
-    units = changes.units if changes.units not in UNSCALED else "units of the map"
+    units = "units of the map" if changes.units in UNSCALED else changes.units
     facts = {
         "recordings": f"{len(total.recordings)}, {total.n_frames} frames",
         "sensors placed": f"{int(found.map.placed.sum())} of {found.map.n_sensors}",

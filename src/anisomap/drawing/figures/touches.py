@@ -19,7 +19,7 @@ from anisomap.drawing.figures.backend import (
     panel_axes,
     set_title,
 )
-from anisomap.drawing.view import printable
+from anisomap.drawing.view import axis_title, printable
 from anisomap.errors import InputError
 from anisomap.health import SensorHealth, TouchCoverage
 from anisomap.health.assessment import MIN_CONTACTS
@@ -170,6 +170,6 @@ def plot_touches(sensor_map: SensorMap, coverage: TouchCoverage, *, ax: Axes | N
             )  # fmt: skip
     axes.set_aspect("equal")
     for name in "xyz"[:dimensions]:
-        getattr(axes, f"set_{name}label")(f"{name} ({sensor_map.units})")
+        getattr(axes, f"set_{name}label")(axis_title(name, sensor_map.units), parse_math=False)
     set_title(axes, "Contacts, and where to touch next (1: first)")
     return axes

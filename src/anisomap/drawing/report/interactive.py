@@ -15,7 +15,7 @@ from anisomap.covariance_ellipses import ellipses
 from anisomap.drawing.colours import View, view_axes
 from anisomap.drawing.view import Component, axis_title, box_around, outlines, printable
 from anisomap.evaluation import Score
-from anisomap.sensor_map import UNASSESSED, SensorMap, is_faulty
+from anisomap.sensor_map import UNASSESSED, UNSCALED, SensorMap, is_faulty
 
 Trace: TypeAlias = dict[str, Any]
 
@@ -245,7 +245,7 @@ def _ramp(values: list[float | None], title: str) -> dict[str, Any]:
 def _hover(
     component: Component, names: list[str], statuses: list[str], errors: NDArray[np.float64] | None
 ) -> list[str]:
-    units = "" if component.units in ("", "arbitrary") else f" {_without_markup(component.units)}"
+    units = "" if component.units in UNSCALED else f" {_without_markup(component.units)}"
     radii = (
         None if component.covariances is None else ellipses(component.covariances)[0].max(axis=1)
     )

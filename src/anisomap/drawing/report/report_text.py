@@ -13,7 +13,7 @@ from anisomap.drawing.view import MAX_JOINED, layout_notes, printable
 from anisomap.evaluation import Score
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
-from anisomap.sensor_map import SensorMap, is_faulty
+from anisomap.sensor_map import UNSCALED, SensorMap, is_faulty
 from anisomap.usability import LEVELS
 from anisomap.wording import join_items
 
@@ -301,7 +301,7 @@ def sensor_table(
         columns.append(Fact(f"Error{unit}", "", "distance from the true position"))
     radii = None
     if sensor_map.covariances is not None:
-        unit = f" ({printable(sensor_map.units)})" if sensor_map.units != "arbitrary" else ""
+        unit = "" if sensor_map.units in UNSCALED else f" ({printable(sensor_map.units)})"
         columns.append(
             Fact(f"95 %{unit}", "", "longest half axis of the ellipse of 95 %, by chance alone")
         )
