@@ -57,7 +57,7 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
         told.append(f"{apart} of {len(coverage.pairs)} pairs of neighbours never touched together")
     around = "; ".join(place.in_words(names) for place in coverage.places[:_PLACES_TOLD])
     untouched = join_items([names[i] for i in coverage.untouched[:_PLACES_TOLD].tolist()])
-    enough = f"nothing lacks: neighbours had {ENOUGH_CONTACTS} contacts together"
+    enough = f"no place lacks contacts: neighbours had about {ENOUGH_CONTACTS} or more together"
     return {
         "contacts": ", ".join(told),
         "touch next": around or (f"wherever {untouched} may be" if untouched else enough),

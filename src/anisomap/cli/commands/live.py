@@ -47,16 +47,16 @@ class PageOptions:
     port
         Port of the page; 0 for any free one.
     host
-        Address to listen on. Others than this computer can open the page only if it is given, for
-        instance as 0.0.0.0, and only with the token in the printed address.
+        Address to listen on. By default, only this computer can open the page; with 0.0.0.0, other
+        computers can open it by the printed address, which contains a token.
     browser
         Open the page in a browser.
     headless
         Show no page: print lines instead, or JSON objects with --json.
     until
-        End when two checked maps in a row are of this level, or of a better one.
-    for
-        End after this number of seconds.
+        End the session when two checked maps in a row reach this level, or a better one.
+    duration
+        End the session after this number of seconds.
     """
 
     port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535))] = 8765
@@ -131,8 +131,8 @@ def live(
     method
         Reconstruction method of the checked map: see `anisomap methods`.
     dimensions
-        Number of coordinates: 2 for flat skins, 3 for bodies. By default the checked maps choose
-        it, and the quick maps follow when two in a row agree.
+        Number of coordinates: 2 for flat skins, 3 for bodies. By default it is chosen for each
+        checked map, and quick maps follow when two checked maps in a row agree.
     truth
         File of true positions to compare with.
     """
@@ -275,6 +275,8 @@ def _facts(session: LiveSession) -> dict[str, Any]:
 
 
 def _in_words(facts: dict[str, Any]) -> str:
+    if not facts["frames"]:
+        return f"{facts['seconds']:.0f} s, no frame yet"
     parts = [
         f"{facts['seconds']:.0f} s",
         f"{facts['frames']} frames",

@@ -82,8 +82,8 @@ def map_recording(
     method
         Reconstruction method: see `anisomap methods`.
     dimensions
-        Number of coordinates: 2 for flat skins, 3 for bodies; auto chooses between 2 and 3 by what
-        a third one explains.
+        Number of coordinates: 2 for flat skins, 3 for bodies; auto chooses 3 if the third
+        coordinate improves the fit clearly, else 2.
     repair
         Mend faults of the recording first: copies, inverted sensors, lags, leaks, noise and hum
         that sensors share, drift and gaps. `anisomap info` lists those that it finds.
@@ -100,8 +100,11 @@ def map_recording(
     max_iterations
         Maximum number of iterations of the scaling.
     verdict
-        Judge the map, and estimate the error of every sensor, by maps of resampled recordings,
-        which takes about as long as the map.
+        Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
+        This takes about as long as the map.
+    keep_statistics
+        Also write NAME.statistics.npz beside the map, from which `anisomap update` adds recordings
+        to it.
     min_quality
         Exit with code 1 if the verdict is worse than this, or unknown; all files are written.
     """

@@ -133,7 +133,11 @@ def _in_words(places: Sequence[Place], untouched: Sequence[int], names: Sequence
         parts.append(f"touch {' and '.join(place.in_words(names) for place in places[:2])}")
     if untouched:
         listed = join_items([names[i] for i in untouched], _MAX_NAMED)
-        parts.append(f"{len(untouched)} sensors never touched: {listed}")
+        plural = "s" if len(untouched) > 1 else ""
+        parts.append(f"{len(untouched)} sensor{plural} never touched: {listed}")
     if parts:
         return "; ".join(parts)
-    return f"enough: every sensor has {ENOUGH_CONTACTS} contacts or more, also with its neighbours"
+    return (
+        f"all of the skin was touched enough: sensors had about {ENOUGH_CONTACTS} contacts or more, "
+        "alone and together with their neighbours"
+    )
