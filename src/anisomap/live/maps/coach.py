@@ -138,6 +138,6 @@ def _in_words(places: Sequence[Place], untouched: Sequence[int], names: Sequence
     if parts:
         return "; ".join(parts)
     return (
-        f"all of the skin was touched enough: sensors had about {ENOUGH_CONTACTS} contacts or more, "
+        f"enough touches: sensors had about {ENOUGH_CONTACTS} contacts or more, "
         "alone and together with their neighbours"
     )
