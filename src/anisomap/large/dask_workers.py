@@ -9,10 +9,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from importlib import import_module
 from typing import Any
 
-from anisomap.errors import InputError, MissingExtraError
+from anisomap.errors import InputError
+from anisomap.extras import import_extra
 
 ANSWER_S = 10.0
 """Longest time until a scheduler answers; one that runs takes milliseconds, chosen by hand."""
@@ -54,11 +54,9 @@ def map_on_dask(
     MissingExtraError
         If Dask is not installed.
     """
-    try:
-        dask: Any = import_module("dask")
-        distributed: Any = import_module("distributed")
-    except ImportError as error:
-        raise MissingExtraError("using a Dask cluster", "cluster") from error
+    dask, distributed = (
+        import_extra(name, "using a Dask cluster", "cluster") for name in ("dask", "distributed")
+    )
     _check_address(distributed, address)
     settings = {
         # Chunks are part of the task, not scattered, so the scheduler can rerun it if a worker

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import os
 import sys
@@ -10,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
-from anisomap.errors import MissingExtraError
+from anisomap.extras import import_extra
 
 _STANDARD_ERROR = 2  # the file descriptor: the compiler does not write to sys.stderr
 _logger = logging.getLogger(__name__)
@@ -27,10 +26,7 @@ def load_mujoco() -> ModuleType:
     MissingExtraError
         If MuJoCo is not installed.
     """
-    try:
-        mujoco = importlib.import_module("mujoco")
-    except ImportError as error:
-        raise MissingExtraError("simulating a recording", "simulation") from error
+    mujoco: ModuleType = import_extra("mujoco", "simulating a recording", "simulation")
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(_log_warning)
     return mujoco

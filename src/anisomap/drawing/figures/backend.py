@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.drawing import extras
 from anisomap.errors import InputError
+from anisomap.extras import import_extra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,7 +60,7 @@ def load(module: str) -> Any:
     MissingExtraError
         If it is not installed.
     """
-    return extras.load(module, "a picture")
+    return import_extra(module, "a picture", "report")
 
 
 @contextmanager

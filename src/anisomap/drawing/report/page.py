@@ -9,9 +9,9 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from anisomap.drawing.extras import load
 from anisomap.drawing.report.report_text import Touches
 from anisomap.drawing.view import printable
+from anisomap.extras import import_extra
 
 
 def load_libraries() -> tuple[Any, Any]:
@@ -22,7 +22,8 @@ def load_libraries() -> tuple[Any, Any]:
     MissingExtraError
         If one of them is not installed.
     """
-    return load("jinja2", "a report"), load("plotly.offline", "a report")
+    jinja2 = import_extra("jinja2", "a report", "report")
+    return jinja2, import_extra("plotly.offline", "a report", "report")
 
 
 def render(

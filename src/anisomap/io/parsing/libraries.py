@@ -1,14 +1,13 @@
-"""Optional libraries: lazy import, and conversion of their exceptions to FileError."""
+"""Exceptions of libraries that parse files, converted to FileError."""
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from anisomap.errors import AnisomapError, FileError, MissingExtraError
+from anisomap.errors import AnisomapError, FileError
 
 Item = TypeVar("Item")
 
@@ -17,33 +16,6 @@ _MAX_REASON = 200
 
 class DamagedError(FileError):
     """A file that a library failed to parse."""
-
-
-def import_extra(module: str, purpose: str, extra: str) -> Any:
-    """Import a library that an extra installs.
-
-    Parameters
-    ----------
-    module : str
-        Full name of the module.
-    purpose : str
-        Start of the error message, such as ``"reading HDF5"``.
-    extra : str
-        Name of the extra.
-
-    Returns
-    -------
-    module
-
-    Raises
-    ------
-    MissingExtraError
-        If the library is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise MissingExtraError(purpose, extra) from error
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from anisomap.budget import Budget, bytes_kept
 from anisomap.errors import FileError
+from anisomap.extras import import_extra
 from anisomap.files import open_regular
 from anisomap.io.choice import Content, choose
 from anisomap.io.parsing.columns import (
@@ -29,7 +30,7 @@ from anisomap.io.parsing.columns import (
     units_per_second,
     warn_of_guesses,
 )
-from anisomap.io.parsing.libraries import DamagedError, guarded_iter, import_extra, library_errors
+from anisomap.io.parsing.libraries import DamagedError, guarded_iter, library_errors
 from anisomap.io.parsing.source import quote
 from anisomap.io.recordings.arrow_messages import is_last, unpacked_size
 from anisomap.io.recordings.parquet_pages import column_chunks

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from anisomap.budget import Budget, bytes_kept
 from anisomap.errors import FileError
+from anisomap.extras import import_extra
 from anisomap.files import check_regular
 from anisomap.io.choice import Content
-from anisomap.io.parsing.libraries import import_extra, library_errors
+from anisomap.io.parsing.libraries import library_errors
 from anisomap.io.recordings.datasets import Dataset, contents_of, stream_of
 from anisomap.io.stream import ReadOptions, Stream
 

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from anisomap.budget import Budget, bytes_kept
 from anisomap.errors import FileError
+from anisomap.extras import import_extra
 from anisomap.files import check_regular, without_log
 from anisomap.io.parsing.grids import grid_names, grid_positions
-from anisomap.io.parsing.libraries import import_extra, library_errors
+from anisomap.io.parsing.libraries import library_errors
 from anisomap.io.stream import Block, ReadOptions, Stream, salvage
 
 EXTRA = "images"

@@ -12,8 +12,9 @@ from typing import Any
 
 from anisomap.budget import Budget
 from anisomap.errors import AnisomapWarning, FileError
+from anisomap.extras import import_extra
 from anisomap.files import open_regular, read_small
-from anisomap.io.parsing.libraries import import_extra, library_errors
+from anisomap.io.parsing.libraries import library_errors
 from anisomap.io.ros.compression import (
     EXTRA,
     check_chunk,

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from anisomap.budget import Budget
 from anisomap.errors import FileError
+from anisomap.extras import import_extra
 from anisomap.io.choice import Content, choose
 from anisomap.io.joining import join_streams
-from anisomap.io.parsing.libraries import guarded_iter, import_extra, library_errors
+from anisomap.io.parsing.libraries import guarded_iter, library_errors
 from anisomap.io.ros import messages
 from anisomap.io.ros.bag_files import (
     MAGICS,

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from anisomap.budget import Budget
-from anisomap.io.parsing.libraries import DamagedError, import_extra, library_errors
+from anisomap.extras import import_extra
+from anisomap.io.parsing.libraries import DamagedError, library_errors
 
 EXTRA = "ros"
 

@@ -7,7 +7,7 @@ from threading import Event
 from typing import Any
 
 from anisomap.errors import InputError
-from anisomap.io.parsing.libraries import import_extra
+from anisomap.extras import import_extra
 from anisomap.live.batches import WAIT_S, Item, Notice
 from anisomap.live.sources.text_lines import LineParser
 from anisomap.sensor_map import SensorMap

@@ -5,7 +5,6 @@ Distances are positive outside and negative inside.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +14,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.errors import InputError, MissingExtraError
+from anisomap.errors import InputError
+from anisomap.extras import import_extra
 from anisomap.numerics.triangles import TriangleSearch
 from anisomap.scene import Mesh, frozen
 
@@ -233,10 +233,8 @@ def load_trimesh() -> ModuleType:
     MissingExtraError
         If trimesh is not installed.
     """
-    try:
-        return importlib.import_module("trimesh")
-    except ImportError as error:
-        raise MissingExtraError("simulating a mesh", "simulation") from error
+    trimesh: ModuleType = import_extra("trimesh", "simulating a mesh", "simulation")
+    return trimesh
 
 
 def _ball_distance(points: Points, size: tuple[float, ...]) -> Points:

@@ -1,4 +1,4 @@
-"""Import of the optional libraries that draw, on first use."""
+"""Import of optional libraries, on first use."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from typing import Any
 from anisomap.errors import MissingExtraError
 
 
-def load(module: str, purpose: str) -> Any:
-    """Import a module of an optional library.
+def import_extra(module: str, purpose: str, extra: str) -> Any:
+    """Import a library that an extra installs.
 
     Parameters
     ----------
     module : str
-        Full name, such as ``"matplotlib.figure"``.
+        Full name of the module, such as ``"matplotlib.figure"``.
     purpose : str
-        The subject of the error message: ``"a picture"``.
+        Subject of the error message, such as ``"reading HDF5"``.
+    extra : str
+        Name of the extra.
 
     Returns
     -------
@@ -30,5 +32,5 @@ def load(module: str, purpose: str) -> Any:
     """
     try:
         return import_module(module)
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(purpose, "report") from error
+    except ImportError as error:
+        raise MissingExtraError(purpose, extra) from error
