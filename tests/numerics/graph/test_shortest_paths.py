@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import csgraph_from_dense, floyd_warshall
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, MIN_PARALLEL_ROWS
+from anisomap.numerics.compiled.path_tiles import SIDE
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.graph.shortest_paths import (
     N_CHECKED,
@@ -37,7 +38,16 @@ def along_edges(lengths):
 
 
 def through_nodes(lengths):
-    return through_all_nodes(lengths, tile=4)
+    """Search with the nodes spread over three tiles, among isolated ones."""
+    n = 2 * SIDE + 10
+    places = np.linspace(0, n - 1, len(lengths)).astype(int)
+    spread = np.full((n, n), np.inf)
+    np.fill_diagonal(spread, 0)
+    spread[np.ix_(places, places)] = lengths
+    found = through_all_nodes(spread)
+    isolated = np.setdiff1d(np.arange(n), places)
+    assert np.isinf(found[np.ix_(isolated, places)]).all()
+    return found[np.ix_(places, places)]
 
 
 searches = pytest.mark.parametrize("search", [along_edges, through_nodes])
@@ -94,6 +104,18 @@ def test_a_skin_of_hundreds_of_sensors(seed):
     for found in (along_few_edges(lengths), through_all_nodes(lengths)):
         np.testing.assert_allclose(found, expected, rtol=1e-12)
         np.testing.assert_array_equal(found, found.T)
+
+
+@pytest.mark.parametrize("n_nodes", [1, 2, SIDE - 1, SIDE, SIDE + 1, 3 * SIDE])
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_all_numbers_of_nodes_around_those_of_whole_tiles(n_nodes, real):
+    rng = np.random.default_rng(n_nodes)
+    lengths = np.triu(rng.exponential(size=(n_nodes, n_nodes)).astype(real), 1)
+    lengths += lengths.T
+    found = through_all_nodes(lengths)
+    assert found.dtype == real
+    np.testing.assert_allclose(found, oracle(lengths), rtol=4 * np.finfo(real).eps)
+    np.testing.assert_array_equal(found, found.T)
 
 
 def test_random_lengths_and_a_metric():

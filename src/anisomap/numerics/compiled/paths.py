@@ -45,15 +45,6 @@ def min_plus(paths: Reals, left: Reals, right: Reals, rows: Range, columns: Rang
 
 
 @loop()
-def floyd_warshall(paths: Reals) -> None:
-    """Replace lengths by those of shortest paths, by the Floyd-Warshall algorithm."""
-    for k in range(len(paths)):
-        for i in range(len(paths)):
-            for j in range(len(paths)):
-                paths[i, j] = min(paths[i, j], paths[i, k] + paths[k, j])
-
-
-@loop()
 def nearest_edges(lengths: Reals, count: int) -> Ints:
     """Return the ends of the `count` shortest edges of each node, shape (N, count).
 
@@ -122,7 +113,7 @@ def relax(
     The `edges` (offsets, ends, lengths) of node u are those from ``offsets[u]`` to
     ``offsets[u + 1]``. Sweeps follow `order`, alternately forwards and backwards.
     """
-    n_nodes = len(paths)
+    n_nodes = len(order)
     tile = np.empty((n_nodes, len(sources)), paths.dtype)
     for node in range(n_nodes):
         for place in range(len(sources)):
