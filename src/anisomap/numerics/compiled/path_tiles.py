@@ -78,10 +78,26 @@ def reach_blocks(tiles: Reals, middle: int, outwards: Reals, inwards: Reals) -> 
 
 
 @loop()
+def lower_block(tiles: Reals, inwards: Reals, outwards: Reals, block: int) -> None:
+    """Lower the tiles of the paths from and to a block; see `lower_rows`."""
+    n_middles, n_blocks = outwards.shape[:2]
+    for other in range(n_blocks):
+        row, column = min(block, other), max(block, other)
+        tile = tiles[tile_number(row, column, n_blocks)]
+        for middle in range(n_middles):
+            lower_tile(tile, inwards[middle, row], outwards[middle, column])
+
+
+@loop()
 def lower_rows(tiles: Reals, inwards: Reals, outwards: Reals, rows: Range) -> None:
-    """Lower the tiles of some rows by the paths through a block, from `reach_blocks`."""
-    n_blocks = len(outwards)
-    for row in range(rows[0], rows[1]):
-        for column in range(row, n_blocks):
+    """Lower the tiles of some rows by the paths through several blocks.
+
+    ``inwards[m]`` and ``outwards[m]`` are those of `reach_blocks` for block m. Several blocks per
+    tile, and several rows per column, reduce the transfers from memory.
+    """
+    n_middles, n_blocks = outwards.shape[:2]
+    for column in range(rows[0], n_blocks):
+        for row in range(rows[0], min(rows[1], column + 1)):
             tile = tiles[tile_number(row, column, n_blocks)]
-            lower_tile(tile, inwards[row], outwards[column])
+            for middle in range(n_middles):
+                lower_tile(tile, inwards[middle, row], outwards[middle, column])

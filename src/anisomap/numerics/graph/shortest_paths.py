@@ -34,8 +34,11 @@ N_SAMPLED = 32
 SOURCES = 256
 """Sources relaxed together: long enough for vector units, few enough for the cache."""
 
-TILE_ROWS = 2
+TILE_ROWS = 4
 """Rows of tiles per task of `through_all_nodes`; few enough for many threads."""
+
+TILE_MIDDLES = 2
+"""Blocks of nodes through which a tile is lowered at a time, while it is in the cache."""
 
 CACHE_LINE = 64
 """Bytes of a cache line of current processors."""
@@ -159,16 +162,24 @@ def through_all_nodes(lengths: Reals) -> Reals:
     tiles = _aligned((len(pairs), side, side), lengths.dtype)
     for tile, (rows, columns) in zip(tiles, pairs, strict=True):
         part = lengths[rows, columns]
+        if part.shape != tile.shape:
+            tile.fill(np.inf)
         tile[: len(part), : part.shape[1]] = part
-    outwards, inwards = (_aligned((len(blocks), side, side), lengths.dtype) for _ in range(2))
+    shape = (TILE_MIDDLES, len(blocks), side, side)
+    outwards, inwards = _aligned(shape, lengths.dtype), _aligned(shape, lengths.dtype)
     with parallel_map(n_nodes) as map_threads:
+        for group in _blocks(len(blocks), TILE_MIDDLES):
+            middles = range(group.start, group.stop)
+            for done, middle in enumerate(middles):
+                # Other tiles wait until the end of the group.
+                loops.lower_block(tiles, inwards[:done], outwards[:done], middle)
+                loops.close_tile(tiles[loops.tile_number(middle, middle, len(blocks))])
+                loops.reach_blocks(tiles, middle, outwards[done], inwards[done])
+            ways = inwards[: len(middles)], outwards[: len(middles)]
 
-        def lower(rows: slice) -> None:
-            loops.lower_rows(tiles, inwards, outwards, (rows.start, rows.stop))
+            def lower(rows: slice, ways: tuple[Reals, Reals] = ways) -> None:
+                loops.lower_rows(tiles, *ways, (rows.start, rows.stop))
 
-        for middle in range(len(blocks)):
-            loops.close_tile(tiles[loops.tile_number(middle, middle, len(blocks))])
-            loops.reach_blocks(tiles, middle, outwards, inwards)
             map_threads(lower, _blocks(len(blocks), TILE_ROWS))
     paths = np.empty_like(lengths)
     for tile, (rows, columns) in zip(tiles, pairs, strict=True):
@@ -179,13 +190,11 @@ def through_all_nodes(lengths: Reals) -> Reals:
 
 
 def _aligned(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Reals:
-    """Return infinities that begin with a cache line, so that vectors do not cross its end."""
+    """Return an empty array that begins with a cache line, so that vectors do not cross its end."""
     n_bytes = dtype.itemsize * math.prod(shape)
     memory = np.empty(n_bytes + CACHE_LINE, np.uint8)
     first = -memory.ctypes.data % CACHE_LINE
-    array = memory[first : first + n_bytes].view(dtype).reshape(shape)
-    array.fill(np.inf)
-    return array
+    return memory[first : first + n_bytes].view(dtype).reshape(shape)
 
 
 def nearest_edges(lengths: Reals, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -21,6 +21,9 @@ COINCIDENT = 1e-150
 N_PARTS = 16
 """Number of parts of the pairs; fixed, so that sums do not depend on the number of threads."""
 
+SPATIAL = 3
+"""Number of coordinates of the faster loop; missing ones are 0."""
+
 FLOAT32_RANGE = 1e9
 """Distances up to this, and down to its inverse, have squares within float32."""
 
@@ -79,7 +82,8 @@ class Problem:
             centred = positions - positions.mean(axis=0)
             return len(positions) * float(np.vdot(centred, centred))
         if self.equal_weights:
-            return sum(float(np.vdot(row, row)) for row in self.targets) / 2
+            blocks = (self.targets[rows] for rows in row_blocks(len(self.targets)))
+            return sum(float(np.vdot(block, block)) for block in blocks) / 2
         total = 0.0
         for rows in row_blocks(len(self.targets)):
             lengths = self.targets[rows] if positions is None else cdist(positions[rows], positions)
@@ -117,14 +121,18 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
         yield lambda positions: plain_stress(problem, positions)
         return
     n_points = len(problem.targets)
-    add_stress = load_loops("stress").add_stress
+    loops = load_loops("stress")
     with parallel_map(n_points) as map_threads:
-        # Row i has N - 1 - i pairs; parts have about equal numbers of pairs.
+        # Row i has N - 1 - i pairs; parts have about equal numbers of pairs, and even first rows.
         cuts = n_points * (1 - np.sqrt(1 - np.arange(N_PARTS + 1) / N_PARTS))
-        edges = np.round(cuts).astype(int).tolist()
+        edges = (2 * np.round(cuts / 2)).astype(int).tolist()
+        edges[-1] = n_points
 
         def compiled_stress(positions: Floats) -> tuple[float, Floats]:
-            points = np.ascontiguousarray(positions.T, np.float32 if single else np.float64)
+            n_axes = positions.shape[1]
+            points = np.zeros((max(n_axes, SPATIAL), n_points), np.float32 if single else float)
+            points[:n_axes] = positions.T
+            add_stress = loops.add_spatial_stress if n_axes <= SPATIAL else loops.add_stress
             slopes = np.zeros((N_PARTS, *points.shape), points.dtype)
 
             def add(part: int) -> float:
@@ -134,7 +142,10 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
                 )
 
             raw = sum(map_threads(add, range(N_PARTS)))
-            return raw, np.ascontiguousarray(2 * slopes.sum(axis=0, dtype=np.float64).T)
+            slope = np.zeros((n_points, n_axes))
+            for first, part in zip(edges[:-1], slopes, strict=True):
+                slope[first:] += part[:n_axes, first:].T  # earlier points are in earlier parts
+            return raw, 2 * slope
 
         yield compiled_stress
 
