@@ -8,7 +8,6 @@ import pytest
 import anisomap
 from anisomap import InputError, Recording, SensorMap, check_layout
 from anisomap.layout import KINDS, module_members
-from anisomap.layout.checking import CheckOptions
 from anisomap.numerics.layout.congruence import symmetries
 from anisomap.numerics.layout.statistics import reading_statistics
 from anisomap.placement import modules_by_name, modules_by_size
@@ -254,7 +253,7 @@ def test_bad_input_is_refused(recording, change, expected):
 
 def test_bad_options_are_refused(recording):
     with pytest.raises(InputError, match="at least 1"):
-        CheckOptions(n_shifts=0)
+        check_layout(LAYOUT, recording, n_shifts=0)
     with pytest.raises(InputError, match="size of modules"):
         check_layout(LAYOUT, recording, modules=100)
     with pytest.raises(InputError, match="do not fit"):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from anisomap import SensorMap, reconstruct
 from anisomap.evaluation import align, score
 from anisomap.health import SensorHealth
-from anisomap.health.touch_coverage import count_contacts, count_joint_contacts
+from anisomap.health.contact_counts import count_contacts, count_joint_contacts
 from anisomap.live.maps.coach import advise, confirmed_faults
 from anisomap.live.maps.quick_map import QuickMapper, turned_onto, warm_start
 from anisomap.live.maps.statistics import SAMPLE_FRAMES, TouchStatistics

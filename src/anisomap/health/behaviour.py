@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.health.contact_counts import count_contacts
 from anisomap.numerics.columns import columns, count_values
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.rest import Rest, rest_from_counts
@@ -123,7 +124,7 @@ def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> B
         rest=rest,
         distinct=np.array(distinct),
         active=n_active / n_frames,
-        contacts=series[:, 0] + np.count_nonzero(series[:, 1:] & ~series[:, :-1], axis=1),
+        contacts=count_contacts(series.T),
         at_ceiling=at_ceiling,
         unexplained=_unexplained(series, found.nearest),
         lag_correlation=at_one,

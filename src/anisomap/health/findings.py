@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.health.contact_counts import count_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 from anisomap.wording import noun_and_items
@@ -77,7 +78,7 @@ class Subject:
         """Count the contacts of some sensors: runs of frames beyond rest, shape (n,)."""
         readings = self.readings[:, sensors]
         active = estimate_rest(readings).active(readings)
-        return np.asarray(active[0] + np.count_nonzero(active[1:] & ~active[:-1], axis=0))
+        return count_contacts(active)
 
 
 @dataclass(frozen=True)

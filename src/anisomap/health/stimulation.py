@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.health.contact_counts import count_contacts
 from anisomap.health.findings import Check, Finding, Subject
 from anisomap.numerics.recording_faults.courses import (
     Regions,
@@ -111,8 +112,7 @@ def _describe_jitter(_: Recording, clock: _Clock) -> tuple[Finding, ...]:
 
 def _find_rare(subject: Subject) -> NDArray[np.intp] | None:
     active, recording = subject.active, subject.recording
-    runs = active[0] + np.count_nonzero(active[1:] & ~active[:-1], axis=0)
-    suspects = np.flatnonzero((runs < _MIN_CONTACTS) & recording.varying())
+    suspects = np.flatnonzero((count_contacts(active) < _MIN_CONTACTS) & recording.varying())
     if not suspects.size:
         return None
     rare = suspects[subject.contacts(suspects) < _MIN_CONTACTS]

@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.health.contact_counts import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 from anisomap.runs import as_runs
@@ -188,42 +189,6 @@ def neighbouring_sensors(
         both = np.sort(np.column_stack([first, near[first, which]]), axis=1)
         found.append(members[np.unique(both, axis=0)])
     return np.concatenate(found)
-
-
-def count_contacts(active: ArrayLike) -> NDArray[np.intp]:
-    """Count separate contacts of each sensor: runs of frames in which it is active.
-
-    Parameters
-    ----------
-    active : array_like of bool, shape (T, N)
-        See `anisomap.numerics.similarity.rest.Rest.active`.
-
-    Returns
-    -------
-    ndarray of int, shape (N,)
-    """
-    on = np.asarray(active, dtype=bool)
-    return np.asarray(on[:1].sum(axis=0) + np.count_nonzero(on[1:] & ~on[:-1], axis=0))
-
-
-def count_joint_contacts(active: ArrayLike, pairs: ArrayLike) -> NDArray[np.intp]:
-    """Count separate contacts of pairs of sensors: runs of frames in which both are active.
-
-    Parameters
-    ----------
-    active : array_like of bool, shape (T, N)
-    pairs : array_like of int, shape (P, 2)
-
-    Returns
-    -------
-    ndarray of int, shape (P,)
-    """
-    on = np.ascontiguousarray(np.asarray(active, dtype=bool).T)
-    counts = np.zeros(len(np.asarray(pairs)), dtype=np.intp)
-    for p, (i, j) in enumerate(np.asarray(pairs, dtype=np.intp)):
-        both = on[i] & on[j]
-        counts[p] = both[:1].sum() + np.count_nonzero(both[1:] & ~both[:-1])
-    return counts
 
 
 def needed_evidence(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from anisomap.errors import InputError
 from anisomap.evaluation.neighbourhood import check_distances
 from anisomap.health.assessment import MIN_CONTACTS
+from anisomap.health.contact_counts import count_contacts
 from anisomap.layout.explanation import Explained, explain
 from anisomap.layout.findings import KINDS, NOT_TESTED, OK, Finding, LayoutCheck, at_positions
 from anisomap.layout.grouping import module_members
@@ -46,29 +47,12 @@ _LEAST_SENSITIVE = 0.05  # quantile of the contacts of sensors, relative to thei
 _MAX_NAMED = 8
 
 
-@dataclass(frozen=True, eq=False)
-class CheckOptions:
-    """Options of `check_layout`.
-
-    Parameters
-    ----------
-    n_shifts : int
-        Number of circular shifts of the null distribution; at least 1.
-    """
-
-    n_shifts: int = N_SHIFTS
-
-    def __post_init__(self) -> None:
-        if self.n_shifts < 1:
-            raise InputError(f"n_shifts must be at least 1, got {self.n_shifts}")
-
-
 def check_layout(
     layout: SensorMap | ArrayLike,
     recording: Recording | ArrayLike | Sequence[Recording],
     *,
     modules: Modules | int | None = None,
-    options: CheckOptions | None = None,
+    n_shifts: int = N_SHIFTS,
     statistics: ReadingStatistics | None = None,
     rng: np.random.Generator | int | None = None,
 ) -> LayoutCheck:
@@ -84,11 +68,12 @@ def check_layout(
     modules : Modules or int, optional
         Modules of the layout, or the number of channels of each; by default, modules are found as
         rigid repeats: see `anisomap.layout.module_members`.
-    options : CheckOptions, optional
+    n_shifts : int
+        Number of circular shifts of the null distribution; at least 1.
     statistics : ReadingStatistics, optional
         Of all sensors of the recording, from
         `anisomap.numerics.layout.statistics.reading_statistics`, to check several layouts against
-        one recording. Computed by default.
+        one recording, in place of `n_shifts` shifts of it. Computed by default.
     rng : numpy.random.Generator or int, optional
         Draws the circular shifts. 0 by default.
 
@@ -100,7 +85,7 @@ def check_layout(
     ------
     InputError
         If sensors cannot be matched, positions are not in 2 or 3 dimensions or coincide, readings
-        are missing, or fewer than 4 sensors can be tested.
+        are missing, fewer than 4 sensors can be tested, or there is no shift.
 
     Notes
     -----
@@ -112,7 +97,8 @@ def check_layout(
     displacements are not found. Sensors with fewer than 5 contacts are not tested, nor are those
     that agree with others no more than after a shift.
     """
-    options = options or CheckOptions()
+    if n_shifts < 1:
+        raise InputError(f"n_shifts must be at least 1, got {n_shifts}")
     stated = layout if isinstance(layout, SensorMap) else _as_layout(layout)
     joined = join_runs(as_runs(recording)).complete()
     if stated.dimensions not in (2, 3):
@@ -127,9 +113,7 @@ def check_layout(
     generator = np.random.default_rng(0 if rng is None else rng)
     logger.info("comparing readings with positions")
     with limited_blas(len(rows)):
-        known = statistics or reading_statistics(
-            joined.readings, generator, n_shifts=options.n_shifts
-        )
+        known = statistics or reading_statistics(joined.readings, generator, n_shifts=n_shifts)
         checked = _Checked(
             stated,
             joined.readings[:, columns],
@@ -169,8 +153,8 @@ class _Checked:
             [inside for inside in present if len(inside)], self._positions
         )
         self._statistics = statistics
-        self._active = _contacts(readings)
-        self._usable = self._statistics.tested & (self._active >= MIN_CONTACTS)
+        self._contacts = count_contacts(estimate_rest(readings).active(readings))
+        self._usable = self._statistics.tested & (self._contacts >= MIN_CONTACTS)
         self._findings: list[Finding] = []
 
     def result(self, notes: list[str]) -> LayoutCheck:
@@ -201,15 +185,15 @@ class _Checked:
         near: Any = tree.query_ball_point(self._positions, REACH * self._spacing)
         around = np.array(
             [
-                np.median(self._active[[j for j in n if j != i]]) if len(n) > 1 else 0.0
+                np.median(self._contacts[[j for j in n if j != i]]) if len(n) > 1 else 0.0
                 for i, n in enumerate(near)
             ]
         )
-        alive = (self._active > 0) & (around > 0)
+        alive = (self._contacts > 0) & (around > 0)
         if not alive.any():
             return
-        least = float(np.quantile(self._active[alive] / around[alive], _LEAST_SENSITIVE))
-        for i in np.flatnonzero((self._active == 0) & (around * least >= MIN_CONTACTS)).tolist():
+        least = float(np.quantile(self._contacts[alive] / around[alive], _LEAST_SENSITIVE))
+        for i in np.flatnonzero((self._contacts == 0) & (around * least >= MIN_CONTACTS)).tolist():
             text = (
                 f"{self._names[i]} is constant, although its neighbours were touched "
                 f"{around[i]:.0f} times"
@@ -362,12 +346,6 @@ def _matched(
         )
     order = np.argsort(pairs[:, 1], kind="stable")
     return pairs[order, 0], pairs[order, 1], notes
-
-
-def _contacts(readings: NDArray[np.floating]) -> NDArray[np.intp]:
-    """Count the contacts of each sensor: runs of frames beyond rest."""
-    active = estimate_rest(readings).active(readings)
-    return np.asarray(active[0] + np.count_nonzero(active[1:] & ~active[:-1], axis=0))
 
 
 def _mean(values: NDArray[np.float64]) -> float:

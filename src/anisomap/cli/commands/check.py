@@ -17,7 +17,6 @@ from anisomap.drawing import figures
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
 from anisomap.layout import Finding, LayoutCheck, check_layout
-from anisomap.layout.checking import CheckOptions
 from anisomap.numerics.layout.statistics import N_SHIFTS
 from anisomap.placement import Modules
 from anisomap.sensor_map import SensorMap
@@ -92,9 +91,7 @@ def check(
     )
     recording = pipeline.complete(pipeline.read(recording_file, reading.checked()), missing)
     with progress("checking the layout"):
-        found = check_layout(
-            layout, recording, modules=chosen, options=CheckOptions(shifts), rng=seed
-        )
+        found = check_layout(layout, recording, modules=chosen, n_shifts=shifts, rng=seed)
     files = _write(found, output, picture, f"{layout_file.name} and {recording_file.name}")
     with reporting.printer() as printer:
         _print(printer, found, f"{layout_file.name} against {recording_file.name}")
