@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,28 +73,17 @@ def find_moves(
     more than chance explains: differences of sensors that did not move are taken as normal, with
     the median and the median absolute deviation of all.
     """
-    rows = {name: i for i, name in enumerate(fresh.names)}
-    old_rows = {name: i for i, name in enumerate(evidence.names)}
+    compared = set(evidence.names) & set(fresh.names)
     placed = [
-        i
-        for i in np.flatnonzero(sensor_map.placed).tolist()
-        if sensor_map.names[i] in rows and sensor_map.names[i] in old_rows
+        i for i in np.flatnonzero(sensor_map.placed).tolist() if sensor_map.names[i] in compared
     ]
     if len(placed) < MIN_COMPARED:
         return None
     names = tuple(sensor_map.names[i] for i in placed)
     key = common_similarity(evidence, fresh)
-    old = evidence.sums[key].statistics(key).select(_mask(old_rows, names))
-    new = fresh.sums[key].statistics(key).select(_mask(rows, names))
-    # `select` keeps the order of the evidence.
-    here = _order([n for n in evidence.names if n in set(names)], names)
-    there = _order([n for n in fresh.names if n in set(names)], names)
-    agreement = profile_agreement(
-        new.similarity[np.ix_(there, there)],
-        old.similarity[np.ix_(here, here)],
-        new.known[np.ix_(there, there)],
-        old.known[np.ix_(here, here)],
-    )
+    old_similarity, old_known = similarity_of(evidence, key, names)
+    new_similarity, new_known = similarity_of(fresh, key, names)
+    agreement = profile_agreement(new_similarity, old_similarity, new_known, old_known)
     far = _far(sensor_map, np.array(placed))
     if not far.any():
         return None
@@ -119,15 +109,30 @@ def common_similarity(first: Evidence, second: Evidence) -> str:
     return next(key for key in reversed(tuple(first.sums)) if key in second.sums)
 
 
-def _mask(rows: dict[str, int], names: tuple[str, ...]) -> NDArray[np.bool_]:
-    mask = np.zeros(len(rows), dtype=bool)
-    mask[[rows[name] for name in names]] = True
-    return mask
+def similarity_of(
+    evidence: Evidence, key: str, names: Sequence[str]
+) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
+    """Return the similarity of some sensors, and which pairs of them are known.
 
+    Parameters
+    ----------
+    evidence : Evidence
+    key : str
+        A key of `Evidence.sums`.
+    names : sequence of str
+        Sensors of the evidence.
 
-def _order(present: list[str], names: tuple[str, ...]) -> NDArray[np.intp]:
-    row = {name: i for i, name in enumerate(present)}
-    return np.array([row[name] for name in names], dtype=np.intp)
+    Returns
+    -------
+    similarity : ndarray of shape (n, n)
+        In the order of the names.
+    known : ndarray of bool, shape (n, n)
+    """
+    row = {name: i for i, name in enumerate(evidence.names)}
+    rows = [row[name] for name in names]
+    inside = np.ix_(rows, rows)
+    pairs = evidence.sums[key].statistics(key)
+    return pairs.similarity[inside], pairs.known[inside]
 
 
 def _far(sensor_map: SensorMap, placed: NDArray[np.intp]) -> NDArray[np.bool_]:

@@ -20,7 +20,14 @@ from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.tracking.carrying import carry_over
 from anisomap.tracking.evidence import Evidence, gather_evidence, map_evidence
-from anisomap.tracking.moves import FAR, MIN_COMPARED, Moves, common_similarity, find_moves
+from anisomap.tracking.moves import (
+    FAR,
+    MIN_COMPARED,
+    Moves,
+    common_similarity,
+    find_moves,
+    similarity_of,
+)
 from anisomap.wording import join_items
 
 LEVEL = 0.001
@@ -97,8 +104,8 @@ def update_map(
     """Add the evidence of a new recording to a map.
 
     Sensors that the recording shows elsewhere than the map are found first (`Moves`); what was
-    known of them is discarded. The other evidence is pooled, mapped, and
-    brought into the frame of the old map, which keeps what anchors, modules and a mesh corrected.
+    known of them is discarded. The other evidence is pooled, mapped, and brought into the frame of
+    the old map, which keeps what anchors, modules and a mesh corrected.
 
     Parameters
     ----------
@@ -195,18 +202,18 @@ def _check_agreement(sensor_map: SensorMap, fresh: Evidence, moved: tuple[str, .
     A Mantel test of the distances on the largest component; permutations of the sensors are the
     null hypothesis.
     """
-    row = {name: i for i, name in enumerate(fresh.names)}
+    compared = set(fresh.names) - set(moved)
     shared = [
         i
         for i, name in enumerate(sensor_map.names)
-        if sensor_map.component[i] == 0 and name in row and name not in moved
+        if sensor_map.component[i] == 0 and name in compared
     ][:_MAX_PERMUTED]
     if len(shared) < MIN_COMPARED:
         return
-    statistics = fresh.statistics()
-    rows = [row[sensor_map.names[i]] for i in shared]
-    inside = np.ix_(rows, rows)
-    apart = np.where(statistics.known[inside], 1.0 - statistics.similarity[inside], 1.0)
+    similarity, known = similarity_of(
+        fresh, fresh.similarity, [sensor_map.names[i] for i in shared]
+    )
+    apart = np.where(known, 1.0 - similarity, 1.0)
     np.fill_diagonal(apart, 0.0)
     places = sensor_map.positions[shared]
     near = np.linalg.norm(places[:, None] - places, axis=2)
@@ -307,15 +314,9 @@ def _agreement(old: Evidence, fresh: Evidence, moved: tuple[str, ...]) -> float:
     """Correlate the old and the new similarity, by the statistic that both have."""
     names = [n for n in old.names if n in set(fresh.names) and n not in moved]
     key = common_similarity(old, fresh)
-    values, known = [], []
-    for evidence in (old, fresh):
-        row = {name: i for i, name in enumerate(evidence.names)}
-        rows = [row[name] for name in names]
-        pairs = evidence.sums[key].statistics(key)
-        upper = np.triu_indices(len(rows), 1)
-        values.append(pairs.similarity[np.ix_(rows, rows)][upper])
-        known.append(pairs.known[np.ix_(rows, rows)][upper])
-    first, second = (value[known[0] & known[1]] for value in values)
+    (before, known), (after, known_after) = (similarity_of(e, key, names) for e in (old, fresh))
+    both = np.triu(known & known_after, 1)
+    first, second = before[both], after[both]
     if first.size < 2 or np.ptp(first) == 0 or np.ptp(second) == 0:
         return math.nan
     return float(np.corrcoef(first, second)[0, 1])
