@@ -262,7 +262,7 @@ def test_a_stated_hand_does_not_tell_the_sides_of_a_flat_map():
     flat, rows = body(2), [0, 22, 8]
     truth = np.column_stack([flat, np.zeros(len(flat))])
     for stated in ({}, {"handedness": "same"}):
-        with pytest.raises(InputError, match="sides of the flat map apart; give more anchors off"):
+        with pytest.raises(InputError, match="sides of the flat map; give more anchors off"):
             place(mapped(flat, 0, uneven=True), anchors_at(truth, rows), **stated)
 
 

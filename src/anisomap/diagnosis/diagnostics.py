@@ -299,7 +299,8 @@ def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
         return "the map does not follow from the readings of one recording in memory"
     n_sensors = np.count_nonzero(sensor_map.component == 0)
     reasons = {
-        f"maps by {sensor_map.method} are not judged, only refined ones": method.refine is None,
+        f"only methods with a refinement have verdicts, not {sensor_map.method}": method.refine
+        is None,
         "the recordings have different sensors": len(runs) > 1,
         f"fewer than {MIN_SENSORS} sensors are related": n_sensors < MIN_SENSORS,
         f"resampling more than {MAX_SENSORS} sensors takes too much memory": n_sensors

@@ -143,8 +143,8 @@ def _of_halves(halves: float, repeatability: float) -> Iterator[Doubt]:
         yield Doubt(
             "halves",
             size,
-            f"maps of halves of the recording, made from the beginning, differ by {halves:.2f} "
-            "spacings, more than by chance: the fit can end in different maps",
+            f"maps of the two halves of the recording differ by {halves:.2f} spacings, more than "
+            "by chance: the fit can end in different maps",
             keeps_neighbours=halves <= MAX_CHANCE,
             measured=halves,
         )
@@ -156,7 +156,7 @@ def _of_spacings(positions: NDArray[np.float64]) -> Iterator[Doubt]:
         "spacing",
         SPACING * max(0.0, variation - SPACING_TOLERANCE),
         f"distances between nearest neighbours on the map vary by {variation:.0%}: contacts may be "
-        "longer in one direction, which brings sensors too close, or the sensors are uneven",
+        "longer in one direction, in which the map is too short, or sensors are unevenly spaced",
         keeps_neighbours=True,
         measured=variation,
     )
@@ -168,16 +168,16 @@ def _of_other_maps(others: OtherMaps, repeatability: float) -> Iterator[Doubt]:
     yield Doubt(
         "paths",
         PATHS * beyond,
-        f"distances along similar sensors give another map, which differs by {others.paths:.2f} "
-        "spacings: contacts may differ between places",
+        f"a map by paths along similar sensors differs by {others.paths:.2f} spacings: contacts "
+        "may differ between places",
         keeps_neighbours=True,
         measured=others.paths,
     )
     yield Doubt(
         "even",
         EVEN * max(0.0, others.even - EVEN_TOLERANCE),
-        f"if sensors were evenly spaced, the map would differ by {others.even:.2f} spacings: "
-        "contacts may be longer in one direction, or larger in one place",
+        f"a map for evenly spaced sensors differs by {others.even:.2f} spacings: contacts may be "
+        "longer in one direction, or larger in one place",
         keeps_neighbours=True,
         measured=others.even,
     )

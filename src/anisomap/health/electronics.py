@@ -36,11 +36,11 @@ def _describe_copies(recording: Recording, found: tuple[Copies, ...]) -> tuple[F
         names = _names(recording, copies.sensors)
         exact = copies.noise < 1e-3
         if copies.kept is None:
-            mended = f"all were left out: which of {join_items(names)} is there is unknown"
+            mended = f"all were left out, since it is unknown which of {join_items(names)} is real"
         else:
             kept = recording.names[copies.kept]
             others = join_items([name for name in names if name != kept])
-            mended = f"{kept} was kept, and {others} left out: where they are is unknown"
+            mended = f"{kept} was kept, and {others} left out, since their positions are unknown"
         findings.append(
             Finding(
                 "copies",
@@ -49,7 +49,7 @@ def _describe_copies(recording: Recording, found: tuple[Copies, ...]) -> tuple[F
                 "sensors",
                 f"{len(names)} sensors read one wire"
                 + ("" if exact else f", with up to {copies.noise:.1%} of noise of their own"),
-                "one place for several sensors distorts the map around it; at most one is right",
+                "sensors at one place distort the map around them; at most one of them is right",
                 mendable=True,
                 mended=mended,
             )
@@ -91,7 +91,7 @@ def _describe_lags(recording: Recording, lags: Lags) -> tuple[Finding, ...]:
             float(np.abs(lags.frames).max()),
             "frames",
             f"groups of sensors lag the largest group by {listed} frames",
-            "sensors of different groups look less alike than they are",
+            "sensors of different groups seem less similar than they are",
             mendable=True,
             mended="each group was shifted by its lag; "
             f"{int(np.ptp(lags.frames))} frames at the ends were left out",

@@ -44,7 +44,7 @@ def _describe_gaps(recording: Recording, missing: NDArray[np.bool_]) -> tuple[Fi
             "share",
             f"{share:.0%} of the readings of {affected.size} of {recording.n_sensors} sensors are "
             + ("on straight lines, as if interpolated" if bridged else "missing"),
-            "contacts in the gaps are lost, so these sensors look less alike to their neighbours",
+            "contacts in the gaps are lost, so these sensors seem less similar to their neighbours",
             mendable=True,
             mended="these readings were estimated from the most similar sensors",
         ),
@@ -104,7 +104,7 @@ def _describe_jitter(_: Recording, clock: _Clock) -> tuple[Finding, ...]:
             clock.jitter,
             "share of the interval",
             f"intervals between frames vary by {clock.jitter:.0%}{lost}",
-            "no map depends on intervals, only lags in seconds do",
+            "maps do not depend on intervals; only lags in seconds do",
             mendable=False,
         ),
     )
@@ -128,7 +128,7 @@ def _describe_rare(recording: Recording, rare: NDArray[np.intp]) -> tuple[Findin
             "share",
             f"{rare.size} of {recording.n_sensors} sensors were touched fewer than "
             f"{_MIN_CONTACTS} times",
-            "their places are left to chance; touch them again",
+            "their positions are unreliable; touch them again",
             mendable=False,
         ),
     )
@@ -153,7 +153,7 @@ def _describe_regions(recording: Recording, found: Regions) -> tuple[Finding, ..
             f"two regions of {found.before.size} and {found.after.size} sensors were touched one "
             f"after the other, the second from frame {found.frame} on, and "
             f"{found.bridges.size or 'no'} sensors with both",
-            "how the regions lie to one another is unknown; touch the skin between them",
+            "the relative position of the regions is unknown; touch the skin between them",
             mendable=False,
         ),
     )
@@ -167,7 +167,7 @@ def _describe_period(recording: Recording, found: tuple[float, float]) -> tuple[
             recording.names,
             share,
             "share of the variance",
-            f"{share:.0%} of the readings is one sine with a period of {period:.4g} frames",
+            f"{share:.0%} of the variance of the readings is a sine of {period:.4g} frames",
             "similarity depends on phase alone; there is nothing to map",
             mendable=False,
         ),

@@ -56,7 +56,7 @@ def check_layout(
     statistics: ReadingStatistics | None = None,
     rng: np.random.Generator | int | None = None,
 ) -> LayoutCheck:
-    """Find the sensors that do not read as their stated positions say.
+    """Find the sensors whose readings contradict their stated positions.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ OK = "ok"
 """Status of a tested sensor that reads as its place says."""
 
 NOT_TESTED = "not tested"
-"""Status of a sensor of which the recording says nothing, or that has no stated position."""
+"""Status of a sensor without evidence in the recording, or without a stated position."""
 
 KINDS: Mapping[str, str] = MappingProxyType(
     {
@@ -37,7 +37,7 @@ KINDS: Mapping[str, str] = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """Sensors that do not read as their places say, and what would explain it.
+    """Sensors whose readings contradict their positions, and what would explain this.
 
     Attributes
     ----------

@@ -130,10 +130,10 @@ def _undecided(count: int, dimensions: int, uneven: bool, *, sides: bool = False
         more = "more anchors"
     doubt = "the map is distorted, and " if uneven else ""
     if sides:
-        return f"{doubt}the anchors do not tell the two sides of the flat map apart; give {more}"
+        return f"{doubt}the anchors do not distinguish the two sides of the flat map; give {more}"
     return (
-        f"{doubt}the anchors do not tell the map from its mirror image; give {more}, --mesh, "
-        "--module, or --handedness same or mirrored"
+        f"{doubt}the anchors do not distinguish the map from its mirror image; give {more}, "
+        "--mesh, --module, or --handedness same or mirrored"
     )
 
 

@@ -220,7 +220,9 @@ def _check_agreement(sensor_map: SensorMap, fresh: Evidence, moved: tuple[str, .
     try:
         found = mantel(near, apart, permutations=_PERMUTATIONS)
     except InputError as error:  # all distances are equal
-        raise InputError(f"the recording says nothing of the sensors of the map: {error}") from None
+        raise InputError(
+            f"the recording holds no evidence about the sensors of the map: {error}"
+        ) from None
     if found.p_value > _CONTRADICTION:
         raise InputError(
             "the recording contradicts the map: sensors that are near on the map are no more "

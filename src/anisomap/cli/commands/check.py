@@ -23,7 +23,7 @@ from anisomap.sensor_map import SensorMap
 from anisomap.wording import join_items
 
 INCONSISTENT = 1
-"""Exit code if sensors do not read as their places say."""
+"""Exit code if readings of sensors contradict their positions."""
 
 _MAX_SHOWN = 50
 
@@ -51,10 +51,10 @@ def check(
     reading: options.Reading = options.DEFAULT_READING,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> int:
-    """Check sensor positions against a recording: which sensors do not read as their places say.
+    """Check sensor positions against a recording: whose readings contradict their positions.
 
     Finds swapped sensors, shifted cables, turned, mirrored and exchanged modules, moved patches,
-    and doubled and dead sensors. Sensors of which the recording says nothing are not tested. The
+    and doubled and dead sensors. Sensors without evidence in the recording are not tested. The
     exit code is 0 if nothing is found, and 1 otherwise.
 
     Parameters
@@ -123,8 +123,8 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
             "modules": _modules(found),
             "verdict": "consistent"
             if found.consistent
-            else f"not consistent: {accused} sensors ({percent(accused / found.n_tested)}) do not "
-            "read as their places say",
+            else f"not consistent: the readings of {accused} sensors "
+            f"({percent(accused / found.n_tested)}) contradict their positions",
         },
     )
     if found.findings:

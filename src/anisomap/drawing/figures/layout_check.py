@@ -55,7 +55,7 @@ def layout_figure(check: LayoutCheck, title: str = "Check of a layout") -> Figur
         lambda axes: plot_layout(check, ax=axes),
         dimensions=check.layout.dimensions,
         title=printable(title, 80),
-        note="Arrows lead from where the layout states a sensor to where it reads as if it were.",
+        note="Arrows lead from the stated position of a sensor to that indicated by its readings.",
         n_columns=3,
     )
 
