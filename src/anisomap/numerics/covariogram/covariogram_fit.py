@@ -33,6 +33,7 @@ Matrix: TypeAlias = Reals
 
 _MAX_RANGE_SENSORS = 4000  # from which the range is estimated; bounds time and memory
 _RANGE_CORRELATIONS = (0.15, 0.45)  # around 1 / e; pairs with these are about one range apart
+MIN_SINGLE = 100
 _BLOCK_TOLERANCE = 10  # times the tolerance, with several blocks; chosen by hand
 
 
@@ -138,7 +139,7 @@ def fit_covariogram(
     positions = (positions - positions.mean(axis=0)) / unit
     np.fill_diagonal(mask, val=False)
     one_block = len(positions) <= chosen.block
-    precision = np.float64 if one_block else np.float32
+    precision = np.float32 if len(positions) >= MIN_SINGLE else np.float64
     problem = Problem(correlation, lengths / unit, mask, noise, chosen, precision)
     size = chosen.block if one_block else max(3, chosen.block // 2)
     blocks = [Block(sensors, problem) for sensors in overlapping_blocks(positions, size)]

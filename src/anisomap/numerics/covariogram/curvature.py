@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
+from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops
 from anisomap.numerics.covariogram.objective import Block, solve_amplitude_and_offset
 from anisomap.numerics.precision import Reals, row_blocks
 
@@ -51,10 +53,12 @@ def gauss_newton_matrix(
     matrix = np.zeros((positions.size + 1, positions.size + 1), dtype)
     cross, linear = np.zeros((3, n_axes, n_sensors)), np.zeros((3, 3))
     starts = np.arange(n_axes) * n_sensors
+    compiled = n_sensors >= MIN_COMPILED_ROWS
+    add_block = load_loops("blocks").add_block if compiled else _add_block
     for block, term in zip(blocks, terms, strict=True):
         part = block.curvature(term, positions, float(np.exp(log_exponent)), amplitude)
         for (p, q), found in part.coordinates.items():
-            matrix[np.ix_(starts[p] + block.sensors, starts[q] + block.sensors)] += found
+            add_block(matrix, found, starts[p] + block.sensors, starts[q] + block.sensors)
         cross[:, :, block.sensors] += part.cross
         linear += part.linear
     flat = cross.reshape(3, positions.size)
@@ -65,3 +69,10 @@ def gauss_newton_matrix(
     for rows in row_blocks(len(matrix)):
         matrix[rows, rows.start :] -= columns[:, rows].T @ eliminated[:, rows.start :]
     return matrix
+
+
+def _add_block(
+    matrix: Matrix, block: Matrix, rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> None:
+    """Do as `anisomap.numerics.compiled.blocks.add_block` does."""
+    matrix[np.ix_(rows, columns)] += block

@@ -28,14 +28,16 @@ Its cubic time grows faster than that of the iterations it saves: about equal fr
 """
 
 _EXPONENT_BOUNDS = (0.3, 4.0)  # wider than all fitted values; chosen by hand
-_ROUND = 20  # iterations with one curvature; 10 to 30 took about equal time
+# Iterations with one curvature. With 30 or 40, a retina and Nao's torso took two thirds of the
+# time that they took with 20, and flat skins as long.
+_ROUND = 40
 _DAMPING = 1e-2  # of the diagonal, for directions without curvature; .001 to .03 took equal time
 _LEAST_DAMPING = 1e-6  # of the mean of the diagonal
 # Relative displacement by the next step at which positions have converged. Positions then
 # correlate with those of the minimum by 1 - 5e-7.
 _DISPLACEMENT = 1e-3
 _SINGLE = 1000  # parameters from which the curvature is factorised in float32, for speed
-_MEMORY = 20  # pairs of differences of L-BFGS
+_MEMORY = 40  # pairs of differences of L-BFGS: those of all iterations with one curvature
 _TOO_EXACT = 1e-12  # relative decrease that is never met before convergence
 
 
@@ -92,7 +94,7 @@ def minimise(
     Objectives with far-reaching correlations are badly conditioned: long waves of the map hardly
     change the objective, and L-BFGS follows them in hundreds of iterations. Here it searches over
     y with ``x = x_0 + U^-1 y``, where U'U is the Gauss-Newton matrix at x_0 (`curvature`), which is
-    computed again every 20 iterations. The curvature by y is then nearly the identity.
+    computed again every 40 iterations. The curvature by y is then nearly the identity.
     """
     n_sensors, n_axes = start.shape
 

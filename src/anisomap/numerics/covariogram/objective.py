@@ -18,7 +18,8 @@ from anisomap.numerics.precision import Reals
 
 Matrix: TypeAlias = Reals
 
-_MIN_DISTANCE = 1e-6  # ranges; keeps logarithms and gradients finite
+_SQUARE_BOUNDS = (1e-12, 1e30)  # of squared distances in ranges; keep all terms finite in float32
+_MAX_LOG_POWER = float(np.log(80))  # of d^b; exp(-80) is nearly the smallest normal float32
 _AMPLITUDE_BOUNDS = (1e-3, 10.0)  # below, the function is flat; above, all pairs exceed its range
 
 _MIN_EIGENVALUE = 0.5  # of the ridge; chosen by hand, for similarities that are not correlations
@@ -58,7 +59,7 @@ class CovariogramOptions:
     prior_weight: float = 1.0
     repulsion: float = 0.1
     ridge: float = 1.0
-    tolerance: float = 1e-7
+    tolerance: float = 1e-6
     max_iterations: int = 300
     block: int = 500
 
@@ -95,12 +96,13 @@ class BlockTerms:
 
     With ``<A, B> = tr(A W B W)``, `products` are <E,E>, <E,O>, <E,S>, <O,O>, <O,S>, <S,S> for the
     shape E of the covariogram, the offset O (1 where a pair is known) and the similarity S.
+    `squares` are squared distances d^2, `logarithms` log d, and `powers` d^b for the exponent b.
     """
 
     products: Matrix
     shape: Matrix
     whitened_shape: Matrix
-    distances: Matrix
+    squares: Matrix
     logarithms: Matrix
     powers: Matrix
 
@@ -131,14 +133,15 @@ class Block:
         inside = np.ix_(sensors, sensors)
         self.sensors, self._options = sensors, problem.options
         self._known = problem.known[inside]
-        self._similarity = np.where(self._known, problem.similarity[inside], 0.0).astype(np.float64)
-        self._whitening = _whitening(self._similarity, problem.options.ridge)
-        # Products in float32 take half the time; sums over pairs stay in float64.
-        self._multiplied = self._whitening.astype(problem.precision, copy=False)
-        self._offset = self._known.astype(np.float64)
+        similarity = np.where(self._known, problem.similarity[inside], 0.0).astype(np.float64)
+        # Inverted in float64; all other matrices take half the time in float32.
+        self._whitening = _whitening(similarity, problem.options.ridge).astype(problem.precision)
+        self._similarity = similarity.astype(problem.precision)
+        self._offset = self._known.astype(problem.precision)
         metric = problem.metric[inside].astype(np.float64)
         pairs = ~np.eye(len(sensors), dtype=bool)
-        self._inverse_metric = np.divide(1.0, metric, out=np.zeros_like(metric), where=pairs)
+        inverse = np.divide(1.0, metric, out=np.zeros_like(metric), where=pairs)
+        self._inverse_metric = inverse.astype(problem.precision)
         self._noise = problem.noise / 2  # each pair occurs twice in a matrix
 
     @cached_property
@@ -153,19 +156,24 @@ class Block:
 
     @cached_property
     def _fixed_products(self) -> tuple[float, float, float]:
-        ones = self.whitened_offset[self._known].sum()
-        cross = self.whitened_similarity[self._known].sum()
-        return float(ones), float(cross), float(np.vdot(self._similarity, self.whitened_similarity))
+        return (
+            _dot(self._offset, self.whitened_offset),
+            _dot(self._offset, self.whitened_similarity),
+            _dot(self._similarity, self.whitened_similarity),
+        )
 
     def terms(self, positions: Matrix, log_exponent: float) -> BlockTerms:
         """Evaluate the block at positions of all sensors, shape (N, k)."""
         points = positions[self.sensors]
         # Matrices are overwritten where possible: new ones take longer than the arithmetic.
-        distances = cdist(points, points)
-        np.maximum(distances, _MIN_DISTANCE, out=distances)
-        np.fill_diagonal(distances, 1.0)
-        logarithms = np.log(distances)
-        powers = np.exp(log_exponent) * logarithms
+        squares = cdist(points, points, "sqeuclidean")
+        np.clip(squares, *_SQUARE_BOUNDS, out=squares)
+        squares = squares.astype(self._whitening.dtype, copy=False)
+        np.fill_diagonal(squares, 1.0)
+        logarithms = np.log(squares)
+        logarithms *= 0.5
+        powers = logarithms * float(np.exp(log_exponent))
+        np.minimum(powers, _MAX_LOG_POWER, out=powers)
         np.exp(powers, out=powers)
         shape = np.negative(powers)
         np.exp(shape, out=shape)
@@ -173,52 +181,55 @@ class Block:
         whitened = self._whitened(shape)
         products = np.array(
             [
-                np.vdot(shape, whitened),
-                np.vdot(shape, self.whitened_offset),
-                np.vdot(shape, self.whitened_similarity),
+                _dot(shape, whitened),
+                _dot(shape, self.whitened_offset),
+                _dot(shape, self.whitened_similarity),
                 *self._fixed_products,
             ]
         )
-        return BlockTerms(products, shape, whitened, distances, logarithms, powers)
+        return BlockTerms(products, shape, whitened, squares, logarithms, powers)
 
     def gradient(
         self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float, offset: float
     ) -> tuple[float, Matrix, float]:
-        """Return the priors, and the gradient by the positions and by the log exponent."""
+        """Return the value, and the gradient by the positions and by the log exponent."""
+        residual = amplitude * terms.shape
+        residual += offset * self._offset
+        residual -= self._similarity
         slope = amplitude * terms.whitened_shape
         slope += offset * self.whitened_offset
         slope -= self.whitened_similarity
+        # The sum over residuals cancels less than that over the products of their terms.
+        value = _dot(residual, slope) / 2
         slope *= -amplitude * exponent
         slope *= terms.shape
         slope *= terms.powers
-        by_exponent = float(np.vdot(slope, terms.logarithms))
-        value, slope_of_priors = self._priors(terms)
+        by_exponent = _dot(slope, terms.logarithms)
         # Divided by the distance twice: in the derivatives of the distance and of its power.
-        force = slope
-        force /= terms.distances
-        force += slope_of_priors
-        force /= terms.distances
-        np.fill_diagonal(force, 0.0)
-        points = positions[self.sensors]
+        slope /= terms.squares
+        priors, slope_of_priors = self._priors(terms)
+        slope += slope_of_priors
+        np.fill_diagonal(slope, 0.0)
+        force, points = slope.astype(np.float64, copy=False), positions[self.sensors]
         by_positions = 2 * (force.sum(axis=1)[:, None] * points - force @ points)
-        return value, by_positions, by_exponent
+        return value + priors, by_positions, by_exponent
 
     def curvature(
         self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float
     ) -> BlockCurvature:
         """Return the products of the derivatives of the residuals, and curvatures of the priors."""
-        points, weights = positions[self.sensors], self._multiplied
+        points, weights = positions[self.sensors], self._whitening
         n_axes = points.shape[1]
-        slope = -amplitude * exponent * terms.shape * terms.powers / terms.distances**2
-        apart = [np.subtract.outer(axis, axis) for axis in points.T]
-        derivatives = [(slope * axis).astype(weights.dtype) for axis in apart]
+        slope = -amplitude * exponent * terms.shape * terms.powers / terms.squares
+        apart = [np.subtract.outer(axis, axis).astype(weights.dtype) for axis in points.T]
+        derivatives = [slope * axis for axis in apart]
         products = [derivative @ weights for derivative in derivatives]
         options = self._options
         # The second derivative of the repulsion is taken along the line between two sensors only,
         # where it is positive; likewise the mean ratio of distances is taken as constant.
         radial = 2 * options.prior_weight * self._inverse_metric**2
-        radial += options.repulsion / terms.distances**2
-        radial *= 2 * self._noise / terms.distances**2
+        radial += options.repulsion / terms.squares
+        radial *= 2 * self._noise / terms.squares
         np.fill_diagonal(radial, 0.0)
         coordinates = {}
         for p in range(n_axes):
@@ -235,28 +246,38 @@ class Block:
         others = (terms.shape, self._offset, by_exponent)
         whitened = (terms.whitened_shape, self.whitened_offset, self._whitened(by_exponent))
         cross = np.array([[2 * (d * w).sum(axis=1) for d in derivatives] for w in whitened])
-        linear = np.array([[np.vdot(one, other) for other in whitened] for one in others])
+        linear = np.array([[_dot(one, other) for other in whitened] for one in others])
         return BlockCurvature(coordinates, cross, linear)
 
     def _priors(self, terms: BlockTerms) -> tuple[float, Matrix]:
+        """Return the priors, and their derivatives by the distances, over the distances."""
         options = self._options
-        deviations = terms.distances * self._inverse_metric
+        distances = np.sqrt(terms.squares)
+        deviations = distances * self._inverse_metric
         n_sensors = len(deviations)
-        deviations -= deviations.sum() / (n_sensors * (n_sensors - 1))
+        deviations -= _sum(deviations) / (n_sensors * (n_sensors - 1))
         np.fill_diagonal(deviations, 0.0)
-        value = options.prior_weight * np.vdot(deviations, deviations) - options.repulsion * np.sum(
-            terms.logarithms
-        )
+        value = options.prior_weight * _dot(deviations, deviations)
+        value -= options.repulsion * _sum(terms.logarithms)
         slope = deviations
-        slope *= 2 * options.prior_weight
+        slope *= 2 * options.prior_weight * self._noise
         slope *= self._inverse_metric
-        slope -= options.repulsion / terms.distances
-        slope *= self._noise
-        return float(self._noise * value), slope
+        slope /= distances
+        slope -= options.repulsion * self._noise / terms.squares
+        return self._noise * value, slope
 
     def _whitened(self, matrix: Matrix) -> Matrix:
-        weights = self._multiplied
-        return np.asarray(weights @ matrix.astype(weights.dtype) @ weights, dtype=np.float64)
+        return np.asarray(self._whitening @ matrix @ self._whitening)
+
+
+def _sum(matrix: Matrix) -> float:
+    """Sum all elements; rows in their own precision, which numpy adds pairwise."""
+    return float(matrix.sum(axis=1).sum(dtype=np.float64))
+
+
+def _dot(first: Matrix, second: Matrix) -> float:
+    """Sum the products of the elements of two matrices, as `_sum` does."""
+    return _sum(first * second)
 
 
 def objective(
@@ -285,25 +306,18 @@ def objective(
     terms = map_blocks(lambda block: block.terms(positions, log_exponent), blocks)
     products = np.sum([term.products for term in terms], axis=0)
     amplitude, offset = solve_amplitude_and_offset(products)
-    ee, eo, es, oo, os, ss = products
-    value = (
-        amplitude**2 * ee
-        + offset**2 * oo
-        + ss
-        + 2 * (amplitude * offset * eo - amplitude * es - offset * os)
-    ) / 2
     exponent = float(np.exp(log_exponent))
     slopes = map_blocks(
         lambda pair: pair[0].gradient(pair[1], positions, exponent, amplitude, offset),
         zip(blocks, terms, strict=True),
     )
+    value, by_exponent = 0.0, 0.0
     by_positions = np.zeros_like(positions)
-    by_exponent = 0.0
-    for block, (priors, by_position, by_log_exponent) in zip(blocks, slopes, strict=True):
-        value += priors
+    for block, (part, by_position, by_log_exponent) in zip(blocks, slopes, strict=True):
+        value += part
         by_positions[block.sensors] += by_position
         by_exponent += by_log_exponent
-    return float(value), np.append(by_positions.ravel(), by_exponent)
+    return value, np.append(by_positions.ravel(), by_exponent)
 
 
 def solve_amplitude_and_offset(products: Matrix) -> tuple[float, float]:
