@@ -195,6 +195,7 @@ def _uncertainty(
                 positions,
                 sensor_map.method,
                 partial(part.contacts_from, options=options or MethodOptions()),
+                fitted=None if part.refinement is None else part.refinement.covariogram,
                 options=options,
                 rng=generator,
                 progress=_part_of(report, done, share),

@@ -13,7 +13,7 @@ from anisomap.methods import MethodOptions, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import resampled_contact_agreement
 from anisomap.numerics.contacts.contact_fit import resample_contacts
-from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram
+from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.block_bootstrap import balanced_weights, block_edges
@@ -58,6 +58,7 @@ def resampled_maps(
     method: str,
     contacts_from: Callable[[NDArray[np.float64]], ContactAverage | None],
     *,
+    fitted: Covariogram | None = None,
     options: MethodOptions | None = None,
     rng: np.random.Generator,
     progress: Callable[[float], None] | None = None,
@@ -76,6 +77,8 @@ def resampled_maps(
     contacts_from : callable
         Takes a map of the recording that is not averaged with a fit of contacts, and returns that
         average; None if the map itself is not such an average.
+    fitted : Covariogram, optional
+        The covariogram fit of the map, from which fits then start instead.
     options : MethodOptions, optional
     rng : numpy.random.Generator
     progress : callable, optional
@@ -98,6 +101,8 @@ def resampled_maps(
         resamples, noise = _similarities(pairs, readings, edges, weights), pairs.noise
         made: list[NDArray[np.float64]] = []
         start, exponent, by_paths = positions, 1.0, True
+        if fitted is not None:
+            start, exponent = np.asarray(fitted.positions), fitted.exponent
         for i, resample in enumerate(resamples):
             compared = PairStatistics.from_similarity(
                 resample, noise=noise, statistic=pairs.statistic

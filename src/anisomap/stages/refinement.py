@@ -157,12 +157,15 @@ class Refined:
         Caveats for users.
     contacts : ContactAverage, optional
         The average with a fit of contacts, if the positions are one.
+    covariogram : Covariogram, optional
+        The covariogram fit, from which all further steps started.
     """
 
     positions: Reals
     facts: RefinementFacts = field(default_factory=RefinementFacts)
     notes: tuple[str, ...] = ()
     contacts: ContactAverage | None = None
+    covariogram: Covariogram | None = None
 
 
 def refine_by_covariogram(
@@ -203,7 +206,8 @@ def refine_by_covariogram(
         known=pairs.known,
         options=options,
     )
-    return _beyond_covariogram(pairs, fit, unused, evenly_spaced=evenly_spaced)
+    refined = _beyond_covariogram(pairs, fit, unused, evenly_spaced=evenly_spaced)
+    return replace(refined, covariogram=fit)
 
 
 def _beyond_covariogram(
