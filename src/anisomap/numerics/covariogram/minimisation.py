@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor
 from scipy.linalg.blas import dtrsv, strsv
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 
 from anisomap.numerics.compiled.parallel import MapFunction, serial_map
 from anisomap.numerics.covariogram.curvature import gauss_newton_matrix
@@ -142,7 +142,7 @@ def _unconditioned(
         parameters,
         jac=True,
         method="L-BFGS-B",
-        bounds=[(None, None)] * (parameters.size - 1) + [_log_bounds()],
+        bounds=_bounds(parameters.size, _log_bounds()),
         options={
             "maxiter": options.max_iterations,
             "maxfun": 2 * options.max_iterations + 20,
@@ -170,13 +170,15 @@ class _Search:
 
     def run(self, max_iterations: int) -> Any:
         # The factor is triangular, so that y[-1] is proportional to the log exponent.
-        bounds = [(bound - self._origin[-1]) * self._factor[-1, -1] for bound in _log_bounds()]
+        lowest, highest = (
+            float((bound - self._origin[-1]) * self._factor[-1, -1]) for bound in _log_bounds()
+        )
         return minimize(
             self._value_and_slope,
             np.zeros_like(self._origin),
             jac=True,
             method="L-BFGS-B",
-            bounds=[(None, None)] * (self._origin.size - 1) + [tuple(bounds)],
+            bounds=_bounds(self._origin.size, (lowest, highest)),
             callback=self._check,
             options={
                 "maxiter": max_iterations,
@@ -211,6 +213,13 @@ def _factor(curvature: Matrix) -> Matrix:
     damping = _DAMPING * diagonal + _LEAST_DAMPING * diagonal.mean()
     curvature[np.diag_indices_from(curvature)] += damping
     return np.asarray(cho_factor(curvature, overwrite_a=True, check_finite=False)[0])
+
+
+def _bounds(n_parameters: int, of_last: tuple[float, float]) -> Bounds:
+    """Bound the last parameter only; arrays, since scipy takes milliseconds to convert a list."""
+    lowest, highest = np.full(n_parameters, -np.inf), np.full(n_parameters, np.inf)
+    lowest[-1], highest[-1] = of_last
+    return Bounds(lowest, highest)
 
 
 def _log_bounds() -> tuple[float, float]:

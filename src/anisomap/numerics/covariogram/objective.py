@@ -42,7 +42,7 @@ class CovariogramOptions:
         variance; above 0.
     tolerance : float
         Relative decrease of the objective below which the fit stops, if the next step would also
-        move positions by less than a thousandth; ten times as large with several blocks.
+        move positions by less than a thousandth; 100 times as large with several blocks.
     max_iterations : int
         Maximum number of L-BFGS iterations.
     block : int
@@ -59,7 +59,7 @@ class CovariogramOptions:
     prior_weight: float = 1.0
     repulsion: float = 0.1
     ridge: float = 1.0
-    tolerance: float = 1e-6
+    tolerance: float = 1e-7
     max_iterations: int = 300
     block: int = 500
 
