@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import isotonic_regression
-from scipy.spatial.distance import pdist
+from scipy.spatial.distance import pdist, squareform
 
 _MAX_SENSORS = 1000  # regularly sampled sensors; their 500,000 pairs suffice for one share
 _SIGNIFICANT = 2.0  # standard deviations from which a fitted correlation counts as significant
@@ -49,12 +49,11 @@ def unexplained_share(
     step = -(-len(values) // _MAX_SENSORS)
     values, points = values[::step, ::step], points[::step]
     distances = pdist(points)
-    pairs = np.triu_indices(len(values), 1)
-    correlations = values[pairs].astype(np.float64)
-    if known is not None:
-        among = np.asarray(known)[::step, ::step][pairs]
+    correlations = squareform(values.astype(np.float64), checks=False)
+    if known is not None and not np.all(known):
+        among = squareform(np.asarray(known)[::step, ::step].astype(np.float64), checks=False) > 0
         distances, correlations = distances[among], correlations[among]
-    order = np.argsort(distances, kind="stable")
+    order = np.argsort(distances)
     fitted = np.empty_like(correlations)
     fitted[order] = isotonic_regression(correlations[order], increasing=False).x
     significant = fitted > _SIGNIFICANT * np.sqrt(noise)

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.csgraph import minimum_spanning_tree, shortest_path
+from scipy.sparse.csgraph import shortest_path
 from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
+from anisomap.numerics.graph.connectivity import spanning_tree
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO, partial_correlation
 from anisomap.numerics.graph.metric import minimax_paths
 from anisomap.numerics.precision import Reals
@@ -264,10 +265,9 @@ def _without_detours(
 
 def _maximum_spanning_tree(partial: Reals, similarity: Reals) -> NDArray[np.bool_]:
     # Pairs with positive partial correlation precede all others, which are ordered by similarity.
-    length = np.where(partial > 0, 1 / np.maximum(partial, 1e-9), 1e9 * (2 - similarity))
-    np.fill_diagonal(length, 0)
-    tree = minimum_spanning_tree(length).toarray() > 0
-    return np.asarray(tree | tree.T)
+    return spanning_tree(
+        np.where(partial > 0, 1 / np.maximum(partial, 1e-9), 1e9 * (2 - similarity))
+    )
 
 
 def _checked_positions(positions: ArrayLike, n_sensors: int) -> NDArray[np.float64]:

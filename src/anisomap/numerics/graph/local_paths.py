@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse.csgraph import minimum_spanning_tree
 
-from anisomap.numerics.graph.connectivity import neighbour_graph
+from anisomap.numerics.graph.connectivity import neighbour_graph, spanning_tree
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.precision import Reals
@@ -45,7 +44,7 @@ def local_path_lengths(similarity: ArrayLike, n_neighbours: int = N_NEIGHBOURS) 
     lengths = np.sqrt(-np.log(np.clip(correlation, *_CORRELATIONS)))
     linked = neighbour_graph(correlation, n_neighbours)
     # Weak links are bounded, hence equally long; the tree distinguishes them by the similarity.
-    tree = minimum_spanning_tree(2.0 - correlation).toarray() > 0
-    lengths = np.where(linked | tree | tree.T, lengths, np.inf)
+    linked |= spanning_tree(2.0 - correlation)
+    lengths = np.where(linked, lengths, np.inf)
     np.fill_diagonal(lengths, 0.0)
     return metricise(lengths)
