@@ -143,6 +143,7 @@ class Block:
         inverse = np.divide(1.0, metric, out=np.zeros_like(metric), where=pairs)
         self._inverse_metric = inverse.astype(problem.precision)
         self._noise = problem.noise / 2  # each pair occurs twice in a matrix
+        self._latest: tuple[Matrix, float, BlockTerms] | None = None
 
     @cached_property
     def whitened_similarity(self) -> Matrix:
@@ -165,6 +166,16 @@ class Block:
     def terms(self, positions: Matrix, log_exponent: float) -> BlockTerms:
         """Evaluate the block at positions of all sensors, shape (N, k)."""
         points = positions[self.sensors]
+        # A curvature is followed by a search from the same positions, and the reverse.
+        if self._latest is not None:
+            before, exponent, terms = self._latest
+            if exponent == log_exponent and np.array_equal(before, points):
+                return terms
+        terms = self._evaluate(points, log_exponent)
+        self._latest = points, log_exponent, terms
+        return terms
+
+    def _evaluate(self, points: Matrix, log_exponent: float) -> BlockTerms:
         # Matrices are overwritten where possible: new ones take longer than the arithmetic.
         squares = cdist(points, points, "sqeuclidean")
         np.clip(squares, *_SQUARE_BOUNDS, out=squares)
@@ -267,7 +278,14 @@ class Block:
         return self._noise * value, slope
 
     def _whitened(self, matrix: Matrix) -> Matrix:
-        return np.asarray(self._whitening @ matrix @ self._whitening)
+        """Return W A W for a symmetric matrix A, of which three quarters are computed."""
+        weights, half = self._whitening, len(matrix) // 2
+        product = weights @ matrix
+        whitened = np.empty_like(weights)
+        np.matmul(product[:half], weights, out=whitened[:half])
+        np.matmul(product[half:], weights[:, half:], out=whitened[half:, half:])
+        whitened[half:, :half] = whitened[:half, half:].T
+        return whitened
 
 
 def _sum(matrix: Matrix) -> float:
