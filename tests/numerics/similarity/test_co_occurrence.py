@@ -59,6 +59,16 @@ def test_counts_are_those_of_all_pairs_of_series(counting, codes):
     np.testing.assert_array_equal(co_occurrences(codes, layout, counting), on @ on.T)
 
 
+@given(codes=tables)
+@settings(max_examples=40)
+def test_counts_of_switches_are_those_of_a_product(codes):
+    on = codes > 0
+    layout = Layout.of_switches(on.shape[1])
+    expected = on.T.astype(int) @ on.astype(int)
+    for counting in WAYS:
+        np.testing.assert_array_equal(co_occurrences(on, layout, counting), expected)
+
+
 @pytest.mark.parametrize("counting", WAYS)
 @given(codes=tables, cut=st.floats(0, 1))
 @settings(max_examples=20)

@@ -8,6 +8,7 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 from sklearn.metrics import mutual_info_score
 
+from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
 from anisomap.numerics.similarity.accumulators import CHUNK_FRAMES, Moments
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
@@ -98,6 +99,26 @@ def test_activity_does_not_depend_on_the_direction_of_contact(readings):
     np.testing.assert_array_equal(
         estimate_rest(fallen).active(fallen), estimate_rest(risen).active(risen)
     )
+
+
+@given(
+    seed=st.integers(0, 999),
+    n_frames=st.integers(1, 40),
+    real=st.sampled_from([np.uint8, np.int16, np.float32, np.float64]),
+)
+@settings(max_examples=20)
+def test_rest_of_many_sensors_is_that_of_each(seed, n_frames, real):
+    rng = np.random.default_rng(seed)
+    n_sensors = MIN_COMPILED_ROWS + 3
+    levels = rng.integers(0, 100, (n_frames, n_sensors))
+    touched = rng.random((n_frames, n_sensors)) < rng.choice([0, 0.1, 0.5, 0.9, 1], n_sensors)
+    readings = np.where(touched, levels, rng.choice([0, 50, 100], n_sensors)).astype(real)
+    many = estimate_rest(readings)
+    few = [estimate_rest(part) for part in np.array_split(readings, 2, axis=1)]
+    for name in ("value", "side", "threshold"):
+        expected = np.concatenate([getattr(part, name) for part in few])
+        np.testing.assert_array_equal(getattr(many, name), expected)
+    np.testing.assert_array_equal(many.active(readings), many.depth(readings) > 0)
 
 
 def test_noise_at_rest_is_not_contact():

@@ -54,27 +54,64 @@ def pack_bits(codes: NDArray[Any], position: Ints, bits: Words) -> None:
 
 
 @loop()
+def pack_switches(codes: NDArray[Any], bits: Words) -> None:
+    """Set the bits of series that are on at code 1; the codes of all sensors are 0 or 1.
+
+    `codes` has shape (T, N), `bits` (N, words). Equal to `pack_bits`, but vectorised.
+    """
+    n_frames, n_sensors = codes.shape
+    words = np.empty(n_sensors, np.uint64)
+    for begin in range(0, n_frames, 64):
+        words[:] = 0
+        for frame in range(begin, min(begin + 64, n_frames)):
+            row, place = codes[frame], np.uint64(frame - begin)
+            for sensor in range(n_sensors):
+                words[sensor] |= np.uint64(row[sensor]) << place
+        for sensor in range(n_sensors):
+            bits[sensor, begin // 64] = words[sensor]
+
+
+@loop()
+def count_ones(x: np.uint64) -> np.uint64:
+    """Return the number of bits that are set."""
+    x -= (x >> _ONES) & _PAIRS
+    x = (x & _QUADS) + ((x >> _TWOS) & _QUADS)
+    x = (x + (x >> _FOURS)) & _OCTETS
+    return (x * _BYTES) >> _TOP
+
+
+@loop()
 def count_bits(bits: Words, start: int, stop: int, counts: Counts) -> None:
     """Count frames in which two series are on, from their bits.
 
     `bits` has shape (M, words). `counts`, shape (stop - start, M) and initially zero, is filled
     for the series from `start` to `stop` and all series not before them.
+
+    Two times two series at a time give four counts for four loads. At the end, the last series is
+    repeated, and its count not used.
     """
     n_series, n_words = bits.shape
     for begin in range(0, n_words, WORDS):
         end = min(n_words, begin + WORDS)
-        for q in range(start, n_series):
-            right = bits[q, begin:end]
-            for p in range(start, min(stop, q + 1)):
-                left = bits[p, begin:end]
-                total = np.uint64(0)
+        for q in range(start, n_series, 2):
+            q1 = min(q + 1, n_series - 1)
+            right, right1 = bits[q, begin:end], bits[q1, begin:end]
+            for p in range(start, min(stop, q1 + 1), 2):
+                p1 = min(p + 1, stop - 1)
+                left, left1 = bits[p, begin:end], bits[p1, begin:end]
+                both = both1 = also = also1 = np.uint64(0)
                 for k in range(left.size):
-                    x = left[k] & right[k]
-                    x -= (x >> _ONES) & _PAIRS
-                    x = (x & _QUADS) + ((x >> _TWOS) & _QUADS)
-                    x = (x + (x >> _FOURS)) & _OCTETS
-                    total += (x * _BYTES) >> _TOP
-                counts[p - start, q] += np.uint32(total)
+                    both += count_ones(left[k] & right[k])
+                    both1 += count_ones(left[k] & right1[k])
+                    also += count_ones(left1[k] & right[k])
+                    also1 += count_ones(left1[k] & right1[k])
+                counts[p - start, q] += np.uint32(both)
+                if q1 > q:
+                    counts[p - start, q1] += np.uint32(both1)
+                if p1 > p:
+                    counts[p1 - start, q] += np.uint32(also)
+                    if q1 > q:
+                        counts[p1 - start, q1] += np.uint32(also1)
 
 
 @loop()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from anisomap.numerics.similarity.sparse_products import is_sparse, sparse_comom
 MIN_FAST_PRODUCT_SENSORS = 512
 """Minimum number of sensors for float32 or sparse products; below, they save no time."""
 
+_BLOCK_ROWS = 64  # rows normalised at a time; their intermediate arrays stay in the cache
 _FLOAT32_RANGE = 1e15  # of readings; sums of their squares over frames stay within float32
 
 
@@ -172,14 +173,38 @@ class StoredCodes:
 
 def correlation_of_comoments(comoment: NDArray[np.float64]) -> Reals:
     """Normalise co-moments to correlations; see `Moments.correlation`."""
-    spread = np.sqrt(np.diag(comoment))
+    return correlation_of_blocks(np.diag(comoment), lambda rows: comoment[rows])
+
+
+def correlation_of_blocks(
+    squares: NDArray[Any], comoments: Callable[[slice], NDArray[np.float64]]
+) -> Reals:
+    """Normalise co-moments to correlations, some rows at a time.
+
+    Parameters
+    ----------
+    squares : ndarray of shape (N,)
+        Diagonal of the co-moments.
+    comoments : callable
+        Returns the co-moments of some rows with all sensors, shape (n, N).
+
+    Returns
+    -------
+    ndarray of shape (N, N)
+        See `Moments.correlation`.
+    """
+    n_sensors = len(squares)
+    spread = np.sqrt(squares)
     scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
-    correlation = np.empty(comoment.shape, float_type(len(comoment)))
-    for rows in row_blocks(len(comoment)):
+    correlation = np.empty((n_sensors, n_sensors), float_type(n_sensors))
+    for begin in range(0, n_sensors, _BLOCK_ROWS):
+        rows = slice(begin, begin + _BLOCK_ROWS)
         # Multiplying the scales first rounds (i, j) and (j, i) alike.
         products = np.outer(scale[rows], scale)
-        products *= comoment[rows]
-        np.clip(products, -1, 1, out=correlation[rows], casting="same_kind")
+        products *= comoments(rows)
+        np.maximum(products, -1, out=products)
+        np.minimum(products, 1, out=products)
+        correlation[rows] = products
     np.fill_diagonal(correlation, 1.0)
     return correlation
 

@@ -47,6 +47,7 @@ _CountPanel: TypeAlias = Callable[[int, int, NDArray[np.uint32]], None]
 _PANEL_SERIES = 96  # rows of counts per task, which fit into a second-level cache
 _ENTRY_COST = 12  # time to count one pair of entries, in words of 64 bits; measured
 _WORD = 64
+_SAMPLE_FRAMES = 1000  # frames from which the cheaper way to count is estimated
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +84,13 @@ class Layout:
         numbers = np.arange(n_sensors + 1)
         position = np.column_stack([np.full(n_sensors, -1), numbers[:-1]])
         return cls(np.zeros(n_sensors, dtype=np.intp), position, numbers)
+
+    @property
+    def is_of_switches(self) -> bool:
+        """Whether series i is code 1 of sensor i, as in `of_switches`."""
+        return self.position.shape[1] == 2 and bool(
+            np.array_equal(self.position[:, 1], np.arange(len(self.position)))
+        )
 
     @property
     def n_series(self) -> int:
@@ -272,11 +280,11 @@ def _n_threads() -> int:
 
 def _panel_counter(codes: Codes, layout: Layout, counting: Counting) -> _CountPanel:
     if counting == "auto":
-        on = np.count_nonzero(codes != layout.reference.astype(codes.dtype), axis=1)
+        some = codes[np.linspace(0, len(codes) - 1, min(len(codes), _SAMPLE_FRAMES)).astype(int)]
+        on = np.count_nonzero(some != layout.reference.astype(codes.dtype), axis=1)
+        pairs = len(codes) * float((on.astype(np.float64) ** 2).mean()) if len(codes) else 0.0
         words = -(-len(codes) // _WORD)
-        sparse = _ENTRY_COST * float((on.astype(np.float64) ** 2).sum()) < (
-            float(layout.n_series) ** 2 * words
-        )
+        sparse = _ENTRY_COST * pairs < float(layout.n_series) ** 2 * words
         counting = "entries" if sparse else "bits"
     loops = load_loops("co_occurrence")
     if counting == "entries":
@@ -286,6 +294,9 @@ def _panel_counter(codes: Codes, layout: Layout, counting: Counting) -> _CountPa
 
 def _bits(codes: Codes, layout: Layout) -> NDArray[np.uint64]:
     bits = np.zeros((layout.n_series + 1, -(-len(codes) // _WORD)), dtype=np.uint64)
+    if codes.dtype == np.bool_ and layout.is_of_switches:
+        load_loops("co_occurrence").pack_switches(_as_integers(codes), bits[:-1])
+        return bits[:-1]
     load_loops("co_occurrence").pack_bits(_as_integers(codes), layout.position, bits)
     return bits[:-1]
 

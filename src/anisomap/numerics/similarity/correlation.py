@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.columns import columns, rank_columns
-from anisomap.numerics.precision import Reals, row_blocks
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.similarity.accumulators import (
     MIN_FAST_PRODUCT_SENSORS,
     Moments,
-    correlation_of_comoments,
+    correlation_of_blocks,
 )
 from anisomap.numerics.similarity.co_occurrence import Counts, Layout, co_occurrences
 from anisomap.numerics.similarity.rest import estimate_rest
@@ -80,10 +80,14 @@ def phi_from_counts(counts: Counts, n_frames: int) -> Reals:
         See `pearson`.
     """
     on = np.diag(counts).astype(np.int64)
-    comoment = np.empty(counts.shape)
-    for rows in row_blocks(len(counts)):
-        comoment[rows] = n_frames * counts[rows].astype(np.int64) - np.outer(on[rows], on)
-    return correlation_of_comoments(comoment)
+
+    def comoments(rows: slice) -> NDArray[np.float64]:
+        products = counts[rows].astype(np.int64)
+        products *= n_frames
+        products -= np.outer(on[rows], on)
+        return products.astype(np.float64)
+
+    return correlation_of_blocks(n_frames * on - on * on, comoments)
 
 
 def squares_overflow(magnitude: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.columns import columns, count_values, rank_columns
+from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops
 
 MIN_REST_SHARE = 0.1
 """Minimum share of the frames at one value for this value to be the rest; chosen by hand."""
@@ -63,6 +64,10 @@ class Rest:
         """Return True for readings that exceed the threshold, shape (T, N)."""
         values = np.asarray(readings)
         active = np.empty(values.shape, dtype=bool)
+        if _is_compiled(values):
+            own = self.value, self.side, self.threshold
+            load_loops("rest").find_active(values, own, active)
+            return active
         for start in range(0, len(values), _CHUNK_FRAMES):
             frames = slice(start, start + _CHUNK_FRAMES)
             active[frames] = self.depth(values[frames]) > 0
@@ -90,7 +95,29 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     deviations to both sides, such as pixels of a camera, have no rest: readings above the median
     count as active.
     """
-    found = map(count_values, columns(np.asarray(readings)))
+    values = np.asarray(readings)
+    if not _is_compiled(values):
+        return _rest_of_readings(values)
+    lowest, counts = values[0].copy(), np.zeros(values.shape[1], np.int64)
+    load_loops("rest").count_lowest(values, lowest, counts)
+    rest = Rest(lowest.astype(np.float64), np.ones(len(lowest)), np.zeros(len(lowest)))
+    # At the lowest reading in most frames: contact raises, and no reading is on the other side.
+    other = np.flatnonzero(2 * counts <= len(values))
+    if len(other):
+        found = _rest_of_readings(values[:, other])
+        rest.value[other], rest.side[other] = found.value, found.side
+        rest.threshold[other] = found.threshold
+    return rest
+
+
+def _is_compiled(readings: NDArray[Any]) -> bool:
+    """Return whether compiled loops are used: for many sensors, and types that they support."""
+    number = readings.dtype.isnative and readings.dtype.char in "bBhHiIlLqQfd"
+    return number and readings.shape[1] >= MIN_COMPILED_ROWS
+
+
+def _rest_of_readings(readings: NDArray[Any]) -> Rest:
+    found = map(count_values, columns(readings))
     return rest_from_counts((values.astype(np.float64), counts) for values, counts in found)
 
 
