@@ -40,6 +40,12 @@ def run_map(run):
     return lambda *arguments: run("map", *arguments, "--no-verdict")
 
 
+@pytest.fixture(scope="session")
+def flat_map():
+    """Map the flat skin once, for commands that start from a map."""
+    return anisomap.reconstruct(flat_skin(), dimensions=2)
+
+
 @pytest.fixture
 def skin_csv(tmp_path):
     """A healthy flat skin as CSV."""

@@ -8,8 +8,8 @@ from anisomap.placement import median_spacing
 
 
 @pytest.fixture
-def map_csv(run, skin_npz, tmp_path):
-    assert run("map", skin_npz, "-d", "2", "-o", "map.csv", "--permutations", "0").code == 0
+def map_csv(flat_map, tmp_path):
+    anisomap.write(flat_map, tmp_path / "map.csv")
     return tmp_path / "map.csv"
 
 

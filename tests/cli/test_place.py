@@ -15,11 +15,11 @@ SPACING = 6.0  # mm, of the lattice of flat_skin in the frame of the robot
 
 
 @pytest.fixture
-def skin_map(run_map, tmp_path):
+def skin_map(flat_map, tmp_path):
     """A map, and a file with the true positions in the frame of a robot, in mm."""
     recording = flat_skin()
     anisomap.write(recording, tmp_path / "skin.npz")
-    assert run_map("skin.npz", "-d", 2, "-o", "map.csv").code == 0
+    anisomap.write(flat_map, tmp_path / "map.csv")
     truth = SPACING * np.asarray(recording.positions) @ [[0, 1], [-1, 0]] + [100, 40]
     rows = [f"{n},{x},{y}" for n, (x, y) in zip(recording.names, truth, strict=True)]
     (tmp_path / "truth.csv").write_text("name,x [mm],y [mm]\n" + "\n".join(rows) + "\n")
