@@ -13,7 +13,6 @@ from anisomap.cli import printing, touches
 from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnosis.diagnostics import diagnose
-from anisomap.drawing import figures, report
 from anisomap.errors import InputError
 from anisomap.evaluation import Score, score
 from anisomap.files import check_distinct
@@ -70,8 +69,12 @@ class Outputs:
         for path in self.maps:
             io.check_writable(path)
         if self.picture:
+            from anisomap.drawing import figures  # noqa: PLC0415, slow to import
+
             figures.check_writable(self.picture)
         if self.report:
+            from anisomap.drawing import report  # noqa: PLC0415, slow to import
+
             report.check_writable(self.report)
 
 
@@ -273,23 +276,37 @@ def write_outputs(
         for path in outputs.maps:
             files = outputs.placing.write(sensor_map, path, outputs.inputs)
             written += [("map", file) for file in files]
-        figure = (
-            figures.map_figure(sensor_map, result) if outputs.picture or outputs.report else None
+        if outputs.picture or outputs.report:
+            written += _draw(outputs, sensor_map, result, examined, coverage)
+    return written
+
+
+def _draw(
+    outputs: Outputs,
+    sensor_map: SensorMap,
+    result: Score | None,
+    examined: Examined | None,
+    coverage: TouchCoverage | None,
+) -> list[tuple[str, Path]]:
+    """Write the picture and the report; return them, each with its kind."""
+    from anisomap.drawing import figures, report  # noqa: PLC0415, slow to import
+
+    written: list[tuple[str, Path]] = []
+    figure = figures.map_figure(sensor_map, result)
+    if outputs.picture:
+        figures.save_figure(figure, outputs.picture)
+        written.append(("picture", outputs.picture))
+    if outputs.report:
+        report.write_report(
+            outputs.report,
+            sensor_map,
+            score=result,
+            health=() if examined is None else examined.health,
+            summary=None if examined is None else examined.summary,
+            figure_png=figures.figure_bytes(figure),
+            touches=None
+            if examined is None
+            else touches.section(sensor_map, examined.recording, examined.health, coverage),
         )
-        if outputs.picture and figure is not None:
-            figures.save_figure(figure, outputs.picture)
-            written.append(("picture", outputs.picture))
-        if outputs.report and figure is not None:
-            report.write_report(
-                outputs.report,
-                sensor_map,
-                score=result,
-                health=() if examined is None else examined.health,
-                summary=None if examined is None else examined.summary,
-                figure_png=figures.figure_bytes(figure),
-                touches=None
-                if examined is None
-                else touches.section(sensor_map, examined.recording, examined.health, coverage),
-            )
-            written.append(("report", outputs.report))
+        written.append(("report", outputs.report))
     return written

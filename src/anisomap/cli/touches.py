@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from anisomap.cli.console import Printer
-from anisomap.drawing import figures, report
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, TouchCoverage, touch_coverage
 from anisomap.health.touch_coverage import ENOUGH_CONTACTS
@@ -16,6 +16,9 @@ from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.wording import join_items
+
+if TYPE_CHECKING:
+    from anisomap.drawing import report
 
 _MAX_QUICK = 1000  # sensors of which `anisomap info` makes a quick map, in about a second
 _PLACES_TOLD = 3
@@ -74,6 +77,8 @@ def section(
     if coverage is None:
         return None
     doubted = [sensor for sensor in health if sensor.status != "ok"]
+    from anisomap.drawing import figures, report  # noqa: PLC0415, slow to import
+
     series = figures.series_figure(recording, doubted) if doubted else None
     return report.Touches(
         touch_facts(coverage, sensor_map.names),

@@ -18,7 +18,7 @@ _N_NEAREST = 4  # most similar sensors that are checked for the same contact; ch
 _MIN_CLEAR_R = 0.6  # sensors with a higher r are never tested for isolation; chosen by hand
 _N_SHIFTS = 19  # an unrelated sensor exceeds all of them with probability 1/20
 _MIN_AUTOCORRELATION = 0.05  # at lag 2, for the noise share to use it; chosen by hand
-_BLOCK_READINGS = 1 << 24  # readings processed at a time, as float64
+_BLOCK_READINGS = 1 << 20  # readings processed at a time, as float64: 8 MB
 _MAX_ALL_PAIRS = 4096  # sensors; more would need a large matrix of pairs
 
 
@@ -205,27 +205,29 @@ def _match_after_shifts(
     if not suspects.size or n_frames < 2 * _N_SHIFTS:
         return highest
     others = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_ALL_PAIRS)).astype(int))
-    standard = _standardised(readings[:, others], np.float64)
+    standard = _standardised(readings[:, others])
     for start in range(0, suspects.size, _MAX_ALL_PAIRS):
         part = suspects[start : start + _MAX_ALL_PAIRS]
-        mine = _standardised(readings[:, part], np.float64)
+        every = others.size == n_sensors
+        mine = standard[:, part] if every else _standardised(readings[:, part])
+        itself = part[:, None] == others
         for step in range(1, _N_SHIFTS + 1):
-            shifted = np.roll(mine, step * n_frames // (_N_SHIFTS + 1), axis=0)
-            correlation = shifted.T @ standard
-            correlation[part[:, None] == others] = -1
+            shift = step * n_frames // (_N_SHIFTS + 1)
+            correlation = mine[:-shift].T @ standard[shift:]
+            correlation += mine[-shift:].T @ standard[:shift]
+            correlation[itself] = -1
             highest[part] = np.maximum(highest[part], correlation.max(axis=1))
     return highest
 
 
-def _standardised(
-    readings: NDArray[np.floating], dtype: type[np.floating] = np.float32
-) -> NDArray[np.floating]:
+def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
     """Scale every sensor to mean 0 and norm 1."""
     width = max(1, _BLOCK_READINGS // len(readings))
-    standard = np.empty(readings.shape, dtype=dtype)
+    standard = np.empty(readings.shape, dtype=np.float32)
     for start in range(0, readings.shape[1], width):
         block = readings[:, start : start + width].astype(np.float64)
         block -= block.mean(axis=0)
-        block /= np.abs(block).max(axis=0)
-        standard[:, start : start + width] = block / np.linalg.norm(block, axis=0)
+        block /= np.maximum(block.max(axis=0), -block.min(axis=0))
+        block /= np.sqrt(np.einsum("ti,ti->i", block, block))
+        standard[:, start : start + width] = block
     return standard

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ _ROUNDING = 1e-5  # share of the range of a sensor, about 100 steps of float32
 _MIN_POWER = (
     2.0  # limits by which a tenth of the pairs may fail at least; simulated and real: 3 to 9
 )
+_HELD_READINGS = 1 << 23  # of which the scaled readings are held in memory, 64 MB
 _MIN_LEVELS = 32  # distinct values of noise
 _NOISIER, _LEAST_NOISE = 2.0, 0.003  # by which copies are noisier than their source
 _MIN_SOUND = 10  # sensors from which it is seen whether channels follow the skin
@@ -190,8 +192,10 @@ class _Excerpt:
 def _identical(readings: NDArray[Any], pairs: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
     """Yield pairs that agree in all frames, up to gain and offset, and change often enough."""
     shares, agreeing = [], []
+    held = max(2, _HELD_READINGS // len(readings))
+    unit_range = lru_cache(held)(lambda k: _unit_range(readings[:, k]))
     for i, j in pairs:
-        first, second = (_unit_range(readings[:, k]) for k in (i, j))
+        first, second = unit_range(i), unit_range(j)
         changes = np.count_nonzero(np.abs(np.diff(first)) > _ROUNDING)
         disagreements = np.count_nonzero(np.abs(first - second) > _ROUNDING)
         if not disagreements:
