@@ -174,10 +174,12 @@ class MapParts:
         )
         recipe = replace(METHODS[DEFAULT_METHOD], refine=refine)
         # The half that begins with the first frame is the first.
-        pairs = part.pairs.of_half(int(frames[0] > 0))
-        if len(pairs.similarity) < max(options.min_sensors, self._map.dimensions):
+        half = part.pairs.of_half(int(frames[0] > 0))
+        varying = np.ptp(np.asarray(half.readings), axis=0) > 0
+        if np.count_nonzero(varying) < max(options.min_sensors, self._map.dimensions):
             raise InputError("too few sensors vary in a half of the recording")
         positions = np.full(part.positions.shape, np.nan)
-        varying = np.ptp(part.readings[frames], axis=0) > 0
-        positions[varying] = configure_pairs(pairs, recipe, self._map.dimensions, options).positions
+        positions[varying] = configure_pairs(
+            half.select(varying), recipe, self._map.dimensions, options
+        ).positions
         return positions

@@ -54,7 +54,7 @@ def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]
     range are counted in a table, and otherwise only readings that differ from a frequent value
     are sorted.
     """
-    whole = _whole_numbers(column)
+    whole = whole_numbers(column)
     if whole is not None:
         codes, lowest = whole
         table = np.bincount(codes)
@@ -89,7 +89,7 @@ def mean_ranks(column: NDArray[Any]) -> NDArray[np.float64]:
     -----
     Equal to ``scipy.stats.rankdata(column)``, but faster, as `count_values`.
     """
-    whole = _whole_numbers(column)
+    whole = whole_numbers(column)
     if whole is not None:
         table = np.bincount(whole[0])
         # Ranks of a value are those after all lower values; ties share the mean.
@@ -120,17 +120,32 @@ def rank_columns(sensors: Iterable[NDArray[Any]], shape: tuple[int, ...]) -> NDA
     -------
     ndarray of shape (T, N)
     """
-    ranks = np.empty(shape)
-    ranked = map(mean_ranks, sensors)
+    return join_columns(map(mean_ranks, sensors), shape)
+
+
+def join_columns(sensors: Iterator[NDArray[Any]], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Join columns of shape (T,) to an array of shape (T, N), several at a time, as `columns`."""
+    joined = np.empty(shape)
     for begin in range(0, shape[1], _SENSORS_AT_ONCE):
-        ranks[:, begin : begin + _SENSORS_AT_ONCE] = np.array(
-            list(islice(ranked, _SENSORS_AT_ONCE))
-        ).T
-    return ranks
+        part = np.array(list(islice(sensors, _SENSORS_AT_ONCE)))
+        joined[:, begin : begin + _SENSORS_AT_ONCE] = part.T
+    return joined
 
 
-def _whole_numbers(column: NDArray[Any]) -> tuple[NDArray[np.intp], int] | None:
-    """Return readings less the lowest as indices, and the lowest, if they are few whole numbers."""
+def whole_numbers(column: NDArray[Any]) -> tuple[NDArray[np.intp], int] | None:
+    """Return readings less the lowest as indices, and the lowest, if they are few whole numbers.
+
+    Parameters
+    ----------
+    column : ndarray of shape (T,)
+        Finite readings, T >= 1.
+
+    Returns
+    -------
+    codes : ndarray of int, shape (T,)
+    lowest : int
+        Or None, if some reading is no whole number, or the range is 4,096 or more.
+    """
     if column.dtype.kind == "f":
         sample = column[:: max(1, column.size // _SAMPLE_FRAMES)]
         if not np.array_equal(sample, np.rint(sample)):

@@ -197,7 +197,7 @@ class PairStatistics:
         return found.similarity, *found.halves
 
     def of_half(self, half: int) -> PairStatistics:
-        """Return the statistics of one of two halves of the frames, without constant sensors.
+        """Return the statistics of one of two halves of the frames.
 
         Parameters
         ----------
@@ -234,7 +234,7 @@ class PairStatistics:
             readings=readings,
             blended=blended,
             given_changes=changes[1 + half] if len(changes) > 1 else None,
-        ).select(np.ptp(readings, axis=0) > 0)
+        )
 
     @property
     def weights(self) -> NDArray[np.float64] | None:

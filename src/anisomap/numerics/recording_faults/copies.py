@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ _ROUNDING = 1e-5  # share of the range of a sensor, about 100 steps of float32
 _MIN_POWER = (
     2.0  # limits by which a tenth of the pairs may fail at least; simulated and real: 3 to 9
 )
-_HELD_READINGS = 1 << 23  # of which the scaled readings are held in memory, 64 MB
+_SCREENED = 512  # frames of which the agreement of pairs is examined first; chosen by hand
 _MIN_LEVELS = 32  # distinct values of noise
 _NOISIER, _LEAST_NOISE = 2.0, 0.003  # by which copies are noisier than their source
 _MIN_SOUND = 10  # sensors from which it is seen whether channels follow the skin
@@ -191,13 +190,15 @@ class _Excerpt:
 
 def _identical(readings: NDArray[Any], pairs: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
     """Yield pairs that agree in all frames, up to gain and offset, and change often enough."""
+    # Only if some pair agrees, it matters how rarely others disagree.
+    if not any(
+        _disagreements(readings, pair) == 0 for pair in _agreeing_in_excerpt(readings, pairs)
+    ):
+        return
     shares, agreeing = [], []
-    held = max(2, _HELD_READINGS // len(readings))
-    unit_range = lru_cache(held)(lambda k: _unit_range(readings[:, k]))
     for i, j in pairs:
-        first, second = unit_range(i), unit_range(j)
-        changes = np.count_nonzero(np.abs(np.diff(first)) > _ROUNDING)
-        disagreements = np.count_nonzero(np.abs(first - second) > _ROUNDING)
+        disagreements = _disagreements(readings, (i, j))
+        changes = np.count_nonzero(np.abs(np.diff(_unit_range(readings[:, i]))) > _ROUNDING)
         if not disagreements:
             agreeing.append((i, j, changes))
         elif changes >= _MIN_CHANGES:
@@ -207,6 +208,26 @@ def _identical(readings: NDArray[Any], pairs: list[tuple[int, int]]) -> Iterator
     for i, j, changes in agreeing:
         if changes >= max(_MIN_CHANGES, enough):
             yield i, j
+
+
+def _agreeing_in_excerpt(
+    readings: NDArray[Any], pairs: list[tuple[int, int]]
+) -> Iterator[tuple[int, int]]:
+    """Yield pairs that agree in evenly spaced frames, up to gain and offset."""
+    lowest, highest = (
+        np.asarray(f(axis=0), dtype=np.float64) for f in (readings.min, readings.max)
+    )
+    extent = np.where(highest > lowest, highest - lowest, 1)
+    some = (readings[:: -(-len(readings) // _SCREENED)] - lowest) / extent
+    for i, j in pairs:
+        if (np.abs(some[:, i] - some[:, j]) <= _ROUNDING).all():
+            yield i, j
+
+
+def _disagreements(readings: NDArray[Any], pair: tuple[int, int]) -> int:
+    """Count the frames in which two sensors disagree, up to gain and offset."""
+    first, second = (_unit_range(readings[:, i]) for i in pair)
+    return int(np.count_nonzero(np.abs(first - second) > _ROUNDING))
 
 
 def _noisy(

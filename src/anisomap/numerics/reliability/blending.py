@@ -13,7 +13,7 @@ from anisomap.numerics.reliability.split_half import (
     SplitCorrelation,
     correlation_and_reliability,
 )
-from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.numerics.similarity.rest import ranks_of_depths
 
 # Tuned on simulated skins, seeds 101-105; 3 to 10 in place of 5 give about equal maps.
 _POWER_OF_RELIABILITY = 5.0
@@ -86,7 +86,7 @@ def split_blend(readings: ArrayLike, *, halves: bool = False) -> SplitBlend:
     SplitBlend
     """
     values = np.asarray(readings)
-    ranks = estimate_rest(values).depth_ranks(values)
+    ranks = ranks_of_depths(values)
     halves = halves and values.shape[1] <= _MAX_SENSORS_OF_HALVES
     linear, by_rank = (correlation_and_reliability(one, halves=halves) for one in (values, ranks))
     parts = zip((linear, *linear.halves), (by_rank, *by_rank.halves), strict=True)

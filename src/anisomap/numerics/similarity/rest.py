@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.columns import columns, count_values, rank_columns
+from anisomap.numerics.columns import (
+    columns,
+    count_values,
+    join_columns,
+    mean_ranks,
+    rank_columns,
+    whole_numbers,
+)
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops
 
 MIN_REST_SHARE = 0.1
@@ -119,6 +126,44 @@ def _is_compiled(readings: NDArray[Any]) -> bool:
 def _rest_of_readings(readings: NDArray[Any]) -> Rest:
     found = map(count_values, columns(readings))
     return rest_from_counts((values.astype(np.float64), counts) for values, counts in found)
+
+
+def ranks_of_depths(readings: ArrayLike) -> NDArray[np.float64]:
+    """Rank the readings of each sensor by their depth beyond rest.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings.
+
+    Returns
+    -------
+    ndarray of shape (T, N)
+        ``estimate_rest(readings).depth_ranks(readings)``. Whole numbers are counted and ranked at
+        once.
+    """
+    values = np.asarray(readings)
+    return join_columns(map(_depths_by_rank, columns(values)), values.shape)
+
+
+def _depths_by_rank(column: NDArray[Any]) -> NDArray[np.float64]:
+    """Rank the readings of one sensor, shape (T,), by their depth."""
+    whole = whole_numbers(column)
+    if whole is None:
+        values, counts = count_values(column)
+        value, side, threshold = _rest_of(values.astype(np.float64), counts)
+        beyond = side * (column.astype(np.float64) - value) - threshold
+        return mean_ranks(np.maximum(beyond, 0))
+    codes, lowest = whole
+    counts = np.bincount(codes)
+    present = counts.nonzero()[0]
+    numbers = (present + lowest).astype(np.float64)
+    value, side, threshold = _rest_of(numbers, counts[present])
+    depths = np.maximum(side * (np.arange(counts.size) + float(lowest) - value) - threshold, 0)
+    level = np.unique(depths, return_inverse=True)[1]
+    frames = np.bincount(level, weights=counts)
+    # The rank of a depth follows all lower ones; ties share their mean.
+    return np.asarray((np.cumsum(frames) - (frames - 1) / 2)[level][codes])
 
 
 def rest_from_counts(
