@@ -24,6 +24,9 @@ reached 610, and continuous readings 13.
 FREE_BYTES = 1 << 27
 """Content up to this size is accepted at any ratio: a skin that nothing touches compresses well."""
 
+DEFLATE_RATIO = 1032
+"""Largest ratio of content to its compressed size by deflate: 258 bytes per 2 bits (RFC 1951)."""
+
 SENSOR_BYTES = 160
 """Memory per sensor beside its readings: name (64), its place in two tuples and a set (60), and
 position (24)."""

@@ -242,7 +242,7 @@ class TestMatlab:
         monkeypatch.setattr("anisomap.budget.FREE_BYTES", 1 << 20)
         path = saved(big=self.cells([np.zeros((1, 4_000_000))]))
         assert path.stat().st_size < 1 << 20
-        with pytest.raises(FileError, match=r"touch\.mat: its variables expands to"):
+        with pytest.raises(FileError, match=r"touch\.mat: its content expands to"):
             io.read(path)
 
 

@@ -30,6 +30,9 @@ from rich.text import Text
 from anisomap.errors import MAX_CHARACTERS, FileError
 from anisomap.wording import printable, shortened
 
+MAX_SHOWN = 50
+"""Rows of a table, and names in a line; with --json, all are printed. Chosen by hand."""
+
 _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
 

@@ -28,13 +28,12 @@ from anisomap.io.parsing.comments import to_python_scalar
 from anisomap.io.parsing.frames import increasing_times
 from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.stream import Block, ReadOptions, Stream
+from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import ERRORS, Verdict
 
 _MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
-_BLOCK_BYTES = 1 << 22
 _RECORDING_KEYS = {
     *("readings", "positions", "normals", "surface_distances"),
     *("names", "times", "rate_hz", "units", "source", "metadata"),
@@ -86,7 +85,7 @@ def _blocks(
     if times is not None and len(times) != shape[0]:
         raise FileError(f"{archive.path}: times must have shape ({shape[0]},), got {times.shape}")
     stop = 0
-    for rows in archive.rows("readings", NUMBERS, _BLOCK_BYTES):
+    for rows in archive.rows("readings", NUMBERS, BLOCK_BYTES):
         start, stop = stop, stop + len(rows)
         yield Block(rows, stop / shape[0], None if times is None else times[start:stop])
 

@@ -23,6 +23,10 @@ from anisomap.recording import Recording, Scalar
 BLOCK_FRAMES = 8192
 """Default number of frames per block of `open_stream`."""
 
+BLOCK_BYTES = 1 << 22
+"""Size of the blocks in which readers hand on readings, of at least one frame: small for any
+memory, and large enough that the work of a block does not count."""
+
 _GROWTH = 0.25
 _MIN_REPORTED_LOSS = 0.005
 

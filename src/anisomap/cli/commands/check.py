@@ -12,20 +12,18 @@ from cyclopts.validators import Number
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, printing
-from anisomap.cli.console import Printer, number, percent, progress
+from anisomap.cli.console import MAX_SHOWN, Printer, number, percent, progress
 from anisomap.drawing import figures
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
 from anisomap.layout import Finding, LayoutCheck, check_layout
 from anisomap.numerics.layout.statistics import N_SHIFTS
 from anisomap.placement import Modules
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import UNSCALED, SensorMap
 from anisomap.wording import join_items
 
 INCONSISTENT = 1
 """Exit code if readings of sensors contradict their positions."""
-
-_MAX_SHOWN = 50
 
 
 def check(
@@ -128,16 +126,16 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
         },
     )
     if found.findings:
-        unit = layout.units or "unit of the layout"
+        unit = "unit of the layout" if layout.units in UNSCALED else layout.units
         printer.table(
             "Findings",
             ("kind", "sensors", f"off by ({unit})", "agreement", "corrected", "chance gains"),
-            [_row(found, finding) for finding in found.findings[:_MAX_SHOWN]],
+            [_row(found, finding) for finding in found.findings[:MAX_SHOWN]],
         )
-        for finding in found.findings[:_MAX_SHOWN]:
+        for finding in found.findings[:MAX_SHOWN]:
             printer.line(f"  {finding.kind}: {finding.explanation}")
-        if len(found.findings) > _MAX_SHOWN:
-            printer.line(f"  ... and {len(found.findings) - _MAX_SHOWN} more findings")
+        if len(found.findings) > MAX_SHOWN:
+            printer.line(f"  ... and {len(found.findings) - MAX_SHOWN} more findings")
     for note in found.notes:
         printer.line(f"  note: {note}")
     printer.record(**_values(found))

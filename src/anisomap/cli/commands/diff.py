@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import printing
-from anisomap.cli.console import Printer, number
+from anisomap.cli.console import MAX_SHOWN, Printer, number
 from anisomap.drawing import figures
 from anisomap.evaluation import Difference, compare_maps
 from anisomap.evaluation.difference import LEVEL
@@ -21,8 +21,6 @@ from anisomap.wording import join_items
 
 DIFFERENT = 1
 """Exit code if the maps differ."""
-
-_MAX_SHOWN = 50
 
 
 def diff(
@@ -94,15 +92,15 @@ def _print(printer: Printer, found: Difference, title: str) -> None:
                     number(found.distance[i] / spacing if spacing else np.nan, 3),
                     number(found.p_values[i], 2),
                 )
-                for i in moved[:_MAX_SHOWN]
+                for i in moved[:MAX_SHOWN]
             ],
         )
-    if moved.size > _MAX_SHOWN:
-        printer.line(f"  ... and {moved.size - _MAX_SHOWN} more")
+    if moved.size > MAX_SHOWN:
+        printer.line(f"  ... and {moved.size - MAX_SHOWN} more")
     names = {kind: [found.names[i] for i in np.flatnonzero(m)] for kind, m in counts.items()}
     for kind in ("appeared", "lost"):
         if names[kind]:
-            printer.line(f"{kind}: {join_items(names[kind], _MAX_SHOWN)}")
+            printer.line(f"{kind}: {join_items(names[kind], MAX_SHOWN)}")
     for note in found.notes:
         printer.line(f"  note: {note}")
     printer.record(

@@ -13,7 +13,7 @@ from cyclopts.validators import Number
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import printing
-from anisomap.cli.console import Printer, number
+from anisomap.cli.console import MAX_SHOWN, Printer, number
 from anisomap.cli.self_touch import NO_SELF_TOUCH, SelfTouchOptions
 from anisomap.drawing import figures
 from anisomap.errors import InputError
@@ -41,7 +41,6 @@ anchors_group = Group("Anchors", sort_key=2)
 modules_group = Group("Modules", sort_key=3)
 touch_group = Group("Self-touch", sort_key=4)
 
-_MAX_SHOWN = 50
 _MM = 1e3  # per metre
 
 
@@ -266,7 +265,7 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
             [
                 (anchor, number(_MM * residual, 3), number(_MM * left_out, 3))
                 for anchor, residual, left_out in zip(
-                    placement.anchors[:_MAX_SHOWN],
+                    placement.anchors[:MAX_SHOWN],
                     placement.residuals.tolist(),
                     placement.left_out_errors.tolist(),
                     strict=False,
@@ -274,7 +273,7 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
             ],
         )
     if placement.left_out:
-        printer.line(f"left out: {join_items(placement.left_out, _MAX_SHOWN)}")
+        printer.line(f"left out: {join_items(placement.left_out, MAX_SHOWN)}")
     for note in placed.notes:
         printer.line(f"  note: {note}")
     printer.record(

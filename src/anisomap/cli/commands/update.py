@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, printing
-from anisomap.cli.console import Printer, number, progress
+from anisomap.cli.console import MAX_SHOWN, Printer, number, progress
 from anisomap.drawing import figures
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
@@ -21,8 +21,6 @@ from anisomap.sensor_map import UNSCALED
 from anisomap.tracking import Update, update_map
 from anisomap.tracking.updating import LEVEL
 from anisomap.wording import join_items
-
-_MAX_SHOWN = 50
 
 
 def update(
@@ -142,13 +140,13 @@ def _print(printer: Printer, found: Update, name: str) -> None:
                     number(changes.distance[i] / changes.spacing, 3),
                     number(changes.p_values[i], 2),
                 )
-                for i in moved[:_MAX_SHOWN]
+                for i in moved[:MAX_SHOWN]
             ],
         )
     lists = {"added": found.added, "not recorded": found.silent, "not placed": found.unplaced}
     for kind, names in lists.items():
         if names:
-            printer.line(f"{kind}: {join_items(names, _MAX_SHOWN)}")
+            printer.line(f"{kind}: {join_items(names, MAX_SHOWN)}")
     for note in found.notes:
         printer.line(f"  note: {note}")
     printer.record(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from anisomap.budget import Budget
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io.parsing.naming import numbers_of
-from anisomap.io.stream import Block, Stream
+from anisomap.io.stream import BLOCK_BYTES, Block, Stream
 from anisomap.recording import Scalar
 
 DEFAULT_BIN_S = 1.0
@@ -31,7 +31,6 @@ _Key = TypeVar("_Key", bound=Hashable)
 _EVENT_BYTES = 64
 """Memory per event: moment, sensor and value (24), and the arrays that sort them by moment."""
 
-_BLOCK_BYTES = 1 << 22
 # Chosen by hand: a recording in which fewer than one bin in a thousand holds an event has a wrong
 # time or bin width. Short recordings may have more empty bins.
 _MAX_BINS_PER_EVENT, _MIN_REFUSED_BINS = 1000, 1 << 16
@@ -275,7 +274,7 @@ def _blocks(
     *,
     counted: bool,
 ) -> Iterator[Block]:
-    step = max(1, _BLOCK_BYTES // (4 * len(events.names)))
+    step = max(1, BLOCK_BYTES // (4 * len(events.names)))
     for first in range(0, n_frames, step):
         last = min(first + step, n_frames)
         inside = slice(*np.searchsorted(frames, [first, last]))

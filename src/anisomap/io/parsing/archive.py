@@ -20,7 +20,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.budget import Budget, bytes_kept
+from anisomap.budget import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.errors import FileError
 from anisomap.recording import Scalar
 from anisomap.wording import join_items
@@ -30,7 +30,6 @@ NUMBERS, WHOLE, TEXT = "biuf", "biu", "US"
 """Accepted values of `numpy.dtype.kind`."""
 _DESCRIPTIONS = {NUMBERS: "numbers", WHOLE: "integers"}
 
-_MAX_RATIO = 1032  # maximum of deflate (RFC 1951: 258 bytes per 2 bits)
 _MAX_SCALAR_BYTES = 1 << 16
 _MAX_TEXT_BYTES = 1 << 24
 """Of one text; numpy stores all texts of an array at the length of the longest."""
@@ -252,6 +251,6 @@ class Archive:
             raise FileError(
                 f"{self.path}: {info.filename} uses a compression method that NumPy never writes"
             )
-        ratio = 1 if info.compress_type == zipfile.ZIP_STORED else _MAX_RATIO
+        ratio = 1 if info.compress_type == zipfile.ZIP_STORED else DEFLATE_RATIO
         packed = min(info.compress_size, self.budget.size)
         self.budget.check(info.file_size, info.filename, reachable=ratio * packed)

@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from anisomap.budget import Budget
+from anisomap.budget import DEFLATE_RATIO, Budget
 from anisomap.errors import FileError
 from anisomap.files import open_regular
 from anisomap.io.parsing.source import quote
@@ -30,7 +30,6 @@ _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE = 1, 2, 3, 4, 5
 # Bytes per value of the classes of numbers.
 _ITEM_BYTES = {6: 8, 7: 4, 8: 1, 9: 1, 10: 2, 11: 2, 12: 4, 13: 4, 14: 8, 15: 8}
 _COMPLEX = 1 << 11
-_MAX_RATIO = 1032  # of deflate
 _MIN_DIMENSIONS = 2  # of every array of MATLAB
 _MAX_DEPTH = 100  # of cells within cells; scipy recurses, too
 _MAX_PARTS = 1 << 20  # of one cell array or structure
@@ -109,7 +108,7 @@ def check_sizes(path: Path, budget: Budget) -> None:
         with suppress(_EndError):
             kind, lengths, name = matrix.header()
             n_bytes = math.prod(max(0, n) for n in lengths) * _ITEM_BYTES.get(kind & 0xFF, 0)
-            budget.check(n_bytes, f"variable {quote(name)}", reachable=_MAX_RATIO * budget.size)
+            budget.check(n_bytes, f"variable {quote(name)}", reachable=DEFLATE_RATIO * budget.size)
 
 
 def check_variable(path: Path, name: str) -> None:

@@ -35,14 +35,14 @@ from anisomap.io.parsing.source import quote
 from anisomap.io.recordings.arrow_messages import is_last, unpacked_size
 from anisomap.io.recordings.parquet_pages import column_chunks
 from anisomap.io.recordings.parquet_pages import unpacked_size as page_bytes
-from anisomap.io.stream import Block, ReadOptions, Stream, salvage
+from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
 EXTRA = "parquet"
 
 _PARQUET, _FEATHER, _IPC_STREAM = b"PAR1", b"ARROW1\0\0", b"\xff\xff\xff\xff"
 _STREAM_SUFFIXES = (".arrow", ".arrows", ".ipc", ".feather")
-_BATCH_BYTES, _MAX_ROWS = 1 << 22, 8192
+_MAX_ROWS = 8192
 _PAGES_RATIO = 4  # of pages to readings: those of small integers are twice as large, with levels
 _EPISODE = "episode_index"
 _ALL_COLUMNS = "columns"
@@ -120,7 +120,7 @@ def _of_parquet(
     def batches(names: Sequence[str]) -> _Batches:
         n_bytes = _declared_size(path, stream, file, names)
         total = max(file.metadata.num_rows, 1)
-        rows = max(1, min(_MAX_ROWS, _BATCH_BYTES * total // max(n_bytes, 1)))
+        rows = max(1, min(_MAX_ROWS, BLOCK_BYTES * total // max(n_bytes, 1)))
         done = 0
         for batch in file.iter_batches(batch_size=rows, columns=list(names)):
             done += batch.num_rows
@@ -153,7 +153,7 @@ def _declared_size(path: Path, stream: BufferedReader, file: Any, names: Sequenc
 def _of_arrow(
     path: Path, stream: BufferedReader, reader: Any
 ) -> Callable[[Sequence[str]], _Batches]:
-    """Read all batches once, split to about `_BATCH_BYTES`."""
+    """Read all batches once, split to about `BLOCK_BYTES`."""
 
     def batches(names: Sequence[str]) -> _Batches:
         budget = Budget(path)
@@ -167,7 +167,7 @@ def _of_arrow(
             batch.validate(full=True)
             fraction = 1.0 if is_last(stream) else stream.tell() / size
             kept = batch.select(list(names))
-            rows = max(1, min(_MAX_ROWS, _BATCH_BYTES * batch.num_rows // max(kept.nbytes, 1)))
+            rows = max(1, min(_MAX_ROWS, BLOCK_BYTES * batch.num_rows // max(kept.nbytes, 1)))
             for start in range(0, batch.num_rows, rows):
                 yield kept.slice(start, rows), fraction
 

@@ -19,7 +19,7 @@ from anisomap.io.events.spike_trains import SpikeTrains, find_spike_trains, stre
 from anisomap.io.parsing.columns import is_time, units_per_second
 from anisomap.io.parsing.frames import increasing_times
 from anisomap.io.parsing.libraries import library_errors
-from anisomap.io.stream import Block, ReadOptions, Stream, salvage
+from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 
 _NUMBERS, _TEXT, _VARIABLE_LENGTH = "biuf", "SU", "O"
@@ -27,7 +27,6 @@ _MICROMETRES = "epos"  # positions in the retinal wave repository, which defines
 _SPAN = "recordingtime"
 _POSITIONS = {"positions", "position", "xyz", "coordinates", "taxel_positions", _MICROMETRES}
 _RATES = {"rate_hz", "fs", "sample_rate", "sampling_rate"}
-_BLOCK_BYTES = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -188,7 +187,7 @@ def _is_time_vector(dataset: Dataset) -> bool:
 
 def _blocks(path: Path, dataset: Dataset, times: NDArray[np.float64] | None) -> Iterator[Block]:
     n_frames, frame = dataset.shape[0], dataset.shape[1:]
-    step = max(1, _BLOCK_BYTES // (8 * math.prod(frame)))
+    step = max(1, BLOCK_BYTES // (8 * math.prod(frame)))
     step = -(-step // dataset.frames_at_once) * dataset.frames_at_once
     for start in range(0, n_frames, step):
         stop = min(start + step, n_frames)

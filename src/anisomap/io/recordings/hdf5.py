@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.budget import Budget, bytes_kept
+from anisomap.budget import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.errors import FileError
 from anisomap.extras import import_extra
 from anisomap.files import check_regular
@@ -31,7 +31,7 @@ _DECLARING = {_N_BIT, _SCALE_OFFSET}  # filters that unpack as many values as th
 _COMPRESSING = {_DEFLATE, _LZF, _SZIP, *_DECLARING}
 _CHECKSUM, _CHECKSUM_BYTES = 3, 4  # Fletcher's, after each chunk
 _STEP = 1 << 20
-_MAX_RATIO, _HEADERS = 1032, 1 << 12
+_HEADERS = 1 << 12
 _MAX_DATASETS = 1000
 
 
@@ -133,7 +133,7 @@ def _check_size(path: Path, item: Any, name: str) -> None:
         raise OSError(f"dataset {name} is stored in other files, which are not opened")
     budget = Budget(path)
     packed = min(item.id.get_storage_size(), budget.size) + _HEADERS
-    budget.check(item.nbytes, f"dataset {name}", reachable=_MAX_RATIO * packed)
+    budget.check(item.nbytes, f"dataset {name}", reachable=DEFLATE_RATIO * packed)
 
 
 def _check_chunks(path: Path, item: Any, name: str) -> None:
@@ -201,7 +201,7 @@ def _szip_size(packed: bytes, limit: int) -> int:
 # How far each compression can expand, and the function that finds how far a chunk does. A
 # reference of LZF has 3 bytes and unpacks to 264; SZIP has no limit.
 _SIZES: Mapping[int, tuple[float, Callable[[bytes, int], int]]] = {
-    _DEFLATE: (_MAX_RATIO, _deflated_size),
+    _DEFLATE: (DEFLATE_RATIO, _deflated_size),
     _LZF: (88, _lzf_size),
     _SZIP: (math.inf, _szip_size),
 }

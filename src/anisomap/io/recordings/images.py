@@ -12,21 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.budget import Budget, bytes_kept
+from anisomap.budget import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.errors import FileError
 from anisomap.extras import import_extra
 from anisomap.files import check_regular, without_log
 from anisomap.io.parsing.grids import grid_names, grid_positions
 from anisomap.io.parsing.libraries import library_errors
-from anisomap.io.stream import Block, ReadOptions, Stream, salvage
+from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
 
 EXTRA = "images"
 
 _MAGICS = (b"GIF87a", b"GIF89a", b"II*\0", b"MM\0*")
 _SUFFIXES = {".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg"}
 _GREY_MODES = {"L", "I", "F", "I;16", "I;16B"}
-_MAX_RATIO = 1032
-_BLOCK_BYTES = 1 << 22
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -77,7 +75,7 @@ def _stream(path: Path, count: int, read: Callable[[int], NDArray[Any]]) -> Stre
 def _blocks(
     path: Path, count: int, read: Callable[[int], NDArray[Any]], shape: tuple[int, int]
 ) -> Iterator[Block]:
-    at_once = max(1, _BLOCK_BYTES // (4 * shape[0] * shape[1]))
+    at_once = max(1, BLOCK_BYTES // (4 * shape[0] * shape[1]))
     pixels: list[NDArray[Any]] = []
     for i in range(count):
         try:
@@ -127,7 +125,7 @@ def _page(path: Path, image: Any, page: int) -> NDArray[Any]:
         image.seek(page)
         # Four bytes per pixel, and as many for the conversion to grey.
         budget = Budget(path)
-        reachable = _MAX_RATIO * budget.size
+        reachable = DEFLATE_RATIO * budget.size
         budget.check(8 * image.width * image.height, f"page {page}", reachable=reachable)
         image.load()
         grey = image if image.mode in _GREY_MODES else image.convert("L")

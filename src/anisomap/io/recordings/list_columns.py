@@ -23,13 +23,12 @@ from anisomap.io.parsing.columns import Roles
 from anisomap.io.parsing.frames import to_float32_if_exact
 from anisomap.io.parsing.source import GZIP_ERRORS, open_text_with_progress, quote
 from anisomap.io.parsing.table import LineError, Lines, Table, parse_number
-from anisomap.io.stream import Block, Stream, salvage
+from anisomap.io.stream import BLOCK_BYTES, Block, Stream, salvage
 
 _ROWS_LOOKED_AT = 50
 # A cell of two numbers with a comma may be one number with a decimal comma.
 _MIN_LENGTH, _MIN_ROWS = 3, 2
 _BETWEEN = re.compile(r"[\s,;\[\]()]+")
-_BLOCK_BYTES = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def _fields(cell: str) -> list[str]:
 
 
 def _blocks(table: Table, chosen: ListColumn, roles: Roles, preamble: int) -> Iterator[Block]:
-    step = max(1, _BLOCK_BYTES // (8 * chosen.length))
+    step = max(1, BLOCK_BYTES // (8 * chosen.length))
     with open_text_with_progress(table.path) as text:
         lines = Lines(table.path, itertools.islice(text.lines, preamble, None))
         rows = _rows(table, chosen, roles, lines, preamble)

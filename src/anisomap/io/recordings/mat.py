@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from anisomap.budget import Budget, bytes_kept
+from anisomap.budget import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.errors import FileError
 from anisomap.files import open_regular
 from anisomap.io.choice import Content, choose
@@ -33,7 +33,6 @@ EXTRA = "mat"
 
 _MAGIC, _MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 _NUMBERS = "iuf"
-_MAX_RATIO = 1032
 _HEADER_BYTES, _COMPRESSED = 128, 15  # of version 5
 _CHUNK = 1 << 20
 _TYPES = {
@@ -123,7 +122,7 @@ def _check_unpacked(path: Path) -> None:
             while left and (packed := stream.read(min(left, _CHUNK))):
                 left -= len(packed)
                 while packed:
-                    budget.spend(len(unpacker.decompress(packed, _CHUNK)), "its variables")
+                    budget.spend(len(unpacker.decompress(packed, _CHUNK)), "its content")
                     packed = unpacker.unconsumed_tail
 
 
@@ -136,7 +135,7 @@ def _variables(path: Path) -> list[Dataset]:
     for name, shape, kind in listed:
         dtype = np.dtype(_TYPES.get(kind, "V"))
         size = math.prod(shape) * dtype.itemsize
-        budget.check(size, f"variable {name}", reachable=_MAX_RATIO * budget.size)
+        budget.check(size, f"variable {name}", reachable=DEFLATE_RATIO * budget.size)
         n_bytes = bytes_kept(dtype) if dtype.kind in _NUMBERS else dtype.itemsize
         found.append(Dataset(name, tuple(shape), kind, dtype.kind, _reader(path, name), n_bytes))
     return found

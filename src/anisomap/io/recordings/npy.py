@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from anisomap.errors import FileError
 from anisomap.files import open_regular
 from anisomap.io.parsing.libraries import DamagedError, library_errors
-from anisomap.io.stream import Block, ReadOptions, Stream, salvage
+from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
 
 _MAGIC = b"\x93NUMPY"
 _NUMBERS = "biuf"
-_BLOCK_BYTES = 1 << 22
 
 
 class _Header(NamedTuple):
@@ -72,7 +71,7 @@ def _blocks(path: Path, stream: BufferedReader, header: _Header) -> Iterator[Blo
     (n_frames, n_sensors), fortran_order, dtype = header
     first = stream.tell()
     # In Fortran order, a block takes one read per sensor, so blocks are larger.
-    n_bytes = _BLOCK_BYTES << 2 if fortran_order else _BLOCK_BYTES
+    n_bytes = BLOCK_BYTES << 2 if fortran_order else BLOCK_BYTES
     step = max(1, n_bytes // (n_sensors * dtype.itemsize))
     for start in range(0, n_frames, step):
         count = min(step, n_frames - start)

@@ -32,11 +32,11 @@ from anisomap.io.ros.bag_files import (
 )
 from anisomap.io.ros.compression import EXTRA, decompress_message
 from anisomap.io.ros.messages import Kind, kind_of
-from anisomap.io.stream import Block, ReadOptions, Stream, salvage
+from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
 from anisomap.recording import Scalar
 from anisomap.wording import join_items
 
-_BLOCK_BYTES, _BLOCK_MESSAGES = 1 << 22, 1024
+_BLOCK_MESSAGES = 1024
 _NUMBERS = {
     *("bool", "byte", "char", "float32", "float64"),
     *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
@@ -344,7 +344,7 @@ def _batches(frames: Iterator[Any]) -> Iterator[Sequence[Any]]:
     try:
         for frame in frames:
             batch.append(frame)
-            if len(batch) == _BLOCK_MESSAGES or len(batch) * frame[0].nbytes > _BLOCK_BYTES:
+            if len(batch) == _BLOCK_MESSAGES or len(batch) * frame[0].nbytes > BLOCK_BYTES:
                 yield batch
                 batch = []
     except FileError:

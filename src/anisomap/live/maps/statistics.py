@@ -72,11 +72,6 @@ class TouchStatistics:
             self._rest = estimate_rest(self._sample)
         return self._rest
 
-    @property
-    def touched(self) -> NDArray[np.bool_]:
-        """Mask of the sensors that were touched at least once, shape (N,)."""
-        return self.contacts > 0
-
     def add(self, readings: NDArray[np.float64]) -> None:
         """Add frames.
 

@@ -85,4 +85,4 @@ def _check_accessors(path: Path, content: bytes) -> None:
         raise FileError(f"{path} is damaged: its header is not a description of meshes") from error
     # Each node places a copy of one mesh.
     budget = Budget(path)
-    budget.check(_ITEM_BYTES * (sum(counts) + n_copies * max(counts, default=0)), "its meshes")
+    budget.check(_ITEM_BYTES * (sum(counts) + n_copies * max(counts, default=0)), "its content")
