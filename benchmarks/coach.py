@@ -88,7 +88,7 @@ def rows_of(body: Body, dimensions: int, stimulus: str, way: str, *, seed: int) 
         if way == "uncoached" and statistics.n_frames not in LENGTHS:
             continue
         made = mapper.make(statistics)
-        where, touched = made.advice.next_sensors, statistics.touched
+        where, touched = made.advice.next_sensors, statistics.contacts > 0
         if statistics.n_frames in LENGTHS:
             error, share = error_of(made.positions, body), float(touched.mean())
             found.append(Row(body.name, stimulus, way, seed, statistics.n_frames, error, share))
