@@ -1,5 +1,6 @@
 """Run the code blocks of the documentation, each page as one program."""
 
+import pytest
 from sybil import Sybil
 from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser
 from tests.documents import collector, run_commands
@@ -27,3 +28,12 @@ others = Sybil(
     excludes=_RUNNABLE,
 )
 pytest_collect_file = collector(commands, others)
+
+_QUICK = "getting-started.md"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark all pages but the first one slow: each of them makes several maps."""
+    for item in items:
+        if "docs" in item.path.parts and item.path.suffix == ".md" and item.path.name != _QUICK:
+            item.add_marker(pytest.mark.slow)

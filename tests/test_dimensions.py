@@ -45,6 +45,7 @@ def test_a_sphere_is_mapped_as_with_3_dimensions():
     assert chosen.provenance["chosen_dimensions"] == 3
 
 
+@pytest.mark.slow
 def test_bodies_with_curved_skins_are_not_flat():
     for name in ("hemisphere", "y-shape"):
         assert quiet(reconstruct, body(name), "r-anisomap").dimensions == 3, name

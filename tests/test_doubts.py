@@ -80,6 +80,7 @@ def test_sensors_at_one_place_make_no_map(skin):
 
 
 @pytest.mark.parametrize("kind", ["bars-of-all-directions", "regions-in-turn"])
+@pytest.mark.slow
 def test_contacts_that_are_alike_leave_little_doubt(kind):
     skin = touched(kind)
     evidence = collect_evidence(reconstruct(skin, dimensions=2), skin)
@@ -89,6 +90,7 @@ def test_contacts_that_are_alike_leave_little_doubt(kind):
 
 @pytest.mark.parametrize("kind", ["bars", "grasp", "unlike-sizes"])
 @pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.slow
 def test_contacts_that_are_long_or_differ_between_places_raise_doubts(kind, seed):
     skin = touched(kind, seed)
     made = reconstruct(skin, dimensions=2)
@@ -175,6 +177,7 @@ def test_the_doubt_about_copies_is_the_error_that_they_make(skin, share):
         ("one-period", "not usable"),
     ],
 )
+@pytest.mark.slow
 def test_faults_that_are_found_limit_the_level(kind, level):
     skin = touched("bars-of-all-directions")
     made = reconstruct(skin, dimensions=2)

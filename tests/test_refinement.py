@@ -41,9 +41,8 @@ def rolling():
     return rolled(1)
 
 
-@pytest.mark.parametrize(
-    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_rolling_cylinder_keeps_its_length(seed, rolling):
     recording = rolling if seed == 1 else rolled(seed)
     plain = mapped(recording)
@@ -60,12 +59,9 @@ def test_a_rolling_cylinder_keeps_its_length(seed, rolling):
 
 
 @pytest.mark.parametrize(
-    ("n_sensors", "seed"),
-    [
-        (60, 301),
-        *(pytest.param(n, s, marks=pytest.mark.slow) for n in (60, 120) for s in (302, 303)),
-    ],
+    ("n_sensors", "seed"), [(60, 301), (60, 302), (60, 303), (120, 302), (120, 303)]
 )
+@pytest.mark.slow
 def test_a_rolling_cylinder_without_columns_keeps_its_length(n_sensors, seed):
     recording = rolled(seed, n_sensors, "fibonacci")
     found = mapped(recording)
@@ -74,9 +70,8 @@ def test_a_rolling_cylinder_without_columns_keeps_its_length(n_sensors, seed):
     assert mantel_r(reconstruct(recording, "r-anisomap", 3), recording) < 0.6
 
 
-@pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=pytest.mark.slow) for seed in (301, 302, 303)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [301, 302, 303])
 def test_heights_that_do_not_resolve_a_gap_are_said_to(seed):
     recording = rolled(seed, 30, "random")
     found = mapped(recording)
@@ -173,6 +168,7 @@ def test_declared_even_spacing_improves_evenly_spaced_skins():
     assert min(gained) > 0
 
 
+@pytest.mark.slow
 def test_contacts_improve_flat_and_closed_skins():
     for body, scenario, dimensions in (
         ("hexagon", "bombardment", 2),

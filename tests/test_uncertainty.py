@@ -88,6 +88,7 @@ def test_equal_maps_have_no_error():
 
 
 @quiet
+@pytest.mark.slow
 def test_ellipses_hold_the_mean_of_maps_of_other_recordings():
     """Where the truth of a map without systematic error is: the mean map of other recordings."""
     skins = [flat_skin(seed=seed, n_frames=800) for seed in range(10)]

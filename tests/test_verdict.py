@@ -148,6 +148,7 @@ def test_halves_without_a_map_leave_no_evidence():
 
 
 @quiet
+@pytest.mark.slow
 def test_expected_errors_are_near_the_true_ones_and_larger_for_short_recordings():
     short, long = [], []
     for seed in range(4):
@@ -260,6 +261,7 @@ def test_sensors_are_unassessed_before_a_diagnosis():
 
 @quiet
 @pytest.mark.parametrize("method", ["covariogram", "contact-fit"])
+@pytest.mark.slow
 def test_a_diagnosis_alone_is_that_with_the_stages_of_the_map(method):
     skin = flat_skin(n_frames=800)
     made, stages = reconstruct_with_stages(skin, method, 2, drop=["s3"])

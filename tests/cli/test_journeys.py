@@ -213,6 +213,7 @@ def test_the_demos_map_is_good_for_every_seed(seed):
     assert abs(found.quantiles()[0.5]) < 0.03
 
 
+@pytest.mark.slow
 def test_two_runs_give_the_same_bytes(run, skin_npz, tmp_path):
     for folder in ("one", "two"):
         (tmp_path / folder).mkdir()

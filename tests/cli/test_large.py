@@ -152,6 +152,7 @@ def test_large_recordings_must_have_the_same_sensors(run, parts):
     assert "have different sensors" in made.err
 
 
+@pytest.mark.slow
 def test_approximate_maps_are_labelled_in_every_output(run_map, parts):
     outputs = [f"map.{suffix}" for suffix in ("csv", "json", "npz")]
     written = [word for name in outputs for word in ("-o", name)]

@@ -38,6 +38,7 @@ class Port:
         stop.wait()
 
 
+@pytest.mark.slow
 def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
     options = ExaminationOptions(dimensions=2, preset="icub")
     with LiveSession(Port(hand), tmp_path / "r.csv", options) as session:

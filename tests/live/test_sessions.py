@@ -43,6 +43,7 @@ def session(tmp_path):
         one.close()
 
 
+@pytest.mark.slow
 def test_a_skin_that_misbehaves_is_recorded_whole_and_mapped(session, tmp_path):
     live = session("tcp-listen://127.0.0.1:0", "--headless", "-m", METHOD, "--recording", "r.csv")
     port = int(live.notice("waiting for a connection").split()[-1])

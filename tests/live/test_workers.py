@@ -50,6 +50,7 @@ def finish_while(session, action):
         return final.result()
 
 
+@pytest.mark.slow
 def test_the_final_map_is_made_though_its_process_is_killed(session):
     workers = multiprocessing.active_children()
     for worker in workers:
