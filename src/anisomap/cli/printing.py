@@ -118,7 +118,8 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
             f"in {sensor_map.dimensions} dimensions"
             + (f", but only {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
             **({"dimensions": f"{sensor_map.dimensions}, chosen: {because}"} if because else {}),
-            "components": join_items(sizes, max_items=12) + " sensors",
+            "components": f"{len(sizes)}"
+            + (f"; sensors in each: {join_items(sizes, max_items=12)}" if len(sizes) > 1 else ""),
             "Stress-1": f"{number(sensor_map.stress)} "
             + (
                 "(within components; small ones always fit)"
