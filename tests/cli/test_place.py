@@ -52,6 +52,15 @@ def test_a_map_is_placed_by_four_anchors_in_every_format(run, skin_map, tmp_path
     assert (tmp_path / "placed.png").stat().st_size > 10_000
 
 
+def test_long_tables_say_how_many_rows_they_leave_out(run, tmp_path):
+    places = np.stack(np.meshgrid(range(8), range(8)), -1).reshape(-1, 2).astype(float)
+    anisomap.write(anisomap.SensorMap(places), tmp_path / "map.csv")
+    anisomap.write(anisomap.SensorMap(places, units="mm"), tmp_path / "anchors.csv")
+    placing = ["place", "map.csv", "--anchors", "anchors.csv", "-o", "placed.csv"]
+    assert "... and 14 more" in run(*placing).out
+    assert len(json.loads(run(*placing, "--json").out)["anchors"]) == 64
+
+
 def test_anchors_on_the_command_line_and_the_default_output(run, skin_map, tmp_path):
     rows = (tmp_path / "anchors.csv").read_text().splitlines()[1:]
     words = []

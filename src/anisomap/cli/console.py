@@ -131,10 +131,19 @@ class Printer:
             table.add_row(_cell(name), _cell(value))
         self._emit(console.print, table)
 
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Print rows; columns of numbers are aligned to the right."""
+    def table(
+        self,
+        title: str,
+        columns: Sequence[str],
+        rows: Sequence[Sequence[str]],
+        *,
+        max_rows: int | None = None,
+    ) -> None:
+        """Print rows, at most `max_rows` and the number of others; numbers are aligned to the right."""
         if not self._prints_text:
             return
+        n_left_out = 0 if max_rows is None else max(0, len(rows) - max_rows)
+        rows = rows[: len(rows) - n_left_out]
         table = Table(title=_title(title), title_justify="left", box=None, header_style="dim")
         for i, column in enumerate(columns):
             numeric = all(_is_number(row[i]) for row in rows)
@@ -148,6 +157,8 @@ class Printer:
         for row in rows:
             table.add_row(*map(_cell, row))
         self._emit(console.print, table)
+        if n_left_out:
+            self.line(f"  ... and {n_left_out} more")
 
     def line(self, text: str) -> None:
         """Print a line of plain text."""

@@ -92,11 +92,10 @@ def _print(printer: Printer, found: Difference, title: str) -> None:
                     number(found.distance[i] / spacing if spacing else np.nan, 3),
                     number(found.p_values[i], 2),
                 )
-                for i in moved[:MAX_SHOWN]
+                for i in moved
             ],
+            max_rows=MAX_SHOWN,
         )
-    if moved.size > MAX_SHOWN:
-        printer.line(f"  ... and {moved.size - MAX_SHOWN} more")
     names = {kind: [found.names[i] for i in np.flatnonzero(m)] for kind, m in counts.items()}
     for kind in ("appeared", "lost"):
         if names[kind]:

@@ -265,12 +265,13 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
             [
                 (anchor, number(_MM * residual, 3), number(_MM * left_out, 3))
                 for anchor, residual, left_out in zip(
-                    placement.anchors[:MAX_SHOWN],
+                    placement.anchors,
                     placement.residuals.tolist(),
                     placement.left_out_errors.tolist(),
-                    strict=False,
+                    strict=True,
                 )
             ],
+            max_rows=MAX_SHOWN,
         )
     if placement.left_out:
         printer.line(f"left out: {join_items(placement.left_out, MAX_SHOWN)}")

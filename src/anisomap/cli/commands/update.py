@@ -140,8 +140,9 @@ def _print(printer: Printer, found: Update, name: str) -> None:
                     number(changes.distance[i] / changes.spacing, 3),
                     number(changes.p_values[i], 2),
                 )
-                for i in moved[:MAX_SHOWN]
+                for i in moved
             ],
+            max_rows=MAX_SHOWN,
         )
     lists = {"added": found.added, "not recorded": found.silent, "not placed": found.unplaced}
     for kind, names in lists.items():
