@@ -136,9 +136,9 @@ def test_behaviour_does_not_depend_on_blocks(monkeypatch):
     readings = READINGS[:, :40].astype(float)
     readings[:, 5] = np.random.default_rng(0).normal(size=len(readings))
     whole = behaviour.observe(readings)
-    monkeypatch.setattr(behaviour, "_BLOCK_READINGS", 6000 * 7)
+    monkeypatch.setattr(behaviour, "BLOCK_READINGS", 6000 * 7)
     blocks = behaviour.observe(readings)
-    monkeypatch.setattr(behaviour, "_MAX_ALL_PAIRS", 39)
+    monkeypatch.setattr(behaviour, "MAX_ALL_PAIRS", 39)
     many = behaviour.observe(readings)
     for name in ("active", "contacts", "at_ceiling", "unexplained", "lag_correlation"):
         np.testing.assert_allclose(getattr(blocks, name), getattr(whole, name), rtol=1e-12)

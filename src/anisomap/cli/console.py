@@ -139,7 +139,7 @@ class Printer:
         *,
         max_rows: int | None = None,
     ) -> None:
-        """Print rows, at most `max_rows` and the number of others; numbers are aligned to the right."""
+        """Print rows, at most `max_rows` and the number of others; numbers are to the right."""
         if not self._prints_text:
             return
         n_left_out = 0 if max_rows is None else max(0, len(rows) - max_rows)

@@ -14,12 +14,16 @@ from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.rest import Rest, rest_from_counts
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 
+BLOCK_READINGS = 1 << 20
+"""Readings processed at a time, as float64: 8 MB."""
+
+MAX_ALL_PAIRS = 4096
+"""Number of sensors above which no matrix of all pairs is computed: 128 MB of float64."""
+
 _N_NEAREST = 4  # most similar sensors that are checked for the same contact; chosen by hand
 _MIN_CLEAR_R = 0.6  # sensors with a higher r are never tested for isolation; chosen by hand
 _N_SHIFTS = 19  # an unrelated sensor exceeds all of them with probability 1/20
 _MIN_AUTOCORRELATION = 0.05  # at lag 2, for the noise share to use it; chosen by hand
-_BLOCK_READINGS = 1 << 20  # readings processed at a time, as float64: 8 MB
-_MAX_ALL_PAIRS = 4096  # sensors; more would need a large matrix of pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +156,7 @@ def _find_matches(readings: NDArray[np.floating]) -> Matches:
     count = min(_N_NEAREST, n_sensors - 1)
     if count < 1:
         return Matches(np.full((n_sensors, 1), NO_SENSOR), np.full(n_sensors, np.nan))
-    if n_sensors > _MAX_ALL_PAIRS:
+    if n_sensors > MAX_ALL_PAIRS:
         found, r = most_similar(np.ascontiguousarray(_standardised(readings).T), count)
         return Matches(found, r[:, 0].astype(np.float64))
     correlation = pearson(readings)
@@ -204,10 +208,10 @@ def _match_after_shifts(
     suspects = np.flatnonzero(best_match < _MIN_CLEAR_R)
     if not suspects.size or n_frames < 2 * _N_SHIFTS:
         return highest
-    others = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_ALL_PAIRS)).astype(int))
+    others = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, MAX_ALL_PAIRS)).astype(int))
     standard = _standardised(readings[:, others])
-    for start in range(0, suspects.size, _MAX_ALL_PAIRS):
-        part = suspects[start : start + _MAX_ALL_PAIRS]
+    for start in range(0, suspects.size, MAX_ALL_PAIRS):
+        part = suspects[start : start + MAX_ALL_PAIRS]
         every = others.size == n_sensors
         mine = standard[:, part] if every else _standardised(readings[:, part])
         itself = part[:, None] == others
@@ -222,7 +226,7 @@ def _match_after_shifts(
 
 def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
     """Scale every sensor to mean 0 and norm 1."""
-    width = max(1, _BLOCK_READINGS // len(readings))
+    width = max(1, BLOCK_READINGS // len(readings))
     standard = np.empty(readings.shape, dtype=np.float32)
     for start in range(0, readings.shape[1], width):
         block = readings[:, start : start + width].astype(np.float64)
