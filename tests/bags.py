@@ -63,18 +63,18 @@ class Bag:
             if packed:
                 writer.set_compression(rosbag1.Writer.CompressionFormat[packed])
             with writer:
-                self._fill(writer, self.store.serialize_ros1)
+                self.fill(writer, self.store.serialize_ros1)
             return path
         plugin = (
             rosbag2.StoragePlugin.MCAP if self.kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
         )
         folder = path.with_suffix("")
         with rosbag2.Writer(folder, version=9, storage_plugin=plugin, **options) as writer:
-            self._fill(writer, self.store.serialize_cdr)
+            self.fill(writer, self.store.serialize_cdr)
         (inner,) = folder.glob(f"*.{self.kind}")
         return inner.replace(path)
 
-    def _fill(self, writer: Any, serialize: Any) -> None:
+    def fill(self, writer: Any, serialize: Any) -> None:
         connections: dict[str, Any] = {}
         for topic, message, received in self.messages:
             kind = message.__msgtype__

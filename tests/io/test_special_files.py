@@ -61,7 +61,7 @@ def test_pipes_in_a_bag(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     with rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
         bag.add("/skin", bag.array(np.arange(3.0)), 0)
-        bag._fill(writer, bag.store.serialize_cdr)
+        bag.fill(writer, bag.store.serialize_cdr)
     assert io.read(folder).n_frames == 1
     (folder / "run.mcap").unlink()
     os.mkfifo(folder / "run.mcap")
