@@ -41,7 +41,7 @@ class MethodScore:
     Attributes
     ----------
     method : str
-        A key of `anisomap.METHODS` or `anisomap.evaluation.RIVALS`.
+        A key of `anisomap.METHODS` or `anisomap.evaluation.rivals.RIVALS`.
     mantel_r, rms_in_spacings : float
         Mantel r, and RMS error in median spacings, over the sensors of the `Comparison`; NaN
         without a score.
@@ -145,8 +145,8 @@ def compare_methods(
     recording : Recording
         Complete readings, with true positions.
     methods : sequence of str
-        Keys of `anisomap.METHODS` and `anisomap.evaluation.RIVALS`. A stock method whose library is
-        not installed has no score, but a reason.
+        Keys of `anisomap.METHODS` and `anisomap.evaluation.rivals.RIVALS`. A stock method whose
+        library is not installed has no score, but a reason.
     dimensions : int, optional
         Number of coordinates; by default as many as the true positions span.
     name : str
