@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +27,7 @@ from anisomap.numerics.reliability.split_half import split_blocks
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
+from anisomap.numerics.similarity.reference import refer_to_mean
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 
@@ -50,12 +52,15 @@ class Similarity:
     blend : callable, optional
         ``blend(readings)`` returns the similarity, its sampling variance and what it was blended
         from, if it is not the correlation of any scores.
+    refer : callable, optional
+        ``refer(readings)`` returns the readings that are compared, shape (T, n).
     """
 
     summary: str
     compute: Callable[[ArrayLike, int], Reals]
     scores: Callable[[NDArray[np.generic]], ArrayLike] | None = None
     blend: Callable[[ArrayLike], Blend] | None = None
+    refer: Callable[[NDArray[Any]], NDArray[Any]] | None = None
 
     def with_variance(self, readings: NDArray[np.generic], bins: int) -> tuple[Reals, Reals]:
         """Compute the similarity, and its sampling variance for unrelated sensors, (n, n) each."""
@@ -87,6 +92,7 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
             "linear correlation where it is reliable, else rank correlation",
             lambda x, _: blended_correlation(x),
             blend=blend,
+            refer=refer_to_mean,
         ),
         "contact-agreement": Similarity(
             "agreement over distinct contacts (kappa), for readings that are on or off",
@@ -297,13 +303,17 @@ def compare(
     logger.info("comparing all pairs of sensors (%s)", similarity)
     statistic = SIMILARITIES[similarity]
 
+    def joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.floating]:
+        readings = _joined(runs, names)
+        return readings if statistic.refer is None else statistic.refer(readings)
+
     def computed(readings: NDArray[np.floating]) -> tuple[Reals, ArrayLike]:
         if with_noise:
             return statistic.with_variance(readings, bins)
         return statistic.compute(readings, bins), np.nan
 
     if len({frozenset(run.names) for run in runs}) == 1:
-        readings = _joined(runs, runs[0].names)
+        readings = joined(runs, runs[0].names)
         if with_noise and statistic.blend is not None:
             blended = statistic.blend(readings)
             pairs = PairStatistics.from_similarity(
@@ -323,7 +333,8 @@ def compare(
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
     shared = _shared_runs(runs, names)
     values, noise = np.eye(len(names)), np.ones(shared.shape)
-    for runs_of_pair, readings, sensors in _groups(runs, names, shared):
+    for runs_of_pair, chosen, sensors in _groups(runs, shared):
+        readings = joined(chosen, tuple(names[i] for i in sensors))
         inside = np.ix_(sensors, sensors)
         in_group = shared[inside] == runs_of_pair
         found, variance = computed(readings)
@@ -356,10 +367,10 @@ def _shared_runs(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[n
 
 
 def _groups(
-    runs: Sequence[Recording], names: tuple[str, ...], shared: NDArray[np.int64]
-) -> Iterator[tuple[int, NDArray[np.floating], NDArray[np.intp]]]:
-    """Yield each set of runs that some pair shares: its code, its readings, and its sensors."""
+    runs: Sequence[Recording], shared: NDArray[np.int64]
+) -> Iterator[tuple[int, list[Recording], NDArray[np.intp]]]:
+    """Yield each set of runs that some pair shares: its code, the runs, and its sensors."""
     for code in np.unique(shared[shared > 0]).tolist():
         chosen = [run for bit, run in enumerate(runs) if code >> bit & 1]
         sensors = np.flatnonzero((np.diag(shared) & code) == code)
-        yield code, _joined(chosen, tuple(names[i] for i in sensors)), sensors
+        yield code, chosen, sensors

@@ -44,11 +44,14 @@ class Rest:
     threshold : ndarray of shape (N,)
         Largest deviation from rest that is attributed to noise. 0 without readings on the side of
         rest opposite to contact, and for sensors without a rest value.
+    known : ndarray of bool, shape (N,)
+        False for sensors without a rest value: see `estimate_rest`.
     """
 
     value: NDArray[np.float64]
     side: NDArray[np.float64]
     threshold: NDArray[np.float64]
+    known: NDArray[np.bool_]
 
     def depth(self, readings: ArrayLike) -> NDArray[np.float64]:
         """Return the excess of readings over the threshold, shape (T, N); 0 at rest."""
@@ -107,13 +110,19 @@ def estimate_rest(readings: ArrayLike) -> Rest:
         return _rest_of_readings(values)
     lowest, counts = values[0].copy(), np.zeros(values.shape[1], np.int64)
     load_loops("rest").count_lowest(values, lowest, counts)
-    rest = Rest(lowest.astype(np.float64), np.ones(len(lowest)), np.zeros(len(lowest)))
+    n_sensors = len(lowest)
+    rest = Rest(
+        value=lowest.astype(np.float64),
+        side=np.ones(n_sensors),
+        threshold=np.zeros(n_sensors),
+        known=np.ones(n_sensors, dtype=bool),
+    )
     # At the lowest reading in most frames: contact raises, and no reading is on the other side.
     other = np.flatnonzero(2 * counts <= len(values))
     if len(other):
         found = _rest_of_readings(values[:, other])
         rest.value[other], rest.side[other] = found.value, found.side
-        rest.threshold[other] = found.threshold
+        rest.threshold[other], rest.known[other] = found.threshold, found.known
     return rest
 
 
@@ -151,14 +160,14 @@ def _depths_by_rank(column: NDArray[Any]) -> NDArray[np.float64]:
     whole = whole_numbers(column)
     if whole is None:
         values, counts = count_values(column)
-        value, side, threshold = _rest_of(values.astype(np.float64), counts)
+        value, side, threshold, _ = _rest_of(values.astype(np.float64), counts)
         beyond = side * (column.astype(np.float64) - value) - threshold
         return mean_ranks(np.maximum(beyond, 0))
     codes, lowest = whole
     counts = np.bincount(codes)
     present = counts.nonzero()[0]
     numbers = (present + lowest).astype(np.float64)
-    value, side, threshold = _rest_of(numbers, counts[present])
+    value, side, threshold, _ = _rest_of(numbers, counts[present])
     depths = np.maximum(side * (np.arange(counts.size) + float(lowest) - value) - threshold, 0)
     level = np.unique(depths, return_inverse=True)[1]
     frames = np.bincount(level, weights=counts)
@@ -181,8 +190,8 @@ def rest_from_counts(
     Rest
         See `estimate_rest`.
     """
-    rest, side, threshold = np.array([_rest_of(*pair) for pair in values_and_counts]).T
-    return Rest(value=rest, side=side, threshold=threshold)
+    rest, side, threshold, known = np.array([_rest_of(*pair) for pair in values_and_counts]).T
+    return Rest(value=rest, side=side, threshold=threshold, known=known > 0)
 
 
 def quantile_from_counts(
@@ -204,7 +213,8 @@ def quantile_from_counts(
 
 def _rest_of(
     values: NDArray[np.float64], counts: NDArray[np.integer[Any]]
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float, bool]:
+    """Return the rest value, the side of contact, the threshold, and whether there is a rest."""
     n_frames = int(counts.sum())
     rests = counts.max() >= max(2, MIN_REST_SHARE * n_frames)
     value = values[counts.argmax()] if rests else quantile_from_counts(values, counts, 0.5)
@@ -214,5 +224,5 @@ def _rest_of(
     noise = quantile_from_counts(-beyond[quiet], counts[quiet], NOISE_QUANTILE)
     contact = quantile_from_counts(beyond[touched], counts[touched], NOISE_QUANTILE)
     if not rests and contact < MIN_CONTACT_RATIO * noise:
-        return float(value), 1.0, 0.0
-    return float(value), side, noise
+        return float(value), 1.0, 0.0, False
+    return float(value), side, noise, True
