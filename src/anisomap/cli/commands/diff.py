@@ -34,9 +34,9 @@ def diff(
 ) -> int:
     """Compare two maps of one skin: which sensors moved, appeared or were lost.
 
-    The maps may come from two days or two methods, or from before and after a repair. The second is
-    aligned with the first; sensors that moved do not affect the alignment. The exit code is 0 if no
-    difference is found, and 1 otherwise.
+    The maps may come from two days or two methods, or from before and after a repair. The second
+    map is aligned with the first; sensors that moved do not affect the alignment. The exit code is
+    0 if no difference is found, and 1 otherwise.
 
     Parameters
     ----------

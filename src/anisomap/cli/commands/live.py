@@ -103,9 +103,9 @@ def live(
 ) -> None:
     """Map a skin while it is touched, and show where to touch next.
 
-    Readings are recorded as they come, in a file that anisomap map reads; a page in the browser
-    shows them, the map as it forms, and what can be trusted already. Ctrl-C ends the session and
-    makes the final map.
+    Readings are recorded as they arrive, in a file that `anisomap map` reads. A page in the browser
+    shows the readings, the map made so far, and how far it can be trusted. Ctrl-C ends the session;
+    the final map is then made from all frames.
 
     Parameters
     ----------

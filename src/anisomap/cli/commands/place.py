@@ -152,9 +152,9 @@ def place_map(
 ) -> None:
     """Place a map in the frame of the robot, in metres, with an error for each sensor.
 
-    Everything that is known is used together. Three or more sensors with a known position
-    determine the pose. Rigid modules of known shape determine the scale and make the map more
-    accurate. Contacts with another patch of the robot are used instead of all these.
+    Anchors, modules and a mesh can be given together. Three or more anchors, sensors with a known
+    position, determine the pose. Rigid modules of known shape determine the scale and make the map
+    more accurate. With --self-touch, contacts with another patch are used instead of all these.
 
     Parameters
     ----------

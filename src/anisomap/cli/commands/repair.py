@@ -25,7 +25,7 @@ def repair(
     """Mend the faults of a recording that can be mended, and write it.
 
     These are copies of sensors, inverted sensors, lags between boards, leaks into the next channel,
-    noise and hum that sensors share, spikes, drift and gaps. Copies are left out.
+    noise and hum that sensors share, spikes, drift and gaps. Copies of a sensor are left out.
 
     Parameters
     ----------

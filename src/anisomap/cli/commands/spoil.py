@@ -30,7 +30,7 @@ def spoil(
 ) -> None:
     """Inject documented faults into a recording.
 
-    The NPZ lists every affected sensor and frame, so that fault detectors can be scored.
+    The NPZ file lists every affected sensor and frame, so that fault detectors can be scored.
 
     Parameters
     ----------

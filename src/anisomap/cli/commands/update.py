@@ -41,9 +41,9 @@ def update(
 ) -> None:
     """Add the evidence of a new recording to a map, and say what changed.
 
-    Sensors that are new are placed in the frame of the map. Sensors that the recording shows
-    elsewhere are named, and take their places from the new recording. The map must have been made
-    with `anisomap map --keep-statistics`, and may have been placed since.
+    New sensors are placed in the frame of the map. Sensors that moved, according to the recording,
+    are named, and their positions follow from the new recording. The map must have been made with
+    `anisomap map --keep-statistics`; it may have been placed on the robot since.
 
     Parameters
     ----------
