@@ -1,6 +1,7 @@
 """Journeys of `anisomap place`: a map in the frame of the robot."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +60,15 @@ def test_long_tables_say_how_many_rows_they_leave_out(run, tmp_path):
     placing = ["place", "map.csv", "--anchors", "anchors.csv", "-o", "placed.csv"]
     assert "... and 14 more" in run(*placing).out
     assert len(json.loads(run(*placing, "--json").out)["anchors"]) == 64
+
+
+def test_a_mesh_needs_an_extra(run, skin_map, tmp_path, monkeypatch):
+    (tmp_path / "part.stl").write_bytes(b"solid part")
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    done = run("place", skin_map, "--anchors", "anchors.csv", "--mesh", "part.stl", "-o", "p.csv")
+    assert done.code == 2
+    assert "reading a mesh needs an extra: pip install 'anisomap[simulation]'" in done.err
+    assert not (tmp_path / "p.csv").exists()
 
 
 def test_anchors_on_the_command_line_and_the_default_output(run, skin_map, tmp_path):

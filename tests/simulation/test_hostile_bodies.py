@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from anisomap.errors import FileError
+from anisomap.mesh_files import read_mesh
 from anisomap.simulation.bodies import load_body
-from anisomap.simulation.geometry.mesh_files import read_mesh
 
 trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
 pytest.importorskip("mujoco", reason="needs the extra 'simulation'")

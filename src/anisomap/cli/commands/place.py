@@ -18,6 +18,7 @@ from anisomap.cli.self_touch import NO_SELF_TOUCH, SelfTouchOptions
 from anisomap.drawing import figures
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
+from anisomap.mesh_files import read_mesh
 from anisomap.placement import (
     METRES,
     Anchors,
@@ -34,7 +35,6 @@ from anisomap.placement import (
 )
 from anisomap.scene import Mesh
 from anisomap.sensor_map import SensorMap
-from anisomap.simulation.geometry.mesh_files import read_mesh
 from anisomap.wording import join_items
 
 anchors_group = Group("Anchors", sort_key=2)

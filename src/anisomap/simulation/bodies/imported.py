@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.files import check_regular
+from anisomap.mesh_files import read_mesh
 from anisomap.numerics.normals import estimate_normals
 from anisomap.recording import default_names
 from anisomap.simulation.bodies.body import Body, nearest_neighbours
@@ -20,7 +21,6 @@ from anisomap.simulation.bodies.mjcf_limits import check_model
 from anisomap.simulation.checks import check_count
 from anisomap.simulation.engine import load_mujoco, silent_compiler
 from anisomap.simulation.geometry import solids
-from anisomap.simulation.geometry.mesh_files import read_mesh
 from anisomap.simulation.geometry.solids import Points, Solid
 from anisomap.simulation.geometry.spreading import spread
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
@@ -169,7 +169,8 @@ def mesh(vertices: ArrayLike, faces: ArrayLike) -> Solid:
     """
     if not np.abs(np.asarray(vertices)).max(initial=0) < MAX_LENGTH:
         raise InputError(f"coordinates of the mesh must be finite and below {MAX_LENGTH:g}")
-    surface = load_trimesh().Trimesh(vertices, faces, process=True)
+    trimesh = import_extra("trimesh", "simulating a mesh", "simulation")
+    surface = trimesh.Trimesh(vertices, faces, process=True)
     if not (len(surface.faces) and np.isfinite(surface.area) and surface.area > 0):
         raise InputError("the mesh has no area; it must consist of triangles that enclose a body")
     if not surface.is_watertight:
@@ -223,18 +224,6 @@ def project(solids: Sequence[Solid], points: ArrayLike) -> Points:
     for _ in range(_N_PROJECTIONS):
         moved -= union_distance(solids, moved)[:, None] * surface_normals(solids, moved)
     return moved
-
-
-def load_trimesh() -> ModuleType:
-    """Import trimesh.
-
-    Raises
-    ------
-    MissingExtraError
-        If trimesh is not installed.
-    """
-    trimesh: ModuleType = import_extra("trimesh", "simulating a mesh", "simulation")
-    return trimesh
 
 
 def _ball_distance(points: Points, size: tuple[float, ...]) -> Points:

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from anisomap.budget import Budget
 from anisomap.errors import FileError
+from anisomap.extras import import_extra
 from anisomap.files import open_regular, without_log
-from anisomap.simulation.geometry import solids
-from anisomap.simulation.geometry.solids import Points
 
 # Names of objects, groups and materials: trimesh takes quadratic time to divide a mesh by them.
 _OBJ_GROUPS = re.compile(rb"^[ \t]*+(?:usemtl|mtllib|o|g|s)\b[^\r\n]*+", re.MULTILINE)
@@ -23,7 +22,7 @@ _GLB, _GLB_HEADER = b"glTF", 20  # bytes before the JSON
 _ITEM_BYTES = 64  # largest item of an accessor: 16 floating-point numbers
 
 
-def read_mesh(path: Path) -> tuple[Points, NDArray[np.intp]]:
+def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Read a mesh without its materials, which may be in other files.
 
     Parameters
@@ -43,7 +42,7 @@ def read_mesh(path: Path) -> tuple[Points, NDArray[np.intp]]:
     MissingExtraError
         If trimesh is not installed.
     """
-    trimesh = solids.load_trimesh()
+    trimesh = import_extra("trimesh", "reading a mesh", "simulation")
     suffix = path.suffix.lower()
     with open_regular(path) as stream:
         content = stream.read()
