@@ -147,27 +147,16 @@ def score(
             f"true positions must have {sensor_map.n_sensors} rows, one per sensor, got shape "
             f"{true_positions.shape}"
         )
-    known = np.isfinite(true_positions).all(axis=1)
     included = np.ones(sensor_map.n_sensors, dtype=bool)
     included[sensor_map.indices(exclude)] = False
-    largest = sensor_map.component == 0
-    chosen = np.flatnonzero(largest & included & known)
-    for count, why in (
-        (np.count_nonzero(~sensor_map.placed), "no position on the map"),
-        (np.count_nonzero(sensor_map.placed & ~included), "excluded"),
-        (
-            np.count_nonzero(sensor_map.placed & ~largest & included),
-            "outside the largest component",
-        ),
-        (np.count_nonzero(largest & included & ~known), "no known true position"),
-    ):
-        if count:
-            notes.append(f"{count} of {sensor_map.n_sensors} sensors not compared: {why}")
+    known = np.asarray(np.isfinite(true_positions).all(axis=1))
+    chosen, left_out = _compared(sensor_map, known, included)
+    notes += left_out
     positions, true_positions = sensor_map.positions[chosen], true_positions[chosen]
     if len(chosen) < MIN_SENSORS_COMPARED:
         raise InputError(
-            f"a score requires at least 4 sensors with known true positions, got {len(chosen)}"
-            + (f" ({'; '.join(notes)})" if notes else "")
+            f"a score requires at least {MIN_SENSORS_COMPARED} sensors with known true positions, "
+            f"got {len(chosen)}" + (f" ({'; '.join(notes)})" if notes else "")
         )
     generator = np.random.default_rng(0 if rng is None else rng)
     drawn = _sample(len(chosen), generator)
@@ -198,6 +187,25 @@ def _as_map(recording: Recording) -> SensorMap:
     if recording.positions is None:
         raise InputError("the recording has no true positions to score against")
     return SensorMap(recording.positions, names=recording.names, units=recording.units)
+
+
+def _compared(
+    sensor_map: SensorMap, known: NDArray[np.bool_], included: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], list[str]]:
+    """Return the sensors that can be compared, and notes on the others."""
+    largest = sensor_map.component == 0
+    reasons = {
+        "no position on the map": ~sensor_map.placed,
+        "excluded": sensor_map.placed & ~included,
+        "outside the largest component": sensor_map.placed & ~largest & included,
+        "no known true position": largest & included & ~known,
+    }
+    notes = [
+        f"{np.count_nonzero(mask)} of {sensor_map.n_sensors} sensors not compared: {why}"
+        for why, mask in reasons.items()
+        if mask.any()
+    ]
+    return np.flatnonzero(largest & included & known), notes
 
 
 def _sample(n_sensors: int, rng: np.random.Generator) -> NDArray[np.intp]:
