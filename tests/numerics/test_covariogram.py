@@ -14,6 +14,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.covariogram import objective
 from anisomap.numerics.covariogram.blocks import overlapping_blocks
 from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram
+from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
@@ -127,6 +128,20 @@ def test_the_objective_never_increases():
     ]
     assert all(later <= earlier + 1e-9 for earlier, later in itertools.pairwise(ends))
     assert ends[-1] < ends[0]
+
+
+def test_fits_that_share_a_curvature_have_the_same_minimum():
+    _, similarity = skin(40)
+    first, second = drawn(similarity, 2000, 0), drawn(similarity, 2000, 1)
+    metric, start = set_out(first, 2, 0.0005)
+    shared = SharedCurvature()
+    fit_covariogram(first, start, metric, noise=0.0005, shared=shared)
+    alone, after = (
+        fit_covariogram(second, start, metric, noise=0.0005, shared=one) for one in (None, shared)
+    )
+    assert not np.array_equal(after.positions, alone.positions)
+    assert after.objective == pytest.approx(alone.objective, rel=1e-4)
+    assert mantel_r(after.positions, alone.positions) > 1 - 1e-4
 
 
 def test_a_common_signal_does_not_change_the_map():

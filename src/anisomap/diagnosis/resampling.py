@@ -14,6 +14,7 @@ from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import resampled_contact_agreement
 from anisomap.numerics.contacts.contact_fit import resample_contacts
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
+from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.block_bootstrap import balanced_weights, block_edges
@@ -105,7 +106,7 @@ def resampled_maps(
         resamples, noise = _similarities(pairs, readings, edges, weights), pairs.noise
         made: list[NDArray[np.float64]] = []
         start, exponent, by_paths = positions, 1.0, True
-        iterations = options.covariogram.max_iterations
+        iterations, shared = options.covariogram.max_iterations, None
         if fitted is not None:
             start, exponent = np.asarray(fitted.positions), fitted.exponent
             iterations = min(iterations, _MAX_CONTINUED)
@@ -121,6 +122,7 @@ def resampled_maps(
                 noise=typical_variance(noise),
                 exponent=exponent,
                 options=replace(options.covariogram, max_iterations=iterations),
+                shared=shared,
             )
             found = np.asarray(fit.positions, dtype=np.float64)
             if by_paths:
@@ -129,7 +131,8 @@ def resampled_maps(
                 found = np.asarray(consensus.positions, dtype=np.float64)
             if i == 0:
                 start, exponent = np.asarray(fit.positions), fit.exponent
-                iterations = _MAX_ITERATIONS
+                # All resamples are near the recording, so that one curvature serves them all.
+                iterations, shared = _MAX_ITERATIONS, SharedCurvature()
             made.append(found)
             if progress is not None:
                 progress(len(made) / len(weights))

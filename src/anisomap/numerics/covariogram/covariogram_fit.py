@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MapFunction, is_parallel, parallel_map
 from anisomap.numerics.covariogram.blocks import overlapping_blocks
-from anisomap.numerics.covariogram.minimisation import minimise
+from anisomap.numerics.covariogram.minimisation import SharedCurvature, minimise
 from anisomap.numerics.covariogram.objective import (
     Block,
     CovariogramOptions,
@@ -80,6 +80,7 @@ def fit_covariogram(
     known: ArrayLike | None = None,
     exponent: float = 1.0,
     options: CovariogramOptions | None = None,
+    shared: SharedCurvature | None = None,
 ) -> Covariogram:
     """Fit positions such that one decreasing function of distance explains all correlations.
 
@@ -100,6 +101,8 @@ def fit_covariogram(
     exponent : float
         Initial exponent of the covariogram.
     options : CovariogramOptions, optional
+    shared : SharedCurvature, optional
+        Shared by fits of similar correlations from the same start, which saves time.
 
     Returns
     -------
@@ -153,6 +156,7 @@ def fit_covariogram(
             log_exponent=float(np.log(exponent)),
             tolerance=chosen.tolerance * (1 if one_block else _BLOCK_TOLERANCE),
             map_blocks=map_blocks,
+            shared=shared,
         )
     terms = (block.terms(found.positions, found.log_exponent) for block in blocks)
     products = np.sum([term.products for term in terms], axis=0)

@@ -41,6 +41,19 @@ _MEMORY = 40  # pairs of differences of L-BFGS: those of all iterations with one
 _TOO_EXACT = 1e-12  # relative decrease that is never met before convergence
 
 
+@dataclass(eq=False)
+class SharedCurvature:
+    """Curvature at the start of several searches that differ little; the first one computes it.
+
+    Attributes
+    ----------
+    factor : ndarray, optional
+        Triangular factor of the damped Gauss-Newton matrix.
+    """
+
+    factor: Matrix | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Minimum:
     """A minimum of the objective.
@@ -69,6 +82,7 @@ def minimise(
     log_exponent: float = 0.0,
     tolerance: float,
     map_blocks: MapFunction = serial_map,
+    shared: SharedCurvature | None = None,
 ) -> Minimum:
     """Minimise the objective over positions and exponent.
 
@@ -84,6 +98,8 @@ def minimise(
         Relative decrease of the objective in an iteration below which it has converged.
     map_blocks : callable
         Applies a function to every block.
+    shared : SharedCurvature, optional
+        Of the first iterations; by default, and later, the curvature is computed.
 
     Returns
     -------
@@ -112,16 +128,17 @@ def minimise(
         return Minimum(
             positions(found.x), float(found.x[-1]), float(found.fun), int(found.nit), found.success
         )
-    single = parameters.size > _SINGLE
+    dtype = np.float32 if parameters.size > _SINGLE else np.float64
     value, taken, converged = np.inf, 0, False
+    factor = None if shared is None else shared.factor
     while not converged and taken < options.max_iterations:
-        curvature = gauss_newton_matrix(
-            blocks,
-            positions(parameters),
-            float(parameters[-1]),
-            np.float32 if single else np.float64,
-        )
-        search = _Search(value_and_gradient, parameters, _factor(curvature), tolerance)
+        if factor is None:
+            points, exponent = positions(parameters), float(parameters[-1])
+            factor = _factor(gauss_newton_matrix(blocks, points, exponent, dtype))
+            if shared is not None and shared.factor is None:
+                shared.factor = factor
+        search = _Search(value_and_gradient, parameters, factor, tolerance)
+        factor = None
         steps = min(_ROUND, options.max_iterations - taken)
         ended = search.run(steps)
         parameters, value = search.at(ended.x), float(ended.fun)
