@@ -244,4 +244,4 @@ def test_maps_that_rest_on_heights_of_contacts_are_usable_locally(rolling):
     """Other maps are compressed, and nothing but the heights tells which is right."""
     verdict = diagnose(mapped(rolling), rolling).verdict
     assert verdict.level == "usable locally"
-    assert any("another map" in reason for reason in verdict.reasons)
+    assert any("a map by paths along similar sensors" in reason for reason in verdict.reasons)
