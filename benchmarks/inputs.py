@@ -21,6 +21,7 @@ Readings = NDArray[np.float32]
 
 _REACH = 2.5
 _TOUCHES_PER_SENSOR = 8
+_SENSOR_NOISE = 0.5  # standard deviation; the deepest contact reads 2.5
 _OVERLAP = 0.25
 _BLOCK_FRAMES = 256
 
@@ -91,6 +92,23 @@ def _touched(sensors: Matrix, touches: Matrix, rng: np.random.Generator) -> Matr
     correlation /= deviation
     correlation /= deviation[:, None]
     return _as_working_type(regularised_reciprocal(correlation))
+
+
+def noisy_skin(n_sensors: int) -> Matrix:
+    """Return dissimilarities of a flat skin whose sensors have noise of their own.
+
+    Far sensors are independent: their correlations, near .01, are noise, and so are their lengths.
+    """
+    rng = np.random.default_rng(0)
+    width = n_sensors**0.5
+    sensors = rng.uniform(0, width, (n_sensors, 2))
+    touches = rng.uniform(0, width, (_TOUCHES_PER_SENSOR * n_sensors, 2))
+    apart = KDTree(touches).sparse_distance_matrix(
+        KDTree(sensors), _REACH, output_type="coo_matrix"
+    )
+    readings = _SENSOR_NOISE * rng.standard_normal((len(touches), n_sensors), np.float32)
+    readings[apart.row, apart.col] += (_REACH - apart.data).astype(np.float32)
+    return _as_working_type(regularised_reciprocal(pearson(readings)))
 
 
 def noisy_metric(n_sensors: int) -> Matrix:

@@ -16,14 +16,23 @@ from sklearn import manifold
 
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.classical import torgerson
-from benchmarks.comparison import Comparison, Reference, Setting, describe_share
-from benchmarks.inputs import flat_skin, noisy_metric, pure_noise, torso_dissimilarity
+from benchmarks.comparison import (
+    MIN_GOAL_SENSORS,
+    Comparison,
+    Reference,
+    Setting,
+    describe_share,
+)
+from benchmarks.inputs import flat_skin, noisy_metric, noisy_skin, pure_noise, torso_dissimilarity
 from benchmarks.measuring import Cost, measure_on_one_thread
 
 Matrix = NDArray[np.floating[Any]]
 
 MAX_REFERENCE_SENSORS = 4000
 """References compute a share of larger problems: their cost grows with the cube."""
+
+NOISY_SKINS = {1500: 20.0, 3000: 30.0}
+"""Numbers of sensors of skins with noise, which have other sizes, and the goals there."""
 
 _SOURCES = 50
 
@@ -48,6 +57,15 @@ def compare_metricising(setting: Setting) -> Iterator[Comparison]:
             dataset,
             partial(metricise, lengths),
             (floyd_warshall_reference(lengths, goal),),
+        )
+    for few, goal in NOISY_SKINS.items() if n_sensors >= MIN_GOAL_SENSORS else ():
+        lengths = noisy_skin(few)
+        yield Comparison(
+            "metricising",
+            f"skin with noise, {few:,} sensors",
+            partial(metricise, lengths),
+            (floyd_warshall_reference(lengths, goal),),
+            drawn=False,
         )
 
 
