@@ -242,7 +242,7 @@ def test_help_imports_nothing_heavy():
     ("name", "said"),
     [
         ("diff", "The exit code is 0 if no difference is found, and 1 otherwise."),
-        ("live", "Ctrl-C ends the session and makes the final map."),
+        ("live", "Ctrl-C ends the session; the final"),
         ("place", "Rigid modules of known shape determine the scale"),
     ],
 )
