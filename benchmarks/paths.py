@@ -122,11 +122,12 @@ def compare_torgerson(setting: Setting) -> Iterator[Comparison]:
 
 def _eigen(metric: Matrix) -> Iterator[Reference]:
     cost, expected, factor = cost_of_eigh(len(metric))
+    tolerance = 1e-5 if metric.dtype == np.float32 else 1e-7
 
     def same(positions: Matrix) -> bool:
         if factor != 1:
             return are_eigenvectors(positions, metric)
-        return relative_difference(positions, expected) < 1e-7
+        return relative_difference(positions, expected) < tolerance
 
     details = describe_share(f"{MAX_REFERENCE_SENSORS:,} sensors", factor)
     yield Reference("scipy.linalg.eigh", cost, same, 50, details, estimated=factor != 1)
@@ -136,7 +137,7 @@ def _eigen(metric: Matrix) -> Iterator[Reference]:
         yield Reference(
             "sklearn ClassicalMDS",
             cost,
-            lambda result: relative_difference(result, positions) < 1e-7,
+            lambda result: relative_difference(result, positions) < tolerance,
         )
 
 
