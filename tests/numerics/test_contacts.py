@@ -17,6 +17,7 @@ from anisomap.numerics.contacts.levels import assign_levels
 from anisomap.numerics.contacts.localisation import evaluate, leave_one_out, locate
 from anisomap.numerics.contacts.profile import (
     Profile,
+    ReadingsByLevel,
     fit_profile,
     level_log_likelihood,
     negative_log_likelihood,
@@ -81,10 +82,9 @@ def test_the_gradient_of_the_profile_equals_finite_differences(seed):
     rng = np.random.default_rng(seed)
     levels, inside, weights = rng.integers(0, 4, 50), rng.normal(0.5, 1, 50), rng.uniform(size=50)
     at = np.array([0.1, np.log(0.5), np.log(0.3), np.log(0.25)])
-    value, gradient = negative_log_likelihood(at, levels, inside, weights)
-    expected = approx_fprime(
-        at, lambda p: negative_log_likelihood(p, levels, inside, weights)[0], 1e-7
-    )
+    readings = ReadingsByLevel.of(levels, inside, weights, len(at) - 1)
+    value, gradient = negative_log_likelihood(at, readings)
+    expected = approx_fprime(at, lambda p: negative_log_likelihood(p, readings)[0], 1e-7)
     np.testing.assert_allclose(gradient, expected, atol=1e-4 * abs(value))
 
 

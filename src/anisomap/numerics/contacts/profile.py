@@ -118,7 +118,7 @@ def fit_profile(
     """
     counts = np.asarray(weights, dtype=np.float64)
     used = counts > 0
-    readings = _ByLevel.of(
+    readings = ReadingsByLevel.of(
         np.asarray(levels)[used],
         np.asarray(inside, dtype=np.float64)[used],
         counts[used] / counts.sum(),
@@ -127,7 +127,7 @@ def fit_profile(
     steps = np.maximum(np.diff(profile.thresholds), 1e-3 * profile.softness)
     start = np.concatenate([profile.thresholds[:1], np.log(steps), [np.log(profile.softness)]])
     found = minimize(
-        _negative_log_likelihood,
+        negative_log_likelihood,
         start,
         args=(readings,),
         jac=True,
@@ -140,33 +140,26 @@ def fit_profile(
 
 
 @dataclass(frozen=True, eq=False)
-class _ByLevel:
+class ReadingsByLevel:
     """Distances and weights of readings, one array for each level from 0 on."""
 
     inside: list[Matrix]
     weights: list[Matrix]
 
     @classmethod
-    def of(cls, levels: Indices, inside: Matrix, weights: Matrix, n_levels: int) -> _ByLevel:
+    def of(cls, levels: Indices, inside: Matrix, weights: Matrix, n_levels: int) -> ReadingsByLevel:
+        """Group readings by their levels, from 0 to `n_levels`."""
         order = levels.argsort(kind="stable")
         ends = np.cumsum(np.bincount(levels, minlength=n_levels + 1))[:-1]
         return cls(np.split(inside[order], ends), np.split(weights[order], ends))
 
 
-def negative_log_likelihood(
-    parameters: Matrix, levels: Indices, inside: Matrix, weights: Matrix
-) -> tuple[float, Matrix]:
+def negative_log_likelihood(parameters: Matrix, readings: ReadingsByLevel) -> tuple[float, Matrix]:
     """Return the mean negative log-likelihood and its gradient by the unconstrained parameters.
 
     The parameters are the first threshold and the logarithms of the further steps and of the
-    softness.
+    softness. The weights of the readings add up to 1.
     """
-    readings = _ByLevel.of(levels, inside, weights, len(parameters) - 1)
-    return _negative_log_likelihood(parameters, readings)
-
-
-def _negative_log_likelihood(parameters: Matrix, readings: _ByLevel) -> tuple[float, Matrix]:
-    """See `negative_log_likelihood`."""
     thresholds, softness = _unpack(parameters)
     n_levels, per_width = len(thresholds), 0.5 / softness
     by_threshold, by_softness, score = np.zeros(n_levels), 0.0, 0.0
