@@ -13,7 +13,7 @@ from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.numerics.similarity.correlation import pearson
-from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.numerics.similarity.rest import ranks_of_depths
 from anisomap.stages.pairs import PairStatistics
 
 EXPLAINED, UNEXPLAINED = 0.02, 0.04
@@ -74,10 +74,7 @@ def combine_with_paths(pairs: PairStatistics, positions: Reals) -> Consensus:
         return Consensus(positions, share, 0.0)
     paths = _normalised_paths(pairs.similarity)
     if pairs.readings is not None:
-        if pairs.blended is None:
-            ranks = estimate_rest(pairs.readings).depth_ranks(pairs.readings)
-        else:
-            ranks = pairs.blended.ranks
+        ranks = ranks_of_depths(pairs.readings) if pairs.blended is None else pairs.blended.ranks
         paths = (paths + _normalised_paths(pearson(ranks))) / 2
     distances = pdist(positions)
     mean = distances.mean()

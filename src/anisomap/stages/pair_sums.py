@@ -16,7 +16,7 @@ from anisomap.numerics.contacts.contact_agreement import (
     weighted_contacts,
 )
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.numerics.similarity.rest import ranks_of_depths
 from anisomap.stages.pairs import SIMILARITIES, PairStatistics
 
 _MIN_CONTACTS = 2  # for a sampling variance
@@ -139,7 +139,7 @@ def _correlation_sums(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Weight a correlation by how much its sensors vary, in ranks, which have no unit."""
     n_frames = len(readings)
-    ranks = estimate_rest(readings).depth_ranks(readings) / n_frames
+    ranks = ranks_of_depths(readings) / n_frames
     squares = n_frames * np.asarray(ranks.var(axis=0))
     spread = np.sqrt(squares)
     # Multiplying the spreads first rounds (i, j) and (j, i) alike.

@@ -11,7 +11,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.split_half import split_blocks
 from anisomap.numerics.similarity.correlation import scale_extremes
-from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.numerics.similarity.rest import ranks_of_depths
 
 N_SHIFTS = 19
 """Number of circular shifts: an unrelated sensor exceeds all of them with probability 1/20."""
@@ -84,7 +84,7 @@ def reading_statistics(
     n_frames = len(values)
     if n_frames < MIN_FRAMES:
         raise InputError(f"a check needs at least {MIN_FRAMES} frames, got {n_frames}")
-    ranks = estimate_rest(values).depth_ranks(values)
+    ranks = ranks_of_depths(values)
     whole = _standardised(ranks)
     similarity = _symmetric(whole.T @ whole)
     halves = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,6 @@ from anisomap.numerics.columns import (
     count_values,
     join_columns,
     mean_ranks,
-    rank_columns,
     whole_numbers,
 )
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops
@@ -57,18 +56,6 @@ class Rest:
         """Return the excess of readings over the threshold, shape (T, N); 0 at rest."""
         beyond = self.side * (np.asarray(readings, dtype=np.float64) - self.value) - self.threshold
         return np.asarray(np.maximum(beyond, 0))
-
-    def depth_ranks(self, readings: ArrayLike) -> NDArray[np.float64]:
-        """Return the ranks of the `depth` of each sensor, shape (T, N); ties share their mean."""
-        values = np.asarray(readings)
-        return rank_columns(self._depths(values), values.shape)
-
-    def _depths(self, readings: NDArray[np.generic]) -> Iterator[NDArray[np.float64]]:
-        """Iterate over the `depth` of each sensor, shape (T,)."""
-        own = zip(self.value, self.side, self.threshold, strict=True)
-        for column, (value, side, threshold) in zip(columns(readings), own, strict=True):
-            beyond = side * (column.astype(np.float64) - value) - threshold
-            yield np.maximum(beyond, 0)
 
     def active(self, readings: ArrayLike) -> NDArray[np.bool_]:
         """Return True for readings that exceed the threshold, shape (T, N)."""
@@ -148,8 +135,8 @@ def ranks_of_depths(readings: ArrayLike) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of shape (T, N)
-        ``estimate_rest(readings).depth_ranks(readings)``. Whole numbers are counted and ranked at
-        once.
+        Ranks of ``estimate_rest(readings).depth(readings)`` among those of the sensor; ties share
+        their mean. Whole numbers are counted and ranked at once.
     """
     values = np.asarray(readings)
     return join_columns(map(_depths_by_rank, columns(values)), values.shape)
