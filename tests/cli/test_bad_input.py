@@ -93,6 +93,8 @@ def test_bad_positions(run, tmp_path, name, content):
     ("options", "message"),
     [
         (["-o", "map.doc"], ".csv"),
+        (["-o", "map.png"], "--picture"),
+        (["-o", "map.html"], "--report"),
         (["-o", "nowhere/map.csv"], "folder nowhere does not exist"),
         (["-o", "."], "folder"),
         (["--picture", "map.bmp"], ".png"),

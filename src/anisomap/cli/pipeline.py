@@ -13,7 +13,7 @@ from anisomap.cli import printing, touches
 from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnosis.diagnostics import diagnose
-from anisomap.errors import InputError
+from anisomap.errors import FileError, InputError
 from anisomap.evaluation import Score, score
 from anisomap.files import check_distinct
 from anisomap.health import (
@@ -44,6 +44,13 @@ _SHARE_OF_MAP = 0.45
 .43 to .51 on eleven recordings, simulated and real; .24 to .34 on three others.
 """
 
+_OTHER_OUTPUTS = {
+    ".png": "--picture",
+    ".svg": "--picture",
+    ".pdf": "--picture",
+    ".html": "--report",
+}
+
 
 @dataclass(frozen=True)
 class Outputs:
@@ -63,14 +70,16 @@ class Outputs:
         Raises
         ------
         FileError
-            If a folder is missing, no format matches a suffix, or a file would overwrite an input
-            or another output.
+            If a folder is missing, no format matches a suffix, a map has the suffix of a picture or
+            report, or a file would overwrite an input or another output.
         MissingExtraError
             If a picture or report needs a library that is not installed.
         """
         others = (self.picture, self.report, self.checkpoint, self.statistics)
         check_distinct([path for path in (*self.maps, *others) if path], self.inputs)
         for path in self.maps:
+            if option := _OTHER_OUTPUTS.get(path.suffix.lower()):
+                raise FileError(f"{path} cannot hold a map: name it by {option}, not by --output")
             io.check_writable(path)
         if self.picture:
             from anisomap.drawing import figures  # noqa: PLC0415, slow to import

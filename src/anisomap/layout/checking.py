@@ -16,7 +16,7 @@ from anisomap.evaluation.neighbourhood import check_distances
 from anisomap.health.assessment import MIN_CONTACTS
 from anisomap.health.contact_counts import count_contacts
 from anisomap.layout.explanation import Explained, explain
-from anisomap.layout.findings import KINDS, NOT_TESTED, OK, Finding, LayoutCheck, at_positions
+from anisomap.layout.findings import KINDS, NOT_TESTED, OK, LayoutCheck, LayoutFinding, at_positions
 from anisomap.layout.grouping import module_members
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.layout.chance import agreement, own_agreement
@@ -155,7 +155,7 @@ class _Checked:
         self._statistics = statistics
         self._contacts = count_contacts(estimate_rest(readings).active(readings))
         self._usable = self._statistics.tested & (self._contacts >= MIN_CONTACTS)
-        self._findings: list[Finding] = []
+        self._findings: list[LayoutFinding] = []
 
     def result(self, notes: list[str]) -> LayoutCheck:
         """Carry out all steps."""
@@ -198,7 +198,7 @@ class _Checked:
                 f"{self._names[i]} is constant, although its neighbours were touched "
                 f"{around[i]:.0f} times"
             )
-            self._findings.append(Finding("dead", np.array([i]), text))
+            self._findings.append(LayoutFinding("dead", np.array([i]), text))
 
     def _find_doubled(self) -> None:
         """Find pairs with equal readings; the one that fits its place less is the copy."""
@@ -214,7 +214,7 @@ class _Checked:
             fits = [self._fit_without(k, {i, j}) for k in (i, j)]
             copy, source = (i, j) if fits[0] < fits[1] else (j, i)
             text = f"{self._names[copy]} repeats the readings of {self._names[source]}"
-            self._findings.append(Finding("doubled", np.array([copy]), text))
+            self._findings.append(LayoutFinding("doubled", np.array([copy]), text))
             self._usable[copy] = False
 
     def _fit_without(self, sensor: int, pair: set[int]) -> float:
@@ -246,7 +246,9 @@ class _Checked:
             self._findings.append(self._finding(group, before, move, verdict))
         return proposed
 
-    def _finding(self, group: Explained, before: Evidence, move: Move, verdict: Verdict) -> Finding:
+    def _finding(
+        self, group: Explained, before: Evidence, move: Move, verdict: Verdict
+    ) -> LayoutFinding:
         stated = agreement(before, move.sensors, self._positions[move.sensors])
         there = agreement(before, move.sensors, move.places)
         distance = np.linalg.norm(move.places - self._positions[move.sensors], axis=1)
@@ -255,7 +257,7 @@ class _Checked:
         text = group.text
         if untested:
             text += f" ({join_items(untested, _MAX_NAMED)} not tested)"
-        return Finding(
+        return LayoutFinding(
             group.kind,
             group.sensors[changed],
             text,

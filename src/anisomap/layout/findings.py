@@ -36,7 +36,7 @@ KINDS: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class LayoutFinding:
     """Sensors whose readings contradict their positions, and what would explain this.
 
     Attributes
@@ -81,7 +81,7 @@ class LayoutCheck:
         The same with the proposed places; equal if none are proposed.
     status : tuple of str
         Of each sensor of the layout: a key of `KINDS`, ``"ok"``, or ``"not tested"``.
-    findings : tuple of Finding
+    findings : tuple of LayoutFinding
         Ordered by kind as in `KINDS`, then by the first sensor.
     agreement : ndarray of shape (N,)
         Mean similarity of each sensor to those around its stated place; NaN if it is not tested
@@ -97,7 +97,7 @@ class LayoutCheck:
     layout: SensorMap
     corrected: SensorMap
     status: tuple[str, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[LayoutFinding, ...]
     agreement: NDArray[np.float64]
     module: NDArray[np.intp]
     spacing: float
@@ -123,7 +123,7 @@ class LayoutCheck:
         """Mask of the sensors in findings, shape (N,)."""
         return np.array([status not in (OK, NOT_TESTED) for status in self.status], dtype=bool)
 
-    def names(self, finding: Finding) -> tuple[str, ...]:
+    def names(self, finding: LayoutFinding) -> tuple[str, ...]:
         """Return the names of the sensors of a finding."""
         return tuple(self.layout.names[i] for i in finding.sensors)
 

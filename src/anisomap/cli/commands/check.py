@@ -16,7 +16,7 @@ from anisomap.cli.console import MAX_SHOWN, Printer, number, percent, progress
 from anisomap.drawing import figures
 from anisomap.errors import InputError
 from anisomap.files import check_distinct
-from anisomap.layout import Finding, LayoutCheck, check_layout
+from anisomap.layout import LayoutCheck, LayoutFinding, check_layout
 from anisomap.numerics.layout.statistics import N_SHIFTS
 from anisomap.placement import Modules
 from anisomap.sensor_map import UNSCALED, SensorMap
@@ -150,7 +150,7 @@ def _modules(found: LayoutCheck) -> str:
     return f"{found.n_modules} of {size} sensors"
 
 
-def _row(found: LayoutCheck, finding: Finding) -> tuple[str, ...]:
+def _row(found: LayoutCheck, finding: LayoutFinding) -> tuple[str, ...]:
     return (
         finding.kind,
         join_items(found.names(finding), 3),
