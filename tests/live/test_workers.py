@@ -30,7 +30,17 @@ class Skin:
 
 
 @pytest.fixture
-def session(tmp_path):
+def others():
+    """Processes of earlier tests, such as those of a pool."""
+    return multiprocessing.active_children()
+
+
+def workers_beside(others):
+    return [child for child in multiprocessing.active_children() if child not in others]
+
+
+@pytest.fixture
+def session(tmp_path, others):  # lists others before its own start
     options = ExaminationOptions(method="r-anisomap", dimensions=2)
     with LiveSession(Skin(), tmp_path / "r.csv", options) as started:
         with started.changed:
@@ -51,8 +61,8 @@ def finish_while(session, action):
 
 
 @pytest.mark.slow
-def test_the_final_map_is_made_though_its_process_is_killed(session):
-    workers = multiprocessing.active_children()
+def test_the_final_map_is_made_though_its_process_is_killed(session, others):
+    workers = workers_beside(others)
     for worker in workers:
         os.kill(worker.pid, signal.SIGSTOP)  # the request for the final map stays unanswered
     final = finish_while(session, lambda: [worker.kill() for worker in workers])
@@ -61,9 +71,9 @@ def test_the_final_map_is_made_though_its_process_is_killed(session):
     assert final.sensor_map is not None
 
 
-def test_a_session_ends_though_its_processes_die_again_and_again(session):
+def test_a_session_ends_though_its_processes_die_again_and_again(session, others):
     def kill():
-        for worker in multiprocessing.active_children():
+        for worker in workers_beside(others):
             worker.kill()
 
     assert finish_while(session, kill) is None
