@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import islice
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.columns import columns, count_values
+from anisomap.numerics.compiled.parallel import load_loops
+from anisomap.numerics.similarity.co_occurrence import MIN_COMPILED_SENSORS
 
 DEFAULT_BINS = 4
 """Number of bins in the paper, which reports similar results for 6 and 8."""
@@ -14,6 +19,7 @@ DEFAULT_BINS = 4
 MAX_BINS = 1024
 """Maximum number of bins; the joint counts of more need over a million frames."""
 
+_SENSORS_AT_ONCE = 64  # written at a time
 _MAX_COST = 2.0**61  # of the integer costs of a division; their sums must fit in int64
 
 
@@ -46,21 +52,45 @@ def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray
     of ``n log n`` over the counts n of its bins (dynamic programming in O(b m log m)). Of equally
     good divisions, the one with the earliest last bin is taken.
     """
+    return _divide(np.asarray(counts, dtype=np.int64), _checked(bins))
+
+
+def _checked(bins: int) -> int:
     if bins < 2:
         raise InputError(f"bins must be at least 2, got {bins}")
     if bins > MAX_BINS:
         raise InputError(f"bins must be at most {MAX_BINS}, got {bins}")
-    mass = np.asarray(counts, dtype=np.int64)
+    return bins
+
+
+def _divide(
+    mass: NDArray[np.int64], bins: int, costs: NDArray[np.int64] | None = None
+) -> NDArray[np.intp]:
+    """Divide values as `maximum_entropy_bins`.
+
+    Parameters
+    ----------
+    mass : ndarray of int, shape (m,)
+        Counts of the values.
+    bins : int
+    costs : ndarray of int, shape (T + 1,), optional
+        Cost of a bin of each size, for compiled loops.
+    """
     if mass.size <= bins:
         return np.arange(mass.size)
     ends = np.concatenate([[0], np.cumsum(mass)])
-    unit = _MAX_COST / (float(ends[-1]) * np.log(float(ends[-1])))
+    unit = _unit(int(ends[-1]))
     before = _possible_ends(ends, int(mass.max()), 1, bins)
     least, cuts = _cost(ends, unit), []
     for n_bins in range(2, int(bins) + 1):
         first, last = _possible_ends(ends, int(mass.max()), n_bins, bins)
         after = (max(first, before[0] + 1), last)
-        least, cut = _with_another_bin(least, ends, before, after, unit)
+        if costs is None:
+            least, cut = _with_another_bin(least, ends, before, after, unit)
+        else:
+            found = np.zeros_like(ends), np.zeros_like(ends)
+            load_loops("binning").add_bin(costs, ends, least, before + after, found)
+            least, cut = found
         cuts.append(cut)
         before = after
     result, end = np.zeros(mass.size, dtype=np.intp), mass.size
@@ -135,6 +165,11 @@ def _with_another_bin(
     return result, cut
 
 
+def _unit(n_frames: int) -> float:
+    """Return the unit of costs with which their sums fit in int64."""
+    return float(_MAX_COST / (n_frames * np.log(n_frames)))
+
+
 def _cost(counts: NDArray[np.int64], unit: float) -> NDArray[np.int64]:
     """Return n log n in units of 1 / `unit`: integers, so that equal divisions have equal costs."""
     return np.asarray(np.rint(unit * counts * np.log(np.maximum(counts, 1))), dtype=np.int64)
@@ -155,13 +190,26 @@ def maximum_entropy_codes(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDAr
     ndarray of uint16, shape (T, N)
         Codes from 0 to b - 1. Invariant under increasing transformations of a sensor.
     """
-    values = np.asarray(readings)
-    codes = np.empty(values.shape[::-1], dtype=np.uint16)
-    for sensor, column in enumerate(columns(values)):
-        distinct, counts = count_values(column)
-        found = maximum_entropy_bins(counts, bins)
-        # Searching the few values at which the bin changes is faster than searching all values.
-        changes = np.flatnonzero(np.diff(found)) + 1
-        runs = found[np.concatenate([[0], changes])]
-        codes[sensor] = runs[np.searchsorted(distinct[changes], column, side="right")]
-    return np.ascontiguousarray(codes.T)
+    n_bins, values = _checked(bins), np.asarray(readings)
+    n_frames, n_sensors = values.shape
+    is_compiled = n_sensors >= MIN_COMPILED_SENSORS and n_frames > 1
+    costs = _cost(np.arange(n_frames + 1), _unit(n_frames)) if is_compiled else None
+    codes = np.empty(values.shape, dtype=np.uint16)
+    found = (_codes_of(column, n_bins, costs) for column in columns(values))
+    # Writing single columns would load every row of the codes from memory for one number.
+    for begin in range(0, n_sensors, _SENSORS_AT_ONCE):
+        part = np.array(list(islice(found, _SENSORS_AT_ONCE)))
+        codes[:, begin : begin + _SENSORS_AT_ONCE] = part.T
+    return codes
+
+
+def _codes_of(
+    column: NDArray[Any], bins: int, costs: NDArray[np.int64] | None
+) -> NDArray[np.uint16]:
+    """Return the codes of one sensor, shape (T,)."""
+    distinct, counts = count_values(column)
+    found = _divide(counts, bins, costs).astype(np.uint16)
+    # Searching the few values at which the bin changes is faster than searching all values.
+    changes = np.flatnonzero(np.diff(found)) + 1
+    runs = found[np.concatenate([[0], changes])]
+    return np.asarray(runs[np.searchsorted(distinct[changes], column, side="right")])
