@@ -50,7 +50,7 @@ def row_blocks(n_rows: int, n_columns: int | None = None) -> Iterator[slice]:
         yield slice(begin, min(begin + step, n_rows))
 
 
-def mirror(matrix: NDArray[Any], *, upper: bool, tile: int = 1024) -> None:
+def mirror(matrix: NDArray[Any], *, upper: bool, tile: int = 128) -> None:
     """Make a square matrix symmetric in place by copying one triangle to the other.
 
     Parameters
@@ -59,7 +59,7 @@ def mirror(matrix: NDArray[Any], *, upper: bool, tile: int = 1024) -> None:
     upper : bool
         Whether the upper triangle is the source.
     tile : int
-        Rows and columns copied at a time; a tile of 1024 x 1024 float64 fits into the cache.
+        Rows and columns copied at a time; tiles of 128 x 128 float64 stay in a second-level cache.
     """
     for rows, columns in _upper_tiles(len(matrix), tile):
         above, below = matrix[rows, columns], matrix[columns, rows].T
@@ -70,7 +70,7 @@ def mirror(matrix: NDArray[Any], *, upper: bool, tile: int = 1024) -> None:
         target[...] = source
 
 
-def is_symmetric(matrix: NDArray[Any], *, tile: int = 1024) -> bool:
+def is_symmetric(matrix: NDArray[Any], *, tile: int = 128) -> bool:
     """Return whether a square matrix equals its transpose exactly."""
     return all(
         np.array_equal(matrix[rows, columns], matrix[columns, rows].T)

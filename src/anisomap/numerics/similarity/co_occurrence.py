@@ -47,6 +47,7 @@ _CountPanel: TypeAlias = Callable[[int, int, NDArray[np.uint32]], None]
 _PANEL_SERIES = 96  # rows of counts per task, which fit into a second-level cache
 _ENTRY_COST = 12  # time to count one pair of entries, in words of 64 bits; measured
 _WORD = 64
+_LINE_WORDS = 8  # words in a cache line of 64 bytes, the size in x86 and most ARM processors
 _SAMPLE_FRAMES = 1000  # frames from which the cheaper way to count is estimated
 
 
@@ -293,12 +294,20 @@ def _panel_counter(codes: Codes, layout: Layout, counting: Counting) -> _CountPa
 
 
 def _bits(codes: Codes, layout: Layout) -> NDArray[np.uint64]:
-    bits = np.zeros((layout.n_series + 1, -(-len(codes) // _WORD)), dtype=np.uint64)
+    bits = _aligned_zeros(layout.n_series + 1, -(-len(codes) // _WORD))
     if codes.dtype == np.bool_ and layout.is_of_switches:
         load_loops("co_occurrence").pack_switches(_as_integers(codes), bits[:-1])
         return bits[:-1]
     load_loops("co_occurrence").pack_bits(_as_integers(codes), layout.position, bits)
     return bits[:-1]
+
+
+def _aligned_zeros(n_rows: int, n_words: int) -> NDArray[np.uint64]:
+    """Return words of 64 bits, shape (n_rows, n_words or more); each row begins a cache line."""
+    stride = -(-n_words // _LINE_WORDS) * _LINE_WORDS
+    words = np.zeros(n_rows * stride + _LINE_WORDS - 1, dtype=np.uint64)
+    skipped = -(words.ctypes.data // words.itemsize) % _LINE_WORDS
+    return words[skipped : skipped + n_rows * stride].reshape(n_rows, stride)
 
 
 def _as_integers(codes: Codes) -> Codes:
