@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.stats import rankdata
 
-from anisomap.numerics.columns import columns, count_values, mean_ranks, rank_columns
+from anisomap.numerics.columns import (
+    columns,
+    count_values,
+    find_levels,
+    join_columns,
+    mean_ranks,
+    rank_columns,
+)
 
 MOSTLY_ZERO = st.one_of(st.just(0.0), st.just(0.0), st.just(-0.0), st.floats(-9, 9))
 
@@ -30,6 +37,22 @@ def test_values_are_counted_as_by_numpy_unique(column):
     assert found[0].dtype == column.dtype
 
 
+@given(
+    st.one_of(
+        arrays(np.float64, st.integers(1, 200), elements=MOSTLY_ZERO),
+        arrays(np.float32, st.integers(1, 200), elements=WHOLE),
+        arrays(np.uint8, st.integers(1, 200)),
+        arrays(np.bool_, st.integers(1, 9)),
+    )
+)
+def test_levels_are_the_distinct_values_of_all_frames(column):
+    levels = find_levels(column)
+    values, counts = np.unique(column, return_counts=True)
+    np.testing.assert_array_equal(levels.values, values)
+    np.testing.assert_array_equal(levels.counts, counts)
+    np.testing.assert_array_equal(levels.expand(levels.values), column)
+
+
 @given(arrays(np.float64, st.integers(1, 200), elements=st.one_of(MOSTLY_ZERO, WHOLE)))
 def test_ranks_are_those_of_scipy(column):
     np.testing.assert_array_equal(mean_ranks(column), rankdata(column))
@@ -43,3 +66,12 @@ def test_columns_are_contiguous_and_in_order(n_at_once, readings):
     found = list(columns(readings, n_at_once))
     np.testing.assert_array_equal(found, readings.T)
     assert all(column.flags.c_contiguous for column in found)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_joined_columns_are_contiguous_by_column(dtype):
+    readings = np.random.default_rng(0).integers(0, 9, (7, 5)).astype(dtype)
+    joined = join_columns(columns(readings), readings.shape, dtype)
+    np.testing.assert_array_equal(joined, readings)
+    assert joined.dtype == dtype
+    assert joined.flags.f_contiguous

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import islice
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,86 @@ def columns(readings: NDArray[Any], n_at_once: int = _SENSORS_AT_ONCE) -> Iterat
         yield from np.ascontiguousarray(readings[:, begin : begin + n_at_once].T)
 
 
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Distinct readings of one sensor, and the frames at them.
+
+    Attributes
+    ----------
+    n_frames : int
+        T.
+    values : ndarray of shape (m,)
+        Distinct readings in increasing order.
+    counts : ndarray of int64, shape (m,)
+        Number of frames at each.
+    usual : int
+        Index of a frequent reading.
+    frames : ndarray of int, shape (t,)
+        Frames at all other readings, increasing.
+    codes : ndarray of int, shape (t,)
+        Indices of the readings in those frames.
+    """
+
+    n_frames: int
+    values: NDArray[Any]
+    counts: NDArray[np.int64]
+    usual: int
+    frames: NDArray[np.intp]
+    codes: NDArray[np.intp]
+
+    def expand(self, of_levels: NDArray[Any]) -> NDArray[Any]:
+        """Return the value of each frame's level, shape (T,), from those of the levels, (m,)."""
+        expanded = np.full(self.n_frames, of_levels[self.usual], of_levels.dtype)
+        expanded[self.frames] = of_levels[self.codes]
+        return expanded
+
+
+def find_levels(column: NDArray[Any]) -> Levels:
+    """Find the distinct readings of one sensor.
+
+    Parameters
+    ----------
+    column : ndarray of shape (T,)
+        Finite readings, T >= 1.
+
+    Returns
+    -------
+    Levels
+
+    Notes
+    -----
+    Only readings that differ from a frequent one are examined; whole numbers in a small range are
+    counted in a table, all others are sorted.
+    """
+    usual = _usual(column)
+    frames = (column != usual).nonzero()[0]
+    unusual = column[frames]
+    whole = whole_numbers(unusual) if unusual.size else None
+    if whole is None:
+        order = unusual.argsort()
+        ordered = unusual[order]
+        begins, counts = _ties(ordered)
+        values = ordered[begins]
+        codes = np.empty(unusual.size, dtype=np.intp)
+        codes[order] = np.repeat(np.arange(counts.size), counts)
+    else:
+        table = np.bincount(whole[0])
+        present = table.nonzero()[0]
+        values, counts = (present + whole[1]).astype(column.dtype), table[present]
+        table[present] = np.arange(present.size)
+        codes = table[whole[0]]
+    place = int(values.searchsorted(usual))
+    codes[codes >= place] += 1
+    return Levels(
+        column.size,
+        _inserted(values, place, usual),
+        _inserted(counts, place, column.size - frames.size),
+        place,
+        frames,
+        codes,
+    )
+
+
 def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
     """Count the distinct values of one sensor.
 
@@ -50,25 +130,23 @@ def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]
 
     Notes
     -----
-    Equal to ``numpy.unique(column, return_counts=True)``, but faster: whole numbers in a small
-    range are counted in a table, and otherwise only readings that differ from a frequent value
-    are sorted.
+    Equal to ``numpy.unique(column, return_counts=True)``, but faster: see `find_levels`.
     """
-    whole = whole_numbers(column)
-    if whole is not None:
-        codes, lowest = whole
-        table = np.bincount(codes)
-        found = np.flatnonzero(table)
-        return (found + lowest).astype(column.dtype), table[found].astype(np.int64)
     usual = _usual(column)
     unusual = column[column != usual]
-    unusual.sort()
-    begins, counts = _ties(unusual)
-    values = unusual[begins]
-    place = values.searchsorted(usual)
+    whole = whole_numbers(unusual) if unusual.size else None
+    if whole is None:
+        unusual.sort()
+        begins, counts = _ties(unusual)
+        values = unusual[begins]
+    else:
+        table = np.bincount(whole[0])
+        present = table.nonzero()[0]
+        values, counts = (present + whole[1]).astype(column.dtype), table[present]
+    place = int(values.searchsorted(usual))
     return (
-        np.concatenate([values[:place], [usual], values[place:]]),
-        np.concatenate([counts[:place], [column.size - unusual.size], counts[place:]]),
+        _inserted(values, place, usual),
+        _inserted(counts, place, column.size - unusual.size),
     )
 
 
@@ -89,21 +167,13 @@ def mean_ranks(column: NDArray[Any]) -> NDArray[np.float64]:
     -----
     Equal to ``scipy.stats.rankdata(column)``, but faster, as `count_values`.
     """
-    whole = whole_numbers(column)
-    if whole is not None:
-        table = np.bincount(whole[0])
-        # Ranks of a value are those after all lower values; ties share the mean.
-        return np.asarray((np.cumsum(table) - (table - 1) / 2)[whole[0]])
-    usual = _usual(column)
-    at = (column != usual).nonzero()[0]
-    at = at[column[at].argsort()]
-    unusual = column[at]
-    begins, counts = _ties(unusual)
-    n_usual, n_below = column.size - at.size, np.count_nonzero(unusual < usual)
-    ranks = np.full(column.size, n_below + (n_usual + 1) / 2)
-    ranks[at] = np.repeat(begins + (counts + 1) / 2, counts)
-    ranks[at[n_below:]] += n_usual
-    return ranks
+    levels = find_levels(column)
+    return levels.expand(ranks_from_counts(levels.counts))
+
+
+def ranks_from_counts(counts: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+    """Rank distinct values, shape (m,), in increasing order; ties share their mean rank."""
+    return np.asarray(np.cumsum(counts) - (counts - 1) / 2)
 
 
 def rank_columns(sensors: Iterable[NDArray[Any]], shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -123,13 +193,16 @@ def rank_columns(sensors: Iterable[NDArray[Any]], shape: tuple[int, ...]) -> NDA
     return join_columns(map(mean_ranks, sensors), shape)
 
 
-def join_columns(sensors: Iterator[NDArray[Any]], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Join columns of shape (T,) to an array of shape (T, N), several at a time, as `columns`."""
-    joined = np.empty(shape)
-    for begin in range(0, shape[1], _SENSORS_AT_ONCE):
-        part = np.array(list(islice(sensors, _SENSORS_AT_ONCE)))
-        joined[:, begin : begin + _SENSORS_AT_ONCE] = part.T
-    return joined
+def join_columns(
+    sensors: Iterable[NDArray[Any]],
+    shape: tuple[int, ...],
+    dtype: type[np.float32] | type[np.float64] = np.float64,
+) -> NDArray[Any]:
+    """Join columns of shape (T,) to an array of shape (T, N), contiguous by column."""
+    joined = np.empty(shape[::-1], dtype)
+    for row, column in zip(joined, sensors, strict=True):
+        row[:] = column
+    return joined.T
 
 
 def whole_numbers(column: NDArray[Any]) -> tuple[NDArray[np.intp], int] | None:
@@ -154,9 +227,17 @@ def whole_numbers(column: NDArray[Any]) -> tuple[NDArray[np.intp], int] | None:
     if not float(highest) - float(lowest) < _MAX_TABLE or abs(float(lowest)) > _GREATEST_WHOLE:
         return None
     if column.dtype.kind == "f":
-        codes = (column - lowest).astype(np.intp)
-        return (codes, int(lowest)) if np.array_equal(codes + lowest, column) else None
+        if not np.array_equal(column, np.rint(column)):
+            return None
+        return (column - lowest).astype(np.intp), int(lowest)
     return column.astype(np.intp) - int(lowest), int(lowest)
+
+
+def _inserted(values: NDArray[Any], place: int, value: Any) -> NDArray[Any]:
+    """Insert a value; numpy.insert takes ten times as long."""
+    longer = np.empty(values.size + 1, values.dtype)
+    longer[:place], longer[place], longer[place + 1 :] = values[:place], value, values[place:]
+    return longer
 
 
 def _usual(column: NDArray[Any]) -> Any:

@@ -197,9 +197,10 @@ class PairStatistics:
             return (self.given_changes,)
         if self.readings is None or len(self.readings) < _MIN_FRAMES:
             return ()
-        found = split_blend(
-            np.diff(self.readings.astype(np.float64, copy=False), axis=0), halves=True
-        )
+        readings: NDArray[Any] = self.readings
+        if readings.dtype.kind != "f":
+            readings = readings.astype(np.float64)
+        found = split_blend(np.diff(readings, axis=0), halves=True)
         return found.similarity, *found.halves
 
     def of_half(self, half: int) -> PairStatistics:
@@ -315,6 +316,7 @@ def compare(
     if len({frozenset(run.names) for run in runs}) == 1:
         readings = joined(runs, runs[0].names)
         if with_noise and statistic.blend is not None:
+            readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
             blended = statistic.blend(readings)
             pairs = PairStatistics.from_similarity(
                 blended.similarity,

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter1d
 
 from anisomap.errors import InputError
-from anisomap.numerics.reliability.sampling_noise import sampling_variance, typical_variance
+from anisomap.numerics.reliability.sampling_noise import (
+    correlation_time,
+    sampling_variance,
+    typical_variance,
+)
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.stages.pairs import SIMILARITIES
 
@@ -44,6 +49,27 @@ def test_the_variance_is_symmetric_and_at_least_that_of_independent_frames(seed)
     np.testing.assert_allclose(found, found.T)
     assert (found >= 1 / 60 - 1e-15).all()
     np.testing.assert_allclose(sampling_variance(7 - 3 * x), found, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("lag", "noise"), [(20, 0.0), (20, 0.5), (60, 0.1)])
+def test_long_recordings_have_the_variance_of_all_their_frames(lag, noise):
+    """Bartlett's sum over all lags, of frames of which `sampling_variance` uses some."""
+    rng = np.random.default_rng(lag)
+    n_frames, n_sensors = 12_000, 12
+    smooth = gaussian_filter1d(rng.standard_normal((n_frames, n_sensors)), lag / 3, axis=0)
+    x = smooth / smooth.std() + noise * rng.standard_normal(smooth.shape)
+    window = 2 * correlation_time(x)
+    centred = x - x.mean(axis=0)
+    products = [
+        (centred[: n_frames - lag] * centred[lag:]).sum(axis=0) for lag in range(window + 1)
+    ]
+    taper = np.where(np.arange(window + 1), 2.0, 1.0) * (1 - np.arange(window + 1) / (window + 1))
+    weighted = np.sqrt(taper / n_frames)[:, None] * products / products[0]
+    expected = typical_variance(weighted.T @ weighted)
+    assert typical_variance(sampling_variance(x)) == pytest.approx(expected, rel=0.05)
+    assert typical_variance(sampling_variance(x.astype(np.float32))) == pytest.approx(
+        expected, rel=0.05
+    )
 
 
 def test_one_frame_is_rejected():

@@ -20,4 +20,6 @@ from anisomap.numerics.similarity.rest import estimate_rest, ranks_of_depths
 def test_ranks_of_depths_are_those_of_scipy(readings, side):
     readings = np.maximum(readings * side, 0) * side
     depths = estimate_rest(readings).depth(readings)
-    np.testing.assert_array_equal(ranks_of_depths(readings), rankdata(depths, axis=0))
+    expected = rankdata(depths, axis=0)
+    np.testing.assert_array_equal(ranks_of_depths(readings), expected)
+    np.testing.assert_array_equal(ranks_of_depths(readings, single=True), expected)

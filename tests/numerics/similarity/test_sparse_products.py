@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
-from anisomap.numerics.similarity.accumulators import MIN_FAST_PRODUCT_SENSORS, Moments
+from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, MIN_PARALLEL_ROWS
+from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.numerics.similarity.sparse_products import is_sparse, sparse_comoments
 
 MOSTLY_FIVE = st.one_of(st.just(5.0), st.just(5.0), st.floats(-9, 9, width=32))
@@ -29,6 +29,9 @@ def sparse_readings(n_frames, n_sensors, share, dtype=np.float64):
 @given(recordings())
 def test_comoments_equal_dense_products(readings):
     mean, comoment = sparse_comoments(readings)
+    by_sensor = sparse_comoments(np.asfortranarray(readings))
+    np.testing.assert_array_equal(by_sensor[0], mean)
+    np.testing.assert_array_equal(by_sensor[1], comoment)
     deviations = readings - readings.mean(axis=0)
     np.testing.assert_allclose(mean, readings.mean(axis=0), atol=1e-12)
     np.testing.assert_allclose(comoment, deviations.T @ deviations, atol=1e-10)
@@ -52,7 +55,7 @@ def test_sparse_products_are_chosen_only_for_sparse_readings():
 
 
 def test_moments_of_many_sparse_sensors_are_accurate_to_float64():
-    readings = sparse_readings(500, MIN_FAST_PRODUCT_SENSORS, 0.05)
+    readings = sparse_readings(500, MIN_COMPILED_ROWS, 0.05)
     found = Moments.of(readings, single=True).correlation()
     # Products in float32 would differ by 1e-7.
     np.testing.assert_allclose(found, np.corrcoef(readings.T), atol=1e-12)

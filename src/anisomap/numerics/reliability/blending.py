@@ -57,7 +57,7 @@ class SplitBlend:
     weights : tuple of float
         Weight of Pearson's r, in [0, 1], in all frames and in each of the `halves`.
     ranks : ndarray of shape (T, N)
-        Ranks of depths beyond rest.
+        Ranks of depths beyond rest, of float32 or float64.
     halves : tuple of ndarray of shape (N, N)
         Blended correlations of the halves of the frames
         (`anisomap.numerics.reliability.split_half.split_blocks`), with ranks among all frames;
@@ -66,7 +66,7 @@ class SplitBlend:
 
     similarity: Reals
     weights: tuple[float, ...]
-    ranks: NDArray[np.float64]
+    ranks: Reals
     halves: tuple[Reals, ...] = ()
 
 
@@ -86,7 +86,7 @@ def split_blend(readings: ArrayLike, *, halves: bool = False) -> SplitBlend:
     SplitBlend
     """
     values = np.asarray(readings)
-    ranks = ranks_of_depths(values)
+    ranks = ranks_of_depths(values, single=True)
     halves = halves and values.shape[1] <= _MAX_SENSORS_OF_HALVES
     linear, by_rank = (correlation_and_reliability(one, halves=halves) for one in (values, ranks))
     parts = zip((linear, *linear.halves), (by_rank, *by_rank.halves), strict=True)
@@ -115,7 +115,7 @@ class Blend:
     similarity: Reals
     variance: Reals
     weights: tuple[float, ...]
-    ranks: NDArray[np.float64]
+    ranks: Reals
     halves: tuple[Reals, ...] = ()
 
     def select(self, sensors: NDArray[np.bool_]) -> Blend:
@@ -164,14 +164,13 @@ def blend(readings: ArrayLike) -> Blend:
     `anisomap.numerics.reliability.sampling_noise.sampling_variance` for the readings and for the
     ranks: the errors of r and rho are taken to be proportional, as they nearly are.
     """
-    found = split_blend(readings, halves=True)
-    variance = _blended_variance(found.weights[0], np.asarray(readings), found.ranks)
+    values = np.asarray(readings)
+    found = split_blend(values, halves=True)
+    variance = _blended_variance(found.weights[0], values, found.ranks)
     return Blend(found.similarity, variance, found.weights, found.ranks, found.halves)
 
 
-def _blended_variance(
-    weight: float, readings: NDArray[np.generic], ranks: NDArray[np.float64]
-) -> Reals:
+def _blended_variance(weight: float, readings: NDArray[np.generic], ranks: Reals) -> Reals:
     deviation = weight * np.sqrt(sampling_variance(readings))
     deviation += (1 - weight) * np.sqrt(sampling_variance(ranks))
     return np.asarray(np.square(deviation, out=deviation))

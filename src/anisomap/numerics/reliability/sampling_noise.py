@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,10 @@ _FIRST_LAGS = 256  # lags examined first; chosen by hand, to save most of the ma
 _MIN_WINDOW = 10  # frames; chosen by hand
 _FADED = 0.1  # autocorrelation below which readings count as uncorrelated; chosen by hand
 _WINDOW_FACTOR = 2.0  # window / lag at which the autocorrelation has faded; chosen by hand
-_SENSORS_AT_ONCE = 64  # sensors transformed at a time; bounds the memory
+_MIN_THINNED = 2048  # frames left in thinned readings; chosen by hand
+_LAGS_PER_FADING = 8  # lags up to the one at which the autocorrelation has faded; see `_fading`
+_SENSORS_AT_ONCE = 16  # sensors transformed at a time, which stay in the cache
+_FLOAT32_RANGE = 1e15  # of readings that are centred in float32
 _SAMPLED_SENSORS = 128  # whose median autocorrelation gives the window; by hand
 _MAX_SENSORS = 4000  # sampled sensors; their 8 million pairs determine the median
 
@@ -47,23 +51,27 @@ def sampling_variance(readings: ArrayLike) -> Reals:
     the autocorrelations rho. The window L is twice the lag at which the median autocorrelation
     falls below 0.1, so that the result does not depend on the frame rate. More than 128 sensors
     are sampled evenly for that lag.
+
+    Of recordings of 4,096 frames and more, frames are thinned while that lag is 8 frames at least,
+    and autocorrelations are interpolated linearly between lag 1, beyond which the noise of readings
+    does not last, and the lags that are left.
     """
     values = np.asarray(readings)
     n_frames = len(values)
     if n_frames < 2:
         raise InputError(f"a sampling variance needs at least 2 frames, got {n_frames}")
-    sampled, some, lag = _fading(values)
-    window = min(len(some) - 1, max(_MIN_WINDOW, math.ceil(_WINDOW_FACTOR * lag)))
-    tapered = np.empty((window + 1, values.shape[1]), float_type(values.shape[1]))
-    tapered[:, sampled] = some[: window + 1]
+    sampled, some, lag, step = _fading(values)
+    window = min(len(some) - 1, max(_MIN_WINDOW, math.ceil(_WINDOW_FACTOR * lag / step)))
+    found = np.empty((window + 1, values.shape[1]), float_type(values.shape[1]))
+    found[:, sampled] = some[: window + 1]
     others = np.setdiff1d(np.arange(values.shape[1]), sampled)
-    for begin in range(0, len(others), _SENSORS_AT_ONCE):
-        part = others[begin : begin + _SENSORS_AT_ONCE]
-        tapered[:, part] = _autocorrelation(values[:, part], window)
-    taper = 2 * (1 - np.arange(window + 1) / (window + 1))
+    found[:, others] = _autocorrelation(values[::step], window, others)
+    if step > 1:
+        found = _interpolated(np.insert(found, 1, _lag_one(values, step), axis=0), step)
+    taper = 2 * (1 - np.arange(len(found)) / len(found))
     taper[0] = 1.0  # all other lags are doubled, for their negatives
-    tapered *= np.sqrt(taper / n_frames)[:, None]
-    variance = tapered.T @ tapered  # the product of a matrix with itself is exactly symmetric
+    found *= np.sqrt(taper / n_frames)[:, None]
+    variance = found.T @ found  # the product of a matrix with itself is exactly symmetric
     return np.asarray(np.maximum(variance, 1 / n_frames, out=variance))
 
 
@@ -104,39 +112,97 @@ def correlation_time(readings: ArrayLike) -> int:
 
 def _fading(
     readings: NDArray[np.generic],
-) -> tuple[NDArray[np.intp], NDArray[np.float32], int]:
-    """Return sampled sensors, their autocorrelations, and the lag at which the median fades."""
+) -> tuple[NDArray[np.intp], NDArray[np.float32], int, int]:
+    """Find the lag at which the median autocorrelation of sampled sensors fades.
+
+    Returns
+    -------
+    sampled : ndarray of int
+        Sensors.
+    autocorrelations : ndarray of float32
+        Theirs, at multiples of the step.
+    lag : int
+    step : int
+        Frames between those of the thinned readings; a power of 2.
+    """
     n_frames, n_sensors = readings.shape
-    max_lag = min(_MAX_LAG, max(1, n_frames // _MAX_LAG_SHARE))
     sampled = np.linspace(0, n_sensors - 1, min(n_sensors, _SAMPLED_SENSORS)).astype(np.intp)
-    # Nearly all recordings fade much earlier than the longest lag.
-    for lags in sorted({min(_FIRST_LAGS, max_lag), max_lag}):
-        some = _autocorrelation(readings[:, sampled], lags)
-        faded = np.flatnonzero(np.median(some, axis=1) < _FADED)
-        if faded.size and math.ceil(_WINDOW_FACTOR * int(faded[0])) <= lags:
+    step = 1 << max(0, (n_frames // _MIN_THINNED).bit_length() - 1)
+    while True:
+        thinned = readings[::step]
+        max_lag = min(_MAX_LAG, max(1, n_frames // _MAX_LAG_SHARE)) // step
+        # Nearly all recordings fade much earlier than the longest lag.
+        for lags in sorted({min(_FIRST_LAGS, max_lag), max_lag}):
+            some = _autocorrelation(thinned, lags, sampled)
+            median = np.median(some, axis=1)
+            faded = np.flatnonzero(median < _FADED)
+            if faded.size and math.ceil(_WINDOW_FACTOR * int(faded[0])) <= lags:
+                break
+        first = int(faded[0]) if faded.size else len(some)
+        if step == 1 or first >= _LAGS_PER_FADING:
             break
-    return sampled, some, int(faded[0]) if faded.size else len(some)
+        step //= 2
+    if faded.size and first:
+        before, after = float(median[first - 1]), float(median[first])
+        return sampled, some, math.ceil((first - (_FADED - after) / (before - after)) * step), step
+    return sampled, some, first * step, step
 
 
-def _autocorrelation(readings: NDArray[np.generic], max_lag: int) -> NDArray[np.float32]:
-    """Autocorrelate at lags 0 to `max_lag`, shape (max_lag + 1, N); 0 for constant sensors."""
-    n_frames, n_sensors = readings.shape
-    size = next_fast_len(n_frames + max_lag, real=True)
-    result = np.zeros((max_lag + 1, n_sensors), dtype=np.float32)
-    for start in range(0, n_sensors, _SENSORS_AT_ONCE):
-        # Rows of contiguous numbers are transformed several times faster than columns.
-        part = np.array(
-            readings[:, start : start + _SENSORS_AT_ONCE].T, dtype=np.float64, order="C", copy=True
-        )
-        varies = np.ptp(part, axis=1) > 0
-        part /= np.maximum(np.abs(part).max(axis=1), np.finfo(np.float64).tiny)[:, None]
-        part -= part.mean(axis=1)[:, None]
-        part /= np.where(varies, np.abs(part).max(axis=1), 1)[:, None]
+def _autocorrelation(
+    readings: NDArray[np.generic], max_lag: int, sensors: NDArray[np.intp]
+) -> NDArray[np.float32]:
+    """Autocorrelate at lags 0 to `max_lag`, shape (max_lag + 1, n); 0 for constant sensors."""
+    size = next_fast_len(len(readings) + max_lag, real=True)
+    result = np.zeros((max_lag + 1, len(sensors)), dtype=np.float32)
+    for begin in range(0, len(sensors), _SENSORS_AT_ONCE):
+        part, varies = _centred(readings, sensors[begin : begin + _SENSORS_AT_ONCE])
         # Transforms of float32 take a third of the time; errors stay below 1e-5.
-        spectrum = rfft(part.astype(np.float32), n=size)
+        spectrum = rfft(part, n=size)
         power = spectrum.real**2 + spectrum.imag**2
         products = irfft(power, n=size)[:, : max_lag + 1]
         products[varies] /= products[varies, :1]
         products[~varies] = 0.0
-        result[:, start : start + len(part)] = products.T
+        result[:, begin : begin + len(part)] = products.T
     return result
+
+
+def _lag_one(readings: NDArray[np.generic], step: int) -> NDArray[np.float32]:
+    """Autocorrelate at lag 1 in every `step`-th frame, shape (N,); 0 for constant sensors."""
+    found = np.zeros(readings.shape[1], dtype=np.float32)
+    for begin in range(0, len(found), _SENSORS_AT_ONCE):
+        sensors = np.arange(begin, min(begin + _SENSORS_AT_ONCE, len(found)))
+        first, second = (
+            _centred(readings[frames], sensors)[0]
+            for frames in (slice(0, -1, step), slice(1, None, step))
+        )
+        products, one, other = (
+            np.einsum("nt,nt->n", *pair)
+            for pair in ((first, second), (first, first), (second, second))
+        )
+        size = np.sqrt(one * other)
+        np.divide(products, size, out=found[sensors[0] : sensors[-1] + 1], where=size > 0)
+    return found
+
+
+def _interpolated(found: Reals, step: int) -> Reals:
+    """Interpolate autocorrelations of lags 0, 1 and multiples of a step at all lags."""
+    lags = np.insert(np.arange(0, (len(found) - 1) * step, step), 1, 1)
+    every = np.arange(lags[-1] + 1)
+    shares = np.array([np.interp(every, lags, one) for one in np.eye(len(lags))])
+    return np.asarray(shares.T.astype(found.dtype) @ found)
+
+
+def _centred(
+    readings: NDArray[np.generic], sensors: NDArray[np.intp]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return centred readings of sensors in [-1, 1], shape (n, T), and which of them vary."""
+    # Rows of contiguous numbers are transformed several times faster than columns.
+    part: NDArray[Any] = np.ascontiguousarray(readings.T[sensors])
+    single = part.dtype == np.float32 and np.abs(part).max(initial=0) < _FLOAT32_RANGE
+    if not single:
+        part = part.astype(np.float64)
+        part /= np.maximum(np.abs(part).max(axis=1), np.finfo(np.float64).tiny)[:, None]
+    varies = np.ptp(part, axis=1) > 0
+    part -= part.mean(axis=1)[:, None]
+    part /= np.where(varies, np.abs(part).max(axis=1), 1)[:, None]
+    return part.astype(np.float32, copy=False), varies

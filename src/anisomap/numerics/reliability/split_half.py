@@ -104,7 +104,7 @@ def _split(
 ) -> tuple[Moments, SplitCorrelation]:
     """Compute the moments of some frames from those of their halves, `depth` times over."""
     if not depth or len(frames) < MIN_FRAMES:
-        found = moments(values[frames])
+        found = moments(_at(values, frames))
         return found, SplitCorrelation(found.correlation(), 0.0)
     # Merging the halves takes a tenth of the time of multiplying all frames again.
     (first, even), (second, odd) = (
@@ -116,6 +116,14 @@ def _split(
     reliability = _agreement(even.correlation, odd.correlation, int(compared.sum()))
     halves = (replace(even, halves=()), replace(odd, halves=())) if depth > 1 else ()
     return found, SplitCorrelation(found.correlation(), reliability, halves)
+
+
+def _at(values: NDArray[np.generic], frames: NDArray[np.intp]) -> NDArray[np.generic]:
+    """Return the readings of increasing frames, run by run: faster than numpy's indexing."""
+    ends = np.flatnonzero(np.diff(frames, append=-1) != 1)
+    begins = frames[np.concatenate([[0], ends[:-1] + 1])]
+    runs = zip(begins.tolist(), frames[ends].tolist(), strict=True)
+    return np.concatenate([values[first : last + 1] for first, last in runs])
 
 
 def _agreement(first: Reals, second: Reals, n_compared: int) -> float:

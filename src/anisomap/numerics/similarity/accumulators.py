@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
 from anisomap.numerics.precision import Reals, float_type, row_blocks
 from anisomap.numerics.similarity.co_occurrence import (
     CHUNK_FRAMES,
@@ -19,10 +20,11 @@ from anisomap.numerics.similarity.co_occurrence import (
 )
 from anisomap.numerics.similarity.sparse_products import is_sparse, sparse_comoments
 
-MIN_FAST_PRODUCT_SENSORS = 512
-"""Minimum number of sensors for float32 or sparse products; below, they save no time."""
+MIN_FAST_PRODUCT_SENSORS = 128
+"""Minimum number of sensors for products in float32; below, they save little time."""
 
 _BLOCK_ROWS = 64  # rows normalised at a time; their intermediate arrays stay in the cache
+_SINGLE_FRAMES = 1024  # products that are summed in float32; of 8,192, errors exceed 1e-5
 _FLOAT32_RANGE = 1e15  # of readings; sums of their squares over frames stay within float32
 
 
@@ -65,11 +67,16 @@ class Moments:
 
     @classmethod
     def _of_chunk(cls, chunk: NDArray[np.generic], single: bool) -> Moments:
-        if chunk.shape[1] >= MIN_FAST_PRODUCT_SENSORS and is_sparse(chunk):
+        if chunk.shape[1] >= MIN_COMPILED_ROWS and is_sparse(chunk):
             return cls(len(chunk), *sparse_comoments(chunk))
         if single and (found := _float32_deviations(chunk)) is not None:
-            mean, small = found
-            return cls(len(chunk), mean, (small.T @ small).astype(np.float64))
+            centre, small = found
+            beside = (np.ones(len(chunk), np.float32) @ small).astype(np.float64) / len(chunk)
+            comoment = np.outer(-len(chunk) * beside, beside)
+            for begin in range(0, len(small), _SINGLE_FRAMES):
+                part = small[begin : begin + _SINGLE_FRAMES]
+                comoment += part.T @ part
+            return cls(len(chunk), centre + beside, comoment)
         # Subtracting the first frame first leaves no rounding error for constant sensors.
         deviations = np.asarray(chunk, dtype=np.float64) - chunk[0]
         mean = deviations.mean(axis=0)
@@ -212,11 +219,15 @@ def correlation_of_blocks(
 def _float32_deviations(
     chunk: NDArray[Any],
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]] | None:
-    """Return means and float32 deviations from them; None if squares would overflow float32."""
+    """Return approximate means and float32 deviations; None if squares would overflow float32."""
     lowest, highest = (np.asarray(f(chunk, axis=0), np.float64) for f in (np.min, np.max))
     extent = highest - lowest
     if (extent > _FLOAT32_RANGE).any() or ((extent < 1 / _FLOAT32_RANGE) & (extent > 0)).any():
         return None
+    if chunk.dtype == np.float32:
+        # A difference of numbers in float32 is rounded relative to itself.
+        mean = np.clip(chunk.mean(axis=0), lowest, highest).astype(np.float32)
+        return mean.astype(np.float64), chunk - mean
     mean = np.where(extent > 0, chunk.mean(axis=0, dtype=np.float64), lowest)
     deviations = np.empty(chunk.shape, dtype=np.float32)
     # The subtraction is in float64: float32 would lose small deviations from a large mean.

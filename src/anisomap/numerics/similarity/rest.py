@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.numerics.columns import (
     columns,
     count_values,
+    find_levels,
     join_columns,
-    mean_ranks,
-    whole_numbers,
+    ranks_from_counts,
 )
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops
 
@@ -27,6 +27,7 @@ NOISE_QUANTILE = 0.99
 MIN_CONTACT_RATIO = 2.0
 """Minimum ratio of the deviations on the side of contact to noise; chosen by hand."""
 
+_MAX_EXACT_FRAMES = 2**23  # halves up to it are exact in float32
 _CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
 
 
@@ -114,9 +115,12 @@ def estimate_rest(readings: ArrayLike) -> Rest:
 
 
 def _is_compiled(readings: NDArray[Any]) -> bool:
-    """Return whether compiled loops are used: for many sensors, and types that they support."""
+    """Return whether compiled loops are used: for many sensors, and types that they support.
+
+    They go from frame to frame, which is slow in arrays that are contiguous by column.
+    """
     number = readings.dtype.isnative and readings.dtype.char in "bBhHiIlLqQfd"
-    return number and readings.shape[1] >= MIN_COMPILED_ROWS
+    return number and readings.shape[1] >= MIN_COMPILED_ROWS and not readings.flags.f_contiguous
 
 
 def _rest_of_readings(readings: NDArray[Any]) -> Rest:
@@ -124,42 +128,40 @@ def _rest_of_readings(readings: NDArray[Any]) -> Rest:
     return rest_from_counts((values.astype(np.float64), counts) for values, counts in found)
 
 
-def ranks_of_depths(readings: ArrayLike) -> NDArray[np.float64]:
+def ranks_of_depths(readings: ArrayLike, *, single: bool = False) -> NDArray[Any]:
     """Rank the readings of each sensor by their depth beyond rest.
 
     Parameters
     ----------
     readings : array_like of shape (T, N)
         Finite readings.
+    single : bool
+        Return float32, in which ranks are exact up to 8 million frames, in place of float64.
 
     Returns
     -------
     ndarray of shape (T, N)
         Ranks of ``estimate_rest(readings).depth(readings)`` among those of the sensor; ties share
-        their mean. Whole numbers are counted and ranked at once.
+        their mean. Contiguous by column.
     """
     values = np.asarray(readings)
-    return join_columns(map(_depths_by_rank, columns(values)), values.shape)
+    dtype = np.float32 if single and len(values) <= _MAX_EXACT_FRAMES else np.float64
+    ranks = (_depths_by_rank(column, dtype) for column in columns(values))
+    return join_columns(ranks, values.shape, dtype)
 
 
-def _depths_by_rank(column: NDArray[Any]) -> NDArray[np.float64]:
+def _depths_by_rank(
+    column: NDArray[Any], dtype: type[np.float32] | type[np.float64]
+) -> NDArray[Any]:
     """Rank the readings of one sensor, shape (T,), by their depth."""
-    whole = whole_numbers(column)
-    if whole is None:
-        values, counts = count_values(column)
-        value, side, threshold, _ = _rest_of(values.astype(np.float64), counts)
-        beyond = side * (column.astype(np.float64) - value) - threshold
-        return mean_ranks(np.maximum(beyond, 0))
-    codes, lowest = whole
-    counts = np.bincount(codes)
-    present = counts.nonzero()[0]
-    numbers = (present + lowest).astype(np.float64)
-    value, side, threshold, _ = _rest_of(numbers, counts[present])
-    depths = np.maximum(side * (np.arange(counts.size) + float(lowest) - value) - threshold, 0)
-    level = np.unique(depths, return_inverse=True)[1]
-    frames = np.bincount(level, weights=counts)
-    # The rank of a depth follows all lower ones; ties share their mean.
-    return np.asarray((np.cumsum(frames) - (frames - 1) / 2)[level][codes])
+    levels = find_levels(column)
+    values = levels.values.astype(np.float64)
+    value, side, threshold, _ = _rest_of(values, levels.counts)
+    depths = np.maximum(side * (values - value) - threshold, 0)[:: int(side)]
+    # Depths do not decrease in this order; several readings at rest have depth 0.
+    level = np.cumsum(np.diff(depths, prepend=depths[0]) > 0)
+    ranks = ranks_from_counts(np.bincount(level, weights=levels.counts[:: int(side)])).astype(dtype)
+    return levels.expand(ranks[level][:: int(side)])
 
 
 def rest_from_counts(

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_array
 
 from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.precision import mirror
@@ -45,12 +46,7 @@ def sparse_comoments(readings: NDArray[Any]) -> tuple[Floats, Floats]:
     """
     n_frames, n_sensors = readings.shape
     rest = _rest(readings)
-    active = readings != rest
-    per_frame = np.count_nonzero(active, axis=1)
-    found = np.flatnonzero(active)  # faster than a search in two dimensions
-    sensors = (found - np.repeat(np.arange(n_frames) * n_sensors, per_frame)).astype(np.uint32)
-    depths = readings.ravel()[found].astype(np.float64) - rest[sensors]
-    begins = np.concatenate([[0], np.cumsum(per_frame)]).astype(np.int64)
+    begins, sensors, depths = _active(readings, rest)
     sums = np.bincount(sensors, weights=depths, minlength=n_sensors)
     products = np.empty((n_sensors, n_sensors))
 
@@ -64,6 +60,35 @@ def sparse_comoments(readings: NDArray[Any]) -> tuple[Floats, Floats]:
         map_threads(add, range(0, n_sensors, _PANEL_ROWS))
     mirror(products, upper=True)
     return rest + sums / n_frames, products
+
+
+def _active(
+    readings: NDArray[Any], rest: NDArray[Any]
+) -> tuple[NDArray[np.int64], NDArray[np.uint32], Floats]:
+    """Return the readings that differ from rest, frame by frame, as sparse matrices are stored.
+
+    Returns
+    -------
+    begins : ndarray of int64, shape (T + 1,)
+        Index of the first of each frame.
+    sensors : ndarray of uint32
+    depths : ndarray of float64
+        Relative to rest.
+    """
+    # In the order of memory, and in one dimension: a search in two takes longer.
+    by_sensor = readings.strides[0] < readings.strides[1]
+    active = (readings != rest).ravel("K") if by_sensor else (readings != rest).ravel()
+    found = np.flatnonzero(active)
+    size = len(readings) if by_sensor else readings.shape[1]
+    lines, places = np.divmod(found, size)
+    values = readings.ravel("K" if by_sensor else "C")[found].astype(np.float64)
+    values -= rest[lines if by_sensor else places]
+    begins = np.searchsorted(lines, np.arange(readings.size // size + 1))
+    if not by_sensor:
+        return begins.astype(np.int64), places.astype(np.uint32), values
+    stored: Any = csc_array((values, places, begins), shape=readings.shape)
+    stored = stored.tocsr()
+    return stored.indptr.astype(np.int64), stored.indices.astype(np.uint32), stored.data
 
 
 def _rest(readings: NDArray[Any]) -> NDArray[Any]:
