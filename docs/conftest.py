@@ -29,11 +29,9 @@ others = Sybil(
 )
 pytest_collect_file = collector(commands, others)
 
-_QUICK = "getting-started.md"
-
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark all pages but the first one slow: each of them makes several maps."""
+    """Mark all pages slow: each of them makes several maps."""
     for item in items:
-        if "docs" in item.path.parts and item.path.suffix == ".md" and item.path.name != _QUICK:
+        if "docs" in item.path.parts and item.path.suffix == ".md":
             item.add_marker(pytest.mark.slow)

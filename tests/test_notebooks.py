@@ -9,6 +9,7 @@ from docs.notebooks import read_notebook, run
 NOTEBOOKS = sorted(Path(__file__).parents[1].joinpath("docs").glob("**/*.ipynb"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
 def test_cells_run_in_order(path, tmp_path):
     outputs = [output for _, output in run(read_notebook(path.read_text("utf-8")), tmp_path)]

@@ -85,7 +85,7 @@ def test_flat_skins_are_mapped(recordings_folder, name, dimensions, least):
 
 @uneven
 @pytest.mark.parametrize("name", ["icub_hexagon", "icub_palm", "plantar"])
-@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("dimensions", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_isomap_and_information_distance_are_worse_on_real_skins(
     recordings_folder, name, dimensions
 ):

@@ -101,6 +101,7 @@ def test_a_thresholded_sweep_is_a_curve_that_is_not_trusted():
     assert any("must not be trusted" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_contact_peaks_do_not_depend_on_units(rolling):
     gains = 2.0 ** np.random.default_rng(0).integers(-3, 4, rolling.n_sensors)
     first, second = mapped(rolling), mapped(Recording(rolling.readings * gains - 3))

@@ -172,6 +172,7 @@ def test_approximate_maps_are_labelled_in_every_output(run_map, parts):
     assert anisomap.mantel(positions("map.csv"), exact, permutations=0).r > 0.99
 
 
+@pytest.mark.slow
 def test_a_seed_repeats_an_approximate_map(run_map, parts):
     for name, seed in (("one.csv", 3), ("two.csv", 3), ("other.csv", 4)):
         arguments = ["--approximate", "-m", "r-anisomap", "-d", 2, "--seed", seed, "-o", name]

@@ -53,7 +53,13 @@ def test_chunks_give_the_map_of_one_array(method, cuts):
 
 
 @pytest.mark.parametrize("method", EXACT)
-@pytest.mark.parametrize("cuts", [[3, 900, 901], [2, *range(3, 23)]], ids=["few", "frame by frame"])
+@pytest.mark.parametrize(
+    "cuts",
+    [
+        pytest.param([3, 900, 901], id="few"),
+        pytest.param([2, *range(3, 23)], id="frame by frame", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
 def test_partial_fit_gives_the_map_of_one_array(method, cuts):
     parts, whole = (SensorMapper(n_components=2, method=method) for _ in range(2))

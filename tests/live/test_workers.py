@@ -71,6 +71,7 @@ def test_the_final_map_is_made_though_its_process_is_killed(session, others):
     assert final.sensor_map is not None
 
 
+@pytest.mark.slow
 def test_a_session_ends_though_its_processes_die_again_and_again(session, others):
     def kill():
         for worker in workers_beside(others):

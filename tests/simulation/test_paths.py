@@ -34,7 +34,10 @@ def path_on(name: str, n_frames: int = 2000, seed: int = 1, **given: float) -> S
     return draw_strokes(body, sample_skin(body, rng), n_frames, options, rng)
 
 
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(b, marks=() if b in ("sphere", "hand") else pytest.mark.slow) for b in BODIES],
+)
 def test_a_path_stays_on_the_skin_and_reaches_all_sensors(name: str) -> None:
     body = BODIES[name]()
     path = path_on(name)

@@ -82,7 +82,10 @@ def test_every_scenario_of_every_body_gives_a_documented_recording(
         assert name in metadata or default is None
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize(
+    "scenario",
+    [pytest.param(s, marks=() if s == "rubbing" else pytest.mark.slow) for s in SCENARIOS],
+)
 def test_a_simulated_recording_survives_a_file_round_trip(scenario: str, tmp_path: Path) -> None:
     needs_mujoco()
     with warnings.catch_warnings():
