@@ -200,11 +200,24 @@ def _contact_fit(
 
 
 def refine_without_contacts(
-    pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
+    pairs: PairStatistics,
+    metric: Reals,
+    positions: Reals,
+    options: MethodOptions,
+    *,
+    with_heights: bool = True,
 ) -> Refined:
-    """Refine one component as the default method does before it fits contacts."""
+    """Refine one component as the default method does before it fits contacts.
+
+    See `anisomap.stages.refinement.refine_by_covariogram`.
+    """
     return refine_by_covariogram(
-        pairs, metric, positions, options.covariogram, evenly_spaced=options.even_spacing
+        pairs,
+        metric,
+        positions,
+        options.covariogram,
+        evenly_spaced=options.even_spacing,
+        with_heights=with_heights,
     )
 
 

@@ -105,7 +105,8 @@ class MapParts:
 
         Notes
         -----
-        Every half is mapped from the beginning, up to the fit of contacts. Where its map then
+        Every half is mapped from the beginning, up to the fit of contacts, without lengths from
+        heights of contacts if the map of the whole recording has none. Where its map then
         agrees with that of the whole recording, the fit of the whole recording is continued with
         the contacts of the half, instead of repeated.
         """
@@ -154,7 +155,12 @@ class MapParts:
         def refine(
             pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
         ) -> Refined:
-            mapped = refine_without_contacts(pairs, metric, positions, options)
+            made = part.refinement
+            # Whether heights contradict a map is known best from the whole recording.
+            heights = made is None or made.facts.contact_peaks
+            mapped = refine_without_contacts(
+                pairs, metric, positions, options, with_heights=heights
+            )
             known = None if part.refinement is None else part.refinement.contacts
             if known is None and part.refinement is not None:
                 return mapped

@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
+from anisomap.numerics.geodesic.contact_heights import ContactHeights
+from anisomap.numerics.geodesic.height_refinement import examined_sensors
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.blending import (
@@ -189,6 +191,13 @@ class PairStatistics:
         Computing it takes as long as that of the readings, and several steps use it.
         """
         return self._changes[0] if self._changes else None
+
+    @cached_property
+    def heights(self) -> ContactHeights | None:
+        """Heights of the contacts of the `examined_sensors`; None without readings."""
+        if self.readings is None:
+            return None
+        return ContactHeights.of(self.readings[:, examined_sensors(len(self.similarity))])
 
     @cached_property
     def _changes(self) -> tuple[Reals, ...]:

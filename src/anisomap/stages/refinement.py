@@ -175,6 +175,7 @@ def refine_by_covariogram(
     options: CovariogramOptions | None = None,
     *,
     evenly_spaced: bool = False,
+    with_heights: bool = True,
 ) -> Refined:
     """Fit a covariogram, and refine an uneven result by lengths on a neighbour graph.
 
@@ -187,6 +188,8 @@ def refine_by_covariogram(
     options : CovariogramOptions, optional
     evenly_spaced : bool
         Whether even spacing of neighbours was declared.
+    with_heights : bool
+        Whether lengths may be taken from the heights of contacts.
 
     Returns
     -------
@@ -206,12 +209,19 @@ def refine_by_covariogram(
         known=pairs.known,
         options=options,
     )
-    refined = _beyond_covariogram(pairs, fit, unused, evenly_spaced=evenly_spaced)
+    refined = _beyond_covariogram(
+        pairs, fit, unused, evenly_spaced=evenly_spaced, with_heights=with_heights
+    )
     return replace(refined, covariogram=fit)
 
 
 def _beyond_covariogram(
-    pairs: PairStatistics, fit: Covariogram, unused: Refined, *, evenly_spaced: bool
+    pairs: PairStatistics,
+    fit: Covariogram,
+    unused: Refined,
+    *,
+    evenly_spaced: bool,
+    with_heights: bool,
 ) -> Refined:
     """Refine a covariogram map by lengths on a neighbour graph or along paths."""
     positions = fit.positions
@@ -231,8 +241,14 @@ def _beyond_covariogram(
         logger.debug("unevenness %.2f; spacing used: %s", spaced.unevenness, spaced.applied)
         facts = RefinementFacts(even_spacing=spaced.applied)
         return Refined(spaced.positions, facts, (_EVEN if spaced.applied else _NOT_EVEN,))
+    if not with_heights:
+        return _combined(pairs, replace(unused, positions=positions))
     found = refine_by_contact_heights(
-        readings, positions, similarity=correlations, changes=pairs.changes
+        readings,
+        positions,
+        similarity=correlations,
+        changes=pairs.changes,
+        heights=pairs.heights,
     )
     logger.debug("unevenness %.2f; heights used: %s", found.unevenness, found.applied)
     notes = {

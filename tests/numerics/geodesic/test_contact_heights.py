@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import maximum_filter1d
 from scipy.spatial.distance import cdist, pdist
+from scipy.stats import rankdata
 
 from anisomap.errors import InputError
 from anisomap.numerics.geodesic.contact_heights import (
@@ -55,7 +57,7 @@ def test_heights_resolve_the_direction_that_readings_do_not(seed):
     first, second = np.transpose(along)
     distance = np.abs(places[first, 1] - places[second, 1])
     by_reading = np.corrcoef(readings.T)[first, second]
-    by_height = ContactHeights(readings).compare().similarity[first, second]
+    by_height = ContactHeights.of(readings).compare().similarity[first, second]
     assert by_reading.min() > 0.6
     assert np.corrcoef(distance[distance < 3], by_height[distance < 3])[0, 1] < -0.85
 
@@ -65,36 +67,49 @@ def test_heights_resolve_the_direction_that_readings_do_not(seed):
 def test_heights_do_not_depend_on_gain_offset_and_sign(seed):
     readings, rng = swept(lattice(4, 4), 20, seed=seed), np.random.default_rng(seed)
     gains = 2.0 ** rng.integers(-5, 6, 16) * rng.choice([-1, 1], 16)
-    again = ContactHeights(readings * gains).compare()
-    found = ContactHeights(readings).compare()
+    again = ContactHeights.of(readings * gains).compare()
+    found = ContactHeights.of(readings).compare()
     np.testing.assert_allclose(again.similarity, found.similarity, atol=1e-9)
     np.testing.assert_allclose(again.partial, found.partial, atol=1e-9)
 
 
 def test_heights_are_equivariant_to_labels():
     readings, order = swept(lattice(4, 4), 30), np.random.default_rng(0).permutation(16)
-    found, again = (ContactHeights(x).compare() for x in (readings, readings[:, order]))
+    found, again = (ContactHeights.of(x).compare() for x in (readings, readings[:, order]))
     np.testing.assert_allclose(again.similarity, found.similarity[np.ix_(order, order)])
     np.testing.assert_allclose(again.partial, found.partial[np.ix_(order, order)], atol=1e-9)
 
 
+@pytest.mark.parametrize("half", [1, 4, 11])
+def test_ranks_are_those_of_the_highest_reading_around_a_frame(half):
+    """Contacts of 1 / .75 times `half` frames are compared over that many frames to each side."""
+    rng = np.random.default_rng(half)
+    lasting = round(half / 0.75)
+    readings = np.zeros((40 * lasting, 3))
+    for begin in range(0, len(readings), 4 * lasting):
+        readings[begin + lasting : begin + 2 * lasting] = rng.integers(1, 9, (lasting, 3))
+    found = ContactHeights.of(readings)
+    highest = maximum_filter1d(readings, 2 * half + 1, axis=0)
+    np.testing.assert_allclose(found.ranks, rankdata(highest, axis=0) / len(readings), rtol=1e-6)
+
+
 def test_thresholded_readings_have_no_heights():
     readings = swept(lattice(4, 4), 30)
-    assert ContactHeights(readings).usable
-    assert not ContactHeights(readings > 1).usable
-    assert not ContactHeights(np.zeros((50, 4))).usable
+    assert ContactHeights.of(readings).usable
+    assert not ContactHeights.of(readings > 1).usable
+    assert not ContactHeights.of(np.zeros((50, 4))).usable
 
 
 def test_readings_of_one_dimension_are_refused():
     with pytest.raises(InputError, match="shape"):
-        ContactHeights(np.zeros(5))
+        ContactHeights.of(np.zeros(5))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_map_explains_heights_unless_it_is_compressed_or_scrambled(seed):
     places = scattered(seed)
     readings = swept(places, seed=seed)
-    halves = height_halves(ContactHeights(readings), len(readings))
+    halves = height_halves(ContactHeights.of(readings), len(readings))
     sharing = np.corrcoef(readings.T) > 0.05
     right = explained_share(halves, places, sharing)
     assert right.reliability > 0.7

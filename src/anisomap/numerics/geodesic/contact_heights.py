@@ -8,20 +8,21 @@ other object that touches the skin, differs over the distance of the sensors.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import maximum_filter1d
 from scipy.optimize import isotonic_regression
 from scipy.spatial.distance import pdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.columns import columns, rank_columns
+from anisomap.numerics.columns import columns, find_levels, ranks_from_counts
 from anisomap.numerics.geodesic.contact_peaks import MIN_PEAKS, contacts_of
 from anisomap.numerics.reliability.split_half import split_blocks
-from anisomap.numerics.similarity.rest import Rest, estimate_rest
+from anisomap.numerics.similarity.rest import rest_from_counts
 
 Matrix = NDArray[np.float64]
 
@@ -30,6 +31,7 @@ _MIN_HEIGHTS = 4  # distinct heights per sensor; readings with fewer levels have
 _MIN_VARIANCE = 1e-9  # of relative ranks, whose variance is 1/12 without ties; rounding error
 _RIDGE = 1.0  # of the partial correlations, as for correlations of readings
 _MIN_TOUCHED = 0.5  # share of a sensor's contacts that another shares, to be its possible neighbour
+_SENSORS_AT_ONCE = 16  # sensors whose ranks are transposed at a time: those of a cache line
 _MIN_PAIRS = 50  # of which the explained share is computed; chosen by hand
 
 
@@ -70,39 +72,73 @@ class Explained:
     share: float
 
 
+@dataclass(frozen=True, eq=False)
 class ContactHeights:
     """Heights of the contacts of all sensors.
 
-    Parameters
+    Attributes
     ----------
-    readings : array_like of shape (T, N)
-        Finite readings in temporal order.
+    peaks : tuple of ndarray of int
+        Frames of the peaks of the contacts of each sensor.
+    graded : ndarray of bool, shape (N,)
+        Sensors with contacts of different heights.
+    ranks : ndarray of float32, shape (T, N)
+        Relative rank, in (0, 1], of the highest reading of each sensor around each frame.
     """
 
-    def __init__(self, readings: ArrayLike) -> None:
+    peaks: tuple[NDArray[np.intp], ...]
+    graded: NDArray[np.bool_]
+    ranks: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, readings: ArrayLike) -> ContactHeights:
+        """Find the contacts of all sensors.
+
+        Parameters
+        ----------
+        readings : array_like of shape (T, N)
+            Finite readings in temporal order.
+
+        Returns
+        -------
+        ContactHeights
+
+        Raises
+        ------
+        InputError
+            If the readings do not have two dimensions.
+        """
         values = np.asarray(readings)
         if values.ndim != 2:
             raise InputError(f"readings must have shape (T, N), got {values.shape}")
-        rest = estimate_rest(values)
-        self._peaks, self._has_heights, durations = [], [], []
-        for column in _raised(values, rest):
-            frames, heights, lasting = contacts_of(column)
-            self._peaks.append(frames)
-            self._has_heights.append(np.unique(heights).size >= _MIN_HEIGHTS)
+        peaks, graded, durations, order = [], [], [], []
+        for column in columns(values):
+            raised, codes = _raised(column)
+            frames, heights, lasting = contacts_of(raised)
+            peaks.append(frames)
+            graded.append(np.unique(heights).size >= _MIN_HEIGHTS)
             durations.append(lasting)
+            order.append(codes)
         lasting = np.concatenate(durations)
         half = max(1, round(_WINDOW * float(np.median(lasting)))) if lasting.size else 1
         # The highest reading around a frame is the height of the contact that matches a peak there;
-        # it is 0, a tie, where the sensor is not touched.
-        highest = (maximum_filter1d(column, 2 * half + 1) for column in _raised(values, rest))
-        self._ranks = rank_columns(highest, values.shape)
-        self._ranks /= len(values)
-        self._lowest = self._ranks.min(axis=0)
+        # it is at rest, a tie, where the sensor is not touched.
+        ranks = np.empty(values.shape, np.float32)
+        for begin in range(0, values.shape[1], _SENSORS_AT_ONCE):
+            some = order[begin : begin + _SENSORS_AT_ONCE]
+            rows = [_relative_ranks(_highest_around(codes, half)) for codes in some]
+            ranks[:, begin : begin + len(some)] = np.array(rows).T
+        return cls(tuple(peaks), np.array(graded), ranks)
+
+    @cached_property
+    def halves(self) -> list[HeightSimilarity]:
+        """Similarity in the halves of the recording (`split_blocks`), without partial ones."""
+        return height_halves(self, len(self.ranks), partial=False)
 
     @property
     def usable(self) -> bool:
         """Whether most sensors have contacts of different heights."""
-        return bool(np.mean(self._has_heights) > _MIN_TOUCHED)
+        return bool(np.mean(self.graded) > _MIN_TOUCHED)
 
     def compare(self, frames: ArrayLike | None = None, *, partial: bool = True) -> HeightSimilarity:
         """Compare the heights of the contacts of all pairs of sensors.
@@ -123,21 +159,22 @@ class ContactHeights:
         The contacts of a pair are those of either sensor. The other sensor's height is that of its
         highest reading around the peak. Ranks are taken over the recording.
         """
-        used = np.ones(len(self._ranks), dtype=bool)
+        used = np.ones(len(self.ranks), dtype=bool)
         if frames is not None:
             used[:] = False
             used[np.asarray(frames)] = True
-        n = self._ranks.shape[1]
+        n = self.ranks.shape[1]
         sums, squares, products = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
         partials, counts = np.zeros((n, n)), np.zeros(n)
-        for i, peaks in enumerate(self._peaks):
+        lowest = self.ranks.min(axis=0) if partial else np.zeros(n)
+        for i, peaks in enumerate(self.peaks):
             at = peaks[used[peaks]]
-            ranks = self._ranks[at]
+            ranks = self.ranks[at].astype(np.float64)
             counts[i] = len(at)
-            sums[i], squares[i] = ranks.sum(axis=0), (ranks**2).sum(axis=0)
-            products[i] = ranks[:, i] @ ranks
+            sums[i], products[i] = np.stack([np.ones(len(at)), ranks[:, i]]) @ ranks
+            squares[i] = np.einsum("kj,kj->j", ranks, ranks)
             if partial:
-                partials[i] = self._partial(i, ranks)
+                partials[i] = self._partial(i, ranks, lowest)
         # Row i of each sum is over the contacts of sensor i.
         pooled = np.maximum(counts[:, None] + counts, 1.0)
         mean = (np.diag(sums)[:, None] + sums.T) / pooled
@@ -149,12 +186,13 @@ class ContactHeights:
         np.fill_diagonal(similarity, 1.0)
         return HeightSimilarity(similarity, (partials + partials.T) / 2, pooled)
 
-    def _partial(self, sensor: int, ranks: Matrix) -> Matrix:
+    @staticmethod
+    def _partial(sensor: int, ranks: Matrix, lowest: Matrix) -> Matrix:
         """Return the partial correlations of a sensor with those that share its contacts."""
         found = np.zeros(ranks.shape[1])
         if len(ranks) < MIN_PEAKS:
             return found
-        sharing = np.mean(ranks > self._lowest, axis=0) > _MIN_TOUCHED
+        sharing = np.mean(ranks > lowest, axis=0) > _MIN_TOUCHED
         sharing[sensor] = True
         chosen = np.flatnonzero(sharing)
         centred = ranks[:, chosen] - ranks[:, chosen].mean(axis=0)
@@ -216,7 +254,39 @@ def explained_share(
     return Explained(float(np.corrcoef(first, second)[0, 1]), 1 - unexplained)
 
 
-def _raised(readings: NDArray[np.generic], rest: Rest) -> Iterator[Matrix]:
-    """Iterate over the readings of each sensor beyond rest, on the side of contact."""
-    for column, value, side in zip(columns(readings), rest.value, rest.side, strict=True):
-        yield np.maximum(side * (column.astype(np.float64) - value), 0)
+def _raised(column: NDArray[Any]) -> tuple[Matrix, NDArray[np.unsignedinteger[Any]]]:
+    """Return the readings of a sensor beyond rest, on the side of contact, and their order.
+
+    Returns
+    -------
+    raised : ndarray of float64, shape (T,)
+    codes : ndarray of unsigned int, shape (T,)
+        0 at rest, and greater for higher readings.
+    """
+    levels = find_levels(column)
+    values = levels.values.astype(np.float64)
+    rest = rest_from_counts([(values, levels.counts)])
+    raised = np.maximum(rest.side * (values - rest.value), 0)
+    order = slice(None, None, int(rest.side[0]))
+    codes = np.cumsum(raised[order] > 0)[order]
+    codes = codes.astype(np.min_scalar_type(len(codes)))
+    return levels.expand(raised), levels.expand(codes)
+
+
+def _highest_around(codes: NDArray[Any], half: int) -> NDArray[Any]:
+    """Return the maximum over `half` frames to each side of every frame."""
+    width = 2 * half + 1
+    highest = np.zeros(len(codes) + 2 * half, codes.dtype)
+    highest[half : half + len(codes)] = codes
+    size = 1
+    while 2 * size <= width:  # maxima over twice as many frames
+        highest = np.maximum(highest[:-size], highest[size:])
+        size *= 2
+    if size < width:
+        highest = np.maximum(highest[: size - width], highest[width - size :])
+    return highest
+
+
+def _relative_ranks(codes: NDArray[Any]) -> NDArray[np.float32]:
+    levels = find_levels(codes)
+    return levels.expand((ranks_from_counts(levels.counts) / len(codes)).astype(np.float32))

@@ -65,9 +65,21 @@ def contacts_of(
 
 def _contacts(values: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the frames of all contacts, and the index of the first frame of each among them."""
-    level = _CONTACT_THRESHOLD * max(float(np.quantile(values, _RANGE_QUANTILE)), 0.0)
+    level = _CONTACT_THRESHOLD * _top(values)
     touched = np.flatnonzero(values > level)
     return touched, np.flatnonzero(np.diff(touched, prepend=-2) > 1)
+
+
+def _top(values: NDArray[np.float64]) -> float:
+    """Return the top of the range of values: their `_RANGE_QUANTILE`, but at least 0."""
+    positive = values[values > 0]
+    place = _RANGE_QUANTILE * (values.size - 1) - (values.size - positive.size)
+    if place < 0:  # next to the values that are not positive
+        return max(float(np.quantile(values, _RANGE_QUANTILE)), 0.0)
+    below = int(place)
+    above = min(below + 1, positive.size - 1)
+    low, high = np.partition(positive, (below, above))[[below, above]]
+    return float(low + (place - below) * (high - low))
 
 
 def peak_lengths(readings: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:

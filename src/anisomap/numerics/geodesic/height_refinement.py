@@ -117,6 +117,7 @@ def refine_by_contact_heights(
     *,
     similarity: ArrayLike | None = None,
     changes: ArrayLike | None = None,
+    heights: ContactHeights | None = None,
     options: HeightOptions | None = None,
 ) -> HeightRefinement:
     """Refine a map by lengths from the heights of contacts, if these contradict the map.
@@ -131,6 +132,8 @@ def refine_by_contact_heights(
         `blended_correlation` of the readings, if already computed.
     changes : array_like of shape (N, N), optional
         That of the differences between frames, if already computed.
+    heights : ContactHeights, optional
+        Of the `examined_sensors`, if already computed.
     options : HeightOptions, optional
 
     Returns
@@ -150,17 +153,17 @@ def refine_by_contact_heights(
     uneven = unevenness(given, graph.adjacency)
     unchanged = HeightRefinement(given, False, True, uneven)
     sharing = correlation > chosen.min_sharing
-    some = np.linspace(0, len(given) - 1, min(len(given), _MAX_EXAMINED)).astype(np.intp)
-    heights = ContactHeights(values[:, some])
+    some = examined_sensors(len(given))
+    heights = ContactHeights.of(values[:, some]) if heights is None else heights
     if not heights.usable:
         return unchanged
-    halves = height_halves(heights, len(values), partial=False)
+    halves = heights.halves
     explained = explained_share(halves, given[some], sharing[np.ix_(some, some)])
     if not _contradicted(explained, chosen):
         return unchanged
     if some.size < len(given):
-        heights = ContactHeights(values)
-        halves = height_halves(heights, len(values), partial=False)
+        heights = ContactHeights.of(values)
+        halves = heights.halves
         explained = explained_share(halves, given, sharing)
         if not (heights.usable and _contradicted(explained, chosen)):
             return unchanged
@@ -194,6 +197,11 @@ def refine_by_contact_heights(
             )
             return HeightRefinement(_scaled(candidate.positions, given), True, trusted, uneven)
     return HeightRefinement(given, False, False, uneven)
+
+
+def examined_sensors(n_sensors: int) -> NDArray[np.intp]:
+    """Return the sensors in which heights are examined first, evenly chosen."""
+    return np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_EXAMINED)).astype(np.intp)
 
 
 def _contradicted(explained: Explained, options: HeightOptions) -> bool:

@@ -9,7 +9,8 @@ from anisomap.numerics.precision import mirror
 
 _MIN_FLOAT32_SENSORS = 512  # below, matrices are small
 _SENSORS_AT_ONCE = 32  # sensors standardised at a time; chosen by hand
-_BLOCKS_AT_ONCE = 8  # blocks whose products are held in memory; chosen by hand
+_FLOAT32_RANGE = 1e15  # of readings that are centred in float32
+_STACKED_BYTES = 1 << 24  # of products of all blocks for some sensors; chosen by hand
 
 
 def resampled_correlation(
@@ -32,27 +33,22 @@ def resampled_correlation(
         Symmetric, ones on the diagonal; 0 for sensors that are constant in a resample. Accurate
         to 1e-5; float32 from 512 sensors on.
     """
-    n_sensors = readings.shape[1]
-    scaled = np.empty(readings.shape, np.float32)
-    for begin in range(0, n_sensors, _SENSORS_AT_ONCE):
-        part = readings[:, begin : begin + _SENSORS_AT_ONCE].astype(np.float64)
-        part -= part.mean(axis=0)
-        deviation = np.sqrt(np.einsum("ti,ti->i", part, part) / len(part))
-        part /= np.where(deviation > 0, deviation, 1)
-        scaled[:, begin : begin + _SENSORS_AT_ONCE] = part
+    scaled = _standardised(readings)
+    n_sensors, n_blocks = len(scaled), len(edges) - 1
     share = weights / (weights @ np.diff(edges))[:, None]
     share = share.astype(np.float32)
-    sums = np.add.reduceat(scaled, edges[:-1], axis=0)
-    means = share @ sums
-    found = np.zeros((len(weights), n_sensors * n_sensors), np.float32)
-    for begin in range(0, len(edges) - 1, _BLOCKS_AT_ONCE):
-        chosen = range(begin, min(begin + _BLOCKS_AT_ONCE, len(edges) - 1))
-        frames = (scaled[edges[i] : edges[i + 1]] for i in chosen)
-        products = np.array([(part.T @ part).ravel() for part in frames])
-        found += share[:, chosen] @ products
+    means = share @ np.add.reduceat(scaled, edges[:-1], axis=1).T
+    found = np.zeros((len(weights), n_sensors, n_sensors), np.float32)
+    blocks = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+    at_once = max(8, _STACKED_BYTES // (4 * n_blocks * n_sensors))
+    for begin in range(0, n_sensors, at_once):
+        # Of each sensor with itself and all later ones.
+        rows, columns = slice(begin, begin + at_once), slice(begin, None)
+        products = np.array([scaled[rows, a:b] @ scaled[columns, a:b].T for a, b in blocks])
+        weighted = share @ products.reshape(n_blocks, -1)
+        found[:, rows, columns] = weighted.reshape(len(weights), *products.shape[1:])
     single = n_sensors >= _MIN_FLOAT32_SENSORS
-    result = found.reshape(-1, n_sensors, n_sensors)
-    result = result.astype(np.float32 if single else np.float64, copy=False)
+    result = found.astype(np.float32 if single else np.float64, copy=False)
     for matrix, mean in zip(result, means, strict=True):
         covariance = matrix - np.outer(mean, mean)
         variance = np.diag(covariance)
@@ -61,3 +57,19 @@ def resampled_correlation(
         mirror(matrix, upper=True)
         np.fill_diagonal(matrix, 1.0)
     return np.asarray(np.clip(result, -1, 1, out=result))
+
+
+def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Centre and scale the readings of each sensor, shape (N, T)."""
+    scaled = np.empty(readings.shape[::-1], np.float32)
+    for begin in range(0, len(scaled), _SENSORS_AT_ONCE):
+        part = np.ascontiguousarray(readings[:, begin : begin + _SENSORS_AT_ONCE].T)
+        # A difference of numbers in float32 is rounded relative to itself.
+        single = part.dtype == np.float32 and np.abs(part).max(initial=0) < _FLOAT32_RANGE
+        if not single:
+            part = part.astype(np.float64)
+        part = part - part.mean(axis=1)[:, None]
+        deviation = np.sqrt(np.einsum("it,it->i", part, part) / max(part.shape[1], 1))
+        part /= np.where(deviation > 0, deviation, 1)[:, None]
+        scaled[begin : begin + _SENSORS_AT_ONCE] = part
+    return scaled
