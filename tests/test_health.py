@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 import anisomap
 from anisomap import Recording, assess, summarise
 from anisomap.health import STATUSES, weaknesses
+from anisomap.health.activity import Activity, frames_in_contact
+from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.simulation import FAULTS as FAULTS_OF_SIMULATION
 from skins import flat_skin, seeing_patch
 
@@ -154,3 +157,20 @@ def test_a_sensor_touched_once_is_not_faulty():
     health = assess(recording)
     assert health[SENSOR].status in {"ok", "isolated"}
     assert any(f"s{SENSOR}" in doubt for doubt in weaknesses(recording, health))
+
+
+@given(
+    column=st.one_of(
+        arrays(np.float32, st.integers(1, 60), elements=st.integers(0, 5)),
+        arrays(np.float64, st.integers(1, 60), elements=st.floats(-2, 2)),
+    ),
+    sign=st.sampled_from([1, -1]),
+)
+def test_frames_in_contact_are_those_beyond_the_threshold(column, sign):
+    column = sign * column
+    whole = column[:, None]
+    expected = estimate_rest(whole).active(whole)[:, 0]
+    activity = Activity.of(column)
+    np.testing.assert_array_equal(activity.frames(column), expected)
+    np.testing.assert_array_equal(frames_in_contact(column), expected)
+    assert activity.n_active == np.count_nonzero(expected)

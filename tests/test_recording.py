@@ -128,7 +128,24 @@ def test_sensors_without_finite_readings_do_not_vary():
 
 def test_recordings_can_be_pickled():
     recording = Recording(np.eye(3), names="abc", metadata={"seed": 1})
+    recording.extremes  # noqa: B018, statistics that were computed are not part of it
     again = pickle.loads(pickle.dumps(recording))
     assert again.names == recording.names
     assert again.metadata == recording.metadata
     assert not again.readings.flags.writeable
+
+
+@given(
+    readings=arrays(
+        np.float64,
+        st.tuples(st.integers(1, 6), st.integers(1, 4)),
+        elements=st.one_of(st.floats(-1e3, 1e3), st.sampled_from([np.nan, np.inf, -np.inf])),
+    )
+)
+def test_extremes_show_which_sensors_miss_readings(readings):
+    recording = Recording(readings)
+    lowest, highest = recording.extremes
+    complete = np.isfinite(readings).all(axis=0)
+    np.testing.assert_array_equal(np.isfinite(lowest) & np.isfinite(highest), complete)
+    np.testing.assert_array_equal(lowest[complete], readings.min(axis=0)[complete])
+    assert (recording.complete("interpolate") is recording) == complete.all()

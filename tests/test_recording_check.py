@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import anisomap
 from anisomap import AnisomapWarning, Recording, find_faults, repair
 from anisomap.health import CHECKS, spoiling
+from anisomap.numerics.recording_faults.gaps import find_bridged
 from anisomap.simulation import inject, injected_faults, parse_fault
 from skins import flat_skin, lattice, rubbed, seeing_patch
 
@@ -235,3 +236,26 @@ def test_what_spoils_a_map_is_among_its_notes():
     (note,) = spoiling(find_faults(bad))
     assert note in made.notes
     assert "leak into the next" in note
+
+
+@pytest.mark.parametrize("fault", ["", "lagging:*,board=16", "lagging:50%,frames=5"])
+def test_lags_of_many_sensors_are_found(fault):
+    positions = np.random.default_rng(302).permutation(lattice(14, 15))
+    readings = rubbed(positions, 1500, seed=302, reach=2.5)
+    recording = spoilt(Recording(readings), fault) if fault else Recording(readings)
+    assert ("lags" in kinds(find_faults(recording))) == bool(fault)
+
+
+@given(
+    begin=st.integers(0, 160),
+    length=st.integers(9, 40),
+    dtype=st.sampled_from([np.float32, np.float64]),
+    seed=st.integers(0, 2**16),
+)
+def test_lines_are_marked_wherever_they_begin(begin, length, dtype, seed):
+    readings = np.random.default_rng(seed).normal(size=(400, 3))
+    expected = np.zeros(readings.shape, dtype=bool)
+    for start, rise in ((begin, 5), (begin + 200, -5)):
+        readings[start : start + length + 1, 1] = np.linspace(0, rise, length + 1)
+        expected[start + 1 : start + length, 1] = True
+    np.testing.assert_array_equal(find_bridged(readings.astype(dtype)), expected)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal, TypeAlias, TypeVar
 
@@ -104,7 +105,8 @@ class Recording:
 
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[dict[str, object]]]:
         # A mappingproxy cannot be pickled.
-        return _rebuilt, ({**vars(self), "metadata": dict(self.metadata)},)
+        own = {one.name: getattr(self, one.name) for one in fields(self)}
+        return _rebuilt, ({**own, "metadata": dict(self.metadata)},)
 
     def __repr__(self) -> str:
         details = [f"{self.n_frames} frames", f"{self.n_sensors} sensors"]
@@ -144,6 +146,14 @@ class Recording:
             return float(self.times[-1] - self.times[0])
         return None if self.rate_hz is None else (self.n_frames - 1) / self.rate_hz
 
+    @cached_property
+    def extremes(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Lowest and highest reading of each sensor, shape (N,).
+
+        At least one of them is NaN or infinite if readings of the sensor are missing.
+        """
+        return self.readings.min(axis=0), self.readings.max(axis=0)
+
     def varying(self) -> NDArray[np.bool_]:
         """Find the sensors that vary.
 
@@ -152,7 +162,7 @@ class Recording:
         ndarray of bool, shape (N,)
             False for sensors with equal finite readings, or without any.
         """
-        lowest, highest = self.readings.min(axis=0), self.readings.max(axis=0)
+        lowest, highest = self.extremes
         known = np.isfinite(lowest) & np.isfinite(highest)
         if not known.all():  # minimum and maximum propagate NaN and infinities
             missing = ~np.isfinite(self.readings)
@@ -225,9 +235,9 @@ class Recording:
             Under "error" if a reading is missing, naming sensors and frames; under "drop-frames"
             if no frame would be left.
         """
-        absent = ~np.isfinite(self.readings)
-        if not absent.any():
+        if np.isfinite(self.extremes).all():
             return self
+        absent = ~np.isfinite(self.readings)
         if missing == "error":
             raise InputError(self._describe_missing(absent))
         if missing == "interpolate":

@@ -123,14 +123,14 @@ def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth
     if varying.any():
         nearest = None if matches is None else matches.among(varying)
         behaviour = observe(readings if varying.all() else readings[:, varying], nearest)
-    faults = _faults_of_constant(readings, varying, behaviour)
+    faults = _faults_of_constant(recording, varying, behaviour)
     if behaviour is not None:
         active = np.flatnonzero(varying)
         for status, test in reversed(_TESTS.items()):
             for i, reason in test(behaviour).items():
                 faults[int(active[i])] = (status, reason)
     position = np.cumsum(varying) - 1
-    lowest, highest = readings.min(axis=0), readings.max(axis=0)
+    lowest, highest = recording.extremes
     result = []
     for i, name in enumerate(recording.names):
         status, reason = faults.get(i, ("ok", ""))
@@ -154,15 +154,16 @@ def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth
 
 
 def _faults_of_constant(
-    readings: NDArray[np.floating], varying: NDArray[np.bool_], behaviour: Behaviour | None
+    recording: Recording, varying: NDArray[np.bool_], behaviour: Behaviour | None
 ) -> dict[int, tuple[str, str]]:
     """Return the status and the reason of each constant sensor."""
     rests = behaviour.rest.value if behaviour is not None else np.zeros(1)
     low, high = rests.min(), rests.max()
-    slack = 0.05 * (float(readings.max()) - float(readings.min()))
+    lowest, highest = recording.extremes
+    slack = 0.05 * (float(highest.max()) - float(lowest.min()))
     faults = {}
     for i in np.flatnonzero(~varying):
-        value = readings[0, i]
+        value = lowest[i]
         if low - slack <= value <= high + slack:
             faults[int(i)] = (
                 "dead",

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.health.contact_counts import count_contacts
-from anisomap.numerics.columns import columns, count_values
+from anisomap.health.activity import Activity, join_rests
+from anisomap.health.contact_counts import count_runs
+from anisomap.numerics.columns import columns
 from anisomap.numerics.similarity.correlation import pearson
-from anisomap.numerics.similarity.rest import Rest, rest_from_counts
+from anisomap.numerics.similarity.rest import Rest
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 
 BLOCK_READINGS = 1 << 20
@@ -111,25 +111,20 @@ def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> B
     with 4096 evenly chosen sensors.
     """
     n_frames, n_sensors = readings.shape
-    distinct: list[int] = []
-    rest = rest_from_counts(_counted(readings, distinct))
     series = np.empty((n_sensors, n_frames), dtype=bool)
-    at_ceiling, at_one, at_two = np.empty((3, n_sensors))
-    for i, column in enumerate(columns(readings)):
-        beyond = rest.side[i] * (column.astype(np.float64) - rest.value[i])
-        np.greater(beyond - rest.threshold[i], 0, out=series[i])
-        # A saturating sensor stays at the end of its range on the side of contact.
-        n_highest = np.count_nonzero((beyond == beyond.max()) & series[i])
-        at_ceiling[i] = n_highest / max(1, int(np.count_nonzero(series[i])))
-        at_one[i], at_two[i] = _lag_correlations(beyond, (1, 2))
-    n_active = np.count_nonzero(series, axis=1)
+    courses = []
+    for column, in_contact in zip(columns(readings), series, strict=True):
+        activity = Activity.of(column)
+        in_contact[:] = activity.frames(column)
+        courses.append(_Course.of(column, activity, in_contact))
+    at_one, at_two = np.array([one.lag_correlations for one in courses]).T
     found = matches or _find_matches(readings)
     return Behaviour(
-        rest=rest,
-        distinct=np.array(distinct),
-        active=n_active / n_frames,
-        contacts=count_contacts(series.T),
-        at_ceiling=at_ceiling,
+        rest=join_rests([one.rest for one in courses]),
+        distinct=np.array([one.distinct for one in courses]),
+        active=np.array([one.active for one in courses]),
+        contacts=np.array([one.contacts for one in courses]),
+        at_ceiling=np.array([one.at_ceiling for one in courses]),
         unexplained=_unexplained(series, found.nearest),
         lag_correlation=at_one,
         noise_share=_noise_share(at_one, at_two),
@@ -141,14 +136,33 @@ def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> B
     )
 
 
-def _counted(
-    readings: NDArray[np.floating], distinct: list[int]
-) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Yield the distinct values and counts of each sensor, and note the number of values."""
-    for column in columns(readings):
-        values, counts = count_values(column)
-        distinct.append(values.size)
-        yield values.astype(np.float64), counts
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """Statistics of one sensor; see `Behaviour`."""
+
+    rest: Rest
+    distinct: int
+    active: float
+    contacts: int
+    at_ceiling: float
+    lag_correlations: tuple[float, float]
+
+    @classmethod
+    def of(
+        cls, column: NDArray[np.floating], activity: Activity, in_contact: NDArray[np.bool_]
+    ) -> _Course:
+        """Compute the statistics of readings of shape (T,)."""
+        # A saturating sensor stays at the end of its range on the side of contact.
+        end = -1 if activity.rest.side[0] > 0 else 0
+        n_highest = int(activity.counts[end]) if activity.active[end] else 0
+        return cls(
+            rest=activity.rest,
+            distinct=activity.values.size,
+            active=activity.n_active / column.size,
+            contacts=count_runs(in_contact),
+            at_ceiling=n_highest / max(1, activity.n_active),
+            lag_correlations=_lag_correlations(column, activity),
+        )
 
 
 def _find_matches(readings: NDArray[np.floating]) -> Matches:
@@ -168,20 +182,25 @@ def _find_matches(readings: NDArray[np.floating]) -> Matches:
 def _unexplained(series: NDArray[np.bool_], nearest: NDArray[np.int64]) -> NDArray[np.float64]:
     """Compute the share of active frames in which none of the most similar sensors is active."""
     alone = [
-        np.count_nonzero(mine & ~series[others[others != NO_SENSOR]].any(axis=0))
+        np.count_nonzero(mine > series[others[others != NO_SENSOR]].any(axis=0))
         for mine, others in zip(series, nearest, strict=True)
     ]
     counted = np.where((nearest != NO_SENSOR).any(axis=1), alone, 0)
     return np.asarray(counted / np.maximum(np.count_nonzero(series, axis=1), 1))
 
 
-def _lag_correlations(column: NDArray[np.float64], lags: Iterable[int]) -> Iterator[float]:
-    """Yield the autocorrelation of one sensor, shape (T,), at each lag."""
-    centred = column - column.mean()
-    centred /= np.abs(centred).max()
-    sum_of_squares = centred @ centred
-    for lag in lags:
-        yield float(centred[lag:] @ centred[:-lag] / sum_of_squares)
+def _lag_correlations(column: NDArray[np.floating], activity: Activity) -> tuple[float, float]:
+    """Return the autocorrelations of one sensor, shape (T,), at lags of one and two frames."""
+    mean = activity.counts @ activity.values / column.size
+    deviations = activity.values - mean
+    largest = max(deviations[-1], -deviations[0])
+    centred = column - mean
+    centred /= largest
+    sum_of_squares = activity.counts @ (deviations / largest) ** 2
+    return (
+        float(centred[1:] @ centred[:-1] / sum_of_squares),
+        float(centred[2:] @ centred[:-2] / sum_of_squares),
+    )
 
 
 def _noise_share(at_one: NDArray[np.float64], at_two: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -225,12 +244,13 @@ def _match_after_shifts(
 
 
 def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Scale every sensor to mean 0 and norm 1."""
+    """Scale every sensor to mean 0 and norm 1; the order of the array is kept."""
     width = max(1, BLOCK_READINGS // len(readings))
-    standard = np.empty(readings.shape, dtype=np.float32)
+    standard = np.empty_like(readings, dtype=np.float32)
     for start in range(0, readings.shape[1], width):
-        block = readings[:, start : start + width].astype(np.float64)
-        block -= block.mean(axis=0)
+        # Differences of float32 numbers are rounded relative to themselves.
+        block = readings[:, start : start + width]
+        block = block - block.mean(axis=0, dtype=np.float64).astype(block.dtype)
         block /= np.maximum(block.max(axis=0), -block.min(axis=0))
         block /= np.sqrt(np.einsum("ti,ti->i", block, block))
         standard[:, start : start + width] = block

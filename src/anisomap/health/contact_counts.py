@@ -19,7 +19,7 @@ def count_contacts(active: ArrayLike) -> NDArray[np.intp]:
     ndarray of int, shape (N,)
     """
     on = np.asarray(active, dtype=bool)
-    return np.asarray(on[:1].sum(axis=0) + np.count_nonzero(on[1:] & ~on[:-1], axis=0))
+    return np.asarray(on[:1].sum(axis=0) + np.count_nonzero(on[1:] > on[:-1], axis=0))
 
 
 def count_joint_contacts(active: ArrayLike, pairs: ArrayLike) -> NDArray[np.intp]:
@@ -35,8 +35,10 @@ def count_joint_contacts(active: ArrayLike, pairs: ArrayLike) -> NDArray[np.intp
     ndarray of int, shape (P,)
     """
     on = np.ascontiguousarray(np.asarray(active, dtype=bool).T)
-    counts = np.zeros(len(np.asarray(pairs)), dtype=np.intp)
-    for p, (i, j) in enumerate(np.asarray(pairs, dtype=np.intp)):
-        both = on[i] & on[j]
-        counts[p] = both[:1].sum() + np.count_nonzero(both[1:] & ~both[:-1])
-    return counts
+    chosen = np.asarray(pairs, dtype=np.intp)
+    return np.array([count_runs(on[i] & on[j]) for i, j in chosen], dtype=np.intp)
+
+
+def count_runs(on: NDArray[np.bool_]) -> int:
+    """Count runs of True of a series of shape (T,)."""
+    return int(np.count_nonzero(on[1:] > on[:-1])) + int(on[:1].sum())

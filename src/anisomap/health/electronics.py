@@ -139,7 +139,7 @@ def _flip(recording: Recording, inverted: NDArray[np.intp]) -> Recording:
 
 
 def _find_common(subject: Subject) -> tuple[CommonSignal, ...] | None:
-    return find_common_noise(subject.readings) or None
+    return find_common_noise(subject.readings, subject.never_at_rest) or None
 
 
 def _describe_common(
@@ -237,22 +237,26 @@ def _remove_spikes(recording: Recording, found: tuple[Spikes, ...]) -> Recording
     return replace(recording, readings=readings)
 
 
-COPIES = Check(lambda r: find_copies(r.readings) or None, _describe_copies, _merge_copies)
+COPIES = Check(
+    lambda r: find_copies(r.readings, *r.recording.extremes) or None,
+    _describe_copies,
+    _merge_copies,
+)
 LEAK = Check(
     lambda r: find_leak(r.readings),
     _describe_leak,
     lambda r, leak: replace(r, readings=remove_leak(r.readings, leak)),
 )
-LAGS = Check(lambda r: find_lags(r.readings), _describe_lags, _align)
+LAGS = Check(lambda r: find_lags(r.readings, r.recording.varying()), _describe_lags, _align)
 INVERTED = Check(_find_inverted, _describe_inverted, _flip)
 COMMON_NOISE = Check(_find_common, _describe_common, _remove_common)
 HUM = Check(
-    lambda r: find_hum(r.readings),
+    lambda r: find_hum(r.readings, r.never_at_rest),
     _describe_hum,
     lambda r, hum: replace(r, readings=hum.removed_from(r.readings)),
 )
 DRIFT = Check(
-    lambda r: find_drift(r.readings),
+    lambda r: find_drift(r.readings, r.never_at_rest),
     _describe_drift,
     lambda r, drift: replace(r, readings=remove_drift(r.readings, drift)),
 )

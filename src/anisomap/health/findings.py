@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.health.contact_counts import count_contacts
-from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.health.activity import frames_in_contact
+from anisomap.health.contact_counts import count_runs
+from anisomap.numerics.columns import columns
+from anisomap.numerics.recording_faults.common_mode import never_at_rest
 from anisomap.recording import Recording
 from anisomap.wording import noun_and_items
 
@@ -72,13 +74,22 @@ class Subject:
     def active(self) -> NDArray[np.bool_]:
         """Whether sensors are in contact, shape (t, N): in all frames, or in evenly spaced ones."""
         part = self.readings[:: -(-len(self.readings) // _MAX_FRAMES)]
-        return estimate_rest(part).active(part)
+        active = np.empty(part.shape[::-1], dtype=bool)
+        for column, frames in zip(columns(part), active, strict=True):
+            frames[:] = frames_in_contact(column)
+        return active.T
+
+    @cached_property
+    def never_at_rest(self) -> NDArray[np.intp]:
+        """Sensors that no value occurs often in."""
+        return never_at_rest(self.readings)
 
     def contacts(self, sensors: NDArray[np.intp]) -> NDArray[np.intp]:
         """Count the contacts of some sensors: runs of frames beyond rest, shape (n,)."""
-        readings = self.readings[:, sensors]
-        active = estimate_rest(readings).active(readings)
-        return count_contacts(active)
+        found = (
+            count_runs(frames_in_contact(column)) for column in columns(self.readings[:, sensors])
+        )
+        return np.fromiter(found, dtype=np.intp, count=sensors.size)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,15 @@ _MAX_SHARE_RARE = 0.05  # of the sensors, that may be touched rarely; chosen by 
 
 
 def _find_gaps(subject: Subject) -> NDArray[np.bool_] | None:
-    missing = find_bridged(subject.readings) | ~np.isfinite(subject.readings)
+    bridged = find_bridged(subject.readings)
+    complete = np.isfinite(subject.recording.extremes).all()
+    if bridged is None and complete:
+        return None
+    missing = (
+        np.zeros(subject.readings.shape, dtype=bool) if complete else ~np.isfinite(subject.readings)
+    )
+    if bridged is not None:
+        missing |= bridged
     share = missing.mean(axis=0)
     affected = (share >= _MIN_MISSING) & (share < 1)
     return np.where(affected, missing, False) if affected.any() else None

@@ -93,18 +93,26 @@ def never_at_rest(readings: NDArray[Any]) -> NDArray[np.intp]:
     part = readings[middle_frames(len(readings))]
     limit = max(2, MIN_REST_SHARE * len(part))
     return np.array(
-        [i for i, column in enumerate(columns(part)) if count_values(column)[1].max() < limit],
+        [
+            i
+            for i, column in enumerate(columns(part))
+            # Most sensors rest at their lowest value.
+            if np.count_nonzero(column == column.min()) < limit
+            and count_values(column)[1].max() < limit
+        ],
         dtype=np.intp,
     )
 
 
-def find_common_noise(readings: NDArray[Any]) -> tuple[CommonSignal, ...]:
+def find_common_noise(readings: NDArray[Any], free: NDArray[np.intp]) -> tuple[CommonSignal, ...]:
     """Find white noise that groups of sensors share.
 
     Parameters
     ----------
     readings : ndarray of shape (T, N)
         Finite.
+    free : ndarray of int
+        Sensors that are `never_at_rest`.
 
     Returns
     -------
@@ -120,7 +128,6 @@ def find_common_noise(readings: NDArray[Any]) -> tuple[CommonSignal, ...]:
     or more.
     """
     found = []
-    free = never_at_rest(readings)
     if free.size < _MIN_GROUP or len(readings) < 100:
         return ()
     for group in _groups(readings, free):
@@ -130,13 +137,15 @@ def find_common_noise(readings: NDArray[Any]) -> tuple[CommonSignal, ...]:
     return tuple(found)
 
 
-def find_hum(readings: NDArray[Any]) -> CommonSignal | None:
+def find_hum(readings: NDArray[Any], free: NDArray[np.intp]) -> CommonSignal | None:
     """Find a sine of one period and phase with a gain of its own in each sensor.
 
     Parameters
     ----------
     readings : ndarray of shape (T, N)
         Finite.
+    free : ndarray of int
+        Sensors that are `never_at_rest`.
 
     Returns
     -------
@@ -149,7 +158,6 @@ def find_hum(readings: NDArray[Any]) -> CommonSignal | None:
     and in all quarters of the recording. A body that rolls or walks at an even pace has lines, too,
     but sensors on different places have different phases.
     """
-    free = never_at_rest(readings)
     n_frames = len(readings)
     if free.size < max(_MIN_GROUP, _MIN_SENSORS * readings.shape[1]) or n_frames < 4 * _BESIDE:
         return None

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
 from anisomap.numerics.recording_faults.excerpt import (
@@ -32,6 +32,7 @@ _MIN_POWER = (
     2.0  # limits by which a tenth of the pairs may fail at least; simulated and real: 3 to 9
 )
 _SCREENED = 512  # frames of which the agreement of pairs is examined first; chosen by hand
+_PAIRS_AT_ONCE = 64  # whose misfits are computed; arrays of 2,048 frames stay in the cache
 _MIN_LEVELS = 32  # distinct values of noise
 _NOISIER, _LEAST_NOISE = 2.0, 0.003  # by which copies are noisier than their source
 _MIN_SOUND = 10  # sensors from which it is seen whether channels follow the skin
@@ -60,13 +61,17 @@ class Copies:
     noise: float
 
 
-def find_copies(readings: NDArray[Any]) -> tuple[Copies, ...]:
+def find_copies(
+    readings: NDArray[Any], lowest: NDArray[np.floating], highest: NDArray[np.floating]
+) -> tuple[Copies, ...]:
     """Find groups of sensors that read one wire.
 
     Parameters
     ----------
     readings : ndarray of shape (T, N)
         Finite.
+    lowest, highest : ndarray of shape (N,)
+        Range of the readings of each sensor.
 
     Returns
     -------
@@ -85,7 +90,7 @@ def find_copies(readings: NDArray[Any]) -> tuple[Copies, ...]:
     disagree, the most similar one gives the smallest probability p of a disagreement at a change; n
     changes agree by chance with probability (1 - p)^n.
     """
-    varying = np.flatnonzero(readings.max(axis=0) > readings.min(axis=0))
+    varying = np.flatnonzero(highest > lowest)
     if len(readings) < 3 or varying.size < 3:
         return ()
     most = MAX_FRAMES if varying.size <= _MANY_SENSORS else MAX_FRAMES // 2
@@ -93,7 +98,8 @@ def find_copies(readings: NDArray[Any]) -> tuple[Copies, ...]:
     pairs = list(excerpt.similar_pairs())
     groups = DisjointSet(varying.tolist())
     noise: dict[int, float] = {}
-    for i, j in [*_identical(readings, pairs), *_noisy(readings, excerpt, pairs)]:
+    units = _UnitRange(readings, lowest.astype(np.float64), highest.astype(np.float64))
+    for i, j in [*_identical(units, pairs), *_noisy(readings, excerpt, pairs)]:
         groups.merge(i, j)
         for sensor, share in zip((i, j), excerpt.noise_shares(i, j), strict=True):
             noise[sensor] = max(noise.get(sensor, 0.0), share)
@@ -140,31 +146,58 @@ class _Excerpt:
             return 0.0
         return float(np.sum(first * second, dtype=np.float64)) / square
 
-    def misfit(self, i: int, j: int) -> float:
-        """Return by how much j differs from i times a gain plus noise, in units of the limits."""
-        gain = self.gain(i, j)
-        mine, other = self.rows[self.number[i]], self.rows[self.number[j]]
-        rest = other - gain * mine
-        size, n_frames = float(rest.std()), rest.size
-        third, first, second = self._third(i, j)
-        if gain <= 0 or size <= _ROUNDING or not third.any():
-            return math.inf
-        if np.unique(rest[: _MIN_LEVELS**2]).size < _MIN_LEVELS:
-            return math.inf  # sensors with few values have no noise of their own
+    def misfits(self, pairs: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
+        """Return by how much j differs from i times a gain plus noise, in units of the limits.
+
+        Shape (P,); inf where nothing speaks for a copy.
+        """
+        numbers = np.array([(self.number[i], self.number[j]) for i, j in pairs], dtype=np.intp)
+        parts = [
+            self._misfits(*numbers[begin : begin + _PAIRS_AT_ONCE].T)
+            for begin in range(0, len(numbers), _PAIRS_AT_ONCE)
+        ]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def _misfits(self, a: NDArray[np.intp], b: NDArray[np.intp]) -> NDArray[np.float64]:
+        n_frames = self.rows.shape[1]
+        third = (self.others != a[:, None]) & (self.others != b[:, None])
+        first, second = (np.where(third, self.covariance[k], 0) for k in (a, b))
+        square = np.einsum("pk,pk->p", first, first)
+        product = np.einsum("pk,pk->p", first, second, dtype=np.float64)
+        gain = np.divide(product, square, out=np.zeros(a.size), where=square > 0)
+        rest = self.rows[b] - gain.astype(np.float32)[:, None] * self.rows[a]
+        size = rest.std(axis=1).astype(np.float64)
         deviations = math.sqrt(n_frames)
-        limit = _normal_maximum(len(self.varying) * int(third.sum()))
-        if np.abs(first).max() * deviations < 2 * limit:
-            return math.inf  # without a signal in common with others, nothing speaks for a copy
-        with_others = float(np.abs(second - gain * first).max()) / size * deviations / limit
-        white = max(abs(float(rest[lag:] @ rest[:-lag])) for lag in (1, 2)) / n_frames / size**2
-        strength = np.abs(rest) - np.abs(rest).mean()
-        nearest = self.others[third][np.abs(first).argmax()]
-        height = np.abs(self.rows[nearest])  # of contact, without the noise of the pair
-        height -= height.mean()
-        spread = float(strength.std() * height.std()) * n_frames
-        even = abs(float(strength @ height)) / spread if spread else math.inf
-        limit = _normal_maximum(3 * len(self.varying))
-        return max(with_others, float(white) * deviations / limit, even * deviations / limit)
+        counts = np.count_nonzero(third, axis=1)
+        limit = _normal_maximum(len(self.varying) * counts)
+        nearest = np.abs(first).argmax(axis=1)
+        related = np.abs(first).max(axis=1)
+        ordered = np.sort(rest[:, : _MIN_LEVELS**2], axis=1)
+        levels = 1 + np.count_nonzero(ordered[:, 1:] > ordered[:, :-1], axis=1)
+        possible = (
+            (gain > 0)
+            & (size > _ROUNDING)
+            & (levels >= _MIN_LEVELS)  # sensors with few values have no noise of their own
+            # Without a signal in common with others, nothing speaks for a copy.
+            & (related * deviations >= 2 * limit)
+        )
+        found = np.full(a.size, math.inf)
+        rest, size, limit = rest[possible], size[possible], limit[possible]
+        apart = np.abs(second[possible] - gain[possible, None] * first[possible]).max(axis=1)
+        with_others = apart / size * deviations / limit
+        products = [np.einsum("pt,pt->p", rest[:, lag:], rest[:, :-lag]) for lag in (1, 2)]
+        white = np.abs(products).max(axis=0) / n_frames / size**2
+        strength = np.abs(rest)
+        strength -= strength.mean(axis=1, keepdims=True)
+        # The height of contact, without the noise of the pair.
+        height = np.abs(self.rows[self.others[nearest[possible]]])
+        height -= height.mean(axis=1, keepdims=True)
+        spread = strength.std(axis=1).astype(np.float64) * height.std(axis=1) * n_frames
+        even = np.abs(np.einsum("pt,pt->p", strength, height)).astype(np.float64)
+        even = np.divide(even, spread, out=np.full(even.size, math.inf), where=spread > 0)
+        overall = _normal_maximum(3 * len(self.varying))
+        found[possible] = np.maximum(with_others, np.maximum(white, even) * (deviations / overall))
+        return found
 
     def noise_shares(self, i: int, j: int) -> tuple[float, float]:
         """Return the shares of the variances of two copies that they do not have in common."""
@@ -188,53 +221,61 @@ class _Excerpt:
         return third, self.covariance[a, third], self.covariance[b, third]
 
 
-def _identical(readings: NDArray[Any], pairs: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+@dataclass(frozen=True, eq=False)
+class _UnitRange:
+    """Readings of sensors that vary, scaled to their range: 0 to 1."""
+
+    readings: NDArray[Any]
+    lowest: NDArray[np.float64]
+    highest: NDArray[np.float64]
+
+    def of(self, sensors: NDArray[np.intp] | int, step: int = 1) -> NDArray[np.float64]:
+        """Return each `step`-th frame of some sensors, or of one."""
+        extent = self.highest[sensors] - self.lowest[sensors]
+        return np.asarray((self.readings[::step, sensors] - self.lowest[sensors]) / extent)
+
+    def agreeing_in_excerpt(self, pairs: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+        """Yield pairs that agree in evenly spaced frames."""
+        step = -(-len(self.readings) // _SCREENED)
+        sensors, place = np.unique(np.array(pairs, dtype=np.intp), return_inverse=True)
+        rows = np.ascontiguousarray(self.of(sensors, step).T)
+        for pair, (a, b) in zip(pairs, place.reshape(-1, 2).tolist(), strict=True):
+            if (np.abs(rows[a] - rows[b]) <= _ROUNDING).all():
+                yield pair
+
+    def disagreements(self, i: int, j: int) -> int:
+        """Count the frames in which two sensors disagree."""
+        return int(np.count_nonzero(np.abs(self.of(i) - self.of(j)) > _ROUNDING))
+
+    def changes(self, i: int) -> int:
+        """Count the changes of a sensor."""
+        return int(np.count_nonzero(np.abs(np.diff(self.of(i))) > _ROUNDING))
+
+
+def _identical(units: _UnitRange, pairs: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
     """Yield pairs that agree in all frames, up to gain and offset, and change often enough."""
     # Only if some pair agrees, it matters how rarely others disagree.
-    if not any(
-        _disagreements(readings, pair) == 0 for pair in _agreeing_in_excerpt(readings, pairs)
-    ):
+    if not any(units.disagreements(i, j) == 0 for i, j in units.agreeing_in_excerpt(pairs)):
         return
     shares, agreeing = [], []
     for i, j in pairs:
-        disagreements = _disagreements(readings, (i, j))
-        changes = np.count_nonzero(np.abs(np.diff(_unit_range(readings[:, i]))) > _ROUNDING)
+        disagreements, changes = units.disagreements(i, j), units.changes(i)
         if not disagreements:
             agreeing.append((i, j, changes))
         elif changes >= _MIN_CHANGES:
             shares.append(min(_MAX_BEST_SHARE, disagreements / changes))
     best = min(shares, default=_MAX_BEST_SHARE)
-    enough = math.log(max(2, readings.shape[1]) / FALSE_ALARMS) / -math.log1p(-best)
+    enough = math.log(max(2, units.readings.shape[1]) / FALSE_ALARMS) / -math.log1p(-best)
     for i, j, changes in agreeing:
         if changes >= max(_MIN_CHANGES, enough):
             yield i, j
-
-
-def _agreeing_in_excerpt(
-    readings: NDArray[Any], pairs: list[tuple[int, int]]
-) -> Iterator[tuple[int, int]]:
-    """Yield pairs that agree in evenly spaced frames, up to gain and offset."""
-    lowest, highest = (
-        np.asarray(f(axis=0), dtype=np.float64) for f in (readings.min, readings.max)
-    )
-    extent = np.where(highest > lowest, highest - lowest, 1)
-    some = (readings[:: -(-len(readings) // _SCREENED)] - lowest) / extent
-    for i, j in pairs:
-        if (np.abs(some[:, i] - some[:, j]) <= _ROUNDING).all():
-            yield i, j
-
-
-def _disagreements(readings: NDArray[Any], pair: tuple[int, int]) -> int:
-    """Count the frames in which two sensors disagree, up to gain and offset."""
-    first, second = (_unit_range(readings[:, i]) for i in pair)
-    return int(np.count_nonzero(np.abs(first - second) > _ROUNDING))
 
 
 def _noisy(
     readings: NDArray[Any], excerpt: _Excerpt, pairs: list[tuple[int, int]]
 ) -> Iterator[tuple[int, int]]:
     """Yield pairs of which one is the other times a gain, plus white noise."""
-    misfits = np.array([excerpt.misfit(i, j) for i, j in pairs])
+    misfits = excerpt.misfits(pairs)
     failed = misfits[(misfits > 1) & np.isfinite(misfits)]
     if failed.size >= _MIN_FAILED and np.quantile(failed, 0.1) < _MIN_POWER:
         return
@@ -243,16 +284,18 @@ def _noisy(
         others = excerpt.varying[excerpt.others]
         sensors = np.union1d(others, np.array(passed, dtype=np.intp).ravel())
         longer = _Excerpt(readings, sensors, _MAX_CONFIRMED)
-        passed = [(i, j) for i, j in passed if longer.misfit(i, j) <= 1]
+        passed = [
+            pair for pair, one in zip(passed, longer.misfits(passed), strict=True) if one <= 1
+        ]
     yield from passed
 
 
-def _normal_maximum(count: int) -> float:
+def _normal_maximum(count: ArrayLike) -> NDArray[np.float64]:
     """Return the value that the largest of `count` normal variables exceeds with probability 1 %.
 
     Bonferroni's bound, with the tail of the normal distribution approximated by exp(-z^2 / 2) / 2.
     """
-    return math.sqrt(2 * math.log(max(1, count) / FALSE_ALARMS))
+    return np.asarray(np.sqrt(2 * np.log(np.maximum(1, count) / FALSE_ALARMS)))
 
 
 def _true_sensor(
@@ -279,9 +322,3 @@ def _true_sensor(
     first, second = (excerpt.similarity_beside(i) for i in own[:2])
     clear = told_apart >= 2 * _MIN_TOLD_APART and second < middle < first
     return own[0] if clear else None
-
-
-def _unit_range(column: NDArray[Any]) -> NDArray[np.float64]:
-    values = column.astype(np.float64)
-    values -= values.min()
-    return np.asarray(values / values.max())

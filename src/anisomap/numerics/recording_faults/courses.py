@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ _MIN_LEVELS = 16  # distinct values of a sensor that can be clipped; fewer are q
 _TOP = 0.05  # share of the range below the limit, for comparison
 _MAX_BRIDGES = 3  # sensors touched with both regions: fewer cannot fix their relative place
 _MIN_REGION = 0.1  # share of the sensors in the smaller region
+_SENSORS_AT_ONCE = 8  # whose lines are computed, until too few sensors can have one
 _N_SPLITS = 39  # moments at which a recording may be divided
 _STRAY = 0.02  # share of a sensor's active frames with the other region
 
@@ -40,21 +42,42 @@ def find_one_period(readings: NDArray[Any]) -> tuple[float, float] | None:
     n_frames = len(readings)
     if n_frames < 8 * _MIN_CYCLES or readings.shape[1] < 3:
         return None
-    values = readings[:, some_sensors(readings.shape[1], 64)].astype(np.float64)
-    values = values[: 1 << 15]
+    values = readings[: 1 << 15, some_sensors(readings.shape[1], 64)].astype(np.float64)
     n_frames = len(values)
     values -= values.mean(axis=0)
     total = (values**2).sum(axis=0)
     values, total = values[:, total > 0], total[total > 0]
-    if values.shape[1] < 3:
+    n_sensors = total.size
+    if n_sensors < 3:
         return None
-    power = 2 * np.abs(np.fft.rfft(values, axis=0)) ** 2 / n_frames / total
-    power[:_MIN_CYCLES] = 0
-    peak = power.argmax(axis=0)
-    line = np.array([power[max(0, p - 2) : p + 3, i].sum() for i, p in enumerate(peak.tolist())])
+    peaks, lines = [], []
+    for begin in range(0, n_sensors, _SENSORS_AT_ONCE):
+        part = slice(begin, begin + _SENSORS_AT_ONCE)
+        peak, line = _strongest_lines(values[:, part], total[part])
+        peaks.append(peak)
+        lines.append(line)
+        if (
+            np.count_nonzero(np.concatenate(lines) >= _MIN_LINE_SHARE)
+            + n_sensors
+            - (begin + peak.size)
+            < _MIN_SENSORS * n_sensors
+        ):
+            return None
+    peak, line = np.concatenate(peaks), np.concatenate(lines)
     usual = int(np.median(peak))
     same = np.mean((np.abs(peak - usual) <= 1) & (line >= _MIN_LINE_SHARE))
     return (n_frames / usual, float(np.median(line))) if same >= _MIN_SENSORS else None
+
+
+def _strongest_lines(
+    values: NDArray[np.float64], total: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return the frequency of the strongest line of each sensor, and its share of the variance."""
+    power = 2 * np.abs(np.fft.rfft(values, axis=0)) ** 2 / len(values) / total
+    power[:_MIN_CYCLES] = 0
+    peak = power.argmax(axis=0)
+    line = [power[max(0, p - 2) : p + 3, i].sum() for i, p in enumerate(peak.tolist())]
+    return peak, np.array(line)
 
 
 def find_clipped(readings: NDArray[Any]) -> dict[int, float]:
@@ -131,14 +154,16 @@ def find_regions(active: NDArray[np.bool_]) -> Regions | None:
         both: three are needed to place one beside the other.
     """
     n_frames, n_sensors = active.shape
-    counts = active.sum(axis=0)
+    splits = np.linspace(0, n_frames, _N_SPLITS + 2).astype(int)[:-1]
+    between = [np.count_nonzero(active[a:b], axis=0) for a, b in pairwise([*splits, n_frames])]
+    sums = np.cumsum(between, axis=0)
+    counts = sums[-1]
     touched = counts >= 5
     if n_frames < 2 * _N_SPLITS or np.count_nonzero(touched) < 2 * _MAX_BRIDGES:
         return None
-    splits = np.linspace(0, n_frames, _N_SPLITS + 2).astype(int)[1:-1]
     best = None
-    for split in splits.tolist():
-        share = active[:split].sum(axis=0) / np.maximum(counts, 1)
+    for split, before_split in zip(splits[1:].tolist(), sums, strict=False):
+        share = before_split / np.maximum(counts, 1)
         before = np.flatnonzero(touched & (share >= 1 - _STRAY))
         after = np.flatnonzero(touched & (share <= _STRAY))
         bridges = np.flatnonzero(touched & (share > _STRAY) & (share < 1 - _STRAY))

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter, uniform_filter1d
 from scipy.special import ndtr
 
-from anisomap.numerics.recording_faults.common_mode import never_at_rest
-
 N_BLOCKS = 20
 """Blocks of frames whose levels at rest are compared; chosen by hand."""
 
@@ -48,13 +46,17 @@ class Drift:
     sizes: NDArray[np.float64]
 
 
-def find_drift(readings: NDArray[Any], side: NDArray[np.floating] | None = None) -> Drift | None:
+def find_drift(
+    readings: NDArray[Any], chosen: NDArray[np.intp], side: NDArray[np.floating] | None = None
+) -> Drift | None:
     """Find sensors whose level at rest drifts.
 
     Parameters
     ----------
     readings : ndarray of shape (T, N)
         Finite.
+    chosen : ndarray of int
+        Sensors that are `never_at_rest`.
     side : ndarray of shape (N,), optional
         1 where contact raises readings, -1 where it lowers them; by default by the skewness.
 
@@ -71,7 +73,6 @@ def find_drift(readings: NDArray[Any], side: NDArray[np.floating] | None = None)
     one value occurs often in have no drift.
     """
     n_frames = len(readings)
-    chosen = never_at_rest(readings)
     if n_frames < N_BLOCKS * _MIN_BLOCK or not chosen.size:
         return None
     signs = contact_side(readings[:, chosen]) if side is None else np.asarray(side)[chosen]

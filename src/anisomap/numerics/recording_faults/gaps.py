@@ -26,7 +26,7 @@ _N_PARTNERS = 8  # most similar sensors from which readings are estimated; chose
 _MAX_FRAMES = 20_000  # of a fit
 
 
-def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_]:
+def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_] | None:
     """Find readings on straight lines that are too long to occur by chance.
 
     Parameters
@@ -36,9 +36,9 @@ def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_]:
 
     Returns
     -------
-    ndarray of bool, shape (T, N)
+    ndarray of bool, shape (T, N), or None
         Lines that rise or fall; a sensor at rest is a line, too. Their ends are not marked, since
-        they were read.
+        they were read. None if there are no lines.
 
     Notes
     -----
@@ -47,22 +47,41 @@ def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_]:
     slow drift.
     """
     n_frames, n_sensors = readings.shape
-    bridged = np.zeros(readings.shape, dtype=bool)
     if n_frames < 2 * _MIN_RUN:
-        return bridged
+        return None
     lines = {
         i: found
         for i, column in enumerate(columns(readings))
-        if (found := _lines(column.astype(np.float64), n_sensors))
+        if _may_have_lines(column) and (found := _lines(column.astype(np.float64), n_sensors))
     }
     rising = [np.array([rises for _, _, rises in found]) for found in lines.values()]
     fewer = sum(min(np.count_nonzero(up), np.count_nonzero(~up)) for up in rising)
-    if fewer < _MIN_MIXED * sum(up.size for up in rising):
-        return bridged
+    if not lines or fewer < _MIN_MIXED * sum(up.size for up in rising):
+        return None
+    bridged = np.zeros(readings.shape, dtype=bool)
     for i, found in lines.items():
         for start, stop, _ in found:
             bridged[start + 1 : stop + 1, i] = True
     return bridged
+
+
+def _may_have_lines(column: NDArray[Any]) -> bool:
+    """Return whether a sensor has `_MIN_RUN` readings on a line, with twice the slack of `_lines`.
+
+    Differences of float32 readings are rounded by less than the slack.
+    """
+    slack = 2 * _ROUNDING * max(column.max(), -column.min())
+    if not np.isfinite(slack):
+        return True
+    slope = column[1:] - column[:-1]
+    on_line = np.abs(slope[1:] - slope[:-1]) <= 2 * slack
+    on_line &= np.abs(slope[1:]) > slack
+    length = 1
+    while length < _MIN_RUN:
+        step = min(length, _MIN_RUN - length)
+        on_line = on_line[:-step] & on_line[step:]
+        length += step
+    return bool(on_line.any())
 
 
 def _lines(column: NDArray[np.float64], n_sensors: int) -> list[tuple[int, int, bool]]:

@@ -11,7 +11,7 @@ from scipy.special import bdtrc
 
 from anisomap.numerics.columns import columns
 from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors
-from anisomap.numerics.similarity.rest import Rest, estimate_rest
+from anisomap.numerics.similarity.rest import estimate_rest
 
 LEVEL = 1e-4
 """Level of the sign test: the probability of a false finding."""
@@ -22,6 +22,7 @@ _MIN_FRAMES = 20  # of strong contact; chosen by hand
 _MAX_FRAMES = 2000  # of strong contact that are used, for speed
 _MAX_EXCERPT = 16384  # frames
 _MAX_CHANNELS = 256  # the first ones, in which a leak is searched
+_MIN_SCREENED = 64  # pairs of which most must show a leak before all are compared; chosen by hand
 _MIN_LEVELS = 8  # distinct values, for a share to be visible
 _MAX_SHARE = 0.6  # above, a leak cannot be told from a copy; chosen by hand
 _TOLERANCE = 1e-4  # of a share computed from readings without noise, stored as float32
@@ -73,11 +74,14 @@ def find_leak(readings: NDArray[Any]) -> Leak | None:
     n_sensors = readings.shape[1]
     n_sensors = min(n_sensors, _MAX_CHANNELS)
     excerpt = readings[middle_frames(len(readings), _MAX_EXCERPT), :n_sensors]
-    if n_sensors <= max(_OTHER_OFFSETS) or not _visible(excerpt).any():
+    if n_sensors <= max(_OTHER_OFFSETS):
         return None
     last = some_sensors(n_sensors - max(_OTHER_OFFSETS)) + max(_OTHER_OFFSETS)
     depths = _Depths(excerpt)
+    some = last[:: max(1, last.size // _MIN_SCREENED)]
     for quantile in _QUANTILES:
+        if not np.median(np.sign(depths.compare(some, 1, quantile))) > 0:
+            continue
         gains = depths.compare(last, 1, quantile)
         clear = gains[np.abs(gains) > 0]
         if not clear.size or not 0 < np.median(gains) < _MAX_SHARE:
@@ -128,31 +132,39 @@ def remove_leak(readings: NDArray[Any], leak: Leak) -> NDArray[Any]:
     return mended
 
 
-def _visible(readings: NDArray[Any]) -> NDArray[np.bool_]:
-    """Mark sensors with enough distinct values to show a share of another."""
-    some = readings[:: max(1, len(readings) // 2048)]
-    return np.array([np.unique(column).size >= _MIN_LEVELS for column in columns(some)])
+def _is_visible(column: NDArray[Any]) -> bool:
+    """Return whether a sensor has enough distinct values to show a share of another."""
+    some = column[:: max(1, len(column) // 2048)]
+    return any(np.unique(part).size >= _MIN_LEVELS for part in (some[: _MIN_LEVELS**2], some))
 
 
 class _Depths:
-    """Depths of contact of the channels, read column by column."""
+    """Depths of contact of the channels, computed channel by channel."""
 
     def __init__(self, readings: NDArray[Any]) -> None:
-        self.rest: Rest = estimate_rest(readings)
-        beyond = (readings - self.rest.value) * self.rest.side
-        self.columns = list(columns(beyond))
-        self.visible = [
-            np.unique(c[:: max(1, len(c) // 2048)]).size >= _MIN_LEVELS for c in self.columns
-        ]
+        self.columns = list(columns(readings))
+        self.visible = [_is_visible(column) for column in self.columns]
+        self.depths: dict[int, tuple[NDArray[np.float64], float]] = {}
         self.strong: dict[int, tuple[NDArray[np.intp], NDArray[np.intp]] | None] = {}
+
+    def depth(self, i: int) -> tuple[NDArray[np.float64], float]:
+        """Return the excess of a channel over rest, and what of it is noise."""
+        if i not in self.depths:
+            column = self.columns[i]
+            rest = estimate_rest(column[:, None])
+            depth = (column.astype(np.float64) - rest.value) * rest.side
+            self.depths[i] = depth, float(rest.threshold[0])
+        return self.depths[i]
 
     def frames(self, i: int) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
         """Return the frames of strong contact and of rest of a channel; None if there are few."""
         if i not in self.strong:
-            depth, threshold = self.columns[i], self.rest.threshold[i]
-            touched = depth > threshold
             self.strong[i] = None
-            if self.visible[i] and np.count_nonzero(touched) >= 2 * _MIN_FRAMES:
+            if not self.visible[i]:
+                return None
+            depth, threshold = self.depth(i)
+            touched = depth > threshold
+            if np.count_nonzero(touched) >= 2 * _MIN_FRAMES:
                 deep = np.flatnonzero(depth >= np.median(depth[touched]))
                 quiet = np.flatnonzero(~touched)
                 if quiet.size >= _MIN_FRAMES:
@@ -165,8 +177,9 @@ class _Depths:
         if frames is None or not self.visible[i]:
             return np.nan
         deep, quiet = frames
-        noise = _quantile(self.columns[i][quiet], quantile)
-        ratios = (self.columns[i][deep] - noise) / self.columns[source][deep]
+        mine = self.depth(i)[0]
+        noise = _quantile(mine[quiet], quantile)
+        ratios = (mine[deep] - noise) / self.depth(source)[0][deep]
         return _quantile(ratios, quantile)
 
     def compare(self, last: NDArray[np.intp], offset: int, quantile: float) -> NDArray[np.float64]:
@@ -185,8 +198,9 @@ class _Depths:
             frames = self.frames(i - 1)
             if frames is not None and self.visible[i]:
                 deep, quiet = frames
-                noise = np.median(self.columns[i][quiet])
-                ratios.append((self.columns[i][deep] - noise) / self.columns[i - 1][deep])
+                mine = self.depth(i)[0]
+                noise = np.median(mine[quiet])
+                ratios.append((mine[deep] - noise) / self.depth(i - 1)[0][deep])
         pooled = np.sort(np.concatenate(ratios))
         near = pooled[(pooled > 0.3 * start) & (pooled < limit)]
         share = _densest(near)

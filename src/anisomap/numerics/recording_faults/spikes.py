@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors
+from anisomap.numerics.similarity.correlation import pearson
 
 _MIN_GROUP = 5  # sensors of a board; three or four may be touched alike by a flat object
 _MIN_LEVELS = 8  # distinct heights of jumps: sensors with two values always jump by the same
@@ -18,7 +19,8 @@ _MAX_SHARE = 0.15  # of the frames; white noise jumps up in a third of them
 _MIN_LINK = 0.7  # correlation of the jumps of two sensors of a board; chosen by hand
 _MIN_HEIGHT = 0.1  # standard deviations of the readings; less changes no correlation
 _MAX_SPREAD = 0.1  # relative spread of the jumps of the sensors of a board; contacts have 0.3
-_FRAMES_AT_ONCE = 512  # of which jumps are computed; they stay in the cache
+_FRAMES_AT_ONCE, _SENSORS_AT_ONCE = 4096, 64  # of which jumps are computed; they fit in the cache
+_MAX_SENSORS = 1024  # in which spikes are searched
 _MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others are in contact
 
 
@@ -61,16 +63,14 @@ def find_spikes(readings: NDArray[Any]) -> tuple[Spikes, ...]:
     n_frames, n_sensors = readings.shape
     if n_frames < 100 or n_sensors < _MIN_GROUP:
         return ()
-    chosen = np.arange(n_sensors) if n_sensors <= 1024 else some_sensors(n_sensors, 1024)
-    frames = middle_frames(n_frames)
-    jumps = _jumps(readings[frames][:, chosen])
-    jumping = np.count_nonzero(jumps, axis=0) >= _MIN_SPIKES
+    chosen = some_sensors(n_sensors, _MAX_SENSORS)
+    jumps = _jumps(readings, chosen, middle_frames(n_frames))
+    jumping = np.count_nonzero(jumps, axis=1) >= _MIN_SPIKES
     if np.count_nonzero(jumping) < _MIN_GROUP:
         return ()
-    chosen, jumps = chosen[jumping], jumps[:, jumping]
-    standard = jumps - jumps.mean(axis=0)
-    standard /= np.linalg.norm(standard, axis=0)
-    n_groups, group = connected_components(standard.T @ standard > _MIN_LINK, directed=False)
+    chosen = chosen[jumping]
+    linked = pearson(jumps[jumping].T) > _MIN_LINK
+    n_groups, group = connected_components(linked, directed=False)
     found = []
     for number in range(n_groups):
         members = chosen[group == number]
@@ -89,11 +89,18 @@ def remove_spikes(readings: NDArray[Any], spikes: Spikes) -> NDArray[Any]:
     return mended
 
 
-def _jumps(readings: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the excess of readings over both readings beside them, shape (T, n); at least 0."""
-    values = readings.astype(np.float32)
-    jumps = np.zeros_like(values)
-    jumps[1:-1] = np.maximum(values[1:-1] - np.maximum(values[:-2], values[2:]), 0)
+def _jumps(readings: NDArray[Any], sensors: NDArray[np.intp], frames: slice) -> NDArray[np.float32]:
+    """Return the excess of readings over both readings beside them, shape (n, t); at least 0.
+
+    It is 0 in the first and the last frame.
+    """
+    jumps = np.zeros((sensors.size, len(range(len(readings))[frames])), dtype=np.float32)
+    for begin in range(0, sensors.size, _SENSORS_AT_ONCE):
+        part = slice(begin, begin + _SENSORS_AT_ONCE)
+        values = readings.T[sensors[part], frames].astype(np.float32)
+        beside = np.maximum(values[:, :-2], values[:, 2:])
+        np.subtract(values[:, 1:-1], beside, out=beside)
+        np.maximum(beside, 0, out=jumps[part, 1:-1])
     return jumps
 
 
@@ -103,10 +110,10 @@ def _shared(readings: NDArray[Any], members: NDArray[np.intp]) -> Spikes | None:
     often, tall = [], []
     for begin in range(1, n_frames - 1, _FRAMES_AT_ONCE):
         stop = min(begin + _FRAMES_AT_ONCE, n_frames - 1)
-        jumps = _jumps(readings[begin - 1 : stop + 1][:, members])[1:-1]
-        found = np.flatnonzero(np.mean(jumps > 0, axis=1) >= _MIN_AT_ONCE)
+        jumps = _jumps(readings, members, slice(begin - 1, stop + 1))[:, 1:-1]
+        found = np.flatnonzero(np.count_nonzero(jumps, axis=0) >= _MIN_AT_ONCE * members.size)
         often.append(begin + found)
-        tall.append(jumps[found])
+        tall.append(jumps[:, found].T)
     frames = np.concatenate(often)
     if not _MIN_SPIKES <= frames.size <= _MAX_SHARE * n_frames:
         return None
