@@ -201,9 +201,12 @@ class Recording:
         Returns
         -------
         Recording
-            All frames of those sensors.
+            All frames of those sensors; this recording itself if these are all, in order.
         """
-        chosen = np.arange(self.n_sensors)[np.asarray(sensors)]
+        every = np.arange(self.n_sensors)
+        chosen = every[np.asarray(sensors)]
+        if np.array_equal(chosen, every):
+            return self
         distances = self.surface_distances
         return replace(
             self,

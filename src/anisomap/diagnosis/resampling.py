@@ -17,7 +17,7 @@ from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covar
 from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.reliability.block_bootstrap import balanced_weights, block_edges
+from anisomap.numerics.reliability.block_bootstrap import balanced_weights, block_edges, thinning
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.numerics.similarity.resampled import resampled_correlation
 from anisomap.stages.consensus import combine_with_paths
@@ -103,7 +103,7 @@ def resampled_maps(
     drawn = balanced_weights(len(edges) - 1, N_RESAMPLES, rng)
     weights = np.vstack([np.ones(len(edges) - 1), 1 + STEP * (drawn - 1)])
     with limited_blas(len(positions)):
-        resamples, noise = _similarities(pairs, readings, edges, weights), pairs.noise
+        resamples, noise = _similarities(pairs, edges, weights), pairs.noise
         made: list[NDArray[np.float64]] = []
         start, exponent, by_paths = positions, 1.0, True
         iterations, shared = options.covariogram.max_iterations, None
@@ -162,17 +162,16 @@ def _misfit(moved: NDArray[np.float64], positions: NDArray[np.float64]) -> float
 
 
 def _similarities(
-    pairs: PairStatistics,
-    readings: NDArray[np.floating],
-    edges: NDArray[np.intp],
-    weights: NDArray[np.float64],
+    pairs: PairStatistics, edges: NDArray[np.intp], weights: NDArray[np.float64]
 ) -> Reals:
     """Compute a similarity of weighted blocks of frames, shape (R, n, n)."""
-    found = pairs.blended
+    readings, found = np.asarray(pairs.readings), pairs.blended
     if found is None:
         return resampled_contact_agreement(readings, edges, weights)
-    blended = resampled_correlation(readings, edges, weights)
-    rho = resampled_correlation(found.ranks, edges, weights)
+    step = thinning(readings)
+    edges = -(-edges // step)
+    blended = resampled_correlation(readings[::step], edges, weights)
+    rho = resampled_correlation(found.ranks[::step], edges, weights)
     blended *= found.weight
     rho *= 1 - found.weight
     blended += rho

@@ -25,7 +25,7 @@ from anisomap.numerics.reliability.blending import (
     split_blend,
 )
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.reliability.split_half import split_blocks
+from anisomap.numerics.reliability.split_half import at_frames, split_blocks
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
@@ -36,6 +36,13 @@ from anisomap.recording import Recording
 logger = logging.getLogger(__name__)
 
 _MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
+_MAX_CHANGES = 10_000
+"""Maximum number of differences between frames that are correlated.
+
+They are evenly chosen; unlike readings, differences are hardly autocorrelated, so that the standard
+deviation of their correlations is about .01.
+"""
+
 _ROUNDING = 1e-6  # by which a computed correlation may exceed 1
 
 
@@ -186,7 +193,7 @@ class PairStatistics:
 
     @property
     def changes(self) -> Reals | None:
-        """Blended correlation of the differences between frames, shape (n, n); None without them.
+        """Blended correlation of differences between frames, shape (n, n); None without them.
 
         Computing it takes as long as that of the readings, and several steps use it.
         """
@@ -209,7 +216,9 @@ class PairStatistics:
         readings: NDArray[Any] = self.readings
         if readings.dtype.kind != "f":
             readings = readings.astype(np.float64)
-        found = split_blend(np.diff(readings, axis=0), halves=True)
+        step = -(-len(readings) // _MAX_CHANGES)
+        before, after = readings[:-1:step], readings[1::step]
+        found = split_blend(after - before, halves=True)
         return found.similarity, *found.halves
 
     def of_half(self, half: int) -> PairStatistics:
@@ -233,7 +242,7 @@ class PairStatistics:
         if self.readings is None:
             raise ValueError("there are no readings")
         frames = split_blocks(len(self.readings))[half]
-        readings = self.readings[frames]
+        readings = at_frames(self.readings, frames)
         blended, changes, statistic = self.blended, self._changes, SIMILARITIES[self.statistic]
         if blended is not None and blended.halves:
             blended = blended.of_half(half, frames, readings)

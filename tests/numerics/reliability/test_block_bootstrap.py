@@ -14,6 +14,7 @@ from anisomap.numerics.reliability.block_bootstrap import (
     MIN_BLOCKS,
     balanced_weights,
     block_edges,
+    thinning,
 )
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.resampled import resampled_correlation
@@ -92,3 +93,21 @@ def test_resamples_spread_as_independent_recordings_do(coefficient):
             made = resampled_correlation(readings, edges, 1 + step * (drawn - 1))
             found.append(made[:, *pairs].var(axis=0, ddof=1).mean() / step**2)
     assert np.mean(found) == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.parametrize("coefficient", [0.98, 0.995])
+def test_thinned_readings_resample_as_all_of_them(coefficient):
+    readings = autoregressive(6000, 20, coefficient)
+    step = thinning(readings)
+    assert step > 1
+    edges = block_edges(readings)
+    drawn = balanced_weights(len(edges) - 1, 12, np.random.default_rng(0))
+    pairs = np.triu_indices(20, 1)
+    every = resampled_correlation(readings, edges, drawn)
+    some = resampled_correlation(readings[::step], -(-edges // step), drawn)
+    every, some = (found[:, *pairs].var(axis=0, ddof=1).mean() for found in (every, some))
+    assert some == pytest.approx(every, rel=0.05)
+
+
+def test_readings_that_fade_at_once_are_not_thinned():
+    assert thinning(autoregressive(3000, 5, 0.5)) == 1

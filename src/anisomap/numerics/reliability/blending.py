@@ -11,6 +11,7 @@ from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.reliability.split_half import (
     SplitCorrelation,
+    at_frames,
     correlation_and_reliability,
 )
 from anisomap.numerics.similarity.rest import ranks_of_depths
@@ -136,7 +137,7 @@ class Blend:
 
     def of_half(self, half: int, frames: NDArray[np.intp], readings: NDArray[np.generic]) -> Blend:
         """Return the blend of one of the halves, given its frames and its readings."""
-        ranks = self.ranks[frames]
+        ranks = at_frames(self.ranks, frames)
         variance = _blended_variance(self.weights[1 + half], readings, ranks)
         return Blend(self.halves[half], variance, (self.weights[1 + half],), ranks)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,6 +17,26 @@ MIN_BLOCKS = 8
 
 _BLOCK_FACTOR = 4  # block length / lag at which autocorrelations fade; see `block_edges`
 _MAX_SENSORS = 64  # regularly sampled sensors whose autocorrelations give the length of blocks
+
+
+_FRAMES_PER_FADING = 16  # frames that resamples use, up to the lag at which autocorrelations fade
+
+
+def thinning(readings: ArrayLike) -> int:
+    """Return of how many frames a resample needs one.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings, T >= 2.
+
+    Returns
+    -------
+    int
+        Of 16 frames up to the lag at which the median autocorrelation falls below .1, correlations
+        have about the variance of those of all frames.
+    """
+    return max(1, _time(np.asarray(readings)) // _FRAMES_PER_FADING)
 
 
 def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
@@ -38,8 +60,7 @@ def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
     times that lag gave about equal variances on simulated skins, seeds 201 to 212.
     """
     values = np.asarray(readings)
-    step = -(-values.shape[1] // _MAX_SENSORS)
-    length = _BLOCK_FACTOR * max(1, correlation_time(values[:, ::step]))
+    length = _BLOCK_FACTOR * max(1, _time(values))
     count = min(max(len(values) // length, MIN_BLOCKS), MAX_BLOCKS, len(values))
     return np.linspace(0, len(values), count + 1).astype(np.intp)
 
@@ -66,3 +87,8 @@ def balanced_weights(
     """
     drawn = rng.permutation(np.tile(np.arange(n_blocks), n_resamples)).reshape(-1, n_blocks)
     return np.array([np.bincount(row, minlength=n_blocks) for row in drawn], dtype=np.float64)
+
+
+def _time(readings: NDArray[Any]) -> int:
+    step = -(-readings.shape[1] // _MAX_SENSORS)
+    return correlation_time(readings[:, ::step])

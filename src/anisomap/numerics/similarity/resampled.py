@@ -44,7 +44,9 @@ def resampled_correlation(
     for begin in range(0, n_sensors, at_once):
         # Of each sensor with itself and all later ones.
         rows, columns = slice(begin, begin + at_once), slice(begin, None)
-        products = np.array([scaled[rows, a:b] @ scaled[columns, a:b].T for a, b in blocks])
+        products = np.empty((n_blocks, *found[0, rows, columns].shape), np.float32)
+        for product, (first, end) in zip(products, blocks, strict=True):
+            np.matmul(scaled[rows, first:end], scaled[columns, first:end].T, out=product)
         weighted = share @ products.reshape(n_blocks, -1)
         found[:, rows, columns] = weighted.reshape(len(weights), *products.shape[1:])
     single = n_sensors >= _MIN_FLOAT32_SENSORS
