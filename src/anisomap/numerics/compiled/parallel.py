@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import lru_cache
 from importlib import import_module
+from sys import modules
 from typing import Any, Protocol, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -73,8 +75,16 @@ def limited_blas(n_rows: int) -> Iterator[None]:
     BLAS threads busy-wait for each other: on a loaded machine, small products take ten times the
     CPU time with several threads.
     """
-    with threadpool_limits(1 if n_rows < MIN_PARALLEL_ROWS else None, user_api="blas"):
+    with _controller("scipy.linalg" in modules).limit(
+        limits=1 if n_rows < MIN_PARALLEL_ROWS else None, user_api="blas"
+    ):
         yield
+
+
+@lru_cache(maxsize=2)
+def _controller(_with_scipy: bool) -> ThreadpoolController:
+    """Find the BLAS libraries in memory once: scipy loads its own beside that of numpy."""
+    return ThreadpoolController()
 
 
 def serial_map(task: Callable[[Task], Result], items: Iterable[Task], /) -> list[Result]:

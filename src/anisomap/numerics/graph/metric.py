@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.cluster.hierarchy import cophenet, single
-from scipy.sparse.csgraph import csgraph_from_dense, floyd_warshall
 from scipy.spatial.distance import squareform
 
 from anisomap.errors import InputError
@@ -69,17 +68,18 @@ def metricise(dissimilarity: ArrayLike) -> Reals:
     Notes
     -----
     McGregor et al. (2011), section "ANISOMAP", step 2, and Text S3; Floyd (1962), Warshall (1962).
-    From 500 objects on, `anisomap.numerics.graph.shortest_paths` is used; float32 input is then
+    From 500 objects on, `anisomap.numerics.graph.shortest_paths` is used. Float32 input is
     processed in float32, with a relative error of about 1e-6.
     """
     lengths = check_semi_metric(dissimilarity, copy=False)
     if len(lengths) >= MIN_COMPILED_ROWS:
         return shortest_paths(lengths)
-    # null_value: scipy would read a dense 0 as "no edge" and separate identical sensors.
-    graph = csgraph_from_dense(lengths, null_value=np.inf)
-    metric = floyd_warshall(graph, directed=False)
-    np.minimum(metric, metric.T, out=metric)
-    return np.asarray(metric)
+    paths = lengths.copy()
+    detours = np.empty_like(paths)
+    for node in paths:
+        np.add(node[:, None], node, out=detours)
+        np.minimum(paths, detours, out=paths)
+    return paths
 
 
 def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:

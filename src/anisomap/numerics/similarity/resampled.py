@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from anisomap.numerics.precision import mirror
 
-_MIN_FLOAT32_SENSORS = 512  # below, matrices are small
 _SENSORS_AT_ONCE = 32  # sensors standardised at a time; chosen by hand
 _FLOAT32_RANGE = 1e15  # of readings that are centred in float32
 _STACKED_BYTES = 1 << 24  # of products of all blocks for some sensors; chosen by hand
@@ -15,7 +14,7 @@ _STACKED_BYTES = 1 << 24  # of products of all blocks for some sensors; chosen b
 
 def resampled_correlation(
     readings: NDArray[np.floating], edges: NDArray[np.intp], weights: NDArray[np.float64]
-) -> NDArray[np.floating]:
+) -> NDArray[np.float32]:
     """Compute Pearson's r of every pair of sensors over weighted blocks of frames.
 
     Parameters
@@ -31,7 +30,7 @@ def resampled_correlation(
     -------
     ndarray of shape (R, N, N)
         Symmetric, ones on the diagonal; 0 for sensors that are constant in a resample. Accurate
-        to 1e-5; float32 from 512 sensors on.
+        to 1e-5.
     """
     scaled = _standardised(readings)
     n_sensors, n_blocks = len(scaled), len(edges) - 1
@@ -49,16 +48,14 @@ def resampled_correlation(
             np.matmul(scaled[rows, first:end], scaled[columns, first:end].T, out=product)
         weighted = share @ products.reshape(n_blocks, -1)
         found[:, rows, columns] = weighted.reshape(len(weights), *products.shape[1:])
-    single = n_sensors >= _MIN_FLOAT32_SENSORS
-    result = found.astype(np.float32 if single else np.float64, copy=False)
-    for matrix, mean in zip(result, means, strict=True):
+    for matrix, mean in zip(found, means, strict=True):
         covariance = matrix - np.outer(mean, mean)
         variance = np.diag(covariance)
         scale = np.where(variance > 0, 1 / np.sqrt(np.where(variance > 0, variance, 1)), 0)
         np.multiply(covariance, np.outer(scale, scale), out=matrix)
         mirror(matrix, upper=True)
         np.fill_diagonal(matrix, 1.0)
-    return np.asarray(np.clip(result, -1, 1, out=result))
+    return np.asarray(np.clip(found, -1, 1, out=found))
 
 
 def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -70,7 +67,8 @@ def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
         single = part.dtype == np.float32 and np.abs(part).max(initial=0) < _FLOAT32_RANGE
         if not single:
             part = part.astype(np.float64)
-        part = part - part.mean(axis=1)[:, None]
+        part = part - part[:, :1]  # exactly 0 for constant sensors
+        part -= part.mean(axis=1)[:, None]
         deviation = np.sqrt(np.einsum("it,it->i", part, part) / max(part.shape[1], 1))
         part /= np.where(deviation > 0, deviation, 1)[:, None]
         scaled[begin : begin + _SENSORS_AT_ONCE] = part
