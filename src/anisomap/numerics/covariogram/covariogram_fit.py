@@ -17,7 +17,12 @@ from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError
-from anisomap.numerics.compiled.parallel import MapFunction, is_parallel, parallel_map
+from anisomap.numerics.compiled.parallel import (
+    MIN_COMPILED_ROWS,
+    MapFunction,
+    is_parallel,
+    parallel_map,
+)
 from anisomap.numerics.covariogram.blocks import overlapping_blocks
 from anisomap.numerics.covariogram.minimisation import SharedCurvature, minimise
 from anisomap.numerics.covariogram.objective import (
@@ -145,7 +150,8 @@ def fit_covariogram(
     np.fill_diagonal(mask, val=False)
     one_block = len(positions) <= chosen.block
     precision = np.float32 if len(positions) >= _MIN_SINGLE else np.float64
-    problem = Problem(correlation, lengths / unit, mask, noise, chosen, precision)
+    compiled = len(positions) >= MIN_COMPILED_ROWS
+    problem = Problem(correlation, lengths / unit, mask, noise, chosen, precision, compiled)
     size = chosen.block if one_block else max(3, chosen.block // 2)
     blocks = [Block(sensors, problem) for sensors in overlapping_blocks(positions, size)]
     with _parallel_blocks(len(positions)) as map_blocks:

@@ -7,12 +7,15 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.blas import dsyrk, ssyrk
 
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops
 from anisomap.numerics.covariogram.objective import Block, solve_amplitude_and_offset
-from anisomap.numerics.precision import Reals, row_blocks
+from anisomap.numerics.precision import Reals
 
 Matrix: TypeAlias = Reals
+
+_MIN_EIGENVALUE = 1e-15  # relative, as in numpy.linalg.pinv
 
 
 def gauss_newton_matrix(
@@ -64,10 +67,14 @@ def gauss_newton_matrix(
     flat = cross.reshape(3, positions.size)
     matrix[:-1, -1] = flat[2]
     matrix[-1, -1] = linear[2, 2]
-    columns = np.hstack([flat[:2], linear[:2, 2:]])
-    eliminated = np.linalg.pinv(linear[:2, :2], hermitian=True) @ columns
-    for rows in row_blocks(len(matrix)):
-        matrix[rows, rows.start :] -= columns[:, rows].T @ eliminated[:, rows.start :]
+    # Rows whose outer products are those of the inverse: eigenvectors over roots of eigenvalues.
+    values, vectors = np.linalg.eigh(linear[:2, :2])
+    kept = values > _MIN_EIGENVALUE * values[-1]
+    roots = vectors[:, kept].T / np.sqrt(values[kept])[:, None]
+    eliminated = roots @ np.hstack([flat[:2], linear[:2, 2:]])
+    # The upper triangle of a C-contiguous matrix is the lower one of its transpose for BLAS.
+    rank_update = ssyrk if matrix.dtype == np.float32 else dsyrk
+    rank_update(-1.0, eliminated.T, beta=1.0, c=matrix.T, lower=True, overwrite_c=True)
     return matrix
 
 

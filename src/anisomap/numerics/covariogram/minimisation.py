@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor
 from scipy.linalg.blas import dtrsv, strsv
+from scipy.linalg.lapack import dpotrf, spotrf
 from scipy.optimize import Bounds, minimize
 
 from anisomap.numerics.compiled.parallel import MapFunction, serial_map
@@ -177,13 +177,18 @@ class _Search:
     ) -> None:
         self._objective, self._origin, self._factor = value_and_gradient, origin, factor
         self._tolerance = tolerance
-        self._solve = strsv if factor.dtype == np.float32 else dtrsv
         self._slope = np.zeros_like(origin)
         self._before = np.inf
         self.converged = False
 
+    def _solved(self, y: Vector, *, transposed: bool = False) -> Vector:
+        """Return U^-1 y, or U'^-1 y if transposed."""
+        solve = strsv if self._factor.dtype == np.float32 else dtrsv
+        # The factor is C-contiguous: BLAS takes its transpose, which is lower triangular.
+        return np.asarray(solve(self._factor.T, y, lower=True, trans=not transposed))
+
     def at(self, y: Vector) -> Vector:
-        return np.asarray(self._origin + self._solve(self._factor, y), dtype=np.float64)
+        return np.asarray(self._origin + self._solved(y), dtype=np.float64)
 
     def run(self, max_iterations: int) -> Any:
         # The factor is triangular, so that y[-1] is proportional to the log exponent.
@@ -208,7 +213,7 @@ class _Search:
 
     def _value_and_slope(self, y: Vector) -> tuple[float, Vector]:
         value, gradient = self._objective(self.at(y))
-        self._slope = np.asarray(self._solve(self._factor, gradient, trans=1), dtype=np.float64)
+        self._slope = np.asarray(self._solved(gradient, transposed=True), dtype=np.float64)
         return value, self._slope
 
     def _check(self, intermediate_result: Any) -> None:
@@ -217,7 +222,7 @@ class _Search:
         self._before = value
         if decrease > self._tolerance * max(abs(value), 1.0):
             return
-        step = self._solve(self._factor, self._slope)[:-1]
+        step = self._solved(self._slope)[:-1]
         points = self.at(intermediate_result.x)[:-1]
         if np.linalg.norm(step) < _DISPLACEMENT * np.linalg.norm(points):
             self.converged = True
@@ -225,11 +230,18 @@ class _Search:
 
 
 def _factor(curvature: Matrix) -> Matrix:
-    """Return the upper triangular factor of a damped curvature."""
+    """Return the triangular factor U of a damped curvature U'U, in its place.
+
+    LAPACK takes the upper triangle of a C-contiguous matrix for the lower one of its transpose.
+    """
     diagonal = np.diag(curvature).copy()
     damping = _DAMPING * diagonal + _LEAST_DAMPING * diagonal.mean()
     curvature[np.diag_indices_from(curvature)] += damping
-    return np.asarray(cho_factor(curvature, overwrite_a=True, check_finite=False)[0])
+    factorise = spotrf if curvature.dtype == np.float32 else dpotrf
+    factor, info = factorise(curvature.T, lower=True, clean=False, overwrite_a=True)
+    if info:
+        raise np.linalg.LinAlgError(f"the curvature is not positive definite in row {info}")
+    return np.asarray(factor.T)
 
 
 def _bounds(n_parameters: int, of_last: tuple[float, float]) -> Bounds:

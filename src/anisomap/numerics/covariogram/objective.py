@@ -4,24 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MapFunction, serial_map
+from anisomap.numerics.covariogram.pairs import (
+    CompiledPairs,
+    Decay,
+    Pairs,
+    Vector,
+    Weights,
+    pack,
+    places_of_pairs,
+)
 from anisomap.numerics.precision import Reals
 
 Matrix: TypeAlias = Reals
 
-_SQUARE_BOUNDS = (1e-12, 1e30)  # of squared distances in ranges; keep all terms finite in float32
-_MAX_LOG_POWER = float(np.log(80))  # of d^b; exp(-80) is nearly the smallest normal float32
 _AMPLITUDE_BOUNDS = (1e-3, 10.0)  # below, the function is flat; above, all pairs exceed its range
 
+_ROWS = 50  # of a product at a time; with 40 to 80, products of 250 rows took equal time
 _MIN_EIGENVALUE = 0.5  # of the ridge; chosen by hand, for similarities that are not correlations
 
 
@@ -79,7 +86,7 @@ class CovariogramOptions:
 class Problem:
     """Data and parameters of the fit, with lengths in units of the covariogram's range.
 
-    Matrices of blocks are multiplied in the given precision.
+    Matrices of blocks are multiplied in the given precision. Compiled loops need float32.
     """
 
     similarity: Matrix
@@ -88,23 +95,21 @@ class Problem:
     noise: float
     options: CovariogramOptions
     precision: type[np.floating] = np.float64
+    compiled: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class BlockTerms:
-    """Contribution of one block at given positions: whitened products, and gradient matrices.
+    """Contribution of one block at given positions.
 
     With ``<A, B> = tr(A W B W)``, `products` are <E,E>, <E,O>, <E,S>, <O,O>, <O,S>, <S,S> for the
     shape E of the covariogram, the offset O (1 where a pair is known) and the similarity S.
-    `squares` are squared distances d^2, `logarithms` log d, and `powers` d^b for the exponent b.
+    `whitened_shape` has the pairs of W E W.
     """
 
     products: Matrix
-    shape: Matrix
-    whitened_shape: Matrix
-    squares: Matrix
-    logarithms: Matrix
-    powers: Matrix
+    decay: Decay
+    whitened_shape: Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,36 +137,28 @@ class Block:
     def __init__(self, sensors: NDArray[np.intp], problem: Problem) -> None:
         inside = np.ix_(sensors, sensors)
         self.sensors, self._options = sensors, problem.options
-        self._known = problem.known[inside]
-        similarity = np.where(self._known, problem.similarity[inside], 0.0).astype(np.float64)
+        known = problem.known[inside]
+        similarity = np.where(known, problem.similarity[inside], 0.0).astype(np.float64)
         # Inverted in float64; all other matrices take half the time in float32.
         self._whitening = _whitening(similarity, problem.options.ridge).astype(problem.precision)
-        self._similarity = similarity.astype(problem.precision)
-        self._offset = self._known.astype(problem.precision)
-        metric = problem.metric[inside].astype(np.float64)
-        pairs = ~np.eye(len(sensors), dtype=bool)
-        inverse = np.divide(1.0, metric, out=np.zeros_like(metric), where=pairs)
-        self._inverse_metric = inverse.astype(problem.precision)
-        self._noise = problem.noise / 2  # each pair occurs twice in a matrix
-        self._latest: tuple[Matrix, float, BlockTerms] | None = None
-
-    @cached_property
-    def whitened_similarity(self) -> Matrix:
-        """W S W, with the similarity S of the block."""
-        return self._whitened(self._similarity)
-
-    @cached_property
-    def whitened_offset(self) -> Matrix:
-        """W O W, with the offset O: 1 where a pair is known, else 0."""
-        return self._whitened(self._offset)
-
-    @cached_property
-    def _fixed_products(self) -> tuple[float, float, float]:
-        return (
-            _dot(self._offset, self.whitened_offset),
-            _dot(self._offset, self.whitened_similarity),
-            _dot(self._similarity, self.whitened_similarity),
+        similarity, offset = similarity.astype(problem.precision), known.astype(problem.precision)
+        inverse_metric = 1 / pack(problem.metric[inside]).astype(np.float64)
+        kind = CompiledPairs if problem.compiled else Pairs
+        self._pairs = pairs = kind(
+            known=pack(offset),
+            similarity=pack(similarity),
+            whitened_known=self._whitened(offset),
+            whitened_similarity=self._whitened(similarity),
+            inverse_metric=inverse_metric.astype(problem.precision),
+            places=places_of_pairs(len(sensors)),
         )
+        self._fixed_products = (
+            pairs.product(pairs.known, pairs.whitened_known),
+            pairs.product(pairs.known, pairs.whitened_similarity),
+            pairs.product(pairs.similarity, pairs.whitened_similarity),
+        )
+        self._noise = problem.noise
+        self._latest: tuple[Matrix, float, BlockTerms] | None = None
 
     def terms(self, positions: Matrix, log_exponent: float) -> BlockTerms:
         """Evaluate the block at positions of all sensors, shape (N, k)."""
@@ -176,72 +173,41 @@ class Block:
         return terms
 
     def _evaluate(self, points: Matrix, log_exponent: float) -> BlockTerms:
-        # Matrices are overwritten where possible: new ones take longer than the arithmetic.
-        squares = cdist(points, points, "sqeuclidean")
-        np.clip(squares, *_SQUARE_BOUNDS, out=squares)
-        squares = squares.astype(self._whitening.dtype, copy=False)
-        np.fill_diagonal(squares, 1.0)
-        logarithms = np.log(squares)
-        logarithms *= 0.5
-        powers = logarithms * float(np.exp(log_exponent))
-        np.minimum(powers, _MAX_LOG_POWER, out=powers)
-        np.exp(powers, out=powers)
-        shape = np.negative(powers)
-        np.exp(shape, out=shape)
-        shape *= self._offset
-        whitened = self._whitened(shape)
-        products = np.array(
-            [
-                _dot(shape, whitened),
-                _dot(shape, self.whitened_offset),
-                _dot(shape, self.whitened_similarity),
-                *self._fixed_products,
-            ]
-        )
-        return BlockTerms(products, shape, whitened, squares, logarithms, powers)
+        pairs = self._pairs
+        decayed = pairs.decay(points, log_exponent)
+        whitened = self._whitened(pairs.unpack(decayed.shape))
+        others = (whitened, pairs.whitened_known, pairs.whitened_similarity)
+        products = [pairs.product(decayed.shape, other) for other in others]
+        return BlockTerms(np.array([*products, *self._fixed_products]), decayed, whitened)
 
     def gradient(
         self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float, offset: float
     ) -> tuple[float, Matrix, float]:
         """Return the value, and the gradient by the positions and by the log exponent."""
-        residual = amplitude * terms.shape
-        residual += offset * self._offset
-        residual -= self._similarity
-        slope = amplitude * terms.whitened_shape
-        slope += offset * self.whitened_offset
-        slope -= self.whitened_similarity
-        # The sum over residuals cancels less than that over the products of their terms.
-        value = _dot(residual, slope) / 2
-        slope *= -amplitude * exponent
-        slope *= terms.shape
-        slope *= terms.powers
-        by_exponent = _dot(slope, terms.logarithms)
-        # Divided by the distance twice: in the derivatives of the distance and of its power.
-        slope /= terms.squares
-        priors, slope_of_priors = self._priors(terms)
-        slope += slope_of_priors
-        np.fill_diagonal(slope, 0.0)
-        force, points = slope.astype(np.float64, copy=False), positions[self.sensors]
-        by_positions = 2 * (force.sum(axis=1)[:, None] * points - force @ points)
-        return value + priors, by_positions, by_exponent
+        options = self._options
+        prior, repulsion = self._noise * options.prior_weight, self._noise * options.repulsion
+        weights = Weights(amplitude, exponent, offset, prior, repulsion)
+        found = self._pairs.slope(terms.decay, terms.whitened_shape, weights)
+        by_positions = self._pairs.gradient(found.force, positions[self.sensors])
+        return found.value, by_positions, found.by_exponent
 
     def curvature(
         self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float
     ) -> BlockCurvature:
         """Return the products of the derivatives of the residuals, and curvatures of the priors."""
-        points, weights = positions[self.sensors], self._whitening
+        points, weights, decayed = positions[self.sensors], self._whitening, terms.decay
+        unpack, options = self._pairs.unpack, self._options
         n_axes = points.shape[1]
-        slope = -amplitude * exponent * terms.shape * terms.powers / terms.squares
+        steep = -amplitude * exponent * decayed.steepness
+        slopes = unpack(steep / decayed.squares)
         apart = [np.subtract.outer(axis, axis).astype(weights.dtype) for axis in points.T]
-        derivatives = [slope * axis for axis in apart]
+        derivatives = [slopes * axis for axis in apart]
         products = [derivative @ weights for derivative in derivatives]
-        options = self._options
         # The second derivative of the repulsion is taken along the line between two sensors only,
         # where it is positive; likewise the mean ratio of distances is taken as constant.
-        radial = 2 * options.prior_weight * self._inverse_metric**2
-        radial += options.repulsion / terms.squares
-        radial *= 2 * self._noise / terms.squares
-        np.fill_diagonal(radial, 0.0)
+        bend = 2 * options.prior_weight * self._pairs.inverse_metric**2
+        bend += options.repulsion / decayed.squares
+        radial = unpack(bend * (self._noise / decayed.squares))
         coordinates = {}
         for p in range(n_axes):
             for q in range(p, n_axes):
@@ -253,49 +219,22 @@ class Block:
                 found -= pairs
                 found[np.diag_indices_from(found)] += pairs.sum(axis=1)
                 coordinates[p, q] = found
-        by_exponent = -amplitude * exponent * terms.shape * terms.powers * terms.logarithms
-        others = (terms.shape, self._offset, by_exponent)
-        whitened = (terms.whitened_shape, self.whitened_offset, self._whitened(by_exponent))
-        cross = np.array([[2 * (d * w).sum(axis=1) for d in derivatives] for w in whitened])
-        linear = np.array([[_dot(one, other) for other in whitened] for one in others])
-        return BlockCurvature(coordinates, cross, linear)
+        linear_terms = (decayed.shape, self._pairs.known, steep * decayed.logarithms)
+        by_exponent = self._whitened(unpack(linear_terms[2]))
+        whitened = (terms.whitened_shape, self._pairs.whitened_known, by_exponent)
+        cross = [[2 * (d * w).sum(axis=1) for d in derivatives] for w in map(unpack, whitened)]
+        linear = [[self._pairs.product(a, b) for b in whitened] for a in linear_terms]
+        return BlockCurvature(coordinates, np.array(cross), np.array(linear))
 
-    def _priors(self, terms: BlockTerms) -> tuple[float, Matrix]:
-        """Return the priors, and their derivatives by the distances, over the distances."""
-        options = self._options
-        distances = np.sqrt(terms.squares)
-        deviations = distances * self._inverse_metric
-        n_sensors = len(deviations)
-        deviations -= _sum(deviations) / (n_sensors * (n_sensors - 1))
-        np.fill_diagonal(deviations, 0.0)
-        value = options.prior_weight * _dot(deviations, deviations)
-        value -= options.repulsion * _sum(terms.logarithms)
-        slope = deviations
-        slope *= 2 * options.prior_weight * self._noise
-        slope *= self._inverse_metric
-        slope /= distances
-        slope -= options.repulsion * self._noise / terms.squares
-        return self._noise * value, slope
-
-    def _whitened(self, matrix: Matrix) -> Matrix:
-        """Return W A W for a symmetric matrix A, of which three quarters are computed."""
-        weights, half = self._whitening, len(matrix) // 2
+    def _whitened(self, matrix: Matrix) -> Vector:
+        """Return the pairs of W A W for a symmetric matrix A."""
+        weights, n_sensors = self._whitening, len(matrix)
         product = weights @ matrix
         whitened = np.empty_like(weights)
-        np.matmul(product[:half], weights, out=whitened[:half])
-        np.matmul(product[half:], weights[:, half:], out=whitened[half:, half:])
-        whitened[half:, :half] = whitened[:half, half:].T
-        return whitened
-
-
-def _sum(matrix: Matrix) -> float:
-    """Sum all elements; rows in their own precision, which numpy adds pairwise."""
-    return float(matrix.sum(axis=1).sum(dtype=np.float64))
-
-
-def _dot(first: Matrix, second: Matrix) -> float:
-    """Sum the products of the elements of two matrices, as `_sum` does."""
-    return _sum(first * second)
+        # Only blocks that reach above the diagonal are computed.
+        for first, last in pairwise([*range(0, n_sensors, _ROWS), n_sensors]):
+            np.matmul(product[first:last], weights[:, first:], out=whitened[first:last, first:])
+        return pack(whitened)
 
 
 def objective(
