@@ -20,6 +20,7 @@ import numpy as np
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.contacts.contact_agreement import shows_single_contacts
+from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.graph.connectivity import (
     neighbour_graph,
@@ -206,6 +207,7 @@ def refine_without_contacts(
     options: MethodOptions,
     *,
     with_heights: bool = True,
+    curvature: SharedCurvature | None = None,
 ) -> Refined:
     """Refine one component as the default method does before it fits contacts.
 
@@ -218,6 +220,7 @@ def refine_without_contacts(
         options.covariogram,
         evenly_spaced=options.even_spacing,
         with_heights=with_heights,
+        curvature=curvature,
     )
 
 

@@ -144,6 +144,23 @@ def test_fits_that_share_a_curvature_have_the_same_minimum():
     assert mantel_r(after.positions, alone.positions) > 1 - 1e-4
 
 
+@pytest.mark.parametrize("n_sensors", [40, 41])
+def test_a_shared_curvature_serves_starts_that_are_turned_or_of_other_sensors(n_sensors):
+    _, similarity = skin(n_sensors, 2, 5)
+    noisy = drawn(similarity, 400, 5)
+    metric, start = set_out(noisy, 2, 1 / 400)
+    alone = fit_covariogram(noisy, start, metric, noise=1 / 400)
+    _, other = skin(40, 2, 5)
+    first = drawn(other, 400, 6)
+    curvature = SharedCurvature()
+    lengths, points = set_out(first, 2, 1 / 400)
+    fit_covariogram(first, points, lengths, noise=1 / 400, shared=curvature)
+    turned = start @ np.array([[0.6, 0.8], [0.8, -0.6]])  # turned and reflected
+    found = fit_covariogram(noisy, turned, metric, noise=1 / 400, shared=curvature)
+    assert found.objective == pytest.approx(alone.objective, rel=1e-3, abs=1e-5)
+    assert mantel_r(found.positions, alone.positions) > 1 - 1e-4
+
+
 def test_a_common_signal_does_not_change_the_map():
     places, similarity = skin(60, 2)
     shared = (similarity + 1.0) / 2.0  # half of every reading is a hum

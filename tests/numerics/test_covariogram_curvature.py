@@ -69,7 +69,7 @@ def test_the_minimum_is_that_of_a_long_search(seed):
     blocks = exact_blocks(points, 60, prior=1.0, repulsion=0.1)
     start = points + rng.normal(0, 0.1, points.shape)
     options = CovariogramOptions()
-    found = minimise(blocks, start, options, tolerance=options.tolerance)
+    found = minimise(blocks, start, options, tolerance=options.tolerance, displacement=1e-3)
     assert found.converged
 
     def plain(parameters):
@@ -87,7 +87,9 @@ def test_the_minimum_is_that_of_a_long_search(seed):
 def test_no_iterations_leave_the_start():
     points = np.random.default_rng(0).uniform(0, 2, (20, 2))
     blocks = exact_blocks(points, 20)
-    found = minimise(blocks, points, CovariogramOptions(max_iterations=0), tolerance=1e-7)
+    found = minimise(
+        blocks, points, CovariogramOptions(max_iterations=0), tolerance=1e-7, displacement=1e-3
+    )
     np.testing.assert_array_equal(found.positions, points)
     assert found.iterations == 0
     assert not found.converged

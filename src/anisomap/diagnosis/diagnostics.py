@@ -196,6 +196,7 @@ def _uncertainty(
                 sensor_map.method,
                 partial(part.contacts_from, options=options or MethodOptions()),
                 fitted=None if part.refinement is None else part.refinement.covariogram,
+                curvature=part.curvature,
                 options=options,
                 rng=generator,
                 progress=_part_of(report, done, share),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.mapping import Stages, configure_pairs
 from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions, refine_without_contacts
 from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.precision import Reals
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording
@@ -49,12 +50,16 @@ class MapPart:
     pairs : PairStatistics
     refinement : Refined, optional
         How the positions were computed; None if that is not known.
+    curvature : SharedCurvature
+        Of the covariogram fits of resamples and halves, which it does not change but for their
+        number of iterations.
     """
 
     readings: NDArray[np.floating]
     positions: NDArray[np.float64]
     pairs: PairStatistics
     refinement: Refined | None = None
+    curvature: SharedCurvature = field(default_factory=SharedCurvature)
 
     def contacts_from(self, reference: Reals, options: MethodOptions) -> ContactAverage | None:
         """Return the fit of contacts of the map; if unknown, that of a reference map instead."""
@@ -159,7 +164,12 @@ class MapParts:
             # Whether heights contradict a map is known best from the whole recording.
             heights = made is None or made.facts.contact_peaks
             mapped = refine_without_contacts(
-                pairs, metric, positions, options, with_heights=heights
+                pairs,
+                metric,
+                positions,
+                options,
+                with_heights=heights,
+                curvature=part.curvature,
             )
             known = None if part.refinement is None else part.refinement.contacts
             if known is None and part.refinement is not None:

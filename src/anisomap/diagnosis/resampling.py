@@ -64,6 +64,7 @@ def resampled_maps(
     contacts_from: Callable[[NDArray[np.float64]], ContactAverage | None],
     *,
     fitted: Covariogram | None = None,
+    curvature: SharedCurvature | None = None,
     options: MethodOptions | None = None,
     rng: np.random.Generator,
     progress: Callable[[float], None] | None = None,
@@ -84,6 +85,8 @@ def resampled_maps(
         average; None if the map itself is not such an average.
     fitted : Covariogram, optional
         The covariogram fit of the map, from which fits then start instead.
+    curvature : SharedCurvature, optional
+        Of fits near the map of the recording; computed if it is not known.
     options : MethodOptions, optional
     rng : numpy.random.Generator
     progress : callable, optional
@@ -98,6 +101,7 @@ def resampled_maps(
     """
     options = replace(options or MethodOptions(), split_unrelated=False)
     recipe = find_method(method)
+    curvature = curvature or SharedCurvature()
     readings = np.asarray(pairs.readings)
     edges = block_edges(readings)
     drawn = balanced_weights(len(edges) - 1, N_RESAMPLES, rng)
@@ -132,7 +136,7 @@ def resampled_maps(
             if i == 0:
                 start, exponent = np.asarray(fit.positions), fit.exponent
                 # All resamples are near the recording, so that one curvature serves them all.
-                iterations, shared = _MAX_ITERATIONS, SharedCurvature()
+                iterations, shared = _MAX_ITERATIONS, curvature
             made.append(found)
             if progress is not None:
                 progress(len(made) / len(weights))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from anisomap.numerics.contacts import ContactFit
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
+from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.geodesic.geodesic_refinement import (
     GeodesicOptions,
@@ -176,6 +177,7 @@ def refine_by_covariogram(
     *,
     evenly_spaced: bool = False,
     with_heights: bool = True,
+    curvature: SharedCurvature | None = None,
 ) -> Refined:
     """Fit a covariogram, and refine an uneven result by lengths on a neighbour graph.
 
@@ -190,6 +192,8 @@ def refine_by_covariogram(
         Whether even spacing of neighbours was declared.
     with_heights : bool
         Whether lengths may be taken from the heights of contacts.
+    curvature : SharedCurvature, optional
+        Shared by covariogram fits of similar recordings of the same sensors, which saves time.
 
     Returns
     -------
@@ -208,6 +212,7 @@ def refine_by_covariogram(
         noise=typical_variance(pairs.noise),
         known=pairs.known,
         options=options,
+        shared=curvature,
     )
     refined = _beyond_covariogram(
         pairs, fit, unused, evenly_spaced=evenly_spaced, with_heights=with_heights

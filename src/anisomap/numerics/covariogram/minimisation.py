@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import orthogonal_procrustes
 from scipy.linalg.blas import dtrsv, strsv
 from scipy.linalg.lapack import dpotrf, spotrf
 from scipy.optimize import Bounds, minimize
@@ -33,11 +34,9 @@ _EXPONENT_BOUNDS = (0.3, 4.0)  # wider than all fitted values; chosen by hand
 _ROUND = 40
 _DAMPING = 1e-2  # of the diagonal, for directions without curvature; .001 to .03 took equal time
 _LEAST_DAMPING = 1e-6  # of the mean of the diagonal
-# Relative displacement by the next step at which positions have converged. Positions then
-# correlate with those of the minimum by 1 - 5e-7.
-_DISPLACEMENT = 1e-3
 _SINGLE = 1000  # parameters from which the curvature is factorised in float32, for speed
 _MEMORY = 40  # pairs of differences of L-BFGS: those of all iterations with one curvature
+_LINE_SEARCH = 6  # evaluations; more are needed only where float32 hides the decrease
 _TOO_EXACT = 1e-12  # relative decrease that is never met before convergence
 
 
@@ -45,13 +44,25 @@ _TOO_EXACT = 1e-12  # relative decrease that is never met before convergence
 class SharedCurvature:
     """Curvature at the start of several searches that differ little; the first one computes it.
 
+    The objective does not change if positions are turned or reflected, but the curvature does:
+    other searches start from positions turned to those of the first.
+
     Attributes
     ----------
     factor : ndarray, optional
         Triangular factor of the damped Gauss-Newton matrix.
+    positions : ndarray of shape (N, k), optional
+        Where it was computed, in units of the covariogram's range.
     """
 
     factor: Matrix | None = None
+    positions: Matrix | None = None
+
+    def turned(self, start: Matrix) -> Matrix | None:
+        """Turn a start to `positions`; None if the curvature is not known for its shape."""
+        if self.positions is None or self.positions.shape != start.shape:
+            return None
+        return np.asarray(start @ orthogonal_procrustes(start, self.positions)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +92,7 @@ def minimise(
     *,
     log_exponent: float = 0.0,
     tolerance: float,
+    displacement: float,
     map_blocks: MapFunction = serial_map,
     shared: SharedCurvature | None = None,
 ) -> Minimum:
@@ -96,10 +108,13 @@ def minimise(
         Initial logarithm of the exponent.
     tolerance : float
         Relative decrease of the objective in an iteration below which it has converged.
+    displacement : float
+        Relative displacement by the next step below which it has converged.
     map_blocks : callable
         Applies a function to every block.
     shared : SharedCurvature, optional
-        Of the first iterations; by default, and later, the curvature is computed.
+        Of the first iterations; by default, and later, the curvature is computed. It is ignored if
+        it is that of another number of sensors or axes.
 
     Returns
     -------
@@ -122,22 +137,25 @@ def minimise(
         by_axes = slope[:-1].reshape(n_sensors, n_axes).T
         return value, np.append(by_axes.ravel(), slope[-1]).astype(np.float64)
 
-    parameters = np.append(start.T.ravel(), log_exponent).astype(np.float64)
-    if parameters.size > MAX_CURVATURE:
+    if start.size + 1 > MAX_CURVATURE:
+        parameters = np.append(start.T.ravel(), log_exponent).astype(np.float64)
         found = _unconditioned(value_and_gradient, parameters, options, tolerance)
         return Minimum(
             positions(found.x), float(found.x[-1]), float(found.fun), int(found.nit), found.success
         )
+    factor = None
+    if shared is not None and (turned := shared.turned(start)) is not None:
+        start, factor = turned, shared.factor
+    parameters = np.append(start.T.ravel(), log_exponent).astype(np.float64)
     dtype = np.float32 if parameters.size > _SINGLE else np.float64
     value, taken, converged = np.inf, 0, False
-    factor = None if shared is None else shared.factor
     while not converged and taken < options.max_iterations:
         if factor is None:
             points, exponent = positions(parameters), float(parameters[-1])
             factor = _factor(gauss_newton_matrix(blocks, points, exponent, dtype))
             if shared is not None and shared.factor is None:
-                shared.factor = factor
-        search = _Search(value_and_gradient, parameters, factor, tolerance)
+                shared.factor, shared.positions = factor, points
+        search = _Search(value_and_gradient, parameters, factor, (tolerance, displacement))
         factor = None
         steps = min(_ROUND, options.max_iterations - taken)
         ended = search.run(steps)
@@ -173,10 +191,14 @@ class _Search:
     """L-BFGS in coordinates in which the curvature is nearly the identity."""
 
     def __init__(
-        self, value_and_gradient: Objective, origin: Vector, factor: Matrix, tolerance: float
+        self,
+        value_and_gradient: Objective,
+        origin: Vector,
+        factor: Matrix,
+        tolerances: tuple[float, float],
     ) -> None:
         self._objective, self._origin, self._factor = value_and_gradient, origin, factor
-        self._tolerance = tolerance
+        self._tolerance, self._displacement = tolerances
         self._slope = np.zeros_like(origin)
         self._before = np.inf
         self.converged = False
@@ -206,6 +228,7 @@ class _Search:
                 "maxiter": max_iterations,
                 "maxfun": 2 * max_iterations + 20,
                 "maxcor": _MEMORY,
+                "maxls": _LINE_SEARCH,
                 "ftol": _TOO_EXACT,
                 "gtol": 0.0,
             },
@@ -224,7 +247,7 @@ class _Search:
             return
         step = self._solved(self._slope)[:-1]
         points = self.at(intermediate_result.x)[:-1]
-        if np.linalg.norm(step) < _DISPLACEMENT * np.linalg.norm(points):
+        if np.linalg.norm(step) < self._displacement * np.linalg.norm(points):
             self.converged = True
             raise StopIteration
 

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MapFunction, serial_map
@@ -49,7 +49,7 @@ class CovariogramOptions:
         variance; above 0.
     tolerance : float
         Relative decrease of the objective below which the fit stops, if the next step would also
-        move positions by less than a thousandth; 100 times as large with several blocks.
+        move positions by less than 5e-5; 100 times as large with several blocks, and 1e-3.
     max_iterations : int
         Maximum number of L-BFGS iterations.
     block : int
@@ -147,7 +147,7 @@ class Block:
         self._pairs = pairs = kind(
             known=pack(offset),
             similarity=pack(similarity),
-            whitened_known=self._whitened(offset),
+            whitened_known=self._whitened_offset(offset),
             whitened_similarity=self._whitened(similarity),
             inverse_metric=inverse_metric.astype(problem.precision),
             places=places_of_pairs(len(sensors)),
@@ -226,10 +226,18 @@ class Block:
         linear = [[self._pairs.product(a, b) for b in whitened] for a in linear_terms]
         return BlockCurvature(coordinates, np.array(cross), np.array(linear))
 
+    def _whitened_offset(self, offset: Matrix) -> Vector:
+        if np.count_nonzero(offset) < offset.size - len(offset):
+            return self._whitened(offset)
+        return self._times_weights(self._whitening.sum(axis=1)[:, None] - self._whitening)
+
     def _whitened(self, matrix: Matrix) -> Vector:
         """Return the pairs of W A W for a symmetric matrix A."""
-        weights, n_sensors = self._whitening, len(matrix)
-        product = weights @ matrix
+        return self._times_weights(self._whitening @ matrix)
+
+    def _times_weights(self, product: Matrix) -> Vector:
+        """Return the pairs of P W, which is symmetric."""
+        weights, n_sensors = self._whitening, len(product)
         whitened = np.empty_like(weights)
         # Only blocks that reach above the diagonal are computed.
         for first, last in pairwise([*range(0, n_sensors, _ROWS), n_sensors]):
@@ -291,17 +299,26 @@ def solve_amplitude_and_offset(products: Matrix) -> tuple[float, float]:
 
 def _whitening(similarity: Matrix, ridge: float) -> Matrix:
     """Return W of `fit_covariogram`, shape (n, n): the regularised inverse without the mean."""
-    covariance = similarity.copy()
-    np.fill_diagonal(covariance, 1 + ridge)
-    identity = np.eye(len(covariance))
-    try:
-        inverse = cho_solve(cho_factor(covariance), identity)
-    except np.linalg.LinAlgError:
+    covariance = _with_ridge(similarity, ridge)
+    factor, failed = dpotrf(covariance, overwrite_a=True)
+    if failed:
         # Not positive definite: pairs are unknown, or the similarity is not a correlation.
-        values, vectors = np.linalg.eigh(covariance)
+        values, vectors = np.linalg.eigh(_with_ridge(similarity, ridge))
         inverse = (vectors / np.maximum(values, _MIN_EIGENVALUE * ridge)) @ vectors.T
+        inverse = (inverse + inverse.T) / 2
+    else:
+        upper = np.triu(dpotri(factor, overwrite_c=True)[0])  # below it, LAPACK leaves the factor
+        inverse = upper + upper.T
+        inverse[np.diag_indices_from(inverse)] /= 2
     shared = inverse.sum(axis=1)
     total = shared.sum()
     if total > 0:
-        inverse = inverse - np.outer(shared, shared) / total
-    return np.asarray((inverse + inverse.T) / 2)
+        inverse -= np.outer(shared, shared) / total
+    return np.asarray(inverse)
+
+
+def _with_ridge(similarity: Matrix, ridge: float) -> Matrix:
+    """Return the covariance in the order of Fortran, in which LAPACK overwrites it."""
+    covariance = np.array(similarity, order="F")
+    np.fill_diagonal(covariance, 1 + ridge)
+    return covariance
