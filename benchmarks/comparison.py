@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.measuring import (
-    MAX_REPEATED_SECONDS,
+    MAX_WARM_UP_SECONDS,
     Cost,
     measure,
     measure_on_one_thread,
@@ -31,14 +31,18 @@ class Setting:
     n_sensors, n_frames : int
     torso : Path, optional
         Real recording, tiled to the number of sensors.
-    max_default_sensors : int
-        Number of sensors up to which the default method, the slowest, is timed.
+    max_slow_sensors : int
+        Number of sensors up to which the slowest comparisons are made: the default method and the
+        scaling with missing pairs.
+    more : bool
+        Whether to make comparisons that are similar to others, too.
     """
 
     n_sensors: int
     n_frames: int
     torso: Path | None = None
-    max_default_sensors: int = 1000
+    max_slow_sensors: int = 1000
+    more: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +134,7 @@ def run(comparison: Comparison, family: str, n_sensors: int) -> Iterator[Row]:
         verdicts = [reference.same(result) for reference in comparison.references]
         del result
         alone = (
-            first if first.clock > MAX_REPEATED_SECONDS else measure_repeated(comparison.compute)
+            first if first.clock > MAX_WARM_UP_SECONDS else measure_repeated(comparison.compute)
         )
     with threads(n_cores()):
         together = measure_repeated(comparison.compute)

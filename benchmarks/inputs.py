@@ -59,13 +59,16 @@ def noisy_readings(n_sensors: int, n_frames: int) -> Readings:
     return readings
 
 
+@lru_cache(maxsize=1)
 def flat_skin(n_sensors: int) -> Matrix:
     """Return dissimilarities of a flat skin that is touched uniformly."""
     rng = np.random.default_rng(0)
     width = n_sensors**0.5
     sensors = rng.uniform(0, width, (n_sensors, 2))
     touches = rng.uniform(0, width, (_TOUCHES_PER_SENSOR * n_sensors, 2))
-    return _touched(sensors, touches, rng)
+    lengths = _touched(sensors, touches, rng)
+    lengths.setflags(write=False)
+    return lengths
 
 
 def round_skin(n_sensors: int) -> Matrix:
@@ -129,6 +132,7 @@ def _as_working_type(matrix: Matrix) -> Matrix:
     return matrix.astype(float_type(len(matrix)), copy=False)
 
 
+@lru_cache(maxsize=1)
 def tiled_torso(path: Path, n_sensors: int, n_frames: int) -> Readings:
     """Place copies of a real skin side by side, each with the recording shifted in time.
 
@@ -145,7 +149,9 @@ def tiled_torso(path: Path, n_sensors: int, n_frames: int) -> Readings:
         left, right = tiles[number], tiles[number + 1]
         right[:, here] = np.maximum(right[:, here], rolled[number][:, there])
         left[:, there] = np.maximum(left[:, there], rolled[number + 1][:, here])
-    return np.ascontiguousarray(np.hstack(tiles)[:, :n_sensors], dtype=np.float32)
+    tiled = np.ascontiguousarray(np.hstack(tiles)[:, :n_sensors], dtype=np.float32)
+    tiled.setflags(write=False)
+    return tiled
 
 
 def tiled_places(path: Path, n_sensors: int, n_frames: int) -> Matrix:

@@ -28,13 +28,13 @@ from benchmarks.measuring import Cost, measure_on_one_thread
 
 Matrix = NDArray[np.floating[Any]]
 
-MAX_REFERENCE_SENSORS = 4000
-"""References compute a share of larger problems: their cost grows with the cube."""
+MAX_REFERENCE_SENSORS = 3000
+"""References compute a share of larger problems: their cost grows at least with the cube."""
 
 NOISY_SKINS = {1500: 20.0, 3000: 30.0}
 """Numbers of sensors of skins with noise, which have other sizes, and the goals there."""
 
-_SOURCES = 50
+_SOURCES = 20
 
 
 def compare_metricising(setting: Setting) -> Iterator[Comparison]:
@@ -82,17 +82,21 @@ def floyd_warshall_reference(lengths: Matrix, goal: float) -> Reference:
     )
 
 
-@cache
 def cost_of_floyd_warshall(n_nodes: int) -> tuple[Cost, float]:
     """Return scipy's cost for `n_nodes` and the factor of its extrapolation."""
     few = min(n_nodes, MAX_REFERENCE_SENSORS)
-    lengths = pure_noise(few)
+    factor = (n_nodes / few) ** 3
+    return _measured_floyd_warshall(few).times(factor), factor
+
+
+@cache
+def _measured_floyd_warshall(n_nodes: int) -> Cost:
+    lengths = pure_noise(n_nodes)
     graph = csgraph_from_dense(lengths, null_value=np.inf)
     cost, paths = measure_on_one_thread(lambda: floyd_warshall(graph, directed=False))
     if not are_shortest_paths(paths, lengths):
         raise AssertionError("the paths of Dijkstra and Floyd-Warshall differ")
-    factor = (n_nodes / few) ** 3
-    return cost.times(factor), factor
+    return cost
 
 
 def are_shortest_paths(paths: Matrix, lengths: Matrix) -> bool:
@@ -166,7 +170,9 @@ def are_eigenvectors(positions: Matrix, metric: Matrix) -> bool:
     product = (product - product.mean(axis=0)) / -2
     values = (positions**2).sum(axis=0)
     error = np.linalg.norm(product - values * positions, axis=0)
-    return bool((error <= 1e-5 * values**1.5).all())
+    # Eigenvectors of float32 distances are iterated to a tolerance of 1e-5.
+    tolerance = 5e-5 if metric.dtype == np.float32 else 1e-5
+    return bool((error <= tolerance * values**1.5).all())
 
 
 def relative_difference(positions: Matrix, others: Matrix) -> float:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
+from scipy.spatial.distance import cdist, pdist, squareform
 from sklearn.manifold import smacof as sklearn_smacof
 
 from anisomap.numerics.graph.metric import metricise
@@ -64,7 +64,7 @@ def compare_smacof(setting: Setting) -> Iterator[Comparison]:
     start = torgerson(metric, 2)
     compute, plain = partial(_descend, metric, start), sklearn_majorisation(metric, start)
     yield _to_tolerance("flat skin in the plane", compute, plain, 5)
-    if len(metric) <= MAX_REFERENCE_SENSORS:
+    if len(metric) <= min(setting.max_slow_sensors, MAX_REFERENCE_SENSORS):
         yield from _missing(metric, torgerson(metric, 3))
     metric = metricise(round_skin(setting.n_sensors))
     start = torgerson(metric, 3)
@@ -145,16 +145,33 @@ def _needed(compute: Callable[[int | None], Scaling], converged: Scaling, target
 
 def sklearn_majorisation(metric: Matrix, start: Matrix) -> Majorisation:
     """Time scikit-learn's steps; their number is counted with compiled loops to save hours."""
-    few = min(len(metric), MAX_REFERENCE_SENSORS)
-    factor = (len(metric) / few) ** 2
+    cost, factor = cost_of_sklearn_steps(*start.shape)
+    alike = Problem(metric, np.ones((1, len(metric))))
+    return Majorisation(
+        "sklearn smacof",
+        cost.cpu / _ITERATIONS,
+        describe_share(f"{MAX_REFERENCE_SENSORS:,} sensors", factor),
+        MAX_STEPS if factor == 1 else MAX_STEPS // 10,
+        partial(_majorise, alike, start, lambda gradient: gradient / (2 * len(metric))),
+    )
+
+
+@cache
+def cost_of_sklearn_steps(n_points: int, dimensions: int) -> tuple[Cost, float]:
+    """Return the cost of scikit-learn's steps, which do equal work on any input, and a factor."""
+    few = min(n_points, MAX_REFERENCE_SENSORS)
+    factor = (n_points / few) ** 2
+    rng = np.random.default_rng(0)
+    metric = squareform(pdist(rng.normal(size=(few, dimensions))))
+    start = rng.normal(size=(few, dimensions))
 
     def steps() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of parameters that scikit-learn renames
             sklearn_smacof(
-                metric[:few, :few],
-                n_components=start.shape[1],
-                init=start[:few],
+                metric,
+                n_components=dimensions,
+                init=start,
                 n_init=1,
                 max_iter=_ITERATIONS,
                 eps=0,
@@ -162,15 +179,7 @@ def sklearn_majorisation(metric: Matrix, start: Matrix) -> Majorisation:
                 normalized_stress=False,
             )
 
-    cost, _ = measure_on_one_thread(steps)
-    alike = Problem(metric, np.ones((1, len(metric))))
-    return Majorisation(
-        "sklearn smacof",
-        cost.cpu * factor / _ITERATIONS,
-        describe_share(f"{few:,} sensors", factor),
-        MAX_STEPS if factor == 1 else MAX_STEPS // 10,
-        partial(_majorise, alike, start, lambda gradient: gradient / (2 * len(metric))),
-    )
+    return measure_on_one_thread(steps)[0].times(factor), factor
 
 
 def weighted_majorisation(metric: Matrix, weights: Matrix, start: Matrix) -> Majorisation:

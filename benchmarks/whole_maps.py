@@ -13,20 +13,24 @@ from scipy.spatial.distance import cdist, pdist
 from sklearn.manifold import MDS, Isomap
 
 from anisomap import AnisomapWarning, Recording, SensorMap, reconstruct, reconstruct_from
-from anisomap.methods import MethodOptions, find_method
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.classical import torgerson
 from anisomap.numerics.scaling.stress_minimisation import smacof
-from anisomap.numerics.similarity.binning import maximum_entropy_codes
+from anisomap.numerics.similarity.binning import DEFAULT_BINS, maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import pearson
-from anisomap.stages.pairs import SIMILARITIES
+from anisomap.numerics.similarity.information import mutual_information
 from benchmarks.comparison import Comparison, Reference, Setting, describe_share
 from benchmarks.inputs import rubbed_skin
 from benchmarks.measuring import Cost, measure_on_one_thread, threads
 from benchmarks.paths import are_shortest_paths, cost_of_eigh, cost_of_floyd_warshall
 from benchmarks.scalings import STRESS_TOLERANCE, sklearn_majorisation
-from benchmarks.similarities import correlation, one_hot_information
+from benchmarks.similarities import (
+    MAX_ONE_HOT,
+    are_correlations,
+    cost_of_corrcoef,
+    one_hot_information,
+)
 
 Matrix = NDArray[np.floating[Any]]
 
@@ -40,20 +44,25 @@ def compare_whole(setting: Setting) -> Iterator[Comparison]:
     """Compare maps from readings, and from dissimilarities, the input of MDS and Isomap."""
     readings, truth = rubbed_skin(setting.n_sensors, setting.n_frames)
     recording = Recording(readings)
-    for method in ("r-anisomap", "i-anisomap"):
+    lengths = regularised_reciprocal(pearson(recording.readings))
+    rest = _chain_from_dissimilarity(lengths)
+    references = {
+        "r-anisomap": _after_corrcoef(recording, rest),
+        "i-anisomap": _after_one_hot_product(recording),
+    }
+    for method, reference in references.items():
         compute = partial(_map, recording, method)
-        yield Comparison("whole map from readings", method, compute, (_chain(recording, method),))
-    if setting.n_sensors <= setting.max_default_sensors:
+        yield Comparison("whole map from readings", method, compute, (reference,))
+    if setting.n_sensors <= setting.max_slow_sensors:
         compute = partial(_map, recording, "covariogram")
         yield Comparison("whole map from readings", "covariogram, the default", compute)
-    lengths = regularised_reciprocal(pearson(recording.readings))
-    references = (
-        _chain_from_dissimilarity(lengths),
+    from_lengths = (
+        rest,
         _of_sklearn("MDS", _mds, lengths, truth),
         _of_sklearn("Isomap", _isomap, lengths, truth),
     )
     compute = partial(_map_from, lengths)
-    yield Comparison("whole map from dissimilarities", "r-anisomap", compute, references)
+    yield Comparison("whole map from dissimilarities", "r-anisomap", compute, from_lengths)
 
 
 def _map(recording: Recording, method: str) -> SensorMap:
@@ -68,33 +77,40 @@ def _map_from(dissimilarity: Matrix) -> SensorMap:
     )
 
 
-def _chain(recording: Recording, method: str) -> Reference:
-    """Add up the cost of a similarity and of the following stages; check the similarity."""
-    readings = recording.readings
-    statistic = find_method(method).similarity
-    similarity = SIMILARITIES[statistic].compute(readings, MethodOptions.bins)
-    few = min(len(similarity), 1000 if method == "i-anisomap" else MAX_REFERENCE_SENSORS)
-
-    def reference() -> Matrix:
-        some = readings[:, :few]
-        return correlation(some) if method == "r-anisomap" else _information(some)
-
-    cost, expected = measure_on_one_thread(reference)
-    alike = bool(np.abs(similarity[:few, :few] - expected).max() <= 1e-4)
-    rest = _chain_from_dissimilarity(regularised_reciprocal(similarity))
-    begin = {"r-anisomap": "corrcoef", "i-anisomap": "one-hot product"}[method]
+def _after_corrcoef(recording: Recording, rest: Reference) -> Reference:
+    """Add up the cost of Pearson's r and of the following stages."""
+    similarity = pearson(recording.readings)
+    alike = are_correlations(similarity, recording.readings)
+    cost, _ = cost_of_corrcoef(*recording.readings.shape)
     return Reference(
-        f"{begin} + {rest.name}",
-        cost.times((len(similarity) / few) ** 2).and_then(rest.cost),
+        f"corrcoef + {rest.name}",
+        cost.and_then(rest.cost),
         lambda made: alike and rest.same(made),
-        {"r-anisomap": 12, "i-anisomap": 25}[method],
+        12,
         rest.details,
         estimated=True,
     )
 
 
-def _information(readings: Matrix) -> Matrix:
-    return one_hot_information(maximum_entropy_codes(readings))
+def _after_one_hot_product(recording: Recording) -> Reference:
+    """Add up the cost of the mutual information and of the following stages; check the former."""
+    readings = recording.readings
+    information = mutual_information(readings)
+    few = min(len(information), MAX_ONE_HOT // DEFAULT_BINS)
+    binning, codes = measure_on_one_thread(lambda: maximum_entropy_codes(readings[:, :few]))
+    product, expected = measure_on_one_thread(lambda: one_hot_information(codes))
+    alike = bool(np.abs(information[:few, :few] - expected).max() <= 1e-4)
+    factor = len(information) / few
+    cost = binning.times(factor).and_then(product.times(factor**2))
+    rest = _chain_from_dissimilarity(regularised_reciprocal(information))
+    return Reference(
+        f"one-hot product + {rest.name}",
+        cost.and_then(rest.cost),
+        lambda made: alike and rest.same(made),
+        25,
+        rest.details,
+        estimated=True,
+    )
 
 
 def _chain_from_dissimilarity(lengths: Matrix) -> Reference:

@@ -81,9 +81,9 @@ def test_all_stages_on_small_skins(tmp_path, recordings, small_shares, capsys):
 def test_slow_references_do_a_share_of_the_work(tmp_path, small_shares, monkeypatch):
     for module in (similarities, paths, scalings, whole_maps):
         monkeypatch.setattr(module, "MAX_REFERENCE_SENSORS", 30)
+    for module in (similarities, whole_maps):
+        monkeypatch.setattr(module, "MAX_ONE_HOT", 100)
     given = ["--sensors", "61", "--frames", "600", "--output", str(tmp_path)]
-    paths.cost_of_eigh.cache_clear()
-    paths.cost_of_floyd_warshall.cache_clear()
     assert main(given) == 0
     rows = [row for row in rows_of(tmp_path / "bench.csv") if row["reference"]]
     assert {row["estimated"] for row in rows} == {"True"}
