@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.measuring import (
-    MAX_WARM_UP_SECONDS,
     Cost,
-    measure,
     measure_on_one_thread,
     measure_repeated,
     n_cores,
@@ -32,8 +30,8 @@ class Setting:
     torso : Path, optional
         Real recording, tiled to the number of sensors.
     max_slow_sensors : int
-        Number of sensors up to which the slowest comparisons are made: the default method and the
-        scaling with missing pairs.
+        Number of sensors up to which the slowest comparisons are made: the default method,
+        scikit-learn's MDS and the scaling with missing pairs.
     more : bool
         Whether to make comparisons that are similar to others, too.
     """
@@ -129,13 +127,10 @@ class Row:
 
 def run(comparison: Comparison, family: str, n_sensors: int) -> Iterator[Row]:
     """Check the result, time the stage, and yield one row per reference."""
+    alone, result = measure_on_one_thread(comparison.compute)
     with threads(1):
-        first, result = measure(comparison.compute)
         verdicts = [reference.same(result) for reference in comparison.references]
-        del result
-        alone = (
-            first if first.clock > MAX_WARM_UP_SECONDS else measure_repeated(comparison.compute)
-        )
+    del result
     with threads(n_cores()):
         together = measure_repeated(comparison.compute)
     row = Row(

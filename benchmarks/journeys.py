@@ -29,17 +29,24 @@ from benchmarks.inputs import rubbed_skin
 from benchmarks.measuring import threads
 from benchmarks.tables import growth_exponent, significant
 
-SENSORS = (250, 500, 1000)
-FRAMES = (1000, 4000, 16_000)
-MORE_SENSORS = (250, 500, 1000, 2000, 4000)
-MORE_FRAMES = (1000, 10_000, 30_000, 100_000)
+SENSORS = (250, 500, 1000, 2000, 4000)
+FRAMES = (1000, 10_000, 30_000, 100_000)
 FEW_FRAMES, FEW_SENSORS = 4000, 250
 """Frames of the journeys of many sensors, and sensors of those of many frames."""
+
+RUBBED = ((256, 30_000), (1000, 30_000))
+LARGE = ((4000, 30_000),)
+"""Sizes of ten minutes of rubbing at 50 frames per second, and those that take a minute."""
+
+BUSY_SENSORS, BUSY_FRAMES = 220, 3170
+"""Size of the journeys beside busy processes: that of a recording of a robot's torso."""
 
 SHELL_SENSORS, SHELL_FRAMES = 60, 2000
 """Size of the recording that is mapped from the shell: that of ``anisomap demo``."""
 
 _LEVELS = 255  # of readings of 8 bits
+_WARM_UPS = (30, 600, 2000)  # sensors: without compiled loops, with them, and in float32
+_WARM_UP_FRAMES = 400
 _DIMENSIONS = 3
 
 
@@ -142,7 +149,9 @@ def busy_neighbours(count: int) -> Iterator[list[subprocess.Popen[bytes]]]:
             process.wait()
 
 
-def journeys(sensors: Sequence[int], frames: Sequence[int]) -> Iterator[Journey]:
+def journeys(
+    sensors: Sequence[int], frames: Sequence[int], rubbed: Sequence[tuple[int, int]]
+) -> Iterator[Journey]:
     """Make all journeys.
 
     Parameters
@@ -151,16 +160,21 @@ def journeys(sensors: Sequence[int], frames: Sequence[int]) -> Iterator[Journey]
         Numbers of sensors, of 4,000 frames each.
     frames : sequence of int
         Numbers of frames, of 250 sensors each.
+    rubbed : sequence of (int, int)
+        Numbers of sensors and frames of further recordings.
     """
     with threads(1):
-        travel("warm-up", readings_of_8_bits(sensors[0], frames[0]))
+        for n_sensors in _WARM_UPS:
+            if n_sensors <= max(sensors):
+                travel("warm-up", readings_of_8_bits(n_sensors, _WARM_UP_FRAMES))
         for n_sensors in sensors:
             yield travel("more sensors", readings_of_8_bits(n_sensors, FEW_FRAMES))
         for n_frames in frames:
             yield travel("more frames", readings_of_8_bits(FEW_SENSORS, n_frames))
-        largest = readings_of_8_bits(sensors[-1], FEW_FRAMES)
-        yield travel("r-anisomap", largest, "r-anisomap")
-    few = readings_of_8_bits(FEW_SENSORS, FEW_FRAMES)
+        for size in rubbed:
+            yield travel("long rubbing", readings_of_8_bits(*size))
+            yield travel("long rubbing, r-anisomap", readings_of_8_bits(*size), "r-anisomap")
+    few = readings_of_8_bits(BUSY_SENSORS, BUSY_FRAMES)
     yield travel("nothing limited", few)
     with busy_neighbours(os.cpu_count() or 1):
         yield travel("nothing limited, every core busy", few)
@@ -202,15 +216,14 @@ def markdown(made: Sequence[Journey]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Make all journeys, and write ``journeys-table.md`` and ``journeys.csv``."""
     parser = argparse.ArgumentParser(prog="benchmarks.journeys", description=__doc__)
-    parser.add_argument("--large", action="store_true", help="to 4,000 sensors and 100,000 frames")
+    parser.add_argument("--large", action="store_true", help="also 4,000 sensors x 30,000 frames")
     parser.add_argument("--sensors", type=int, nargs="+", help="numbers of sensors, increasing")
     parser.add_argument("--frames", type=int, nargs="+", help="numbers of frames, increasing")
     parser.add_argument("-o", "--output", type=Path, default=Path("bench"), help="output folder")
     chosen = parser.parse_args(arguments)
-    sensors = chosen.sensors or (MORE_SENSORS if chosen.large else SENSORS)
-    frames = chosen.frames or (MORE_FRAMES if chosen.large else FRAMES)
+    sensors, frames = chosen.sensors or SENSORS, chosen.frames or FRAMES
     made: list[Journey] = []
-    for journey in journeys(sensors, frames):
+    for journey in journeys(sensors, frames, RUBBED + LARGE if chosen.large else RUBBED):
         made.append(journey)
         print(
             f"{journey.journey}, {journey.n_sensors} x {journey.n_frames}: {journey.cpu:.3g} s "

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 from unittest.mock import patch
 
+from numba.core.event import install_recorder
 from threadpoolctl import threadpool_limits
 
 from anisomap.numerics.compiled import parallel
@@ -21,9 +22,6 @@ Result = TypeVar("Result")
 
 MAX_REPEATED_SECONDS = 1.0
 """Longer runs are not repeated: disturbances are a small share of them."""
-
-MAX_WARM_UP_SECONDS = 5.0
-"""Longer first runs of anisomap count; compiling loops may be a large share of shorter ones."""
 
 MIN_SECONDS = 0.3
 MIN_RUNS, MAX_RUNS = 2, 10
@@ -97,10 +95,15 @@ def measure_repeated(run: Callable[[], object]) -> Cost:
 
 
 def measure_on_one_thread(run: Callable[[], Result]) -> tuple[Cost, Result]:
-    """Return the minimum cost on one thread and the result; a short first run is a warm-up."""
+    """Return the cost on one thread and the result.
+
+    A first run that takes long is all; it is a warm-up if it is short or compiles loops.
+    """
     with threads(1):
-        first, result = measure(run)
-        return (first if first.clock > MAX_REPEATED_SECONDS else measure_repeated(run)), result
+        with install_recorder("numba:compile") as compiled:
+            first, result = measure(run)
+        is_enough = first.clock > MAX_REPEATED_SECONDS and not compiled.buffer
+        return first if is_enough else measure_repeated(run), result
 
 
 def _begin_peak() -> float:

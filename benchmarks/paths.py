@@ -28,7 +28,7 @@ from benchmarks.measuring import Cost, measure_on_one_thread
 
 Matrix = NDArray[np.floating[Any]]
 
-MAX_REFERENCE_SENSORS = 3000
+MAX_REFERENCE_SENSORS = 2000
 """References compute a share of larger problems: their cost grows at least with the cube."""
 
 NOISY_SKINS = {1500: 20.0, 3000: 30.0}

@@ -44,10 +44,11 @@ def compare_whole(setting: Setting) -> Iterator[Comparison]:
     """Compare maps from readings, and from dissimilarities, the input of MDS and Isomap."""
     readings, truth = rubbed_skin(setting.n_sensors, setting.n_frames)
     recording = Recording(readings)
-    lengths = regularised_reciprocal(pearson(recording.readings))
+    similarity = pearson(recording.readings)
+    lengths = regularised_reciprocal(similarity)
     rest = _chain_from_dissimilarity(lengths)
     references = {
-        "r-anisomap": _after_corrcoef(recording, rest),
+        "r-anisomap": _after_corrcoef(recording, similarity, rest),
         "i-anisomap": _after_one_hot_product(recording),
     }
     for method, reference in references.items():
@@ -56,13 +57,11 @@ def compare_whole(setting: Setting) -> Iterator[Comparison]:
     if setting.n_sensors <= setting.max_slow_sensors:
         compute = partial(_map, recording, "covariogram")
         yield Comparison("whole map from readings", "covariogram, the default", compute)
-    from_lengths = (
-        rest,
-        _of_sklearn("MDS", _mds, lengths, truth),
-        _of_sklearn("Isomap", _isomap, lengths, truth),
-    )
+    from_lengths = [rest, _of_sklearn("Isomap", _isomap, lengths, truth)]
+    if setting.n_sensors <= setting.max_slow_sensors:
+        from_lengths.append(_of_sklearn("MDS", _mds, lengths, truth))
     compute = partial(_map_from, lengths)
-    yield Comparison("whole map from dissimilarities", "r-anisomap", compute, from_lengths)
+    yield Comparison("whole map from dissimilarities", "r-anisomap", compute, tuple(from_lengths))
 
 
 def _map(recording: Recording, method: str) -> SensorMap:
@@ -77,9 +76,8 @@ def _map_from(dissimilarity: Matrix) -> SensorMap:
     )
 
 
-def _after_corrcoef(recording: Recording, rest: Reference) -> Reference:
-    """Add up the cost of Pearson's r and of the following stages."""
-    similarity = pearson(recording.readings)
+def _after_corrcoef(recording: Recording, similarity: Matrix, rest: Reference) -> Reference:
+    """Add up the cost of Pearson's r and of the following stages; check the former."""
     alike = are_correlations(similarity, recording.readings)
     cost, _ = cost_of_corrcoef(*recording.readings.shape)
     return Reference(

@@ -41,11 +41,20 @@ def test_neighbours_end_with_the_block():
 def test_all_journeys_of_small_skins(tmp_path, monkeypatch):
     monkeypatch.setattr(journeys, "FEW_SENSORS", 40)
     monkeypatch.setattr(journeys, "FEW_FRAMES", 600)
+    monkeypatch.setattr(journeys, "BUSY_SENSORS", 40)
+    monkeypatch.setattr(journeys, "BUSY_FRAMES", 600)
+    monkeypatch.setattr(journeys, "RUBBED", ((45, 800),))
     sizes = ["--sensors", "30", "40", "--frames", "300", "600"]
     assert main([*sizes, "-o", str(tmp_path)]) == 0
     with (tmp_path / "journeys.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
-    assert {row["journey"] for row in rows} >= {"more sensors", "more frames", "from the shell"}
+    assert {row["journey"] for row in rows} >= {
+        "more sensors",
+        "more frames",
+        "long rubbing",
+        "long rubbing, r-anisomap",
+        "from the shell",
+    }
     assert all(float(row["cpu"]) > 0 for row in rows)
     table = (tmp_path / "journeys-table.md").read_text(encoding="utf-8")
     assert table.count("exponent") == 2
