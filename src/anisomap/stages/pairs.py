@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.errors import InputError
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
 from anisomap.numerics.geodesic.contact_heights import ContactHeights
-from anisomap.numerics.geodesic.height_refinement import examined_sensors
+from anisomap.numerics.geodesic.height_refinement import examined_heights
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.blending import (
@@ -201,10 +201,8 @@ class PairStatistics:
 
     @cached_property
     def heights(self) -> ContactHeights | None:
-        """Heights of the contacts of the `examined_sensors`; None without readings."""
-        if self.readings is None:
-            return None
-        return ContactHeights.of(self.readings[:, examined_sensors(len(self.similarity))])
+        """Heights of contacts by `examined_heights`; None without readings."""
+        return None if self.readings is None else examined_heights(self.readings)
 
     @cached_property
     def _changes(self) -> tuple[Reals, ...]:

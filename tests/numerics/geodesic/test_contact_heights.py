@@ -21,7 +21,10 @@ from anisomap.numerics.geodesic.height_map import (
     linear_share,
     weakest_link,
 )
-from anisomap.numerics.geodesic.height_refinement import refine_by_contact_heights
+from anisomap.numerics.geodesic.height_refinement import (
+    examined_heights,
+    refine_by_contact_heights,
+)
 from anisomap.numerics.geodesic.neighbours import local_dimension
 from skins import flat_skin, lattice, swept
 
@@ -204,3 +207,15 @@ def test_a_curve_has_one_dimension_and_a_surface_two():
 def test_the_step_ratio_is_at_least_one():
     with pytest.raises(InputError, match="max_step_ratio"):
         HeightMapOptions(max_step_ratio=0.9)
+
+
+@pytest.mark.parametrize("factor", [0.05, 1.0])
+def test_blocks_of_a_long_recording_show_what_all_frames_do(factor):
+    places = scattered(302)
+    readings = swept(places, 400, seed=302)
+    some, every = examined_heights(readings), ContactHeights.of(readings)
+    assert len(some.ranks) < len(readings)
+    sharing = np.corrcoef(readings.T) > 0.05
+    shares = [explained_share(x.halves, compressed(places, factor), sharing) for x in (some, every)]
+    assert shares[0].reliability == pytest.approx(shares[1].reliability, abs=0.05)
+    assert shares[0].share == pytest.approx(shares[1].share, abs=0.05)

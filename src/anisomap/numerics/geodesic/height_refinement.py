@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +26,7 @@ from anisomap.numerics.geodesic.height_map import (
 )
 from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
 from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.split_half import N_BLOCKS, at_frames
 
 Matrix = NDArray[np.float64]
 
@@ -33,6 +35,9 @@ _MAX_EXAMINED = 250
 
 Their 31,000 pairs suffice to tell whether heights contradict a map.
 """
+
+_MAX_FRAMES = 10_000
+"""Frames, of blocks at even intervals, in which heights are examined first."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +138,7 @@ def refine_by_contact_heights(
     changes : array_like of shape (N, N), optional
         That of the differences between frames, if already computed.
     heights : ContactHeights, optional
-        Of the `examined_sensors`, if already computed.
+        `examined_heights` of the readings, if already computed.
     options : HeightOptions, optional
 
     Returns
@@ -153,15 +158,15 @@ def refine_by_contact_heights(
     uneven = unevenness(given, graph.adjacency)
     unchanged = HeightRefinement(given, False, True, uneven)
     sharing = correlation > chosen.min_sharing
-    some = examined_sensors(len(given))
-    heights = ContactHeights.of(values[:, some]) if heights is None else heights
+    some = _examined_sensors(len(given))
+    heights = examined_heights(values) if heights is None else heights
     if not heights.usable:
         return unchanged
     halves = heights.halves
     explained = explained_share(halves, given[some], sharing[np.ix_(some, some)])
     if not _contradicted(explained, chosen):
         return unchanged
-    if some.size < len(given):
+    if heights.ranks.shape != values.shape:
         heights = ContactHeights.of(values)
         halves = heights.halves
         explained = explained_share(halves, given, sharing)
@@ -199,8 +204,29 @@ def refine_by_contact_heights(
     return HeightRefinement(given, False, False, uneven)
 
 
-def examined_sensors(n_sensors: int) -> NDArray[np.intp]:
-    """Return the sensors in which heights are examined first, evenly chosen."""
+def examined_heights(readings: NDArray[Any]) -> ContactHeights:
+    """Find the heights of contacts from which it is seen whether they contradict a map.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, N)
+        Finite readings in temporal order.
+
+    Returns
+    -------
+    ContactHeights
+        Of at most 250 sensors, evenly chosen, and of at most 10,000 frames in blocks: as
+        `split_blocks`, each at the beginning of such a block.
+    """
+    n_frames, n_sensors = readings.shape
+    if n_frames > _MAX_FRAMES:
+        begins = np.linspace(0, n_frames, N_BLOCKS, endpoint=False).astype(np.intp)
+        length = _MAX_FRAMES // N_BLOCKS
+        readings = at_frames(readings, np.add.outer(begins, np.arange(length)).ravel())
+    return ContactHeights.of(readings[:, _examined_sensors(n_sensors)])
+
+
+def _examined_sensors(n_sensors: int) -> NDArray[np.intp]:
     return np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_EXAMINED)).astype(np.intp)
 
 
