@@ -244,3 +244,21 @@ def test_torgerson_resolves_equal_eigenvalues():
 def test_torgerson_of_coincident_points_is_zero():
     found = torgerson(np.zeros((DENSE_LIMIT + 1, DENSE_LIMIT + 1)), 2)
     np.testing.assert_array_equal(found, np.zeros((DENSE_LIMIT + 1, 2)))
+
+
+@pytest.mark.parametrize("coincident", [False, True])
+def test_a_reused_workspace_does_not_change_the_stress(coincident):
+    rng = np.random.default_rng(2)
+    positions = rng.normal(size=(12, 3))
+    if coincident:
+        positions[4] = positions[7]
+    targets = squareform(pdist(rng.normal(size=(12, 3))))
+    problem = Problem(targets, np.ones((1, 12)))
+    workspace = np.full((3, 12, 12), np.nan)
+    for _ in range(2):
+        raw, slope = plain_stress(problem, positions, workspace)
+        expected = plain_stress(problem, positions)
+        assert raw == expected[0]
+        np.testing.assert_array_equal(slope, expected[1])
+    assert raw == pytest.approx(((squareform(pdist(positions)) - targets) ** 2).sum() / 2)
+    assert np.isfinite(slope).all()

@@ -118,7 +118,9 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
     ``2 sum_j w_ij (1 - D_ij / d_ij) (x_i - x_j)``.
     """
     if not problem.is_compiled:
-        yield lambda positions: plain_stress(problem, positions)
+        # New matrices would take longer to allocate than to compute.
+        workspace = np.empty((3, *problem.targets.shape))
+        yield lambda positions: plain_stress(problem, positions, workspace)
         return
     n_points = len(problem.targets)
     loops = load_loops("stress")
@@ -150,13 +152,27 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
         yield compiled_stress
 
 
-def plain_stress(problem: Problem, positions: Floats) -> tuple[float, Floats]:
-    """Return the raw stress and its gradient, computed with (N, N) matrices."""
-    distances = cdist(positions, positions)
-    excess = distances - problem.targets
-    weighted = problem.weights * excess
-    raw = float(np.vdot(weighted, excess)) / 2
-    factors = np.divide(
-        weighted, distances, out=np.zeros_like(distances), where=distances > COINCIDENT
+def plain_stress(
+    problem: Problem, positions: Floats, workspace: Floats | None = None
+) -> tuple[float, Floats]:
+    """Return the raw stress and its gradient, computed with (N, N) matrices.
+
+    They overwrite `workspace`, of shape (3, N, N), if it is given.
+    """
+    n_points, k = positions.shape
+    distances, excess, factors = (
+        np.empty((3, n_points, n_points)) if workspace is None else workspace
     )
-    return raw, 2 * (factors.sum(axis=1)[:, None] * positions - factors @ positions)
+    cdist(positions, positions, out=distances)
+    np.subtract(distances, problem.targets, out=excess)
+    np.multiply(problem.weights, excess, out=factors)
+    raw = float(np.vdot(factors, excess)) / 2
+    np.fill_diagonal(distances, 1.0)
+    if distances.min(initial=1.0) > COINCIDENT:
+        factors /= distances
+    else:
+        apart = distances > COINCIDENT
+        np.divide(factors, distances, out=factors, where=apart)
+        factors *= apart
+    sums = factors @ np.column_stack([positions, np.ones(n_points)])
+    return raw, 2 * (sums[:, k:] * positions - sums[:, :k])
