@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,17 +11,16 @@ from numpy.typing import NDArray
 
 from anisomap.numerics.columns import columns, rank_columns
 from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors, standardised
-
-MAX_LAG = 40
-"""Greatest lag that is searched, in frames; chosen by hand."""
+from anisomap.numerics.recording_faults.lag_correlations import MAX_LAG, LagCorrelations
 
 _MAX_VALUES = 1 << 19  # readings of an excerpt; chosen for about half a second
 _MIN_SENSORS = 8
-# Sensors of which lags are searched first, if there are twice as many. On skins of 220 to 300
-# sensors with lags (seeds 21 to 23, and two real ones), lags of so few restored 69 % of the
-# correlation or more, and 41 % or less on seven of eight without.
-_SCREENED = 96
-_N_PARTNERS = 6  # most similar sensors of each sensor, whose lags are compared
+_SCREENED = 96  # sensors of which lags are searched first, if there are twice as many
+# Least share of the lost correlation that their lags restore, and of their links of which a part of
+# the recording gives the same lags. On simulated and real skins of 220 to 737 sensors in which lags
+# were found (seeds 21 to 23), they were at least .42 and .78, and at most .32 and .58 on seven of
+# eight without; on the other, .71 and .58.
+_MIN_EXPLAINED_OF_FEW, _MIN_AGAIN_OF_FEW = 0.35, 0.6
 _CHANGE_COST = 4.0  # of a new lag along the channels, in frames of misfit; tuned on seeds 1 and 2
 _MAX_MISFIT = 6.0  # frames of misfit of one sensor that count
 _SPREAD = 2  # frames by which the lags of a group may differ before they are made equal
@@ -77,13 +75,13 @@ def find_lags(readings: NDArray[Any], varying: NDArray[np.bool_]) -> Lags | None
     are. Contacts that move also give neighbours a lag, but of either sign, spread over many values,
     and different from one time to another; a lag of the read-out is the same for all pairs of two
     groups and in all quarters of the recording. It must restore as much correlation as such a lag
-    costs links within groups.
+    costs links within groups. Of many sensors, some are searched first.
     """
     total: NDArray[np.intp] | None = None
     agreement = 1.0
     for _ in range(_MAX_ROUNDS):
         current = readings if total is None else align(readings, total)
-        found = _find_once(current, np.flatnonzero(varying))
+        found = _find_once(current, np.flatnonzero(varying), screened=total is None)
         if found is None:
             break
         total = found.frames if total is None else total + found.frames
@@ -112,7 +110,7 @@ def align(readings: NDArray[Any], lags: NDArray[np.intp]) -> NDArray[Any]:
     return shifted
 
 
-def _find_once(readings: NDArray[Any], varying: NDArray[np.intp]) -> Lags | None:
+def _find_once(readings: NDArray[Any], varying: NDArray[np.intp], *, screened: bool) -> Lags | None:
     chosen = varying[some_sensors(varying.size)]
     if chosen.size < _MIN_SENSORS:
         return None
@@ -120,9 +118,11 @@ def _find_once(readings: NDArray[Any], varying: NDArray[np.intp]) -> Lags | None
     values = readings[frames][:, chosen]
     if len(values) < 8 * MAX_LAG:
         return None
-    if chosen.size >= 2 * _SCREENED:
+    if screened and chosen.size >= 2 * _SCREENED:
         few = _Fit.of(values[:, some_sensors(chosen.size, _SCREENED)])
-        if not few.explains():
+        if not few.explains(_MIN_EXPLAINED_OF_FEW):
+            return None
+        if np.mean(list(few.found_again())) < _MIN_AGAIN_OF_FEW:
             return None
     fit = _Fit.of(values)
     agreement = _check(fit)
@@ -140,7 +140,7 @@ class _Fit:
     """Lags of n sensors and their groups, which restore most of the correlation of the links."""
 
     parts: Sequence[NDArray[np.float32]]
-    whole: _Correlations
+    whole: LagCorrelations
     links: tuple[NDArray[np.intp], NDArray[np.intp]]
     lags: NDArray[np.intp]
     groups: NDArray[np.intp]
@@ -152,7 +152,7 @@ class _Fit:
         n_parts = int(np.clip(len(ranks) // (10 * MAX_LAG), 2, 4))
         equal = ranks[: len(ranks) // n_parts * n_parts]
         parts = [standardised(part) for part in np.split(equal, n_parts)]
-        whole = _Correlations.of(parts)
+        whole = LagCorrelations.of(parts)
         links = whole.strongest_links()
         tree = whole.lags_along_tree()
         anywhere = _fitted(whole, links, _anywhere(tree))
@@ -177,89 +177,19 @@ class _Fit:
         restored = float((self.whole.along(self.links, self.lags)[across] - without).sum())
         return restored, float((self.whole.peak[self.links][across] - without).sum())
 
-    def explains(self) -> bool:
-        """Return whether the lags restore as much of the lost correlation as a finding must."""
+    def explains(self, share: float) -> bool:
+        """Return whether there are lags, and restore at least a share of the lost correlation."""
         restored, lost = self.restored()
-        return bool(self.expected.any()) and restored >= _MIN_EXPLAINED * lost
+        return bool(self.expected.any()) and restored >= share * lost
 
-
-@dataclass(frozen=True, eq=False)
-class _Correlations:
-    """Correlations of all pairs: ``at_lag[l, i, j]`` of i(t) and j(t + l), lags from 0 on."""
-
-    at_lag: NDArray[np.float32]
-
-    @classmethod
-    def of(cls, parts: Sequence[NDArray[np.float32]]) -> _Correlations:
-        """Average over parts of equal length."""
-        n_frames, n_sensors = parts[0].shape
-        # Zeros between the parts keep the frames of one from those of the next: one product.
-        gap = np.zeros((MAX_LAG, n_sensors), dtype=np.float32)
-        joined = np.concatenate([block for part in parts for block in (part, gap)])
-        result = np.empty((MAX_LAG + 1, n_sensors, n_sensors), dtype=np.float32)
-        for lag in range(MAX_LAG + 1):
-            np.matmul(joined[: len(joined) - lag].T, joined[lag:], out=result[lag])
-            result[lag] /= np.float32(len(parts) * (n_frames - lag))
-            np.fill_diagonal(result[lag], -1)
-        return cls(result)
-
-    @cached_property
-    def _highest(self) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-        peak = self.at_lag[0].copy()
-        peak_lag = np.zeros(peak.shape, dtype=np.intp)
-        for lag, later in enumerate(self.at_lag[1:], 1):
-            for signed, found in ((lag, later), (-lag, later.T)):
-                higher = found > peak
-                np.copyto(peak, found, where=higher)
-                peak_lag[higher] = signed
-        return peak, peak_lag
-
-    @property
-    def peak(self) -> NDArray[np.float32]:
-        """Highest correlation of each pair."""
-        return self._highest[0]
-
-    @property
-    def peak_lag(self) -> NDArray[np.intp]:
-        """Lag of the highest correlation; the smallest of equal ones."""
-        return self._highest[1]
-
-    def at(
-        self, lags: NDArray[np.intp], i: NDArray[np.intp], j: NDArray[np.intp]
-    ) -> NDArray[np.float32]:
-        """Return the correlations of some pairs at lags of either sign, up to `MAX_LAG`."""
-        apart = np.clip(lags, -MAX_LAG, MAX_LAG)
-        later = apart >= 0
-        return np.asarray(self.at_lag[np.abs(apart), np.where(later, i, j), np.where(later, j, i)])
-
-    def strongest_links(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return pairs: each sensor and the ones that it is most similar to at any lag."""
-        count = min(_N_PARTNERS, len(self.peak) - 1)
-        partners = np.argsort(-self.peak, axis=1)[:, :count]
-        return np.repeat(np.arange(len(self.peak)), count), partners.ravel()
-
-    def along(
-        self, links: tuple[NDArray[np.intp], NDArray[np.intp]], lags: NDArray[np.intp]
-    ) -> NDArray[np.float32]:
-        """Return the correlation of each link if sensors have the given lags."""
-        i, j = links
-        return self.at(lags[j] - lags[i], i, j)
-
-    def lags_along_tree(self) -> NDArray[np.intp]:
-        """Add up the lags of the links of a maximum spanning tree; Prim's algorithm."""
-        peak, lag = self.peak, self.peak_lag
-        n_sensors = len(peak)
-        outside = np.ones(n_sensors, dtype=bool)
-        outside[0] = False
-        strongest, towards = peak[0].copy(), np.zeros(n_sensors, dtype=np.intp)
-        lags = np.zeros(n_sensors, dtype=np.intp)
-        for _ in range(n_sensors - 1):
-            new = int(np.where(outside, strongest, -np.inf).argmax())
-            lags[new] = lags[towards[new]] + lag[towards[new], new]
-            outside[new] = False
-            closer = (peak[new] > strongest) & outside
-            strongest[closer], towards[closer] = peak[new][closer], new
-        return lags - int(np.median(lags))
+    def found_again(self) -> Iterator[float]:
+        """Yield the share of the links for which each part of the recording gives the same lags."""
+        i, j = self.links
+        across = self.expected != 0
+        for part in self.parts:
+            again = _fitted(LagCorrelations.of([part]), self.links, (self.lags, self.groups))[0]
+            same = np.abs(again[j] - again[i] - self.expected)[across] <= 1
+            yield float(np.mean(same))
 
 
 def _in_order(lags: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -301,7 +231,7 @@ def _anywhere(lags: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp
 
 
 def _fitted(
-    correlations: _Correlations,
+    correlations: LagCorrelations,
     links: tuple[NDArray[np.intp], NDArray[np.intp]],
     start: tuple[NDArray[np.intp], NDArray[np.intp]],
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -351,15 +281,10 @@ def _check(fit: _Fit) -> float | None:
         or agreement < max(_MIN_AGREEMENT, _MIN_RELATIVE * within)
         or opposite > _MAX_OPPOSITE
         or within < _MIN_WITHIN
-        or not fit.explains()
+        or not fit.explains(_MIN_EXPLAINED)
     ):
         return None
-    for part in fit.parts:
-        again = _fitted(_Correlations.of([part]), fit.links, (fit.lags, fit.groups))[0]
-        same = np.abs(again[j] - again[i] - expected)[across] <= 1
-        if np.mean(same) < _MIN_AGAIN:
-            return None
-    return agreement
+    return agreement if all(share >= _MIN_AGAIN for share in fit.found_again()) else None
 
 
 def _share(marked: NDArray[np.bool_], weight: NDArray[np.float64]) -> float:
@@ -367,7 +292,7 @@ def _share(marked: NDArray[np.bool_], weight: NDArray[np.float64]) -> float:
 
 
 def _cost_of_lags(
-    correlations: _Correlations, i: NDArray[np.intp], j: NDArray[np.intp]
+    correlations: LagCorrelations, i: NDArray[np.intp], j: NDArray[np.intp]
 ) -> NDArray[np.float64]:
     """Return the share of correlation that links within groups lose at each lag from 0 on."""
     if not i.size:
