@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from collections import deque
@@ -105,6 +104,8 @@ def _check_address(distributed: Any, address: str) -> None:
 
 def _greet(distributed: Any, address: str) -> None:
     """Check that a scheduler answers; a client has no limit for the time to its first answer."""
+    import asyncio  # noqa: PLC0415, slow to import
+
     options = distributed.Security().get_connection_args("client")
 
     async def greet() -> None:

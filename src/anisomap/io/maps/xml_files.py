@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
+from html import escape
 from pathlib import Path
 from typing import Protocol
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,9 @@ _ROOT = re.compile(rb"<\s*+([A-Za-z_][\w.-]*+)")
 _BEFORE_ROOT = {b"<!--": b"-->", b"<?": b"?>", b"<!DOCTYPE": b">"}
 # Characters that XML 1.0 cannot represent, not even escaped.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+
+# Parsers replace these characters in attributes by spaces (XML 1.0, section 3.3.3).
+_SPACE = str.maketrans({"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
 
 
 def root_is(head: bytes, name: str) -> bool:
@@ -76,7 +79,9 @@ def named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
 
 def tag(name: str, attributes: Mapping[str, str], *, closed: bool = True) -> str:
     """Format a tag with escaped attributes."""
-    pairs = "".join(f" {key}={quoteattr(value)}" for key, value in attributes.items())
+    pairs = "".join(
+        f' {key}="{escape(value).translate(_SPACE)}"' for key, value in attributes.items()
+    )
     return f"<{name}{pairs}{'/' if closed else ''}>"
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.cluster.hierarchy import cophenet, single
-from scipy.spatial.distance import squareform
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
@@ -102,14 +100,23 @@ def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    These are the heights at which single linkage merges two objects (Gower & Ross 1969, Applied
-    Statistics 18: 54-64).
+    The paths are those of a minimum spanning tree, which grows by Prim's algorithm. Single linkage
+    merges two objects at this height (Gower & Ross 1969, Applied Statistics 18: 54-64).
     """
     lengths = check_semi_metric(dissimilarity)
     if not np.isfinite(lengths).all():
         raise InputError(
             "dissimilarities must be finite for minimax paths; split connected components first"
         )
-    if len(lengths) < 2:
-        return np.zeros_like(lengths)
-    return np.asarray(squareform(cophenet(single(squareform(lengths)))))
+    longest = np.zeros_like(lengths)
+    nearest, towards = lengths[0].copy(), np.zeros(len(lengths), dtype=np.intp)
+    reached = np.zeros(len(lengths), dtype=bool)
+    reached[:1] = True
+    for _ in range(len(lengths) - 1):
+        new = int(np.where(reached, np.inf, nearest).argmin())
+        row = np.maximum(longest[towards[new]], nearest[new])
+        longest[new, reached] = longest[reached, new] = row[reached]
+        reached[new] = True
+        nearer = lengths[new] < nearest
+        nearest[nearer], towards[nearer] = lengths[new][nearer], new
+    return longest

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.cluster.hierarchy import DisjointSet
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from anisomap.numerics.recording_faults.excerpt import (
     MAX_FRAMES,
@@ -96,22 +97,32 @@ def find_copies(
     most = MAX_FRAMES if varying.size <= _MANY_SENSORS else MAX_FRAMES // 2
     excerpt = _Excerpt(readings, varying, most)
     pairs = list(excerpt.similar_pairs())
-    groups = DisjointSet(varying.tolist())
-    noise: dict[int, float] = {}
     units = _UnitRange(readings, lowest.astype(np.float64), highest.astype(np.float64))
-    for i, j in [*_identical(units, pairs), *_noisy(readings, excerpt, pairs)]:
-        groups.merge(i, j)
+    found = [*_identical(units, pairs), *_noisy(readings, excerpt, pairs)]
+    if not found:
+        return ()
+    noise: dict[int, float] = {}
+    for i, j in found:
         for sensor, share in zip((i, j), excerpt.noise_shares(i, j), strict=True):
             noise[sensor] = max(noise.get(sensor, 0.0), share)
     return tuple(
         Copies(
-            tuple(sorted(members)),
-            _true_sensor(excerpt, sorted(members), noise, set(noise)),
+            tuple(members),
+            _true_sensor(excerpt, members, noise, set(noise)),
             max(noise[i] for i in members),
         )
-        for members in groups.subsets()
-        if len(members) > 1
+        for members in _joined(found)
     )
+
+
+def _joined(pairs: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
+    """Yield the sensors of each group that pairs join, both in increasing order."""
+    sensors, number = np.unique(np.array(pairs), return_inverse=True)
+    first, second = number.reshape(-1, 2).T
+    graph = coo_array((np.ones(first.size), (first, second)), shape=(sensors.size, sensors.size))
+    n_groups, group = connected_components(graph, directed=False)
+    for k in range(n_groups):
+        yield sensors[group == k].tolist()
 
 
 class _Excerpt:

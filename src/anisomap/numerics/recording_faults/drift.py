@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import percentile_filter, uniform_filter1d
 from scipy.special import ndtr
 
 N_BLOCKS = 20
@@ -126,6 +125,8 @@ def level_at_rest(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDA
     Contact raises readings. The level is a running quartile, then a running line through the
     readings near it.
     """
+    from scipy.ndimage import percentile_filter  # noqa: PLC0415, slow to import
+
     window = _window(values)
     level = percentile_filter(values, _LEVEL, size=window, mode="nearest")
     for _ in range(_N_ROUNDS):
@@ -159,7 +160,7 @@ def _local_line(
     weight = used.astype(np.float64)
 
     def mean(products: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(uniform_filter1d(products, window, mode="constant"))
+        return _running_mean(products, window, "constant")
 
     total = mean(weight)
     safe = np.maximum(total, 1e-12)
@@ -175,14 +176,22 @@ def contact_side(readings: NDArray[Any]) -> NDArray[np.float64]:
     """Return the sign of the skewness of fast changes from the median: 1 or -1, shape (N,)."""
     values = readings[:: -(-len(readings) // 4096)].astype(np.float32)
     window = max(3, len(values) // N_BLOCKS) | 1
-    values = values - uniform_filter1d(values, window, axis=0, mode="nearest")
+    values = values - _running_mean(values, window)
     return np.where((values**3).sum(axis=0) < 0, -1.0, 1.0)
+
+
+def _running_mean(
+    values: NDArray[Any], window: int, mode: Literal["nearest", "constant"] = "nearest"
+) -> NDArray[Any]:
+    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415, slow to import
+
+    return np.asarray(uniform_filter1d(values, window, axis=0, mode=mode))
 
 
 def _window(values: NDArray[np.float64]) -> int:
     """Choose a window that is long compared to a contact and short compared to the recording."""
     longest = max(_MIN_WINDOW, len(values) // 10)
-    slow = values - uniform_filter1d(values, longest, mode="nearest")
+    slow = values - _running_mean(values, longest)
     spectrum = np.abs(np.fft.rfft(slow, 2 * len(slow))) ** 2
     correlation = np.fft.irfft(spectrum)[: len(slow)]
     unlike = np.flatnonzero(correlation < _MAX_CORRELATED * correlation[0])

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -120,16 +119,17 @@ def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArra
     n_sensors = len(links)
     if n_sensors < 2:
         return np.zeros(n_sensors, dtype=np.intp)
-    components = DisjointSet(range(n_sensors))
+    component, sizes = np.arange(n_sensors), np.ones(n_sensors, dtype=np.intp)
     for strength, i, j in sorted(_maximum_spanning_tree(links), reverse=True):
-        smaller = min(components.subset_size(i), components.subset_size(j))
+        one, other = component[i], component[j]
+        smaller = int(min(sizes[one], sizes[other]))
         if strength >= _MIN_BRIDGE * _expected_maximum(smaller * (n_sensors - smaller)):
-            components.merge(i, j)
-    labels = np.empty(n_sensors, dtype=np.intp)
-    ordered = sorted(components.subsets(), key=lambda members: (-len(members), min(members)))
-    for label, members in enumerate(ordered):
-        labels[list(members)] = label
-    return labels
+            component[component == other] = one
+            sizes[one] += sizes[other]
+    _, first, member, count = np.unique(
+        component, return_index=True, return_inverse=True, return_counts=True
+    )
+    return np.lexsort((first, -count)).argsort()[member]
 
 
 def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:
@@ -165,12 +165,9 @@ def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.
     covered = np.bincount(component).max() / n_sensors
     if covered < MIN_COVERED or np.median(np.count_nonzero(kept, axis=1)) < MIN_LINKS:
         return ~np.eye(n_sensors, dtype=bool)
-    groups = DisjointSet(range(n_sensors))
-    first = np.unique(component, return_index=True)[1][component]
-    for sensor, representative in enumerate(first.tolist()):
-        groups.merge(representative, sensor)
     for _, i, j in sorted(_maximum_spanning_tree(links), reverse=True):
-        if groups.merge(i, j):
+        if component[i] != component[j]:
+            component[component == component[j]] = component[i]
             kept[i, j] = kept[j, i] = True
     return kept
 
