@@ -9,7 +9,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.shortest_paths import shortest_paths
-from anisomap.numerics.precision import Reals
+from anisomap.numerics.precision import Reals, mirror
 
 
 def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
@@ -100,23 +100,26 @@ def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    The paths are those of a minimum spanning tree, which grows by Prim's algorithm. Single linkage
-    merges two objects at this height (Gower & Ross 1969, Applied Statistics 18: 54-64).
+    Prim's algorithm adds one object after another to a minimum spanning tree. The longest edge
+    between two objects is the longest one by which the later one and those between were added.
+    Single linkage merges them at this height (Gower & Ross 1969, Applied Statistics 18: 54-64).
     """
     lengths = check_semi_metric(dissimilarity)
     if not np.isfinite(lengths).all():
         raise InputError(
             "dissimilarities must be finite for minimax paths; split connected components first"
         )
-    longest = np.zeros_like(lengths)
-    nearest, towards = lengths[0].copy(), np.zeros(len(lengths), dtype=np.intp)
-    reached = np.zeros(len(lengths), dtype=bool)
-    reached[:1] = True
-    for _ in range(len(lengths) - 1):
-        new = int(np.where(reached, np.inf, nearest).argmin())
-        row = np.maximum(longest[towards[new]], nearest[new])
-        longest[new, reached] = longest[reached, new] = row[reached]
-        reached[new] = True
-        nearer = lengths[new] < nearest
-        nearest[nearer], towards[nearer] = lengths[new][nearer], new
-    return longest
+    n_objects = len(lengths)
+    order, added_by = np.zeros(n_objects, dtype=np.intp), np.zeros(n_objects)
+    nearest, outside = lengths[:1].ravel().copy(), np.ones(n_objects, dtype=bool)
+    for k in range(1, n_objects):
+        outside[order[k - 1]] = False
+        order[k] = np.where(outside, nearest, np.inf).argmin()
+        added_by[k] = nearest[order[k]]
+        np.minimum(nearest, lengths[order[k]], out=nearest)
+    longest = np.zeros((n_objects, n_objects))
+    for k in range(n_objects):
+        np.maximum.accumulate(added_by[k + 1 :], out=longest[k, k + 1 :])
+    mirror(longest, upper=True)
+    place = order.argsort()
+    return np.take(longest[place], place, axis=1)
