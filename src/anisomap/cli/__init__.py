@@ -3,7 +3,6 @@
 # Nothing but what the interpreter has loaded is imported here, so that `main` handles
 # interruptions within a millisecond: `signal` and `typing` take 5 to 10 times as long.
 import _signal  # type: ignore[import-not-found]
-import gc
 import os
 
 INTERRUPTED = 130
@@ -32,6 +31,8 @@ def main(arguments: list[str] | None = None) -> None:
             _signal.signal(_signal.SIGINT, end)
     except ValueError:
         pass  # not the main thread, which alone handles signals
+    import gc  # noqa: PLC0415
+
     gc.set_threshold(_NEW_OBJECTS)
     from anisomap.cli.process import run_process  # noqa: PLC0415
 
