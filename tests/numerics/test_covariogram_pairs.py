@@ -12,7 +12,6 @@ from anisomap.numerics.covariogram.pairs import (
     Pairs,
     Weights,
     pack,
-    places_of_pairs,
 )
 
 
@@ -28,7 +27,7 @@ def constants(n_points, seed, dtype=np.float32, unknown=0.2):
         "whitened_known": one,
         "whitened_similarity": other,
         "inverse_metric": rng.uniform(0.2, 3, n_pairs).astype(dtype),
-        "places": places_of_pairs(n_points),
+        "n_sensors": n_points,
     }
 
 
@@ -83,6 +82,9 @@ def test_unpacking_reverses_packing(n_points, seed):
     np.testing.assert_array_equal(matrix, matrix.T)
     assert not np.diag(matrix).any()
     np.testing.assert_array_equal(pack(matrix), pairs.similarity)
+    np.testing.assert_array_equal(
+        CompiledPairs(**constants(n_points, seed, np.float64)).unpack(pairs.similarity), matrix
+    )
     other = pairs.unpack(pairs.inverse_metric)
     assert pairs.product(pairs.similarity, pairs.inverse_metric) == pytest.approx(
         float((matrix * other).sum()), abs=1e-9

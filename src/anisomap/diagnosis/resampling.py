@@ -108,6 +108,7 @@ def resampled_maps(
     weights = np.vstack([np.ones(len(edges) - 1), 1 + STEP * (drawn - 1)])
     with limited_blas(len(positions)):
         resamples, noise = _similarities(pairs, edges, weights), pairs.noise
+        variance = typical_variance(noise)
         made: list[NDArray[np.float64]] = []
         start, exponent, by_paths = positions, 1.0, True
         iterations, shared = options.covariogram.max_iterations, None
@@ -123,7 +124,7 @@ def resampled_maps(
                 resample,
                 _scaled(start, metric),
                 metric,
-                noise=typical_variance(noise),
+                noise=variance,
                 exponent=exponent,
                 options=replace(options.covariogram, max_iterations=iterations),
                 shared=shared,

@@ -20,7 +20,6 @@ from anisomap.numerics.covariogram.pairs import (
     Vector,
     Weights,
     pack,
-    places_of_pairs,
 )
 from anisomap.numerics.precision import Reals
 
@@ -150,7 +149,7 @@ class Block:
             whitened_known=self._whitened_offset(offset),
             whitened_similarity=self._whitened(similarity),
             inverse_metric=inverse_metric.astype(problem.precision),
-            places=places_of_pairs(len(sensors)),
+            n_sensors=len(sensors),
         )
         self._fixed_products = (
             pairs.product(pairs.known, pairs.whitened_known),

@@ -7,6 +7,7 @@ arithmetic so.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -91,8 +92,8 @@ class Pairs:
     whitened_known, whitened_similarity : ndarray
         The same, whitened: see `anisomap.numerics.covariogram.objective`.
     inverse_metric : ndarray
-    places : ndarray of int, shape (n, n)
-        Place of each pair in the order of pairs; 0 on the diagonal.
+    n_sensors : int
+        Number of sensors, n.
     """
 
     known: Vector
@@ -100,7 +101,7 @@ class Pairs:
     whitened_known: Vector
     whitened_similarity: Vector
     inverse_metric: Vector
-    places: NDArray[np.intp]
+    n_sensors: int
 
     def decay(self, points: Reals, log_exponent: float) -> Decay:
         """Evaluate the shape of the covariogram at the distances of points, shape (n, k)."""
@@ -159,9 +160,14 @@ class Pairs:
 
     def unpack(self, values: Vector) -> Reals:
         """Return the symmetric matrix, shape (n, n), of values of pairs; its diagonal is 0."""
-        matrix = values.take(self.places)
+        matrix = values.take(self._places)
         np.fill_diagonal(matrix, 0.0)
         return matrix
+
+    @cached_property
+    def _places(self) -> NDArray[np.intp]:
+        """Place of each pair in the order of pairs, shape (n, n); 0 on the diagonal."""
+        return np.asarray(squareform(np.arange(len(self.known))), dtype=np.intp)
 
 
 class CompiledPairs(Pairs):
@@ -201,7 +207,13 @@ class CompiledPairs(Pairs):
         """Do as `Pairs.product` does."""
         return float(self._loops.product_of(first, second))
 
-    @property
+    def unpack(self, values: Vector) -> Reals:
+        """Do as `Pairs.unpack` does."""
+        matrix = np.empty((self.n_sensors, self.n_sensors), values.dtype)
+        self._loops.unpack(values, matrix)
+        return matrix
+
+    @cached_property
     def _loops(self) -> Any:
         return load_loops("covariogram")
 
@@ -209,11 +221,6 @@ class CompiledPairs(Pairs):
 def pack(matrix: Reals) -> Vector:
     """Return the pairs i < j of a matrix, shape (n, n)."""
     return np.asarray(squareform(matrix, checks=False))
-
-
-def places_of_pairs(n_points: int) -> NDArray[np.intp]:
-    """Return the place of each pair in the order of pairs, shape (n, n); 0 on the diagonal."""
-    return np.asarray(squareform(np.arange(n_points * (n_points - 1) // 2)), dtype=np.intp)
 
 
 def _sum(values: Vector) -> float:
