@@ -15,6 +15,7 @@ from anisomap.numerics.contacts.contact_agreement import resampled_contact_agree
 from anisomap.numerics.contacts.contact_fit import resample_contacts
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
 from anisomap.numerics.covariogram.minimisation import SharedCurvature
+from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.block_bootstrap import balanced_weights, block_edges, thinning
@@ -119,7 +120,14 @@ def resampled_maps(
             compared = PairStatistics.from_similarity(
                 resample, noise=noise, statistic=pairs.statistic
             )
-            metric = recipe.metric(recipe.dissimilarity(compared, options))
+            if i == 0:
+                dissimilarity = recipe.dissimilarity(compared, options)
+                linked = np.isfinite(dissimilarity)
+            else:
+                # Links that are significant in the recording are not tested again.
+                dissimilarity = direct_dissimilarity(resample, noise)
+                dissimilarity[~linked] = np.inf
+            metric = recipe.metric(dissimilarity)
             fit = fit_covariogram(
                 resample,
                 _scaled(start, metric),
