@@ -61,9 +61,10 @@ class Levels:
     frames: NDArray[np.intp]
     codes: NDArray[np.intp]
 
-    def expand(self, of_levels: NDArray[Any]) -> NDArray[Any]:
+    def expand(self, of_levels: NDArray[Any], out: NDArray[Any] | None = None) -> NDArray[Any]:
         """Return the value of each frame's level, shape (T,), from those of the levels, (m,)."""
-        expanded = np.full(self.n_frames, of_levels[self.usual], of_levels.dtype)
+        expanded = np.empty(self.n_frames, of_levels.dtype) if out is None else out
+        expanded.fill(of_levels[self.usual])
         expanded[self.frames] = of_levels[self.codes]
         return expanded
 
@@ -193,13 +194,9 @@ def rank_columns(sensors: Iterable[NDArray[Any]], shape: tuple[int, ...]) -> NDA
     return join_columns(map(mean_ranks, sensors), shape)
 
 
-def join_columns(
-    sensors: Iterable[NDArray[Any]],
-    shape: tuple[int, ...],
-    dtype: type[np.float32] | type[np.float64] = np.float64,
-) -> NDArray[Any]:
+def join_columns(sensors: Iterable[NDArray[Any]], shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Join columns of shape (T,) to an array of shape (T, N), contiguous by column."""
-    joined = np.empty(shape[::-1], dtype)
+    joined = np.empty(shape[::-1])
     for row, column in zip(joined, sensors, strict=True):
         row[:] = column
     return joined.T

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +22,12 @@ from anisomap.numerics.similarity.rest import ranks_of_depths
 _POWER_OF_RELIABILITY = 5.0
 _POWER_OF_RATIO = 10.0
 _MAX_SENSORS_OF_HALVES = 1500  # of which the halves of two similarities take 72 MB
+
+_MIN_FRAMES_FOR_HALVES = 8192
+"""Frames from which autocorrelations of all frames serve for the halves; chosen by hand.
+
+The halves of shorter recordings differ by up to 10 % in the variance of their correlations.
+"""
 
 
 def blended_correlation(readings: ArrayLike) -> Reals:
@@ -107,27 +115,34 @@ class Blend:
         Its sampling variance for unrelated sensors.
     weights : tuple of float
         Weight of Pearson's r, in [0, 1], in all frames and in each of the `halves`.
-    ranks : ndarray of shape (T, N)
-        Ranks of depths beyond rest.
+    ranks_of_all : ndarray of shape (T, N)
+        Ranks of depths beyond rest, in all frames of the recording.
     halves : tuple of ndarray of shape (N, N)
         See `SplitBlend`.
+    deviations : tuple of ndarray of shape (N, N)
+        Standard deviations of r and of rho of unrelated sensors; empty for short recordings.
+    frames : ndarray of int, optional
+        Frames of the half that was blended.
     """
 
     similarity: Reals
     variance: Reals
     weights: tuple[float, ...]
-    ranks: Reals
+    ranks_of_all: Reals
     halves: tuple[Reals, ...] = ()
+    deviations: tuple[Reals, ...] = ()
+    frames: NDArray[np.intp] | None = None
 
     def select(self, sensors: NDArray[np.bool_]) -> Blend:
         """Return the blend of some of the sensors, given as a mask of shape (N,)."""
         inside = np.ix_(sensors, sensors)
-        return Blend(
-            self.similarity[inside],
-            self.variance[inside],
-            self.weights,
-            self.ranks[:, sensors],
-            tuple(half[inside] for half in self.halves),
+        return replace(
+            self,
+            similarity=self.similarity[inside],
+            variance=self.variance[inside],
+            ranks_of_all=self.ranks_of_all[:, sensors],
+            halves=tuple(half[inside] for half in self.halves),
+            deviations=tuple(one[inside] for one in self.deviations),
         )
 
     @property
@@ -135,11 +150,24 @@ class Blend:
         """Weight of Pearson's r in all frames, in [0, 1]."""
         return self.weights[0]
 
+    @cached_property
+    def ranks(self) -> Reals:
+        """Ranks of depths in the blended frames, shape (t, N)."""
+        if self.frames is None:
+            return self.ranks_of_all
+        return np.asarray(at_frames(self.ranks_of_all, self.frames))
+
     def of_half(self, half: int, frames: NDArray[np.intp], readings: NDArray[np.generic]) -> Blend:
         """Return the blend of one of the halves, given its frames and its readings."""
-        ranks = at_frames(self.ranks, frames)
-        variance = _blended_variance(self.weights[1 + half], readings, ranks)
-        return Blend(self.halves[half], variance, (self.weights[1 + half],), ranks)
+        weight, ranks = self.weights[1 + half], self.ranks_of_all
+        if self.deviations:
+            # Readings are as autocorrelated in a half as in all frames.
+            variance = _combined_variance(weight, self.deviations)
+            variance *= len(ranks) / len(frames)
+        else:
+            parts = (readings, at_frames(ranks, frames))
+            variance = _combined_variance(weight, _deviations(parts))
+        return Blend(self.halves[half], variance, (weight,), ranks, frames=frames)
 
 
 def blend(readings: ArrayLike) -> Blend:
@@ -167,13 +195,21 @@ def blend(readings: ArrayLike) -> Blend:
     """
     values = np.asarray(readings)
     found = split_blend(values, halves=True)
-    variance = _blended_variance(found.weights[0], values, found.ranks)
-    return Blend(found.similarity, variance, found.weights, found.ranks, found.halves)
+    deviations = _deviations((values, found.ranks))
+    variance = _combined_variance(found.weights[0], deviations)
+    kept = deviations if found.halves and len(values) >= _MIN_FRAMES_FOR_HALVES else ()
+    return Blend(found.similarity, variance, found.weights, found.ranks, found.halves, kept)
 
 
-def _blended_variance(weight: float, readings: NDArray[np.generic], ranks: Reals) -> Reals:
-    deviation = weight * np.sqrt(sampling_variance(readings))
-    deviation += (1 - weight) * np.sqrt(sampling_variance(ranks))
+def _deviations(parts: tuple[NDArray[Any], ...]) -> tuple[Reals, ...]:
+    """Return the standard deviations of the correlations of readings and of ranks."""
+    return tuple(np.sqrt(sampling_variance(part)) for part in parts)
+
+
+def _combined_variance(weight: float, deviations: tuple[Reals, ...]) -> Reals:
+    linear, by_rank = deviations
+    deviation = weight * linear
+    deviation += (1 - weight) * by_rank
     return np.asarray(np.square(deviation, out=deviation))
 
 

@@ -19,7 +19,7 @@ _BLOCK_FACTOR = 4  # block length / lag at which autocorrelations fade; see `blo
 _MAX_SENSORS = 64  # regularly sampled sensors whose autocorrelations give the length of blocks
 
 
-_FRAMES_PER_FADING = 16  # frames that resamples use, up to the lag at which autocorrelations fade
+_FRAMES_PER_FADING = 12  # frames that resamples use, up to the lag at which autocorrelations fade
 
 
 def thinning(readings: ArrayLike) -> int:
@@ -33,7 +33,7 @@ def thinning(readings: ArrayLike) -> int:
     Returns
     -------
     int
-        Of 16 frames up to the lag at which the median autocorrelation falls below .1, correlations
+        Of 12 frames up to the lag at which the median autocorrelation falls below .1, correlations
         have about the variance of those of all frames.
     """
     return max(1, _time(np.asarray(readings)) // _FRAMES_PER_FADING)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,14 +42,16 @@ def resampled_correlation(
     found = np.zeros((len(weights), n_sensors, n_sensors), np.float32)
     blocks = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
     at_once = max(8, _STACKED_BYTES // (4 * n_blocks * n_sensors))
+    workspace = np.empty(n_blocks * min(at_once, n_sensors) * n_sensors, np.float32)
     for begin in range(0, n_sensors, at_once):
         # Of each sensor with itself and all later ones.
         rows, columns = slice(begin, begin + at_once), slice(begin, None)
-        products = np.empty((n_blocks, *found[0, rows, columns].shape), np.float32)
+        shape = found[0, rows, columns].shape
+        products = workspace[: n_blocks * math.prod(shape)].reshape(n_blocks, *shape)
         for product, (first, end) in zip(products, blocks, strict=True):
             np.matmul(scaled[rows, first:end], scaled[columns, first:end].T, out=product)
         weighted = share @ products.reshape(n_blocks, -1)
-        found[:, rows, columns] = weighted.reshape(len(weights), *products.shape[1:])
+        found[:, rows, columns] = weighted.reshape(len(weights), *shape)
     for matrix, mean in zip(found, means, strict=True):
         covariance = matrix - np.outer(mean, mean)
         variance = np.diag(covariance)

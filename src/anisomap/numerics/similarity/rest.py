@@ -13,7 +13,6 @@ from anisomap.numerics.columns import (
     columns,
     count_values,
     find_levels,
-    join_columns,
     ranks_from_counts,
 )
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops
@@ -146,22 +145,23 @@ def ranks_of_depths(readings: ArrayLike, *, single: bool = False) -> NDArray[Any
     """
     values = np.asarray(readings)
     dtype = np.float32 if single and len(values) <= _MAX_EXACT_FRAMES else np.float64
-    ranks = (_depths_by_rank(column, dtype) for column in columns(values))
-    return join_columns(ranks, values.shape, dtype)
+    ranks = np.empty(values.shape[::-1], dtype)
+    for own, column in zip(ranks, columns(values), strict=True):
+        _rank_depths(column, own)
+    return ranks.T
 
 
-def _depths_by_rank(
-    column: NDArray[Any], dtype: type[np.float32] | type[np.float64]
-) -> NDArray[Any]:
-    """Rank the readings of one sensor, shape (T,), by their depth."""
+def _rank_depths(column: NDArray[Any], ranks: NDArray[Any]) -> None:
+    """Rank the readings of one sensor, shape (T,), by their depth; overwrite `ranks`."""
     levels = find_levels(column)
     values = levels.values.astype(np.float64)
     value, side, threshold, _ = _rest_of(values, levels.counts)
     depths = np.maximum(side * (values - value) - threshold, 0)[:: int(side)]
     # Depths do not decrease in this order; several readings at rest have depth 0.
-    level = np.cumsum(np.diff(depths, prepend=depths[0]) > 0)
-    ranks = ranks_from_counts(np.bincount(level, weights=levels.counts[:: int(side)])).astype(dtype)
-    return levels.expand(ranks[level][:: int(side)])
+    level = np.zeros(depths.size, dtype=np.intp)
+    np.cumsum(depths[1:] > depths[:-1], out=level[1:])
+    by_level = ranks_from_counts(np.bincount(level, weights=levels.counts[:: int(side)]))
+    levels.expand(by_level[level][:: int(side)], out=ranks)
 
 
 def rest_from_counts(
