@@ -15,6 +15,10 @@ INTERRUPTION = "interrupted; no file was left half-written"
 # objects that stay: with Python's default of 700, the searches take a tenth of the time of imports.
 _NEW_OBJECTS = 100_000
 
+# Binary logarithm of the clock ticks for which threads of OpenBLAS wait busily for work: its least.
+# By default, they take .05 s of a second processor when numpy is loaded, and again with scipy.
+_BUSY_TICKS = "4"
+
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line of this process: see `anisomap.cli.app.main`.
@@ -34,6 +38,7 @@ def main(arguments: list[str] | None = None) -> None:
     import gc  # noqa: PLC0415
 
     gc.set_threshold(_NEW_OBJECTS)
+    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", _BUSY_TICKS)
     from anisomap.cli.process import run_process  # noqa: PLC0415
 
     run_process(arguments)

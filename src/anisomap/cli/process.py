@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 from _thread import interrupt_main
@@ -40,6 +41,7 @@ def run_process(arguments: list[str] | None) -> None:
     finally:
         if is_main:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process ends, without a traceback
+        gc.freeze()  # Python would search all objects for unreachable ones before it ends: .2 s
     sys.exit(code)
 
 
