@@ -331,3 +331,16 @@ def test_invalid_arguments_are_refused(readings, positions, message):
 def test_invalid_options_are_refused(options):
     with pytest.raises(InputError, match=next(iter(options))):
         ContactOptions(**options)
+
+
+@given(st.integers(0, 99), st.sampled_from([np.uint8, np.float64]))
+def test_levels_are_quantiles_of_the_readings_above_rest(seed, dtype):
+    rng = np.random.default_rng(seed)
+    touched = rng.random((200, 6)) < 0.3
+    readings = (touched * rng.integers(20, 200, touched.shape)).astype(dtype)
+    found = assign_levels(readings, 4, 9.0)
+    edges = np.quantile(readings[touched], [0.25, 0.5, 0.75])
+    expected = np.where(touched, 1 + np.searchsorted(edges, readings), 0)
+    np.testing.assert_array_equal(found.values, expected)
+    assert found.max_level == 4
+    assert found.at_rest == pytest.approx(np.mean(~touched))

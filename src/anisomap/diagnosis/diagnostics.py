@@ -267,7 +267,7 @@ def _evidence(
             readings=part.readings,
             similarity=part.pairs.similarity,
             changes=part.pairs.changes,
-            blended=sensor_map.similarity == "blended-correlation",
+            correlation=part.pairs.correlation,
             repeatability=repeatability,
             halves=halves,
         )

@@ -75,7 +75,7 @@ def systematic_doubts(
     readings: ArrayLike | None = None,
     similarity: ArrayLike | None = None,
     changes: ArrayLike | None = None,
-    blended: bool = True,
+    correlation: ArrayLike | None = None,
     repeatability: float = 0.0,
     halves: float = 0.0,
 ) -> tuple[Doubt, ...]:
@@ -93,8 +93,8 @@ def systematic_doubts(
         Correlations of the readings; required with them.
     changes : array_like of shape (n, n), optional
         See `compare_with_other_maps`.
-    blended : bool
-        Whether the similarity is a blended correlation: see `compare_with_other_maps`.
+    correlation : array_like of shape (n, n), optional
+        See `compare_with_other_maps`.
     repeatability : float
         Random error of the map, in spacings. Other maps have random errors as well; that part of
         their difference is not a doubt.
@@ -112,7 +112,7 @@ def systematic_doubts(
     found += _of_faults(faults, positions)
     if readings is not None and similarity is not None:
         others = compare_with_other_maps(
-            readings, positions, similarity, changes=changes, blended=blended
+            readings, positions, similarity, changes=changes, correlation=correlation
         )
         found += _of_halves(halves, repeatability)
         found += _of_spacings(positions)

@@ -51,7 +51,7 @@ def compare_with_other_maps(
     similarity: ArrayLike,
     *,
     changes: ArrayLike | None = None,
-    blended: bool = True,
+    correlation: ArrayLike | None = None,
 ) -> OtherMaps:
     """Measure how much other maps of the same recording differ from a map.
 
@@ -65,9 +65,9 @@ def compare_with_other_maps(
         Correlations of the readings.
     changes : array_like of shape (N, N), optional
         Blended correlations of the differences between frames, if already computed.
-    blended : bool
-        Whether the similarity is `blended_correlation`, with which sensors are judged adjacent; it
-        is computed if not.
+    correlation : array_like of shape (N, N), optional
+        `blended_correlation` of the readings, if the similarity is another one; sensors are judged
+        adjacent by it.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def compare_with_other_maps(
     """
     points, values = np.asarray(positions, dtype=np.float64), np.asarray(similarity)
     graph = neighbour_graph(
-        readings, points, similarity=values if blended else None, changes=changes
+        readings, points, similarity=values if correlation is None else correlation, changes=changes
     )
     steps = shortest_path(graph.adjacency.astype(np.float64), unweighted=True)
     paths = local_path_lengths(values, min(N_NEIGHBOURS, len(points) - 1))

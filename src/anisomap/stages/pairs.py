@@ -193,11 +193,15 @@ class PairStatistics:
 
     @property
     def changes(self) -> Reals | None:
-        """Blended correlation of differences between frames, shape (n, n); None without them.
-
-        Computing it takes as long as that of the readings, and several steps use it.
-        """
+        """Blended correlation of differences between frames, shape (n, n); None without them."""
         return self._changes[0] if self._changes else None
+
+    @cached_property
+    def correlation(self) -> Reals | None:
+        """Blended correlation of the readings, shape (n, n); None without them."""
+        if self.statistic == "blended-correlation":
+            return self.similarity
+        return None if self.readings is None else blended_correlation(self.readings)
 
     @cached_property
     def heights(self) -> ContactHeights | None:

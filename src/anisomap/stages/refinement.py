@@ -240,9 +240,8 @@ def _beyond_covariogram(
     readings = pairs.readings if positions.shape[1] > 1 else None  # a line has no directions
     if readings is None or len(readings) < _MIN_FRAMES:
         return _combined(pairs, replace(unused, positions=positions))
-    correlations = pairs.similarity if pairs.statistic == "blended-correlation" else None
     if evenly_spaced:
-        spaced = refine_by_even_spacing(readings, fit.positions, similarity=correlations)
+        spaced = refine_by_even_spacing(readings, fit.positions, similarity=pairs.correlation)
         logger.debug("unevenness %.2f; spacing used: %s", spaced.unevenness, spaced.applied)
         facts = RefinementFacts(even_spacing=spaced.applied)
         return Refined(spaced.positions, facts, (_EVEN if spaced.applied else _NOT_EVEN,))
@@ -251,7 +250,7 @@ def _beyond_covariogram(
     found = refine_by_contact_heights(
         readings,
         positions,
-        similarity=correlations,
+        similarity=pairs.correlation,
         changes=pairs.changes,
         heights=pairs.heights,
     )

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.numerics.columns import columns, find_levels
+from anisomap.numerics.similarity.rest import quantile_from_counts, rest_from_counts
+
+Floats = NDArray[np.float64]
 
 # Chosen by hand on simulated skins, seeds 101 to 105.
 _MIN_DEPTH = 0.02  # of a sensor's range; readings below are at rest
@@ -56,43 +59,50 @@ def assign_levels(readings: ArrayLike, n_levels: int, max_gain_spread: float) ->
     Levels
         Rest is that of `anisomap.numerics.similarity.rest.estimate_rest`.
     """
-    values = np.asarray(readings, dtype=np.float64)
-    rest = estimate_rest(values)
-    depth = rest.depth(values)
-    typical = _typical_maximum(depth)
-    gains = _gains(depth, typical)
+    values = np.asarray(readings)
+    # Of each sensor, only distinct readings are examined.
+    found = [find_levels(column) for column in columns(values)]
+    distinct = [one.values.astype(np.float64) for one in found]
+    counts = [one.counts for one in found]
+    rest = rest_from_counts(zip(distinct, counts, strict=True))
+    own = list(zip(distinct, rest.value, rest.side, rest.threshold, strict=True))
+    depths = [np.maximum(side * (x - value) - least, 0) for x, value, side, least in own]
+    typical = np.array(
+        [quantile_from_counts(*pair, _RANGE_QUANTILE) for pair in zip(depths, counts, strict=True)]
+    )
+    typical = np.where(typical > 0, typical, [depth.max() for depth in depths])
+    gains = _gains(depths, counts, typical)
     if np.log(gains).std() > max_gain_spread:
-        depth /= gains
+        depths = [depth / gain for depth, gain in zip(depths, gains, strict=True)]
         typical = typical / gains
-    touched = depth > _MIN_DEPTH * np.median(typical)
-    levels = np.zeros(depth.shape, dtype=np.int8)
-    pressed = depth[touched]
+    least_depth = _MIN_DEPTH * np.median(typical)
+    touched = [depth > least_depth for depth in depths]
+    pressed = np.repeat(np.concatenate(depths), np.concatenate(counts) * np.concatenate(touched))
     edges = pressed
     if pressed.size:
         edges = np.unique(np.quantile(pressed, np.arange(1, n_levels) / n_levels))
     edges = edges[edges < pressed.max(initial=0.0)]
-    levels[touched] = 1 + np.searchsorted(edges, pressed, side="left")
-    near_rest = np.maximum(rest.threshold, _MIN_DEPTH * np.ptp(values, axis=0))
-    at_rest = float((np.abs(values - rest.value) <= near_rest).mean())
-    gains = gains / np.median(gains)
+    by_sensor = np.empty(values.shape[::-1], dtype=np.int8)
+    for level, depth, above, row in zip(found, depths, touched, by_sensor, strict=True):
+        own_levels = above * (1 + np.searchsorted(edges, depth, side="left"))
+        level.expand(own_levels.astype(np.int8), out=row)
+    near_rest = [
+        count[np.abs(x - value) <= max(least, _MIN_DEPTH * (x[-1] - x[0]))].sum()
+        for (x, value, _, least), count in zip(own, counts, strict=True)
+    ]
+    at_rest = float(sum(near_rest)) / max(values.size, 1)
+    levels, gains = np.ascontiguousarray(by_sensor.T), gains / np.median(gains)
     for array in (levels, gains):
         array.setflags(write=False)
     return Levels(values=levels, max_level=len(edges) + 1, at_rest=at_rest, gains=gains)
 
 
-def _typical_maximum(depth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a high quantile of the depth of each sensor, or its maximum if that is 0."""
-    # Quantiles of contiguous rows take a fraction of the time that quantiles of columns take.
-    by_sensor = np.array(depth.T, order="C", copy=True)
-    highest = np.quantile(by_sensor, _RANGE_QUANTILE, axis=1, overwrite_input=True)
-    return np.where(highest > 0, highest, depth.max(axis=0))
-
-
-def _gains(depth: NDArray[np.float64], typical_maximum: NDArray[np.float64]) -> NDArray[np.float64]:
+def _gains(depths: list[Floats], counts: list[NDArray[np.int64]], typical: Floats) -> Floats:
     """Return the gain of each sensor; the median of all for a rarely touched sensor."""
-    touched = depth > _MIN_DEPTH * typical_maximum
-    enough = np.flatnonzero(touched.sum(axis=0) > _MIN_TOUCHES)
-    known = [np.quantile(depth[touched[:, i], i], _GAIN_QUANTILE) for i in enough]
-    gains = np.full(depth.shape[1], np.median(known) if known else 1.0)
-    gains[enough] = known
-    return gains
+    gains = np.full(len(depths), np.nan)
+    for i, (depth, count) in enumerate(zip(depths, counts, strict=True)):
+        touched = depth > _MIN_DEPTH * typical[i]
+        if count[touched].sum() > _MIN_TOUCHES:
+            gains[i] = quantile_from_counts(depth[touched], count[touched], _GAIN_QUANTILE)
+    known = np.isfinite(gains)
+    return np.where(known, gains, np.median(gains[known]) if known.any() else 1.0)
