@@ -27,7 +27,6 @@ MAX_REFERENCE_SENSORS = 4000
 MAX_STEPS = 500
 
 _ITERATIONS = 30
-_TIMED_STEPS = 10  # of scikit-learn
 _SHARE_MISSING = 0.3
 
 
@@ -146,11 +145,11 @@ def _needed(compute: Callable[[int | None], Scaling], converged: Scaling, target
 
 def sklearn_majorisation(metric: Matrix, start: Matrix) -> Majorisation:
     """Time scikit-learn's steps; their number is counted with compiled loops to save hours."""
-    cost, factor = cost_of_sklearn_steps(*start.shape)
+    each, factor = time_of_sklearn_step(*start.shape)
     alike = Problem(metric, np.ones((1, len(metric))))
     return Majorisation(
         "sklearn smacof",
-        cost.cpu / _TIMED_STEPS,
+        each,
         describe_share(f"{MAX_REFERENCE_SENSORS:,} sensors", factor),
         MAX_STEPS if factor == 1 else MAX_STEPS // 10,
         partial(_majorise, alike, start, lambda gradient: gradient / (2 * len(metric))),
@@ -158,8 +157,8 @@ def sklearn_majorisation(metric: Matrix, start: Matrix) -> Majorisation:
 
 
 @cache
-def cost_of_sklearn_steps(n_points: int, dimensions: int) -> tuple[Cost, float]:
-    """Return the cost of scikit-learn's steps, which do equal work on any input, and a factor."""
+def time_of_sklearn_step(n_points: int, dimensions: int) -> tuple[float, float]:
+    """Return CPU seconds of scikit-learn's step, equal on any input, and their extrapolation."""
     few = min(n_points, MAX_REFERENCE_SENSORS)
     factor = (n_points / few) ** 2
     rng = np.random.default_rng(0)
@@ -174,13 +173,14 @@ def cost_of_sklearn_steps(n_points: int, dimensions: int) -> tuple[Cost, float]:
                 n_components=dimensions,
                 init=start,
                 n_init=1,
-                max_iter=_TIMED_STEPS,
+                max_iter=_ITERATIONS,
                 eps=0,
                 metric=True,
                 normalized_stress=False,
             )
 
-    return measure_on_one_thread(steps)[0].times(factor), factor
+    cost, _ = measure_on_one_thread(steps)
+    return cost.cpu / _ITERATIONS * factor, factor
 
 
 def weighted_majorisation(metric: Matrix, weights: Matrix, start: Matrix) -> Majorisation:
