@@ -18,7 +18,7 @@ from benchmarks.tables import markdown, significant, write_csv
 SIZES = (256, 1000, 4000)
 LARGE = 20_000
 QUICK = (256, 1000)
-FRAMES = 30_000
+FRAMES = 20_000
 QUICK_FRAMES = 4000
 
 TORSO = "icub_torso.npz"

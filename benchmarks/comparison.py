@@ -30,8 +30,8 @@ class Setting:
     torso : Path, optional
         Real recording, tiled to the number of sensors.
     max_slow_sensors : int
-        Number of sensors up to which the slowest comparisons are made: the default method,
-        scikit-learn's MDS and the scaling with missing pairs.
+        Number of sensors up to which the slowest comparisons are made: scikit-learn's MDS and the
+        scaling with missing pairs.
     more : bool
         Whether to make comparisons that are similar to others, too.
     """

@@ -34,7 +34,7 @@ MAX_REFERENCE_SENSORS = 2000
 NOISY_SKINS = {1500: 20.0, 3000: 30.0}
 """Numbers of sensors of skins with noise, which have other sizes, and the goals there."""
 
-_SOURCES = 20
+_SOURCES = 10
 
 
 def compare_metricising(setting: Setting) -> Iterator[Comparison]:

@@ -39,7 +39,7 @@ CHECKED_SENSORS = 1000
 """Sensors whose correlations are compared with numpy's, whose time is measured on noise."""
 
 _SPEARMAN_FRAMES = 3000
-_FEW_BINS = 2
+_FEW_BINS, _MANY_BINS = 2, 8
 
 
 def compare_pearson(setting: Setting) -> Iterator[Comparison]:
@@ -157,12 +157,13 @@ def compare_information(setting: Setting) -> Iterator[Comparison]:
     """Mutual information of codes, for dense and sparse readings."""
     readings = rubbed_skin(setting.n_sensors, setting.n_frames)[0]
     rng = np.random.default_rng(1)
-    for bins in (2, 4, 8) if setting.more else (2, 8):
+    for bins in (_FEW_BINS, 4, _MANY_BINS):
         if setting.more or bins == _FEW_BINS:
             dense = rng.integers(0, bins, readings.shape, dtype=np.uint16)
             yield _information(f"dense, {bins} bins", dense, 6, drawn=bins == _FEW_BINS)
-        sparse = maximum_entropy_codes(readings, bins)
-        yield _information(f"9 % active, {bins} bins", sparse, 12, drawn=bins == 8)
+        if setting.more or bins == _MANY_BINS:
+            sparse = maximum_entropy_codes(readings, bins)
+            yield _information(f"9 % active, {bins} bins", sparse, 12, drawn=bins == _MANY_BINS)
 
 
 def _information(dataset: str, codes: Codes, goal: float, *, drawn: bool) -> Comparison:

@@ -54,9 +54,6 @@ def compare_whole(setting: Setting) -> Iterator[Comparison]:
     for method, reference in references.items():
         compute = partial(_map, recording, method)
         yield Comparison("whole map from readings", method, compute, (reference,))
-    if setting.n_sensors <= setting.max_slow_sensors:
-        compute = partial(_map, recording, "covariogram")
-        yield Comparison("whole map from readings", "covariogram, the default", compute)
     from_lengths = [rest, _of_sklearn("Isomap", _isomap, lengths, truth)]
     if setting.n_sensors <= setting.max_slow_sensors:
         from_lengths.append(_of_sklearn("MDS", _mds, lengths, truth))
