@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
+from scipy.spatial.distance import pdist, squareform
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError
@@ -31,6 +31,7 @@ from anisomap.numerics.covariogram.objective import (
     Problem,
     solve_amplitude_and_offset,
 )
+from anisomap.numerics.covariogram.pairs import pack
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
 
@@ -197,11 +198,10 @@ def _parallel_blocks(n_sensors: int) -> Iterator[MapFunction]:
 def _estimate_range(similarity: Matrix, positions: Matrix, known: NDArray[np.bool_]) -> float:
     """Return the median distance of pairs with a correlation of about 1 / e."""
     step = -(-len(positions) // _MAX_RANGE_SENSORS)
-    similarity, known = similarity[::step, ::step], known[::step, ::step]
-    distances = cdist(positions[::step], positions[::step])
-    pairs = known & ~np.eye(len(distances), dtype=bool)
+    distances, similar = pdist(positions[::step]), pack(similarity[::step, ::step])
+    pairs: NDArray[np.bool_] = squareform(known[::step, ::step], checks=False)
     lowest, highest = _RANGE_CORRELATIONS
-    one_range = pairs & (similarity > lowest) & (similarity < highest)
+    one_range = pairs & (similar > lowest) & (similar < highest)
     chosen = distances[one_range] if one_range.any() else distances[pairs]
     unit = float(np.median(chosen)) if chosen.size else 0.0
     return unit if unit > 0 else 1.0

@@ -232,7 +232,7 @@ class _Search:
             options={
                 "maxiter": max_iterations,
                 "maxfun": 2 * max_iterations + 20,
-                "maxcor": _MEMORY,
+                "maxcor": min(_MEMORY, max_iterations),
                 "maxls": _LINE_SEARCH,
                 "ftol": _TOO_EXACT,
                 "gtol": 0.0,
