@@ -217,6 +217,7 @@ def refine_by_contact_peaks(
     positions: ArrayLike,
     *,
     similarity: ArrayLike | None = None,
+    changes: ArrayLike | None = None,
     options: GeodesicOptions | None = None,
 ) -> GeodesicRefinement:
     """Refine an uneven map with link lengths estimated from contact peaks.
@@ -225,6 +226,8 @@ def refine_by_contact_peaks(
     ----------
     readings, positions, similarity, options
         As for `refine_by_even_spacing`.
+    changes : array_like of shape (N, N), optional
+        As for `neighbour_graph`.
 
     Returns
     -------
@@ -237,7 +240,9 @@ def refine_by_contact_peaks(
     """
     chosen = options or GeodesicOptions()
     given = np.asarray(positions, dtype=np.float64)
-    graph = neighbour_graph(readings, given, similarity=similarity, options=chosen.neighbours)
+    graph = neighbour_graph(
+        readings, given, similarity=similarity, changes=changes, options=chosen.neighbours
+    )
     adjacency, uneven = graph.adjacency, unevenness(given, graph.adjacency)
     if (
         uneven <= chosen.max_unevenness

@@ -185,19 +185,29 @@ def _links(heights: HeightSimilarity, max_ratio: float) -> NDArray[np.bool_]:
 def _relax(positions: Matrix, lengths: Matrix, weights: Matrix, lower: Matrix) -> Matrix:
     """Minimise the errors of lengths and the violations of lower bounds."""
     shape = positions.shape
-    diagonal = np.eye(len(positions), dtype=bool)
-    targets = np.maximum(lengths, _TINY) + diagonal
-    bounds = np.maximum(lower, _TINY)
+    per_length, per_bound = 1 / np.maximum(lengths, _TINY), 1 / np.maximum(lower, _TINY)
+    for one in (per_length, per_bound):
+        np.fill_diagonal(one, 1.0)
+    # New matrices would take longer to allocate than to compute.
+    distances, errors, violations, weighted = np.empty((4, *lengths.shape))
 
     def value_and_gradient(parameters: Matrix) -> tuple[float, Matrix]:
         points = parameters.reshape(shape)
-        distances = np.maximum(cdist(points, points), _TINY) + diagonal
-        errors = distances / targets - 1
-        violations = np.maximum(0.0, 1 - distances / bounds)
-        violations[diagonal] = 0.0
-        value = (weights * errors**2).sum() + _BOUND_WEIGHT * (violations**2).sum()
-        slope = (weights * errors / targets - _BOUND_WEIGHT * violations / bounds) / distances
-        np.fill_diagonal(slope, 0.0)
+        cdist(points, points, out=distances)
+        np.maximum(distances, _TINY, out=distances)
+        np.fill_diagonal(distances, 1.0)  # neither an error nor a violation
+        np.multiply(distances, per_length, out=errors)
+        np.subtract(errors, 1.0, out=errors)
+        np.multiply(distances, per_bound, out=violations)
+        np.subtract(1.0, violations, out=violations)
+        np.maximum(violations, 0.0, out=violations)
+        np.multiply(weights, errors, out=weighted)
+        value = np.vdot(weighted, errors) + _BOUND_WEIGHT * np.vdot(violations, violations)
+        np.multiply(weighted, per_length, out=weighted)
+        np.multiply(violations, per_bound, out=violations)
+        np.multiply(violations, _BOUND_WEIGHT, out=violations)
+        slope = np.subtract(weighted, violations, out=weighted)
+        np.divide(slope, distances, out=slope)
         gradient = 4 * (slope.sum(axis=1)[:, None] * points - slope @ points)
         return float(value), gradient.ravel()
 

@@ -174,7 +174,7 @@ def refine_by_contact_heights(
             return unchanged
     whole = heights.compare()
     fitted = fit_height_map(whole, given, chosen.maps)
-    by_peaks = refine_by_contact_peaks(values, given, similarity=correlation)
+    by_peaks = refine_by_contact_peaks(values, given, similarity=correlation, changes=changes)
     passed = HeightMap(by_peaks.positions, graph.adjacency) if by_peaks.applied else None
     confirmed = (
         passed is not None
