@@ -81,5 +81,9 @@ def gauss_newton_matrix(
 def _add_block(
     matrix: Matrix, block: Matrix, rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> None:
-    """Do as `anisomap.numerics.compiled.blocks.add_block` does."""
-    matrix[np.ix_(rows, columns)] += block
+    """Do as `anisomap.numerics.compiled.blocks.add_block` does, for sorted rows and columns."""
+    if rows[-1] - rows[0] < len(rows) and columns[-1] - columns[0] < len(columns):
+        # All sensors are in one block: slices take a tenth of the time of indices.
+        matrix[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += block
+    else:
+        matrix[np.ix_(rows, columns)] += block
