@@ -8,10 +8,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, eye_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from anisomap.numerics.contacts.levels import Levels
+from anisomap.numerics.graph.connectivity import spanning_tree
 
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -150,13 +151,13 @@ def find_contacts(
 def _neighbourhood(positions: Matrix) -> _Neighbourhood:
     distances = cdist(positions, positions)
     n_sensors = len(distances)
-    near = np.argsort(distances, axis=1)[:, 1 : min(_N_NEIGHBOURS, n_sensors - 1) + 1]
+    n_near = min(_N_NEIGHBOURS, n_sensors - 1)
+    near = np.argpartition(distances, n_near, axis=1)[:, : n_near + 1]  # and the sensor itself
     adjacency = np.zeros(distances.shape, dtype=bool)
     np.put_along_axis(adjacency, near, values=True, axis=1)
+    np.fill_diagonal(adjacency, val=False)
     adjacency &= adjacency.T
-    # scipy.sparse.csgraph reads a dense 0 as no edge.
-    tree = minimum_spanning_tree(np.maximum(distances, np.finfo(float).tiny)).toarray() > 0
-    tree |= tree.T
+    tree = spanning_tree(distances)
     link = float(np.median(distances[adjacency | tree]))
     adjacency = (adjacency & (distances < _MAX_LINK * link)) | tree
     return _Neighbourhood(
