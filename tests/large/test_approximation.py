@@ -132,16 +132,13 @@ def test_health_of_many_sensors_is_assessed_from_an_excerpt(monkeypatch):
     np.testing.assert_array_equal(*np.array(contacts)[:, at_rest])
 
 
-def test_behaviour_does_not_depend_on_blocks(monkeypatch):
+def test_behaviour_of_many_sensors_is_that_of_few(monkeypatch):
     readings = READINGS[:, :40].astype(float)
     readings[:, 5] = np.random.default_rng(0).normal(size=len(readings))
     whole = behaviour.observe(readings)
-    monkeypatch.setattr(behaviour, "BLOCK_READINGS", 6000 * 7)
-    blocks = behaviour.observe(readings)
     monkeypatch.setattr(behaviour, "MAX_ALL_PAIRS", 39)
     many = behaviour.observe(readings)
     for name in ("active", "contacts", "at_ceiling", "unexplained", "lag_correlation"):
-        np.testing.assert_allclose(getattr(blocks, name), getattr(whole, name), rtol=1e-12)
         np.testing.assert_allclose(getattr(many, name), getattr(whole, name), rtol=1e-12)
     np.testing.assert_allclose(many.best_match, whole.best_match, atol=1e-5)
     assert many.shifted_match[5] >= many.best_match[5]

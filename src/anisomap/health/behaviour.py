@@ -14,14 +14,12 @@ from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.rest import Rest
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 
-BLOCK_READINGS = 1 << 20
-"""Readings processed at a time, as float64: 8 MB."""
-
 MAX_ALL_PAIRS = 4096
 """Number of sensors above which no matrix of all pairs is computed: 128 MB of float64."""
 
 _N_NEAREST = 4  # most similar sensors that are checked for the same contact; chosen by hand
 _MIN_CLEAR_R = 0.6  # sensors with a higher r are never tested for isolation; chosen by hand
+_ROWS_AT_ONCE = 64  # of a product; single rows would be as slow as some
 _N_SHIFTS = 19  # an unrelated sensor exceeds all of them with probability 1/20
 _MIN_AUTOCORRELATION = 0.05  # at lag 2, for the noise share to use it; chosen by hand
 
@@ -171,7 +169,7 @@ def _find_matches(readings: NDArray[np.floating]) -> Matches:
     if count < 1:
         return Matches(np.full((n_sensors, 1), NO_SENSOR), np.full(n_sensors, np.nan))
     if n_sensors > MAX_ALL_PAIRS:
-        found, r = most_similar(np.ascontiguousarray(_standardised(readings).T), count)
+        found, r = most_similar(_standardised(readings), count)
         return Matches(found, r[:, 0].astype(np.float64))
     correlation = pearson(readings)
     np.fill_diagonal(correlation, -np.inf)
@@ -228,30 +226,29 @@ def _match_after_shifts(
     if not suspects.size or n_frames < 2 * _N_SHIFTS:
         return highest
     others = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, MAX_ALL_PAIRS)).astype(int))
-    standard = _standardised(readings[:, others])
+    every = others.size == n_sensors
+    standard = _standardised(readings if every else readings[:, others])
+    shifts = [step * n_frames // (_N_SHIFTS + 1) for step in range(1, _N_SHIFTS + 1)]
     for start in range(0, suspects.size, MAX_ALL_PAIRS):
         part = suspects[start : start + MAX_ALL_PAIRS]
-        every = others.size == n_sensors
-        mine = standard[:, part] if every else _standardised(readings[:, part])
+        mine = standard[part] if every else _standardised(readings[:, part])
         itself = part[:, None] == others
-        for step in range(1, _N_SHIFTS + 1):
-            shift = step * n_frames // (_N_SHIFTS + 1)
-            correlation = mine[:-shift].T @ standard[shift:]
-            correlation += mine[-shift:].T @ standard[:shift]
-            correlation[itself] = -1
-            highest[part] = np.maximum(highest[part], correlation.max(axis=1))
+        n_at_once = max(1, _ROWS_AT_ONCE // part.size)
+        for begin in range(0, _N_SHIFTS, n_at_once):
+            shifted = [np.roll(mine, shift, axis=1) for shift in shifts[begin : begin + n_at_once]]
+            correlation = np.concatenate(shifted) @ standard.T
+            for one in correlation.reshape(-1, *itself.shape):
+                one[itself] = -1
+                highest[part] = np.maximum(highest[part], one.max(axis=1))
     return highest
 
 
 def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Scale every sensor to mean 0 and norm 1; the order of the array is kept."""
-    width = max(1, BLOCK_READINGS // len(readings))
-    standard = np.empty_like(readings, dtype=np.float32)
-    for start in range(0, readings.shape[1], width):
+    """Scale every sensor to mean 0 and norm 1, shape (n, T)."""
+    standard = np.empty(readings.shape[::-1], dtype=np.float32)
+    for column, row in zip(columns(readings), standard, strict=True):
         # Differences of float32 numbers are rounded relative to themselves.
-        block = readings[:, start : start + width]
-        block = block - block.mean(axis=0, dtype=np.float64).astype(block.dtype)
-        block /= np.maximum(block.max(axis=0), -block.min(axis=0))
-        block /= np.sqrt(np.einsum("ti,ti->i", block, block))
-        standard[:, start : start + width] = block
+        centred = column - column.mean(dtype=np.float64).astype(column.dtype)
+        centred /= max(centred.max(), -centred.min())
+        np.divide(centred, np.sqrt(centred @ centred), out=row, casting="same_kind")
     return standard

@@ -129,8 +129,9 @@ class _Excerpt:
     """Standardised readings of some frames, and their covariances with some sensors."""
 
     def __init__(self, readings: NDArray[Any], varying: NDArray[np.intp], most: int) -> None:
-        values = standardised(readings[middle_frames(len(readings), most)][:, varying])
-        self.rows = np.ascontiguousarray(values.T)
+        part = readings[middle_frames(len(readings), most)]
+        some = part if varying.size == part.shape[1] else part[:, varying]
+        self.rows = np.ascontiguousarray(standardised(some).T)
         self.varying = varying
         self.number = {int(i): k for k, i in enumerate(varying)}
         self.others = some_sensors(varying.size)

@@ -18,6 +18,8 @@ _MIN_SPIKES = 5  # in a recording
 _MAX_SHARE = 0.15  # of the frames; white noise jumps up in a third of them
 _MIN_LINK = 0.7  # correlation of the jumps of two sensors of a board; chosen by hand
 _MIN_HEIGHT = 0.1  # standard deviations of the readings; less changes no correlation
+_MIN_EQUAL = 0.5  # share of the common jumps that are spikes; chosen by hand
+_MIN_JUDGED = 20  # common jumps from which half that share tells contacts; chosen by hand
 _MAX_SPREAD = 0.1  # relative spread of the jumps of the sensors of a board; contacts have 0.3
 _FRAMES_AT_ONCE, _SENSORS_AT_ONCE = 4096, 64  # of which jumps are computed; they fit in the cache
 _MAX_SENSORS = 1024  # in which spikes are searched
@@ -68,16 +70,17 @@ def find_spikes(readings: NDArray[Any]) -> tuple[Spikes, ...]:
     jumping = np.count_nonzero(jumps, axis=1) >= _MIN_SPIKES
     if np.count_nonzero(jumping) < _MIN_GROUP:
         return ()
-    chosen = chosen[jumping]
-    linked = pearson(jumps[jumping].T) > _MIN_LINK
+    chosen, jumps = chosen[jumping], jumps[jumping]
+    linked = pearson(jumps.T) > _MIN_LINK
     n_groups, group = connected_components(linked, directed=False)
     found = []
     for number in range(n_groups):
         members = chosen[group == number]
-        if members.size >= _MIN_GROUP:
-            spikes = _shared(readings, members)
-            if spikes is not None:
-                found.append(spikes)
+        if members.size < _MIN_GROUP or not _may_be_equal(jumps[group == number]):
+            continue
+        spikes = _shared(readings, members)
+        if spikes is not None:
+            found.append(spikes)
     return tuple(found)
 
 
@@ -104,6 +107,26 @@ def _jumps(readings: NDArray[Any], sensors: NDArray[np.intp], frames: slice) -> 
     return jumps
 
 
+def _may_be_equal(jumps: NDArray[np.float32]) -> bool:
+    """Return whether jumps of a group, shape (n, t), can be spikes, or are too few to tell."""
+    frames = _jumping_together(jumps)
+    if frames.size < _MIN_JUDGED:
+        return frames.size > 0
+    return bool(np.mean(_equal(jumps[:, frames])[1]) >= _MIN_EQUAL / 2)
+
+
+def _jumping_together(jumps: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Return the frames in which most sensors jump."""
+    return np.flatnonzero(np.count_nonzero(jumps, axis=0) >= _MIN_AT_ONCE * len(jumps))
+
+
+def _equal(heights: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the median height of jumps, shape (n, t), and where all are about equally high."""
+    height = np.median(heights, axis=0)
+    spread = np.median(np.abs(heights - height), axis=0) / np.maximum(height, 1e-30)
+    return height, spread <= _MAX_SPREAD
+
+
 def _shared(readings: NDArray[Any], members: NDArray[np.intp]) -> Spikes | None:
     """Return the spikes of a group; None if its jumps differ, as those of contacts do."""
     n_frames = len(readings)
@@ -111,17 +134,14 @@ def _shared(readings: NDArray[Any], members: NDArray[np.intp]) -> Spikes | None:
     for begin in range(1, n_frames - 1, _FRAMES_AT_ONCE):
         stop = min(begin + _FRAMES_AT_ONCE, n_frames - 1)
         jumps = _jumps(readings, members, slice(begin - 1, stop + 1))[:, 1:-1]
-        found = np.flatnonzero(np.count_nonzero(jumps, axis=0) >= _MIN_AT_ONCE * members.size)
+        found = _jumping_together(jumps)
         often.append(begin + found)
-        tall.append(jumps[:, found].T)
+        tall.append(jumps[:, found])
     frames = np.concatenate(often)
     if not _MIN_SPIKES <= frames.size <= _MAX_SHARE * n_frames:
         return None
-    heights = np.concatenate(tall)
-    height = np.median(heights, axis=1)
-    spread = np.median(np.abs(heights - height[:, None]), axis=1) / np.maximum(height, 1e-30)
-    equal = spread <= _MAX_SPREAD
-    if np.count_nonzero(equal) < max(_MIN_SPIKES, 0.5 * frames.size):
+    height, equal = _equal(np.concatenate(tall, axis=1))
+    if np.count_nonzero(equal) < max(_MIN_SPIKES, _MIN_EQUAL * frames.size):
         return None
     if np.unique(height[equal].round(6)).size < min(_MIN_LEVELS, equal.sum() / 2):
         return None
