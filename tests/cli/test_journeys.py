@@ -238,6 +238,21 @@ def test_help_imports_nothing_heavy():
     assert "map" in done.stdout
 
 
+def test_a_map_of_few_sensors_imports_no_more_than_it_needs(tmp_path):
+    np.savez(tmp_path / "skin.npz", readings=flat_skin(n_frames=500).readings)
+    code = (
+        "import sys\n"
+        "from anisomap.cli.app import main\n"
+        "try: main(['map', 'skin.npz', '-o', 'map.csv', '-q'])\n"
+        "except SystemExit as end: assert end.code == 0\n"
+        "print(*sys.modules)\n"
+    )
+    loaded = subprocess.check_output([sys.executable, "-c", code], text=True, cwd=tmp_path).split()
+    assert "scipy.optimize" in loaded
+    unneeded = {"asyncio", "h5py", "matplotlib", "numba", "pyarrow", "scipy.cluster", "scipy.stats"}
+    assert not (unneeded | {"scipy.ndimage", "sklearn", "ssl"}) & set(loaded)
+
+
 @pytest.mark.parametrize(
     ("name", "said"),
     [

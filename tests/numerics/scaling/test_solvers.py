@@ -143,7 +143,10 @@ def test_no_step_raises_the_stress(compiled, solver, case):
 def test_for_few_points_the_default_is_never_above_majorisation(case):
     problem, start = case
     published = SOLVERS["majorization"](problem, start, 1e-8, 300)
-    assert SOLVERS["auto"](problem, start, 1e-8, 300).trace[-1] <= published.trace[-1]
+    found = SOLVERS["auto"](problem, start, 1e-8, 300)
+    # Of two ways to the same minimum, one ends within the tolerance of the other.
+    negligible = 1e-12 * problem.weighted_squares()
+    assert found.trace[-1] <= (1 + 1e-6) * published.trace[-1] + negligible
 
 
 def by_both(n_rows, seed, dimensions):

@@ -109,14 +109,14 @@ def majorise(
     tolerance, max_iterations
         See `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
     known : SolverResult, optional
-        A minimum; iterations that approach it from above (`NEAR`) end.
+        Iterations that approach it from above (`NEAR`) end if it converged.
     """
     targets, weights = problem.targets, problem.weights
     weighted_targets = weights * targets
     solve = _laplacian_solver(problem)
     negligible = NEGLIGIBLE * problem.weighted_squares()
     positions, distances = start, cdist(start, start)
-    approaches = _never if known is None else _approaching(known)
+    approaches = _approaching(known) if known is not None and known.converged else _never
     trace = [_raw_stress(problem, distances)]
     converged = trace[0] == 0
     while not converged and len(trace) <= max_iterations:
