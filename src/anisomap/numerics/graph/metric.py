@@ -91,7 +91,7 @@ def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of shape (N, N)
-        The greatest ultrametric that nowhere exceeds the input.
+        The greatest ultrametric that nowhere exceeds the input; in float32 if the input is.
 
     Raises
     ------
@@ -110,14 +110,14 @@ def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
             "dissimilarities must be finite for minimax paths; split connected components first"
         )
     n_objects = len(lengths)
-    order, added_by = np.zeros(n_objects, dtype=np.intp), np.zeros(n_objects)
+    order, added_by = np.zeros(n_objects, dtype=np.intp), np.zeros(n_objects, lengths.dtype)
     nearest, outside = lengths[:1].ravel().copy(), np.ones(n_objects, dtype=bool)
     for k in range(1, n_objects):
         outside[order[k - 1]] = False
         order[k] = np.where(outside, nearest, np.inf).argmin()
         added_by[k] = nearest[order[k]]
         np.minimum(nearest, lengths[order[k]], out=nearest)
-    longest = np.zeros((n_objects, n_objects))
+    longest = np.zeros((n_objects, n_objects), lengths.dtype)
     for k in range(n_objects):
         np.maximum.accumulate(added_by[k + 1 :], out=longest[k, k + 1 :])
     mirror(longest, upper=True)

@@ -52,9 +52,8 @@ def sparse_comoments(readings: NDArray[Any]) -> tuple[Floats, Floats]:
 
     def add(begin: int) -> None:
         rows = slice(begin, min(begin + _PANEL_ROWS, n_sensors))
-        panel = np.outer(sums[rows], sums / -n_frames)
-        load_loops("products").add_products(panel, begin, sensors, depths, begins)
-        products[rows] = panel
+        np.outer(sums[rows], sums / -n_frames, out=products[rows])
+        load_loops("products").add_products(products[rows], begin, sensors, depths, begins)
 
     with parallel_map(n_sensors) as map_threads:
         map_threads(add, range(0, n_sensors, _PANEL_ROWS))
