@@ -9,7 +9,7 @@ from anisomap.errors import AnisomapWarning
 from anisomap.simulation import BODIES, SCENARIOS, find_body, simulate
 
 
-def main(n_frames: int = 2000) -> None:
+def main(n_frames: int = 1000) -> None:
     """Print frames per second of each scenario, for its simplest and its most complex body."""
     print("| scenario | body | sensors | frames per second |")
     print("|---|---|---|---|")
