@@ -117,8 +117,8 @@ class MapParts:
 
         Notes
         -----
-        Every half is mapped from the beginning, up to the fit of contacts, without lengths from
-        heights of contacts if the map of the whole recording has none. Where its map then
+        Every half is mapped from the beginning, up to the fit of contacts; heights of
+        contacts are examined if they contradict the map of the whole recording. Where its map then
         agrees with that of the whole recording, the fit of the whole recording is continued with
         the contacts of the half, instead of repeated.
         """
@@ -169,7 +169,7 @@ class MapParts:
         ) -> Refined:
             made = part.refinement
             # Whether heights contradict a map is known best from the whole recording.
-            heights = made is None or made.facts.contact_peaks
+            heights = made is None or made.facts.heights_contradict
             mapped = refine_without_contacts(
                 pairs,
                 metric,

@@ -89,6 +89,8 @@ class RefinementFacts:
         The heights of contacts contradict the covariogram map, but do not give a reliable one.
     curved : bool
         Sensors lie along a curve on the map.
+    heights_contradict : bool
+        The heights of contacts contradict the covariogram map.
     n_contacts : int or None
         Number of fitted contacts; None if the map does not use them, 0 if the method
         "contact-fit" rejected them.
@@ -104,6 +106,7 @@ class RefinementFacts:
     uneven: bool = False
     unresolved: bool = False
     curved: bool = False
+    heights_contradict: bool = False
     n_contacts: int | None = None
     unexplained: float | None = None
     path_weight: float = 0.0
@@ -268,6 +271,7 @@ def _beyond_covariogram(
         uneven=notes[_NOT_CORRECTED],
         unresolved=notes[_UNRESOLVED],
         curved=notes[_CURVE],
+        heights_contradict=found.contradicted,
     )
     refined = Refined(found.positions, facts, tuple(n for n, holds in notes.items() if holds))
     return refined if found.applied else _combined(pairs, refined)

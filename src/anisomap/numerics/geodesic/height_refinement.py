@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -108,12 +108,15 @@ class HeightRefinement:
         False if heights contradict the given map, but do not suffice for a reliable one.
     unevenness : float
         `unevenness` of the given map.
+    contradicted : bool
+        Whether heights contradict the given map, so that it was attempted to apply lengths.
     """
 
     positions: Matrix
     applied: bool
     trusted: bool
     unevenness: float
+    contradicted: bool = False
 
 
 def refine_by_contact_heights(
@@ -172,6 +175,7 @@ def refine_by_contact_heights(
         explained = explained_share(halves, given, sharing)
         if not (heights.usable and _contradicted(explained, chosen)):
             return unchanged
+    unchanged = replace(unchanged, contradicted=True)
     whole = heights.compare()
     fitted = fit_height_map(whole, given, chosen.maps)
     by_peaks = refine_by_contact_peaks(values, given, similarity=correlation, changes=changes)
@@ -200,8 +204,9 @@ def refine_by_contact_heights(
                 and share >= chosen.min_trusted_linear
                 and _halves_agree(height_halves(heights, len(values)), given, chosen)
             )
-            return HeightRefinement(_scaled(candidate.positions, given), True, trusted, uneven)
-    return HeightRefinement(given, False, False, uneven)
+            scaled = _scaled(candidate.positions, given)
+            return HeightRefinement(scaled, True, trusted, uneven, contradicted=True)
+    return replace(unchanged, trusted=False)
 
 
 def examined_heights(readings: NDArray[Any]) -> ContactHeights:
