@@ -29,7 +29,8 @@ from benchmarks.inputs import rubbed_skin
 from benchmarks.measuring import threads
 from benchmarks.tables import growth_exponent, significant
 
-SENSORS = (250, 500, 1000, 2000, 4000)
+SENSORS = (250, 1000, 4000)
+MORE_SENSORS = (250, 500, 1000, 2000, 4000)
 FRAMES = (1000, 10_000, 30_000, 100_000)
 FEW_FRAMES, FEW_SENSORS = 4000, 250
 """Frames of the journeys of many sensors, and sensors of those of many frames."""
@@ -45,7 +46,7 @@ SHELL_SENSORS, SHELL_FRAMES = 60, 2000
 """Size of the recording that is mapped from the shell: that of ``anisomap demo``."""
 
 _LEVELS = 255  # of readings of 8 bits
-_WARM_UPS = (30, 600, 2000)  # sensors: without compiled loops, with them, and in float32
+_WARM_UPS = (30, 600)  # sensors: without compiled loops, and with them
 _WARM_UP_FRAMES = 400
 _DIMENSIONS = 3
 
@@ -216,12 +217,15 @@ def markdown(made: Sequence[Journey]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Make all journeys, and write ``journeys-table.md`` and ``journeys.csv``."""
     parser = argparse.ArgumentParser(prog="benchmarks.journeys", description=__doc__)
-    parser.add_argument("--large", action="store_true", help="also 4,000 sensors x 30,000 frames")
+    parser.add_argument(
+        "--large", action="store_true", help="more sizes, also 4,000 sensors x 30,000 frames"
+    )
     parser.add_argument("--sensors", type=int, nargs="+", help="numbers of sensors, increasing")
     parser.add_argument("--frames", type=int, nargs="+", help="numbers of frames, increasing")
     parser.add_argument("-o", "--output", type=Path, default=Path("bench"), help="output folder")
     chosen = parser.parse_args(arguments)
-    sensors, frames = chosen.sensors or SENSORS, chosen.frames or FRAMES
+    sensors = chosen.sensors or (MORE_SENSORS if chosen.large else SENSORS)
+    frames = chosen.frames or FRAMES
     made: list[Journey] = []
     for journey in journeys(sensors, frames, RUBBED + LARGE if chosen.large else RUBBED):
         made.append(journey)
