@@ -9,6 +9,8 @@ LARGE ?=
 ARGS ?=
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
+# Without byte code on disk, every process that a test starts compiles the package again: .4 s.
+unexport PYTHONDONTWRITEBYTECODE
 .PHONY: help demo paper numbers test test-all coverage check format bench quality faults trust dimension uncertainty fuzz tables docs clean
 
 help:  ## list the targets
