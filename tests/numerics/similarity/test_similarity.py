@@ -9,7 +9,11 @@ from scipy import stats
 from sklearn.metrics import mutual_info_score
 
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
-from anisomap.numerics.similarity.accumulators import CHUNK_FRAMES, Moments
+from anisomap.numerics.similarity.accumulators import (
+    CHUNK_FRAMES,
+    MIN_FAST_PRODUCT_SENSORS,
+    Moments,
+)
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import information_from_codes, mutual_information
@@ -152,6 +156,17 @@ def test_results_do_not_depend_on_chunks():
     codes = maximum_entropy_codes(readings, 3)
     expected = mutual_info_score(codes[:, 0], codes[:, 1])
     assert information_from_codes(codes)[0, 1] == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_correlations_of_readings_with_a_large_offset_are_accurate(order):
+    rng = np.random.default_rng(2)
+    readings = rng.normal(3e6, 1, size=(8000, MIN_FAST_PRODUCT_SENSORS))
+    # Rare contacts: with frequent ones, the spread of the readings would hide a wrong centre.
+    readings += rng.uniform(0, 500, readings.shape) * (rng.random(readings.shape) < 3e-4)
+    readings = np.asarray(readings, np.float32, order=order)
+    exact = np.corrcoef(readings.T.astype(np.float64))
+    np.testing.assert_allclose(pearson(readings), exact, atol=1e-5)
 
 
 @pytest.mark.parametrize("constant", [0.1, 1e9, -3.0])

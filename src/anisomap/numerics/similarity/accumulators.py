@@ -225,8 +225,9 @@ def _float32_deviations(
     if (extent > _FLOAT32_RANGE).any() or ((extent < 1 / _FLOAT32_RANGE) & (extent > 0)).any():
         return None
     if chunk.dtype == np.float32:
-        # A difference of numbers in float32 is rounded relative to itself.
-        mean = np.clip(chunk.mean(axis=0), lowest, highest).astype(np.float32)
+        # Sums of rows in float32 would be rounded relative to themselves, and the mean be far off;
+        # a difference of numbers in float32 is rounded relative to the difference.
+        mean = np.clip(chunk.mean(axis=0, dtype=np.float64), lowest, highest).astype(np.float32)
         return mean.astype(np.float64), chunk - mean
     mean = np.where(extent > 0, chunk.mean(axis=0, dtype=np.float64), lowest)
     deviations = np.empty(chunk.shape, dtype=np.float32)
