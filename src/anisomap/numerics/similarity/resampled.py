@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from anisomap.numerics.precision import mirror
 
-_SENSORS_AT_ONCE = 32  # sensors standardised at a time; chosen by hand
+_SENSORS_AT_ONCE = 32  # sensors scaled at a time; chosen by hand
 _FLOAT32_RANGE = 1e15  # of readings that are centred in float32
 _STACKED_BYTES = 1 << 24  # of products of all blocks for some sensors; chosen by hand
 
@@ -34,7 +34,7 @@ def resampled_correlation(
         Symmetric, ones on the diagonal; 0 for sensors that are constant in a resample. Accurate
         to 1e-5.
     """
-    scaled = _standardised(readings)
+    scaled = _scaled(readings)
     n_sensors, n_blocks = len(scaled), len(edges) - 1
     share = weights / (weights @ np.diff(edges))[:, None]
     share = share.astype(np.float32)
@@ -62,8 +62,8 @@ def resampled_correlation(
     return np.asarray(np.clip(found, -1, 1, out=found))
 
 
-def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Centre and scale the readings of each sensor, shape (N, T)."""
+def _scaled(readings: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Centre the readings of each sensor and scale them to [-1, 1], shape (N, T)."""
     scaled = np.empty(readings.shape[::-1], np.float32)
     for begin in range(0, len(scaled), _SENSORS_AT_ONCE):
         part = np.ascontiguousarray(readings[:, begin : begin + _SENSORS_AT_ONCE].T)
@@ -73,7 +73,8 @@ def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
             part = part.astype(np.float64)
         part = part - part[:, :1]  # exactly 0 for constant sensors
         part -= part.mean(axis=1)[:, None]
-        deviation = np.sqrt(np.einsum("it,it->i", part, part) / max(part.shape[1], 1))
-        part /= np.where(deviation > 0, deviation, 1)[:, None]
+        # Squares of readings, such as in a standard deviation, might underflow.
+        greatest = np.abs(part).max(axis=1)
+        part /= np.where(greatest > 0, greatest, 1)[:, None]
         scaled[begin : begin + _SENSORS_AT_ONCE] = part
     return scaled
