@@ -29,7 +29,8 @@ def test_recordings_are_immutable():
     recording = Recording(given, positions=np.zeros((2, 2)), times=[0, 1, 2])
     given[:] = 9
     assert not recording.readings.any()
-    for array in (recording.readings, recording.positions, recording.times):
+    arrays = (recording.readings, recording.positions, recording.times, *recording.extremes)
+    for array in arrays:
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
     with pytest.raises(TypeError):

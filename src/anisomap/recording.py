@@ -152,7 +152,7 @@ class Recording:
 
         At least one of them is NaN or infinite if readings of the sensor are missing.
         """
-        return self.readings.min(axis=0), self.readings.max(axis=0)
+        return _frozen(self.readings.min(axis=0)), _frozen(self.readings.max(axis=0))
 
     def varying(self) -> NDArray[np.bool_]:
         """Find the sensors that vary.
