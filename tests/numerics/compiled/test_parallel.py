@@ -1,5 +1,8 @@
 """Threads of loops and of BLAS."""
 
+import subprocess
+import sys
+
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -17,3 +20,29 @@ def test_blas_is_limited_for_small_matrices_and_restored(n_rows, expected):
         with limited_blas(n_rows):
             assert threads() == {expected}
         assert threads() == {2}
+
+
+def test_blas_that_scipy_loads_after_the_first_limit_is_limited():
+    # Another thread may limit BLAS while scipy.linalg is being imported.
+    program = """if True:
+        import sys
+        from threadpoolctl import threadpool_info, threadpool_limits
+        from anisomap.numerics.compiled.parallel import limited_blas
+
+        class LimitDuringImport:
+            calls = 0
+
+            def find_spec(self, name, path=None, target=None):
+                if name.startswith("scipy.linalg.") and not self.calls:
+                    self.calls += 1
+                    with limited_blas(10):
+                        pass
+
+        finder = LimitDuringImport()
+        sys.meta_path.insert(0, finder)
+        import scipy.linalg
+        assert finder.calls
+        with threadpool_limits(2, user_api="blas"), limited_blas(10):
+            assert {b["num_threads"] for b in threadpool_info() if b["user_api"] == "blas"} == {1}
+    """
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -75,7 +75,8 @@ def limited_blas(n_rows: int) -> Iterator[None]:
     BLAS threads busy-wait for each other: on a loaded machine, small products take ten times the
     CPU time with several threads.
     """
-    with _controller("scipy.linalg" in modules).limit(
+    # An import of scipy.linalg that is under way in another thread may not have loaded its BLAS.
+    with _controller(hasattr(modules.get("scipy.linalg"), "blas")).limit(
         limits=1 if n_rows < MIN_PARALLEL_ROWS else None, user_api="blas"
     ):
         yield
