@@ -140,7 +140,7 @@ def test_no_step_raises_the_stress(compiled, solver, case):
 
 
 @given(problems())
-def test_for_few_points_the_default_is_never_above_majorisation(case):
+def test_for_few_points_the_default_is_hardly_above_majorisation(case):
     problem, start = case
     published = SOLVERS["majorization"](problem, start, 1e-8, 300)
     found = SOLVERS["auto"](problem, start, 1e-8, 300)

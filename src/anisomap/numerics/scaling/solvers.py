@@ -17,8 +17,7 @@ MAX_BOTH = 100
 FLOAT32_TOLERANCE = 1e-7
 """Minimum tolerance in float32, where sums over many pairs have a relative error of 1e-8."""
 
-
-NEAR = 0.01
+_NEAR = 0.01
 """Share of the stress, and of the distances, within which two configurations share a minimum.
 
 Of 34 minimisations on four recordings of 44 to 60 sensors, real and simulated, all that came so
@@ -109,7 +108,7 @@ def majorise(
     tolerance, max_iterations
         See `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
     known : SolverResult, optional
-        Iterations that approach it from above (`NEAR`) end if it converged.
+        Iterations that approach it from above (`_NEAR`) end if it converged.
     """
     targets, weights = problem.targets, problem.weights
     weighted_targets = weights * targets
@@ -148,9 +147,9 @@ def _approaching(known: SolverResult) -> Callable[[float, Floats], bool]:
     length = float(np.linalg.norm(distances))
 
     def approaches(raw: float, moved: Floats) -> bool:
-        if not minimum <= raw <= (1 + NEAR) * minimum:
+        if not minimum <= raw <= (1 + _NEAR) * minimum:
             return False
-        return float(np.linalg.norm(moved - distances)) <= NEAR * length
+        return float(np.linalg.norm(moved - distances)) <= _NEAR * length
 
     return approaches
 
