@@ -123,8 +123,9 @@ def test_a_leak_is_subtracted_exactly(share, chained, seed):
     for i in range(1, clean.shape[1]):
         leaking[:, i] += share * (leaking if chained else clean)[:, i - 1]
     found = repair(leaking)
-    assume("drift" not in kinds(found.findings))  # found by chance in 1 % of sound recordings
-    assert kinds(found.findings) == {"leak"}
+    assert "leak" in kinds(found.findings)
+    # A drift or noise of a board is found by chance in 1 % of sound recordings.
+    assume(kinds(found.findings) == {"leak"})
     assert found.findings[0].size == pytest.approx(share, rel=0.02)
     np.testing.assert_allclose(found.recording.readings, clean, atol=0.01 * share)
 

@@ -23,7 +23,9 @@ _BUSY_TICKS = "4"
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line of this process: see `anisomap.cli.app.main`.
 
-    If the process is interrupted or terminated, temporary files are removed before it ends.
+    If the process is interrupted or terminated, temporary files are removed before it ends. The
+    process should end with this call, which sets how often it collects garbage and how its threads
+    wait: from Python, use the functions of `anisomap` instead.
 
     Parameters
     ----------

@@ -176,7 +176,8 @@ class MapParts:
                 positions,
                 options,
                 with_heights=heights,
-                curvature=part.curvature,
+                # The curvature is that of all sensors.
+                curvature=part.curvature if len(positions) == len(part.positions) else None,
             )
             known = None if part.refinement is None else part.refinement.contacts
             if known is None and part.refinement is not None:

@@ -18,8 +18,8 @@ from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.reliability.block_bootstrap import balanced_weights, block_edges, thinning
-from anisomap.numerics.reliability.sampling_noise import typical_variance
+from anisomap.numerics.reliability.block_bootstrap import balanced_weights, block_edges
+from anisomap.numerics.reliability.sampling_noise import thinning, typical_variance
 from anisomap.numerics.similarity.resampled import resampled_correlation
 from anisomap.stages.consensus import combine_with_paths
 from anisomap.stages.pairs import PairStatistics

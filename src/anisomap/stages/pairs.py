@@ -39,9 +39,10 @@ _MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
 _MAX_CHANGES = 10_000
 """Maximum number of differences between frames that are correlated.
 
-They are evenly chosen; unlike readings, differences are hardly autocorrelated, so that the standard
-deviation of their correlations is about .01.
+Correlations of as many independent differences have a standard deviation of .01 at most.
 """
+
+_GOLDEN_RATIO = (5**0.5 - 1) / 2
 
 _ROUNDING = 1e-6  # by which a computed correlation may exceed 1
 
@@ -218,9 +219,10 @@ class PairStatistics:
         readings: NDArray[Any] = self.readings
         if readings.dtype.kind != "f":
             readings = readings.astype(np.float64)
-        step = -(-len(readings) // _MAX_CHANGES)
-        before, after = readings[:-1:step], readings[1::step]
-        found = split_blend(after - before, halves=True)
+        chosen = _spread(len(readings) - 1, _MAX_CHANGES)
+        changes = readings.T.take(chosen + 1, axis=1)
+        changes -= readings.T.take(chosen, axis=1)
+        found = split_blend(changes.T, halves=True)
         return found.similarity, *found.halves
 
     def of_half(self, half: int) -> PairStatistics:
@@ -366,6 +368,18 @@ def compare(
     return PairStatistics.from_similarity(
         values, noise=noise, known=shared > 0, statistic=similarity
     )
+
+
+def _spread(n_items: int, most: int) -> NDArray[np.intp]:
+    """Choose items from all places, in increasing order: one of each of `most` equal parts.
+
+    Places within the parts follow the golden ratio, so that no period of the items is missed.
+    """
+    if n_items <= most:
+        return np.arange(n_items)
+    part = np.arange(most)
+    places = (part + part * _GOLDEN_RATIO % 1) * (n_items / most)
+    return np.unique(places.astype(np.intp))
 
 
 def _joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.floating]:

@@ -14,8 +14,8 @@ from anisomap.numerics.reliability.block_bootstrap import (
     MIN_BLOCKS,
     balanced_weights,
     block_edges,
-    thinning,
 )
+from anisomap.numerics.reliability.sampling_noise import thinning
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.resampled import resampled_correlation
 
@@ -96,18 +96,26 @@ def test_resamples_spread_as_independent_recordings_do(coefficient):
 
 
 @pytest.mark.parametrize("coefficient", [0.98, 0.995])
-def test_thinned_readings_resample_as_all_of_them(coefficient):
-    readings = autoregressive(6000, 20, coefficient)
-    step = thinning(readings)
-    assert step > 1
-    edges = block_edges(readings)
-    drawn = balanced_weights(len(edges) - 1, 12, np.random.default_rng(0))
-    pairs = np.triu_indices(20, 1)
-    every = resampled_correlation(readings, edges, drawn)
-    some = resampled_correlation(readings[::step], -(-edges // step), drawn)
-    every, some = (found[:, *pairs].var(axis=0, ddof=1).mean() for found in (every, some))
-    assert some == pytest.approx(every, rel=0.05)
+@pytest.mark.parametrize(("noise", "most"), [(0, 1.05), (0.5, 1.2), (1, 1.2)])
+def test_thinned_readings_resample_as_all_of_them(coefficient, noise, most):
+    pairs, ratios = np.triu_indices(20, 1), []
+    for seed in range(3):
+        smooth = autoregressive(6000, 20, coefficient, seed)
+        readings = smooth / smooth.std()
+        readings += noise * np.random.default_rng(9 + seed).standard_normal(smooth.shape)
+        step = thinning(readings)
+        assert step > 1
+        edges = block_edges(readings)
+        drawn = balanced_weights(len(edges) - 1, 12, np.random.default_rng(seed))
+        every = resampled_correlation(readings, edges, drawn)
+        some = resampled_correlation(readings[::step], -(-edges // step), drawn)
+        every, some = (found[:, *pairs].var(axis=0, ddof=1).mean() for found in (every, some))
+        ratios.append(some / every)
+    assert 0.95 < np.mean(ratios) < most
 
 
-def test_readings_that_fade_at_once_are_not_thinned():
+def test_readings_that_fade_at_once_or_oscillate_are_not_thinned():
     assert thinning(autoregressive(3000, 5, 0.5)) == 1
+    smooth = autoregressive(6000, 5, 0.995)
+    phases = np.arange(6000)[:, None] / 8.04 + np.arange(5) / 5
+    assert thinning(smooth / smooth.std() + 3 * np.sin(2 * np.pi * phases)) <= 2

@@ -51,18 +51,26 @@ def test_the_variance_is_symmetric_and_at_least_that_of_independent_frames(seed)
     np.testing.assert_allclose(sampling_variance(7 - 3 * x), found, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("lag", "noise"), [(20, 0.0), (20, 0.5), (60, 0.1)])
-def test_long_recordings_have_the_variance_of_all_their_frames(lag, noise):
+@pytest.mark.parametrize(
+    ("lag", "noise", "hum"),
+    [(20, 0.0, 0), (20, 0.5, 0), (60, 0.1, 0), (60, 0.1, 2), (20, 0, 8.04), (60, 0.1, 16.1)],
+)
+def test_long_recordings_have_the_variance_of_all_their_frames(lag, noise, hum):
     """Bartlett's sum over all lags, of frames of which `sampling_variance` uses some."""
     rng = np.random.default_rng(lag)
     n_frames, n_sensors = 12_000, 12
     smooth = gaussian_filter1d(rng.standard_normal((n_frames, n_sensors)), lag / 3, axis=0)
     x = smooth / smooth.std() + noise * rng.standard_normal(smooth.shape)
-    window = 2 * correlation_time(x)
+    if hum:  # a sine of this period
+        x += np.sin(2 * np.pi * (np.arange(n_frames)[:, None] / hum + rng.uniform(size=n_sensors)))
     centred = x - x.mean(axis=0)
-    products = [
-        (centred[: n_frames - lag] * centred[lag:]).sum(axis=0) for lag in range(window + 1)
-    ]
+    products = np.array(
+        [(centred[: n_frames - lag] * centred[lag:]).sum(axis=0) for lag in range(1000)]
+    )
+    faded = int(np.argmax(np.median(products / products[0], axis=1) < 0.1))
+    assert correlation_time(x) == pytest.approx(faded, rel=0.1, abs=1)
+    window = max(10, 2 * correlation_time(x))
+    products = products[: window + 1]
     taper = np.where(np.arange(window + 1), 2.0, 1.0) * (1 - np.arange(window + 1) / (window + 1))
     weighted = np.sqrt(taper / n_frames)[:, None] * products / products[0]
     expected = typical_variance(weighted.T @ weighted)

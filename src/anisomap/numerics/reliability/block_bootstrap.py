@@ -19,26 +19,6 @@ _BLOCK_FACTOR = 4  # block length / lag at which autocorrelations fade; see `blo
 _MAX_SENSORS = 64  # regularly sampled sensors whose autocorrelations give the length of blocks
 
 
-_FRAMES_PER_FADING = 12  # frames that resamples use, up to the lag at which autocorrelations fade
-
-
-def thinning(readings: ArrayLike) -> int:
-    """Return of how many frames a resample needs one.
-
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, T >= 2.
-
-    Returns
-    -------
-    int
-        Of 12 frames up to the lag at which the median autocorrelation falls below .1, correlations
-        have about the variance of those of all frames.
-    """
-    return max(1, _time(np.asarray(readings)) // _FRAMES_PER_FADING)
-
-
 def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
     """Split a recording into blocks that are long against the autocorrelation of its readings.
 

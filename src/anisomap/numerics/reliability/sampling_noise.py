@@ -20,6 +20,9 @@ _FADED = 0.1  # autocorrelation below which readings count as uncorrelated; chos
 _WINDOW_FACTOR = 2.0  # window / lag at which the autocorrelation has faded; chosen by hand
 _MIN_THINNED = 2048  # frames left in thinned readings; chosen by hand
 _LAGS_PER_FADING = 8  # lags up to the one at which the autocorrelation has faded; see `_fading`
+_EXAMINED_SENSORS = 32  # in which it is examined whether readings may be thinned; by hand
+_FRAMES_PER_FADING = 12  # maximum thinning of resamples; of noise-free readings, it costs 1 %
+_MAX_VARIANCE = 1.1  # of a correlation of thinned frames, relative to that of all; by hand
 _SENSORS_AT_ONCE = 16  # sensors transformed at a time, which stay in the cache
 _FLOAT32_RANGE = 1e15  # of readings that are centred in float32
 _SAMPLED_SENSORS = 128  # whose median autocorrelation gives the window; by hand
@@ -54,7 +57,8 @@ def sampling_variance(readings: ArrayLike) -> Reals:
 
     Of recordings of 4,096 frames and more, frames are thinned while that lag is 8 frames at least,
     and autocorrelations are interpolated linearly between lag 1, beyond which the noise of readings
-    does not last, and the lags that are left.
+    does not last, and the lags that are left. Frames are not thinned where autocorrelations depart
+    from the interpolated ones by more than 0.1, as those of a hum do.
     """
     values = np.asarray(readings)
     n_frames = len(values)
@@ -110,6 +114,59 @@ def correlation_time(readings: ArrayLike) -> int:
     return _fading(np.asarray(readings))[2]
 
 
+def thinning(readings: ArrayLike) -> int:
+    """Return the largest step between frames whose correlations vary hardly more than those of all.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings, T >= 2. More than 32 sensors are sampled evenly.
+
+    Returns
+    -------
+    int
+        At most a twelfth of `correlation_time`, and such that the variance of a correlation of
+        unrelated sensors is at most 1.1 times that of all frames: 1 where readings are noisy or
+        oscillate fast.
+
+    Notes
+    -----
+    The variance of correlations of every s-th frame is proportional to ``s sum_l rho(s l)^2``, with
+    the autocorrelations rho at all lags l, for two sensors with the same ones.
+    """
+    values = np.asarray(readings)
+    sampled, _, lag, _ = _fading(values)
+    largest = lag // _FRAMES_PER_FADING
+    if largest <= 1:
+        return 1
+    lags = min(math.ceil(_WINDOW_FACTOR * lag), len(values) - 1)
+    squares = np.square(_autocorrelation(values, lags, _some(sampled))).mean(axis=1)
+    squares[1:] *= 2  # for the negative lags
+    steps = range(largest, 1, -1)
+    of_all = _MAX_VARIANCE * float(squares.sum())
+    return next((step for step in steps if step * float(squares[::step].sum()) <= of_all), 1)
+
+
+def _some(sensors: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return some of the sensors, evenly chosen."""
+    return sensors[:: -(-len(sensors) // _EXAMINED_SENSORS)]
+
+
+def _largest_step(readings: NDArray[np.generic], sampled: NDArray[np.intp]) -> int:
+    """Return the largest step at which autocorrelations between the lags left are interpolated."""
+    n_frames = len(readings)
+    step = 1 << max(0, (n_frames // _MIN_THINNED).bit_length() - 1)
+    if step == 1:
+        return 1
+    exact = _autocorrelation(readings, min(_FIRST_LAGS, n_frames // _MAX_LAG_SHARE), _some(sampled))
+    while step > 1:
+        between = _interpolated(np.insert(exact[::step], 1, exact[1], axis=0), step)
+        if np.abs(between - exact[: len(between)]).max() <= _FADED:
+            break
+        step //= 2
+    return step
+
+
 def _fading(
     readings: NDArray[np.generic],
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], int, int]:
@@ -127,7 +184,7 @@ def _fading(
     """
     n_frames, n_sensors = readings.shape
     sampled = np.linspace(0, n_sensors - 1, min(n_sensors, _SAMPLED_SENSORS)).astype(np.intp)
-    step = 1 << max(0, (n_frames // _MIN_THINNED).bit_length() - 1)
+    step = _largest_step(readings, sampled)
     while True:
         thinned = readings[::step]
         max_lag = min(_MAX_LAG, max(1, n_frames // _MAX_LAG_SHARE)) // step
@@ -188,8 +245,11 @@ def _interpolated(found: Reals, step: int) -> Reals:
     """Interpolate autocorrelations of lags 0, 1 and multiples of a step at all lags."""
     lags = np.insert(np.arange(0, (len(found) - 1) * step, step), 1, 1)
     every = np.arange(lags[-1] + 1)
-    shares = np.array([np.interp(every, lags, one) for one in np.eye(len(lags))])
-    return np.asarray(shares.T.astype(found.dtype) @ found)
+    after = np.maximum(np.searchsorted(lags, every), 1)
+    share = ((every - lags[after - 1]) / (lags[after] - lags[after - 1])).astype(found.dtype)
+    between = share[:, None] * (found[after] - found[after - 1])
+    between += found[after - 1]
+    return np.asarray(between)
 
 
 def _centred(
