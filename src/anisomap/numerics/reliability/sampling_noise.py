@@ -126,8 +126,8 @@ def thinning(readings: ArrayLike) -> int:
     -------
     int
         At most a twelfth of `correlation_time`, and such that the variance of a correlation of
-        unrelated sensors is at most 1.1 times that of all frames: 1 where readings are noisy or
-        oscillate fast.
+        unrelated sensors is about 1.1 times that of all frames at most: 1 where readings are noisy
+        or oscillate fast.
 
     Notes
     -----
