@@ -140,13 +140,10 @@ def test_no_step_raises_the_stress(compiled, solver, case):
 
 
 @given(problems())
-def test_for_few_points_the_default_is_hardly_above_majorisation(case):
+def test_for_few_points_the_default_is_never_above_majorisation(case):
     problem, start = case
     published = SOLVERS["majorization"](problem, start, 1e-8, 300)
-    found = SOLVERS["auto"](problem, start, 1e-8, 300)
-    # Of two ways to the same minimum, one ends within the tolerance of the other.
-    negligible = 1e-12 * problem.weighted_squares()
-    assert found.trace[-1] <= (1 + 1e-6) * published.trace[-1] + negligible
+    assert SOLVERS["auto"](problem, start, 1e-8, 300).trace[-1] <= published.trace[-1]
 
 
 def by_both(n_rows, seed, dimensions):
