@@ -25,7 +25,7 @@ from anisomap.numerics.reliability.blending import (
     split_blend,
 )
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.reliability.split_half import at_frames, split_blocks
+from anisomap.numerics.reliability.split_half import at_frames, split_blocks, spread_frames
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
@@ -41,8 +41,6 @@ _MAX_CHANGES = 10_000
 
 Correlations of as many independent differences have a standard deviation of .01 at most.
 """
-
-_GOLDEN_RATIO = (5**0.5 - 1) / 2
 
 _ROUNDING = 1e-6  # by which a computed correlation may exceed 1
 
@@ -219,7 +217,7 @@ class PairStatistics:
         readings: NDArray[Any] = self.readings
         if readings.dtype.kind != "f":
             readings = readings.astype(np.float64)
-        chosen = _spread(len(readings) - 1, _MAX_CHANGES)
+        chosen = spread_frames(len(readings) - 1, _MAX_CHANGES)
         changes = readings.T.take(chosen + 1, axis=1)
         changes -= readings.T.take(chosen, axis=1)
         found = split_blend(changes.T, halves=True)
@@ -368,18 +366,6 @@ def compare(
     return PairStatistics.from_similarity(
         values, noise=noise, known=shared > 0, statistic=similarity
     )
-
-
-def _spread(n_items: int, most: int) -> NDArray[np.intp]:
-    """Choose items from all places, in increasing order: one of each of `most` equal parts.
-
-    Places within the parts follow the golden ratio, so that no period of the items is missed.
-    """
-    if n_items <= most:
-        return np.arange(n_items)
-    part = np.arange(most)
-    places = (part + part * _GOLDEN_RATIO % 1) * (n_items / most)
-    return np.unique(places.astype(np.intp))
 
 
 def _joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.floating]:

@@ -7,7 +7,11 @@ from hypothesis import strategies as st
 
 from anisomap.errors import InputError
 from anisomap.numerics.reliability.blending import blended_correlation
-from anisomap.numerics.reliability.split_half import correlation_and_reliability, split_blocks
+from anisomap.numerics.reliability.split_half import (
+    correlation_and_reliability,
+    split_blocks,
+    spread_frames,
+)
 from anisomap.numerics.similarity.correlation import pearson
 from skins import flat_skin
 
@@ -54,3 +58,19 @@ def test_the_reliability_is_that_of_pairs_of_sensors():
     pairs = np.triu_indices(readings.shape[1], 1)
     expected = np.corrcoef(halves[0][pairs], halves[1][pairs])[0, 1]
     assert correlation_and_reliability(readings).reliability == pytest.approx(expected, abs=1e-12)
+
+
+@given(st.integers(1, 5000), st.integers(1, 500))
+def test_spread_frames_are_increasing_and_from_all_parts(n_frames, most):
+    found = spread_frames(n_frames, most)
+    assert (np.diff(found) > 0).all()
+    assert found[0] == 0
+    assert found[-1] < n_frames
+    assert np.diff(found, append=n_frames).max() <= 2 * max(1, n_frames / most) + 1
+
+
+@pytest.mark.parametrize("period", [2, 3, 4, 5, 8, 60])
+@pytest.mark.parametrize("n_frames", [12_000, 20_000, 30_000, 100_000])
+def test_spread_frames_have_all_phases_of_a_period(n_frames, period):
+    counts = np.bincount(spread_frames(n_frames, 10_000) % period)
+    assert counts.min() > 0.6 * counts.max()

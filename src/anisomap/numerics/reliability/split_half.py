@@ -24,6 +24,7 @@ MIN_SENSORS = 3
 """Minimum number of sensors for a reliability: a correlation over 3 pairs."""
 
 _MAX_SENSORS = 4000  # sampled sensors; their 8 million pairs determine the reliability
+_GOLDEN_RATIO = (5**0.5 - 1) / 2
 _ROUNDING = 1e-12  # relative, of a variance over pairs that is 0
 
 
@@ -52,6 +53,28 @@ def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         raise InputError(f"split-half needs at least 2 frames, got {n_frames}")
     blocks = np.array_split(np.arange(n_frames), min(N_BLOCKS, n_frames))
     return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
+
+
+def spread_frames(n_frames: int, most: int) -> NDArray[np.intp]:
+    """Choose frames from all parts of a recording such that no period of it is missed.
+
+    Parameters
+    ----------
+    n_frames : int
+    most : int
+        Maximum number of frames.
+
+    Returns
+    -------
+    ndarray of int
+        Increasing: all frames, or one in each of `most` equal parts. Their places within the parts
+        follow the golden ratio; every n-th frame could lie at one phase of a period.
+    """
+    if n_frames <= most:
+        return np.arange(n_frames)
+    part = np.arange(most)
+    places = (part + part * _GOLDEN_RATIO % 1) * (n_frames / most)
+    return np.unique(places.astype(np.intp))
 
 
 def at_frames(values: NDArray[Any], frames: NDArray[np.intp]) -> NDArray[Any]:
