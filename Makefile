@@ -36,7 +36,7 @@ paper: $(READY)  ## reproduce the paper, in paper-out/ (RECORDINGS=folder adds r
 numbers: paper  ## update the numbers in README and docs from the results of make paper
 	$(BIN)/python -m anisomap.paper.numbers $(OUT_PAPER) docs/results docs/explanation/paper.md README.md
 
-test: $(READY)  ## run the tests, all but the slow ones (about five minutes)
+test: $(READY)  ## run the tests, all but the slow ones (about four minutes)
 	$(PYTEST) -m "not slow"
 
 test-all: $(READY)  ## run all tests
