@@ -98,11 +98,8 @@ def find_levels(column: NDArray[Any]) -> Levels:
         codes = np.empty(unusual.size, dtype=np.intp)
         codes[order] = np.repeat(np.arange(counts.size), counts)
     else:
-        table = np.bincount(whole[0])
-        present = table.nonzero()[0]
-        values, counts = (present + whole[1]).astype(column.dtype), table[present]
-        table[present] = np.arange(present.size)
-        codes = table[whole[0]]
+        table, values, counts = _tabulated(whole, column.dtype)
+        codes = (np.cumsum(table > 0) - 1)[whole[0]]
     place = int(values.searchsorted(usual))
     codes[codes >= place] += 1
     return Levels(
@@ -141,9 +138,7 @@ def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]
         begins, counts = _ties(unusual)
         values = unusual[begins]
     else:
-        table = np.bincount(whole[0])
-        present = table.nonzero()[0]
-        values, counts = (present + whole[1]).astype(column.dtype), table[present]
+        _, values, counts = _tabulated(whole, column.dtype)
     place = int(values.searchsorted(usual))
     return (
         _inserted(values, place, usual),
@@ -228,6 +223,16 @@ def whole_numbers(column: NDArray[Any]) -> tuple[NDArray[np.intp], int] | None:
             return None
         return (column - lowest).astype(np.intp), int(lowest)
     return column.astype(np.intp) - int(lowest), int(lowest)
+
+
+def _tabulated(
+    whole: tuple[NDArray[np.intp], int], dtype: np.dtype[Any]
+) -> tuple[NDArray[np.int64], NDArray[Any], NDArray[np.int64]]:
+    """Count `whole_numbers` in a table; return it, the distinct readings and their counts."""
+    codes, lowest = whole
+    table = np.bincount(codes)
+    present = table.nonzero()[0]
+    return table, (present + lowest).astype(dtype), table[present]
 
 
 def _inserted(values: NDArray[Any], place: int, value: Any) -> NDArray[Any]:
