@@ -58,8 +58,8 @@ class MapPart:
     refinement : Refined, optional
         How the positions were computed; None if that is not known.
     curvature : SharedCurvature
-        Of the covariogram fits of resamples and halves, which it does not change but for their
-        number of iterations.
+        Of the covariogram fits of resamples and halves. Their minima do not depend on it, but a fit
+        that ends after its maximum number of iterations does, slightly.
     """
 
     readings: NDArray[np.floating]
