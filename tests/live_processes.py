@@ -1,4 +1,4 @@
-"""Live sessions for tests: sources that are given, and processes of their own, as users run them."""
+"""Live sessions: sources that are given, and processes of their own, as users run them."""
 
 import json
 import queue
