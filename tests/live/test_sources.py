@@ -18,9 +18,11 @@ import anisomap
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.live.batches import Batch, Names, Notice
 from anisomap.live.sources import SOURCES, open_source
+from anisomap.live.sources.simulated import BOUT_FRAMES, SimulatedHand
+from anisomap.simulation import find_body
+from live_processes import LONGEST_S
 
 ROWS = np.round(np.random.default_rng(0).random((20, 4)), 3)
-LONGEST_S = 120
 
 
 def text(rows):
@@ -105,19 +107,31 @@ def test_a_peer_that_is_not_there_yet_is_waited_for(address):
         found.wait(lambda f: f.told("still trying"))
 
 
-def test_a_recording_is_replayed_whole(tmp_path):
+@pytest.mark.parametrize("speed", [0, 1000])
+def test_a_recording_is_replayed_whole(tmp_path, speed):
     path = tmp_path / "r.npz"
     recording = anisomap.Recording(
         ROWS, names=["a", "b", "c", "d"], rate_hz=10, positions=np.eye(4, 2), units="mm"
     )
     anisomap.write(recording, path)
-    source = open_source(str(path), speed=0)
+    source = open_source(str(path), speed=speed)
     assert source.names == ("a", "b", "c", "d")
     assert source.truth.units == "mm"
     with collected(source) as found:
         found.wait(lambda f: f.told("has ended"))
     np.testing.assert_array_equal(found.rows, ROWS)
     np.testing.assert_allclose(found.times, np.arange(20) / 10)
+
+
+def test_a_simulated_hand_rubs_where_it_is_told():
+    body = find_body("sphere")
+    source, asked = SimulatedHand(body, speed=0, max_frames=60), []
+    source.where = lambda: asked.append(7) or ((7,), None)
+    batches = list(source.items(threading.Event()))
+    assert [batch.readings.shape for batch in batches] == [(1, body.n_sensors)] * 60
+    assert len(asked) == -(-60 // BOUT_FRAMES)
+    assert (np.diff([batch.times[0] for batch in batches]) > 0).all()
+    np.testing.assert_array_equal(source.truth.positions, body.positions)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are those of Unix")
@@ -146,12 +160,12 @@ def test_an_lsl_stream():
         pytest.skip("LSL cannot find streams on this computer")
     with collected(open_source(f"lsl://{name}")) as found:
         assert outlet.wait_for_consumers(LONGEST_S)
-        for row in ROWS:
-            outlet.push_sample(row.tolist())
+        for i, row in enumerate(ROWS):
+            outlet.push_sample(row.tolist(), 1000 + i)
         found.wait(lambda f: len(f.rows) == 20)
     np.testing.assert_array_equal(found.rows, ROWS)
     assert Names(("a", "b", "c", "d")) in found.items
-    assert (np.diff(found.times) > 0).all()
+    np.testing.assert_allclose(found.times, 1000 + np.arange(20))
 
 
 def test_a_topic_of_rosbridge():
@@ -181,11 +195,8 @@ def test_a_topic_of_rosbridge():
     np.testing.assert_array_equal(found.rows, ROWS)
     assert found.times[1] == pytest.approx(100.000001)
     assert found.told("lost the connection")
-    assert asked[0] == {
-        "op": "subscribe",
-        "topic": "/skin",
-        "type": "std_msgs/msg/Float32MultiArray",
-    }
+    kind = "std_msgs/msg/Float32MultiArray"
+    assert asked[0] == {"op": "subscribe", "topic": "/skin", "type": kind}
 
 
 def free_port():
