@@ -22,8 +22,6 @@ from anisomap.large.landmarks.sensor_graph import (
 )
 from anisomap.large.landmarks.sketch import compute_sketch
 from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
-from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
-from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 from anisomap.numerics.similarity import search
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
@@ -88,35 +86,28 @@ def test_contacts_are_counted_on_both_sides_of_rest():
         assert known.active_frames == 12
 
 
-@pytest.mark.parametrize("count", [1, 5, 30])
-@pytest.mark.parametrize("grouped", [False, True])
-def test_the_most_similar_have_the_greatest_products(count, grouped):
-    rows = RNG(0).normal(size=(30, 8)).astype(np.float32)
-    groups = np.arange(30) // 7 if grouped else np.arange(30)
-    products = rows @ rows.T
-    products[groups[:, None] == groups] = -np.inf
+@pytest.mark.parametrize(
+    ("n_sensors", "queries", "count"),
+    [
+        (30, range(30), 1),
+        (30, [3, 11, 29], 5),
+        (30, range(30), 30),
+        (search.COLUMNS + 500, range(0, search.COLUMNS, 7), 3),  # several blocks
+    ],
+)
+@pytest.mark.parametrize("group_size", [1, 7])
+def test_the_most_similar_have_the_greatest_products(n_sensors, queries, count, group_size):
+    rows = RNG(0).normal(size=(n_sensors, 8)).astype(np.float32)
+    groups = np.arange(n_sensors) // group_size
+    products = rows[queries] @ rows.T
+    products[groups[queries][:, None] == groups] = -np.inf
     expected = np.sort(products, axis=1)[:, ::-1][:, :count]
-    found, values = most_similar(rows, count, groups=groups)
+    found, values = most_similar(rows, count, groups=groups, sensors=np.array(queries))
     np.testing.assert_allclose(values, expected, atol=1e-5)
     there = found != NO_SENSOR
     np.testing.assert_array_equal(there, np.isfinite(expected))
     mine = np.take_along_axis(products, np.maximum(found, 0), axis=1)
     np.testing.assert_allclose(mine[there], expected[there], atol=1e-5)
-    some = np.array([3, 11, 29])
-    np.testing.assert_array_equal(
-        most_similar(rows, count, groups=groups, sensors=some)[0], found[some]
-    )
-
-
-def test_the_search_finds_the_most_similar_across_blocks():
-    n_sensors = search.COLUMNS + 500
-    rows = RNG(0).normal(size=(n_sensors, 8)).astype(np.float32)
-    queries = np.arange(0, n_sensors, 7)
-    assert len(queries) > search.ROWS
-    products = rows[queries] @ rows.T
-    products[np.arange(len(queries)), queries] = -np.inf
-    _, found = most_similar(rows, 3, sensors=queries)
-    np.testing.assert_allclose(found, np.sort(products, axis=1)[:, :-4:-1], atol=1e-5)
 
 
 @settings(max_examples=40)
@@ -149,16 +140,6 @@ def test_a_skin_is_connected_and_broken_wires_are_not_linked_to_it():
     assert set(graph.component[42:]) == {1, 2, 3, 4}
 
 
-def test_skins_touched_separately_are_components():
-    pause = np.zeros_like(SKIN)
-    readings = np.vstack([np.hstack([SKIN, pause]), np.hstack([pause, SKIN])])
-    links, known = linked(readings)
-    graph, further = bridge_components(build_graph(links, known, 8), known, lambda: [readings])
-    np.testing.assert_array_equal(graph.component, np.repeat([0, 1], 42))
-    assert further.r.size
-    assert (further.r < 0.1).all()
-
-
 def test_rigid_plates_are_linked():
     rng = RNG(0)
     plates = rubbed(np.arange(6.0)[:, None] * [1, 0], 4000)
@@ -169,18 +150,6 @@ def test_rigid_plates_are_linked():
     assert apart.component.max() == 5
     together, _ = bridge_components(apart, known, lambda: [readings])
     assert together.component.max() == 0
-
-
-def test_paths_equal_the_exact_metric_if_all_pairs_are_edges():
-    links, _ = linked(SKIN)
-    positive = links.select(links.r > 0)
-    graph = adjacency_matrix(positive, edge_lengths(links, positive, mu=0.0), 42)
-    similarity = np.zeros((42, 42))
-    similarity[links.firsts, links.seconds] = links.r
-    expected = metricise(regularised_reciprocal(similarity + similarity.T, mu=0.0))
-    landmarks = np.array([30, 2, 17])
-    found = paths_from(landmarks, graph)
-    np.testing.assert_allclose(found, expected[:, landmarks], rtol=1e-5)
 
 
 @settings(max_examples=40)
@@ -257,19 +226,15 @@ def test_with_all_sensors_as_landmarks_the_map_is_exact():
     edges = build_graph(links, known, 20).edges
     graph = adjacency_matrix(edges, edge_lengths(links, edges, 1.0), 42)
     assert connected_components(graph)[0] == 1
-    found = place_component(graph, 2, n_landmarks=1000, options=SmacofOptions(), rng=RNG(0))
+    options = {"n_landmarks": 1000, "options": SmacofOptions(), "rng": RNG(0)}
+    found = place_component(graph, 2, **options)
     expected = smacof(dijkstra(graph, directed=False), dimensions=2)
     r = np.corrcoef(pdist(found.positions), pdist(expected.positions))[0, 1]
     assert r > 0.99999
     stress = np.sqrt(found.raw_stress / found.spread)
     assert stress == pytest.approx(expected.stress, rel=0.01)
-
-
-def test_a_single_sensor_lies_at_the_origin():
-    nothing = SensorPairs(*all_pairs(1), np.empty(0))
-    graph = adjacency_matrix(nothing, np.empty(0), 1)
-    found = place_component(graph, 3, n_landmarks=10, options=SmacofOptions(), rng=RNG(0))
-    np.testing.assert_array_equal(found.positions, np.zeros((1, 3)))
+    single = place_component(graph[:1, :1], 3, **options)
+    np.testing.assert_array_equal(single.positions, np.zeros((1, 3)))
 
 
 def test_the_number_of_threads_does_not_change_a_bit(monkeypatch):
@@ -293,19 +258,13 @@ def test_the_number_of_threads_does_not_change_a_bit(monkeypatch):
     np.testing.assert_array_equal(positions(3), positions(1))
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"n_neighbours": 2},
-        {"n_candidates": 10},
-        {"sketch_size": 4},
-        {"n_landmarks": 3},
-        {"seed": -1},
-    ],
-)
-def test_options_out_of_range_are_refused(options):
-    with pytest.raises(InputError, match=f"{next(iter(options))} must be at least"):
-        ApproximateOptions(**options)
+TOO_SMALL = {"n_neighbours": 2, "n_candidates": 10, "sketch_size": 4, "n_landmarks": 3, "seed": -1}
+
+
+@pytest.mark.parametrize(("name", "value"), TOO_SMALL.items())
+def test_options_out_of_range_are_refused(name, value):
+    with pytest.raises(InputError, match=f"{name} must be at least"):
+        ApproximateOptions(**{name: value})
 
 
 def test_recordings_without_frames_are_refused():
