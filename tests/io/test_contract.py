@@ -229,7 +229,7 @@ def test_only_recordings_with_positions_are_read_as_maps(recording_file: Path) -
 
 
 def test_real_recordings(recordings_folder: Path, tmp_path: Path) -> None:
-    for path in sorted(recordings_folder.glob("*.npz")):
+    for path in (recordings_folder / f"{name}.npz" for name in ("icub_hexagon", "plantar")):
         found = io.read(path)
         assert found.positions is not None
         assert found.units in ("mm", "pixel")

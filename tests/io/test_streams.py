@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from anisomap import io
-from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.errors import AnisomapWarning, InputError
 
 MIB = 1 << 20
 
