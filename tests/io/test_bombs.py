@@ -88,6 +88,13 @@ def _matlab(path: Path, kept: int) -> None:
     scipy_io.savemat(path, {"a": np.zeros(_shape(kept), "u1")}, do_compression=True)
 
 
+def _cells(path: Path, kept: int) -> None:
+    """A cell array, whose header does not declare its size."""
+    cells = np.empty((2, 1), dtype=object)
+    cells[:, 0] = [np.zeros((1, kept // 8)), np.ones((1, 2))]
+    pytest.importorskip("scipy.io").savemat(path, {"a": cells}, do_compression=True)
+
+
 def _line(path: Path, kept: int) -> None:
     path.write_bytes(gzip.compress(b"11," * max(kept // 3, 4 * MIB)))
 
@@ -191,6 +198,7 @@ BOMBS: dict[str, Callable[[Path, int], None]] = {
     "references.h5": _lzf,
     "declared.h5": _szip,
     "zeros.mat": _matlab,
+    "cells.mat": _cells,
     "line.csv.gz": _line,
     "blanks.csv.gz": _text,
     "blanks.log.gz": _log,
