@@ -22,42 +22,38 @@ from anisomap.simulation import (
     simulate,
     simulate_runs,
 )
-from anisomap.simulation.sensing import read_balls
 
-
-def needs_mujoco() -> None:
-    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 
 
 def same_bytes(a: Recording, b: Recording) -> bool:
     return a.readings.tobytes() == b.readings.tobytes() and dict(a.metadata) == dict(b.metadata)
 
 
-# The fast tests cover each body and each scenario at least once.
+def short(body: str | Body, scenario: str, **settings: Any) -> Recording:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)  # a short run may not touch all sensors
+        return simulate(body, scenario, n_frames=40, **settings)
+
+
+# Each body with the cheapest scenario; distances along its surface take most of the time.
 PAIRS = [
-    pytest.param(
-        body,
-        scenario,
-        marks=() if body == "sphere" or scenario == "pulses" else pytest.mark.slow,
-    )
-    for body in BODIES
-    for scenario in SCENARIOS
+    *(("sphere", scenario) for scenario in SCENARIOS),
+    ("hexagon", "rubbing"),
+    ("hand", "rubbing"),
+    *(pytest.param(body, "pulses", marks=pytest.mark.slow) for body in BODIES if body != "sphere"),
 ]
 
 
 @pytest.mark.parametrize(("body", "scenario"), PAIRS)
 def test_every_scenario_of_every_body_gives_a_documented_recording(
-    body: str, scenario: str, bodies: Mapping[str, Body]
+    body: str, scenario: str, bodies: Mapping[str, Body], tmp_path: Path
 ) -> None:
-    needs_mujoco()
     made = bodies[body]
-    if not SCENARIOS[scenario].accepts(made):
-        with pytest.raises(InputError, match=f"the body {body} "):
-            simulate(made, scenario, n_frames=40)
-        return
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)  # a short run may not touch all sensors
-        recording = simulate(made, scenario, n_frames=40, seed=3)
+    shares: list[float] = []
+    recording = short(made, scenario, seed=3, progress=shares.append)
+    assert shares[-1] == 1
+    assert (np.diff(shares) > 0).all()
     own = slice(made.n_sensors)  # self-touch adds the sensors of a fingertip
     assert len(recording.readings) == 40
     assert recording.positions is not None
@@ -80,28 +76,19 @@ def test_every_scenario_of_every_body_gives_a_documented_recording(
     assert all(type(value) in (str, int, float, bool) for value in metadata.values())
     for name, default in vars(SCENARIOS[scenario].options()).items():
         assert name in metadata or default is None
-
-
-@pytest.mark.parametrize(
-    "scenario",
-    [pytest.param(s, marks=() if s == "rubbing" else pytest.mark.slow) for s in SCENARIOS],
-)
-def test_a_simulated_recording_survives_a_file_round_trip(scenario: str, tmp_path: Path) -> None:
-    needs_mujoco()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)
-        recording = simulate("cylinder", scenario, n_frames=20, seed=2)
+    # The same seed gives the same bytes, another seed other readings.
+    assert same_bytes(recording, short(made, scenario, seed=3))
+    assert not np.array_equal(recording.readings, short(made, scenario, seed=4).readings)
     anisomap.write(recording, tmp_path / "run.npz")
     again = anisomap.read(tmp_path / "run.npz")
-    for name in ("readings", "positions", "normals", "surface_distances"):
+    assert same_bytes(recording, again)
+    for name in ("positions", "normals", "surface_distances"):
         np.testing.assert_array_equal(getattr(again, name), getattr(recording, name))
     for name in ("names", "units", "source", "rate_hz"):
         assert getattr(again, name) == getattr(recording, name)
-    assert dict(again.metadata) == dict(recording.metadata)
 
 
 def test_parallel_runs_equal_single_runs() -> None:
-    needs_mujoco()
     together = simulate_runs("sphere", "bombardment", [3, 4], workers=2, n_frames=20)
     assert all(
         same_bytes(run, simulate(n_frames=20, seed=seed))
@@ -110,7 +97,6 @@ def test_parallel_runs_equal_single_runs() -> None:
 
 
 def test_effective_parameters_are_in_the_metadata() -> None:
-    needs_mujoco()
     given = {"n_balls": np.int64(7), "detection_radius": 0.3, "frame_interval": 0.04}
     options = BombardmentOptions(**given)
     recording = simulate(n_frames=5, n_sensors=33, **given)
@@ -123,15 +109,7 @@ def test_effective_parameters_are_in_the_metadata() -> None:
     assert 0 <= float(recording.metadata["deepest_overlap"]) < 0.1
 
 
-def test_recordings_are_reproducible_by_seed() -> None:
-    needs_mujoco()
-    first = simulate(n_frames=60, seed=5)
-    assert same_bytes(first, simulate(n_frames=60, seed=5))
-    assert not np.array_equal(first.readings, simulate(n_frames=60, seed=6).readings)
-
-
 def test_a_recording_from_a_generator_can_be_reproduced() -> None:
-    needs_mujoco()
     rng = np.random.default_rng(8)
     first, second = simulate(n_frames=20, seed=rng), simulate(n_frames=20, seed=rng)
     assert not np.array_equal(first.readings, second.readings)
@@ -142,24 +120,12 @@ def test_a_recording_from_a_generator_can_be_reproduced() -> None:
 
 
 def test_sensors_do_not_affect_the_dynamics() -> None:
-    needs_mujoco()
     few, many = (simulate(n_frames=60, n_sensors=n) for n in (20, 300))
     same = ("energy_drift", "deepest_overlap", "timestep")
     assert [few.metadata[name] for name in same] == [many.metadata[name] for name in same]
 
 
-def test_progress_increases_from_0_to_1() -> None:
-    needs_mujoco()
-    shares: list[float] = []
-    simulate(n_frames=250, progress=shares.append)
-    assert shares[0] == 0
-    assert shares[-1] == 1
-    assert (np.diff(shares) > 0).all()
-    assert len(shares) > 20
-
-
 def test_one_frame_is_a_recording() -> None:
-    needs_mujoco()
     assert simulate(n_frames=1).n_frames == 1
 
 
@@ -175,16 +141,7 @@ def test_one_frame_is_a_recording() -> None:
         ({"body": "teapot"}, "there is no body 'teapot'; choose from sphere"),
         ({"scenario": "rain"}, "there is no scenario 'rain'; choose from bombardment"),
         ({"body": "hand", "scenario": "locomotion"}, "the body hand does not roll"),
-        ({"scenario": "locomotion", "timestep": 0.01}, "timestep must be at most 0.006 s"),
-        (
-            {"scenario": "locomotion", "half_width": 2.0},
-            "half_width must be at least 4 times the reach",
-        ),
-        ({"scenario": "locomotion", "cell": 0.4}, "cell must be at most half of correlation"),
-        (
-            {"scenario": "locomotion", "roughness": 0.4},
-            "roughness must be at most 0.35 x correlation",
-        ),
+        ({"scenario": "locomotion", "half_width": 2.0}, "half_width must be at least 4 times"),
         ({"n_bals": 3}, "has no parameter 'n_bals'; choose from box_half_width, n_balls"),
     ],
 )
@@ -211,16 +168,7 @@ except ImportError as error:
 
 
 def test_readings_of_a_recording_agree_with_the_flight(bombarded: Any) -> None:
-    recording = simulate(seed=1)
-    options = bombarded.options
-    np.testing.assert_array_equal(
-        recording.readings,
-        read_balls(
-            bombarded.body.positions,
-            bombarded.flight.centres,
-            options.ball_radius,
-            options.detection_radius,
-        ),
-    )
-    assert recording.metadata["energy_drift"] == bombarded.flight.energy_drift
-    assert recording.varying().all()
+    recording = simulate(n_frames=60, seed=1)
+    np.testing.assert_array_equal(recording.readings, bombarded.readings[:60])
+    assert recording.metadata["timestep"] == bombarded.options.step
+    assert recording.metadata["deepest_overlap"] == bombarded.flight.overlaps[:60].max()

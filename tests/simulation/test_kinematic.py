@@ -12,15 +12,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
-from anisomap.evaluation.scoring import score
-from anisomap.reconstruction import reconstruct
 from anisomap.scene import Prop
-from anisomap.simulation import BODIES, SCENARIOS, simulate
-from anisomap.simulation.bodies.lattice import plane, sphere, y_shape
+from anisomap.simulation import SCENARIOS, simulate
+from anisomap.simulation.bodies.body import Body
+from anisomap.simulation.bodies.lattice import cylinder, plane, sphere, y_shape
 from anisomap.simulation.kinematic.paths import sample_skin
 from anisomap.simulation.kinematic.pressing import PressingOptions, draw_presses
 from anisomap.simulation.kinematic.pulses import PulsesOptions, draw_pulses, read_pulses
-from anisomap.simulation.kinematic.rolling import RollerOptions
 from anisomap.simulation.kinematic.rubbing import RubbingOptions, move_hand, rubbing
 from anisomap.simulation.kinematic.self_touch import (
     SelfTouchOptions,
@@ -30,6 +28,7 @@ from anisomap.simulation.kinematic.self_touch import (
 )
 from anisomap.simulation.kinematic.settling import support
 from anisomap.simulation.options import options_for
+from anisomap.simulation.result import ScenarioResult
 from anisomap.simulation.sensing import read_balls, read_capsules, read_half_spaces
 
 KINEMATIC = ("rubbing", "roller", "pressing", "self-touch", "pulses")
@@ -37,6 +36,29 @@ CONTACT = KINEMATIC[:4]
 seeds = st.integers(0, 2**32 - 1)
 
 Surface = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+def run(scenario: str, body: Body, n_frames: int, seed: int, **given: Any) -> ScenarioResult:
+    chosen = SCENARIOS[scenario]
+    options = options_for(chosen.options, body, given)
+    return chosen.run(body, n_frames, options, np.random.default_rng(seed))
+
+
+@given(seeds, st.integers(1, 5), st.integers(1, 6))
+def test_readings_of_balls_agree_with_the_closed_form(
+    seed: int, n_sensors: int, n_balls: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    sensors, centres = rng.uniform(-2, 2, (n_sensors, 3)), rng.uniform(-2, 2, (3, n_balls, 3))
+    radii, detection = rng.uniform(0.01, 1.5, n_balls), rng.uniform(0.01, 1.5)
+    found = read_balls(sensors, centres, radii, detection)
+    for t, i in np.ndindex(found.shape):
+        gaps = [np.sqrt(((sensors[i] - c) ** 2).sum()) for c in centres[t]] - radii
+        assert found[t, i] == pytest.approx(max(0, detection - gaps.min()), abs=3e-6)
+    alike = read_balls(sensors, centres, 0.3, detection)
+    np.testing.assert_array_equal(
+        alike, read_balls(sensors, centres, np.full(n_balls, 0.3), detection)
+    )
 
 
 def nearest_by_sampling(surface: Surface, point: NDArray[np.float64], n_shape: int) -> float:
@@ -57,7 +79,7 @@ def on_ball(shape: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seeds)
 def test_readings_agree_with_brute_force_over_the_stimulus(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -100,72 +122,41 @@ def test_pulses_add_up_and_halve_at_the_half_distance(seed: int) -> None:
     sensors, places = rng.standard_normal((4, 3)), rng.standard_normal((3, 2, 3))
     strengths = rng.random((3, 2))
     found = read_pulses(sensors, places, strengths, 0.4)
-    for t in range(3):
-        for i, sensor in enumerate(sensors):
-            squared = [sum((a - b) ** 2 for a, b in zip(sensor, p, strict=True)) for p in places[t]]
-            expected = sum(s / (1 + d / 0.16) for s, d in zip(strengths[t], squared, strict=True))
-            assert found[t, i] == pytest.approx(expected, rel=1e-6)
+    for t, i in np.ndindex(found.shape):
+        squared = ((sensors[i] - places[t]) ** 2).sum(axis=1)
+        assert found[t, i] == pytest.approx(sum(strengths[t] / (1 + squared / 0.16)), rel=1e-6)
     at = read_pulses([[0, 0, 0], [0.4, 0, 0]], [[[0, 0, 0]]], [[0.8]], 0.4)
     np.testing.assert_allclose(at, [[0.8, 0.4]], rtol=1e-6)
 
 
-@pytest.mark.parametrize("scenario", KINEMATIC)
-@pytest.mark.parametrize("body", ["sphere", "hexagon"])
-def test_recordings_are_reproducible_by_seed(body: str, scenario: str) -> None:
-    first, again, other = (simulate(body, scenario, n_frames=60, seed=s) for s in (5, 5, 6))
-    assert first.readings.tobytes() == again.readings.tobytes()
-    assert dict(first.metadata) == dict(again.metadata)
-    assert not np.array_equal(first.readings, other.readings)
-
-
 @pytest.mark.parametrize("scenario", CONTACT)
-@pytest.mark.parametrize("body", ["cylinder", pytest.param("y-shape", marks=pytest.mark.slow)])
-def test_a_default_run_touches_all_sensors_with_sparse_readings(body: str, scenario: str) -> None:
-    options = options_for(SCENARIOS[scenario].options, BODIES[body]())
-    made = BODIES[body]()
-    run = SCENARIOS[scenario].run(made, 2000, options, np.random.default_rng(2))
-    touched = run.readings > 0
+def test_a_default_run_touches_all_sensors_with_sparse_readings(scenario: str) -> None:
+    touched = run(scenario, cylinder(), 1000, 2).readings > 0
     assert touched.any(axis=0).all()
     assert 0.2 < 1 - touched.mean() < 0.98
     assert 0 < (~touched.any(axis=1)).mean() < 0.5  # some frames have no contact
-    assert len(run.readings) == 2000
+    assert len(touched) == 1000
 
 
 @pytest.mark.parametrize("scenario", KINEMATIC)
 def test_scenarios_scale_with_the_body(scenario: str) -> None:
-    chosen = SCENARIOS[scenario]
-    runs = [
-        chosen.run(body, 50, options_for(chosen.options, body), np.random.default_rng(3))
-        for body in (y_shape(), y_shape().scaled(2))
-    ]
+    one, large = (run(scenario, body, 50, 3) for body in (y_shape(), y_shape().scaled(2)))
     growth = 1 if scenario == "pulses" else 2
-    np.testing.assert_allclose(runs[1].readings, growth * runs[0].readings, atol=1e-4)
+    np.testing.assert_allclose(large.readings, growth * one.readings, atol=1e-4)
 
 
 @pytest.mark.parametrize(
     ("scenario", "depths"),
     [("rubbing", (0.02, 0.06, 0.1)), ("roller", (0.02, 0.1, 0.18)), ("pressing", (0.05, 0.2, 0.4))],
 )
-@pytest.mark.parametrize("body", ["sphere", "plane", "y-shape"])
+@pytest.mark.parametrize("make", [sphere, plane])
 def test_pressing_deeper_never_lowers_a_reading(
-    body: str, scenario: str, depths: tuple[float, ...]
+    make: Callable[[], Body], scenario: str, depths: tuple[float, ...]
 ) -> None:
-    made = BODIES[body]()
-    runs = []
-    for depth in depths:
-        options = options_for(SCENARIOS[scenario].options, made, {"press_depth": depth})
-        runs.append(SCENARIOS[scenario].run(made, 200, options, np.random.default_rng(4)).readings)
-    # Between the arms of the Y, a stimulus that is pressed harder may settle at another place.
-    share = 0.97 if body == "y-shape" else 1.0
+    runs = [run(scenario, make(), 100, 4, press_depth=depth).readings for depth in depths]
     for lighter, harder in pairwise(runs):
-        assert (harder >= lighter - 1e-6).mean() >= share
+        assert (harder >= lighter - 1e-6).all()
         assert harder.sum() > lighter.sum()
-
-
-def test_a_map_of_the_rubbed_hexagon_is_accurate() -> None:
-    recording = simulate("hexagon", "rubbing", n_frames=1054, seed=1)
-    assert recording.positions is not None
-    assert score(reconstruct(recording, "r-anisomap", 2), recording.positions).mantel.r > 0.9
 
 
 def test_palms_are_rigid_irregular_and_random() -> None:
@@ -189,7 +180,7 @@ def test_readings_of_two_hands_are_the_maximum_of_both() -> None:
         rubbing(body, 300, RubbingOptions(n_hands=n), np.random.default_rng(6)) for n in (1, 2)
     )
     assert (two.readings >= one.readings).all()
-    assert (two.readings > 0).mean() > 1.5 * (one.readings > 0).mean()
+    assert (two.readings > 0).mean() > 1.2 * (one.readings > 0).mean()
     hands = np.split(two.props[-1].centres, 2, axis=1)
     sizes = np.split(np.asarray(two.props[-1].scales), 2)
     alone = [read_balls(body.positions, *hand, 0.3) for hand in zip(hands, sizes, strict=True)]
@@ -198,10 +189,8 @@ def test_readings_of_two_hands_are_the_maximum_of_both() -> None:
 
 def test_a_roller_touches_whole_lines_of_sensors() -> None:
     body = plane()
-    options = options_for(RollerOptions, body, {"detection_radius": 0.1})
-    run = SCENARIOS["roller"].run(body, 400, options, np.random.default_rng(7))
     elongated = []
-    for row in run.readings:
+    for row in run("roller", body, 400, 7, detection_radius=0.1).readings:
         spots = body.positions[row > 0][:, :2]
         if len(spots) >= 8:
             width = np.linalg.svd(spots - spots.mean(axis=0), compute_uv=False)
@@ -217,8 +206,8 @@ def test_presses_have_the_given_depth_and_uniform_directions() -> None:
     np.testing.assert_allclose(offsets, 1 - depths)
     assert depths.max() <= options.press_depth
     assert depths.min() == -options.detection_radius
-    assert np.linalg.norm(directions.mean(axis=0)) < 0.05
-    assert np.abs(np.cov(directions.T) - np.eye(3) / 3).max() < 0.05
+    assert np.linalg.norm(directions.mean(axis=0)) < 0.1
+    assert np.abs(np.cov(directions.T) - np.eye(3) / 3).max() < 0.1
 
 
 def test_sources_are_uniform_outside_the_body() -> None:
@@ -229,16 +218,12 @@ def test_sources_are_uniform_outside_the_body() -> None:
     assert distance.max() <= options.field_radius
     # For a uniform distribution, half of the sources lie in the inner half of the volume.
     half = ((1 + options.field_radius**3) / 2) ** (1 / 3)
-    assert (distance < half).mean() == pytest.approx(0.5, abs=0.03)
-    assert np.linalg.norm((places / distance[..., None]).mean(axis=(0, 1))) < 0.05
+    assert (distance < half).mean() == pytest.approx(0.5, abs=0.05)
+    assert np.linalg.norm((places / distance[..., None]).mean(axis=(0, 1))) < 0.1
     assert strengths.min() >= 0
     assert strengths.max() <= options.strength
     readings = read_pulses(body.positions, places, strengths, options.half_distance)
-    assert readings.mean(axis=0).std() < 0.05 * readings.mean()
-    moments = np.array(
-        [(readings > level).mean(axis=0) for level in np.quantile(readings, (0.5, 0.9))]
-    )
-    assert np.abs(moments - [[0.5], [0.1]]).max() < 0.05
+    assert readings.mean(axis=0).std() < 0.1 * readings.mean()
 
 
 def test_fingertip_and_body_respond_to_the_same_contact() -> None:
@@ -264,27 +249,21 @@ def test_fingertip_and_body_respond_to_the_same_contact() -> None:
 
 def test_self_touch_agrees_with_the_closed_form() -> None:
     body, options = sphere(), SelfTouchOptions()
-    run = SCENARIOS["self-touch"].run(body, 100, options, np.random.default_rng(11))
+    touched = run("self-touch", body, 100, 11)
     centres, turns = move_fingertip(body, 100, options, np.random.default_rng(11))
-    tip = options.finger_radius * fingertip_directions(options)
-    for t in range(100):
-        distance = np.linalg.norm(body.positions - centres[t, 0], axis=1) - options.finger_radius
-        moved = centres[t] + tip @ turns[t].T
-        own = np.linalg.norm(moved, axis=1) - 1
-        np.testing.assert_allclose(
-            run.readings[t],
-            np.maximum(
-                np.concatenate(
-                    [options.detection_radius - distance, options.finger_detection_radius - own]
-                ),
-                0,
-            ),
-            atol=1e-6,
-        )
-        np.testing.assert_allclose(run.sensors[t], np.vstack([body.positions, moved]))
-    np.testing.assert_allclose(
-        turns @ np.swapaxes(turns, 1, 2), np.broadcast_to(np.eye(3), turns.shape), atol=1e-9
+    moved = centres + np.einsum(
+        "tij,nj->tni", turns, options.finger_radius * fingertip_directions(options)
     )
+    distances = np.linalg.norm(body.positions - centres, axis=2) - options.finger_radius
+    on_body = options.detection_radius - distances
+    on_tip = options.finger_detection_radius - (np.linalg.norm(moved, axis=2) - 1)
+    np.testing.assert_allclose(
+        touched.readings, np.maximum(np.hstack([on_body, on_tip]), 0), atol=1e-6
+    )
+    fixed = np.broadcast_to(body.positions, (100, 60, 3))
+    np.testing.assert_allclose(touched.sensors, np.concatenate([fixed, moved], axis=1))
+    identities = np.broadcast_to(np.eye(3), turns.shape)
+    np.testing.assert_allclose(turns @ np.swapaxes(turns, 1, 2), identities, atol=1e-9)
 
 
 def test_a_body_with_a_fingertip_has_all_sensors_on_its_surface() -> None:
@@ -300,26 +279,17 @@ def test_a_body_with_a_fingertip_has_all_sensors_on_its_surface() -> None:
         ("rubbing", {"n_hands": 0}, "n_hands must be an integer of at least 1, got 0"),
         ("rubbing", {"press_depth": 0.2}, "at most the thickness of the palm"),
         ("rubbing", {"hand_size": -1.0}, "hand_size must be positive, got -1 m"),
+        ("rubbing", {"circle_share": 1.5}, r"circle_share must be between 0 and 1, got 1\.5"),
+        ("rubbing", {"lift_share": float("nan")}, "lift_share must be between 0 and 1, got nan"),
+        ("rubbing", {"speed": 100.0}, r"speed must be at most .* \(24 m/s\), got 100 m/s"),
         ("roller", {"press_depth": 0.2}, "press_depth must be below roller_radius"),
         ("roller", {"roller_length": 0.0}, "roller_length must be positive, got 0 m"),
         ("pressing", {"tilt": -0.1}, r"tilt must be between 0 and 3\.14159, got -0\.1"),
-        (
-            "pressing",
-            {"press_interval": 0.05},
-            r"press_interval must be at least two frames \(0\.1 s\)",
-        ),
-        (
-            "self-touch",
-            {"n_finger_sensors": 0},
-            "n_finger_sensors must be an integer of at least 1, got 0",
-        ),
+        ("pressing", {"press_interval": 0.05}, r"must be at least two frames \(0\.1 s\)"),
+        ("self-touch", {"n_finger_sensors": 0}, "must be an integer of at least 1, got 0"),
         ("self-touch", {"press_depth": 0.3}, "press_depth must be below finger_radius"),
         ("pulses", {"n_sources": 0}, "n_sources must be an integer of at least 1, got 0"),
-        (
-            "pulses",
-            {"field_radius": 0.9},
-            r"field_radius must exceed the reach of the body \(1 m\)",
-        ),
+        ("pulses", {"field_radius": 0.9}, r"must exceed the reach of the body \(1 m\)"),
         ("pulses", {"half_distance": float("inf")}, "half_distance must be positive, got inf m"),
     ],
 )
@@ -332,23 +302,19 @@ def test_invalid_arguments_raise_an_error(
 
 @pytest.mark.parametrize("scenario", KINEMATIC)
 def test_props_and_facts_of_a_run_are_complete(scenario: str) -> None:
-    body = sphere()
-    chosen = SCENARIOS[scenario]
-    shares: list[float] = []
-    run = chosen.run(body, 30, chosen.options(), np.random.default_rng(12), shares.append)
-    assert shares[-1] == 1
-    assert {field.name for field in fields(chosen.options)} <= set(run.facts)
-    for prop in run.props:
+    options = SCENARIOS[scenario].options
+    made = run(scenario, sphere(), 30, 12)
+    assert {field.name for field in fields(options)} <= set(made.facts)
+    for prop in made.props:
         assert len(prop.centres) in (1, 30)
         for corners in prop.surfaces(17):
             assert np.isfinite(corners).all()
     if scenario in ("rubbing", "roller", "self-touch"):
         # The stimulus is drawn in contact, with at most the press depth, or lifted off.
         nearest = min(
-            np.linalg.norm(edge_points(run.props[-1], t), axis=1).min() for t in range(30)
+            np.linalg.norm(edge_points(made.props[-1], t), axis=1).min() for t in range(30)
         )
-        assert nearest > 1 - chosen.options().press_depth - 0.01
-        assert nearest < 1.01
+        assert 1 - options().press_depth - 0.01 < nearest < 1.01
 
 
 def edge_points(prop: Prop, frame: int) -> NDArray[np.float64]:
