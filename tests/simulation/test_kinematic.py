@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from anisomap.errors import InputError
 from anisomap.scene import Prop
 from anisomap.simulation import SCENARIOS, simulate
 from anisomap.simulation.bodies.body import Body
@@ -34,8 +33,6 @@ from anisomap.simulation.sensing import read_balls, read_capsules, read_half_spa
 KINEMATIC = ("rubbing", "roller", "pressing", "self-touch", "pulses")
 CONTACT = KINEMATIC[:4]
 seeds = st.integers(0, 2**32 - 1)
-
-Surface = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 def run(scenario: str, body: Body, n_frames: int, seed: int, **given: Any) -> ScenarioResult:
@@ -61,59 +58,22 @@ def test_readings_of_balls_agree_with_the_closed_form(
     )
 
 
-def nearest_by_sampling(surface: Surface, point: NDArray[np.float64], n_shape: int) -> float:
-    """Search a surface, given by parameters in [0, 1], for the point nearest to another."""
-    middle, width = np.full(n_shape, 0.5), 0.5
-    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 13)] * n_shape), axis=-1).reshape(-1, n_shape)
-    for _ in range(24):
-        tried = middle + width * grid
-        distance = np.linalg.norm(surface(tried) - point, axis=1)
-        middle = tried[distance.argmin()]
-        width *= 0.6
-    return float(distance.min())
-
-
-def on_ball(shape: NDArray[np.float64]) -> NDArray[np.float64]:
-    height, angle = np.clip(2 * shape[:, 0] - 1, -1, 1), 2 * np.pi * shape[:, 1]
-    ring = np.sqrt(1 - height**2)
-    return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
-
-
-@settings(max_examples=15)
 @given(seeds)
-def test_readings_agree_with_brute_force_over_the_stimulus(seed: int) -> None:
+def test_readings_of_capsules_and_half_spaces_agree_with_sampled_distances(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    sensor, radius, detection = rng.uniform(-0.5, 0.5, 3), 0.3, 0.9
-    start, end = rng.uniform(0.8, 1.2, 3), rng.uniform([-1.2, 0.8, 0.8], [-0.8, 1.2, 1.2])
-    sensors = sensor[None]
-
-    def capsule(shape: NDArray[np.float64]) -> NDArray[np.float64]:
-        along = np.clip(shape[:, 2:], 0, 1)
-        return start + along * (end - start) + radius * on_ball(shape)
-
-    def face(shape: NDArray[np.float64]) -> NDArray[np.float64]:
-        normal = start / np.linalg.norm(start)
-        u = np.cross(normal, [1.0, 0, 0])
-        v = np.cross(normal, u)
-        return start + 8 * (shape[:, :1] - 0.5) * u + 8 * (shape[:, 1:] - 0.5) * v
-
+    sensors, radius, detection = rng.uniform(-0.5, 0.5, (4, 3)), 0.3, 0.9
+    start, end = rng.uniform(-1, 1, (2, 3))
+    axis = start + np.linspace(0, 1, 5001)[:, None] * (end - start)
+    nearest = np.linalg.norm(sensors[:, None] - axis, axis=2).min(axis=1) - radius
+    found = read_capsules(sensors, start[None, None], end[None, None], radius, detection)
+    np.testing.assert_allclose(found[0], np.maximum(0, detection - nearest), atol=1e-3)
     direction = start / np.linalg.norm(start)
-    cases = [
-        (
-            read_balls(sensors, start[None, None], radius, detection),
-            nearest_by_sampling(lambda shape: start + radius * on_ball(shape), sensor, 2),
-        ),
-        (
-            read_capsules(sensors, start[None, None], end[None, None], radius, detection),
-            nearest_by_sampling(capsule, sensor, 3),
-        ),
-        (
-            read_half_spaces(sensors, direction[None], [start @ direction], detection),
-            nearest_by_sampling(face, sensor, 2),
-        ),
-    ]
-    for reading, nearest in cases:
-        assert abs(reading[0, 0] - max(0.0, detection - nearest)) <= 1e-6 * detection
+    heights = rng.uniform(0, 1.2, 4)
+    beside = rng.normal(size=(4, 3))
+    beside -= np.outer(beside @ direction, direction)
+    below = start + beside - heights[:, None] * direction
+    found = read_half_spaces(below, direction[None], [start @ direction], detection)
+    np.testing.assert_allclose(found[0], np.maximum(0, detection - heights), atol=1e-6)
 
 
 @given(seeds)
@@ -136,13 +96,6 @@ def test_a_default_run_touches_all_sensors_with_sparse_readings(scenario: str) -
     assert 0.2 < 1 - touched.mean() < 0.98
     assert 0 < (~touched.any(axis=1)).mean() < 0.5  # some frames have no contact
     assert len(touched) == 1000
-
-
-@pytest.mark.parametrize("scenario", KINEMATIC)
-def test_scenarios_scale_with_the_body(scenario: str) -> None:
-    one, large = (run(scenario, body, 50, 3) for body in (y_shape(), y_shape().scaled(2)))
-    growth = 1 if scenario == "pulses" else 2
-    np.testing.assert_allclose(large.readings, growth * one.readings, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -271,33 +224,6 @@ def test_a_body_with_a_fingertip_has_all_sensors_on_its_surface() -> None:
     assert body.n_sensors == 105 + 16
     assert np.abs(body.distance(body.positions)).max() < 1e-9
     np.testing.assert_allclose(body.normals_at(body.positions)[105:], body.normals[105:], atol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("scenario", "given", "message"),
-    [
-        ("rubbing", {"n_hands": 0}, "n_hands must be an integer of at least 1, got 0"),
-        ("rubbing", {"press_depth": 0.2}, "at most the thickness of the palm"),
-        ("rubbing", {"hand_size": -1.0}, "hand_size must be positive, got -1 m"),
-        ("rubbing", {"circle_share": 1.5}, r"circle_share must be between 0 and 1, got 1\.5"),
-        ("rubbing", {"lift_share": float("nan")}, "lift_share must be between 0 and 1, got nan"),
-        ("rubbing", {"speed": 100.0}, r"speed must be at most .* \(24 m/s\), got 100 m/s"),
-        ("roller", {"press_depth": 0.2}, "press_depth must be below roller_radius"),
-        ("roller", {"roller_length": 0.0}, "roller_length must be positive, got 0 m"),
-        ("pressing", {"tilt": -0.1}, r"tilt must be between 0 and 3\.14159, got -0\.1"),
-        ("pressing", {"press_interval": 0.05}, r"must be at least two frames \(0\.1 s\)"),
-        ("self-touch", {"n_finger_sensors": 0}, "must be an integer of at least 1, got 0"),
-        ("self-touch", {"press_depth": 0.3}, "press_depth must be below finger_radius"),
-        ("pulses", {"n_sources": 0}, "n_sources must be an integer of at least 1, got 0"),
-        ("pulses", {"field_radius": 0.9}, r"must exceed the reach of the body \(1 m\)"),
-        ("pulses", {"half_distance": float("inf")}, "half_distance must be positive, got inf m"),
-    ],
-)
-def test_invalid_arguments_raise_an_error(
-    scenario: str, given: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(InputError, match=message):
-        simulate("sphere", scenario, n_frames=20, **given)
 
 
 @pytest.mark.parametrize("scenario", KINEMATIC)
