@@ -32,7 +32,7 @@ def off(found, scene):
 
 @pytest.mark.parametrize("form", RADII)
 def test_a_patch_is_placed_within_a_fraction_of_a_spacing(scenes, form):
-    errors, within, astray, mapped = [], [], [], []
+    errors, within, astray = [], [], []
     for seed in range(501, 504):
         scene = scenes(seed, 60, form)
         found = place_by_self_touch(scene.shape, scene.touches, scene.other, exact=True)
@@ -40,14 +40,20 @@ def test_a_patch_is_placed_within_a_fraction_of_a_spacing(scenes, form):
         within.append(np.mean(off(found, scene) * SPACING <= found.map.errors))
         astray.append(np.mean(~found.used))
         assert (found.map.frame, found.map.units, found.map.anchored) == ("left", "m", True)
-        own_map = reconstruct(scene.rubbing, "r-anisomap", dimensions=2)
-        found = place_by_self_touch(own_map, scene.touches, scene.other)
-        mapped.append(np.median(off(found, scene)))
-    # Of eight seeds, medians are 0.06, 1 and, of maps, 0.13 to 0.19 spacings.
+    # Of eight seeds, the medians are 0.06 spacings and 1.
     assert np.median(errors) < 0.2
     assert np.median(within) > 0.7
-    assert np.median(mapped) < 0.5
     assert 0.02 < np.mean(astray) < 0.25
+
+
+def test_a_patch_of_unknown_positions_is_placed_from_its_map(scenes):
+    errors = []
+    for seed, form in ((501, "flat"), (502, "curved"), (503, "curved")):
+        scene = scenes(seed, 60, form)
+        own_map = reconstruct(scene.rubbing, "r-anisomap", dimensions=2)
+        found = place_by_self_touch(own_map, scene.touches, scene.other)
+        errors.append(np.median(off(found, scene)))
+    assert np.median(errors) < 0.5  # 0.13 to 0.19
 
 
 def test_touches_tell_the_scale_and_the_hand_of_a_map(scenes):
