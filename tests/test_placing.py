@@ -1,4 +1,4 @@
-"""Placing a map: recovery of the frame, errors, handedness, components, refusals."""
+"""Placing a map: frame, errors, handedness, components, scale, normals, refusals."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,18 @@ from scipy.stats import special_ortho_group
 
 from anisomap import SensorMap, align
 from anisomap.errors import InputError
-from anisomap.placement import Anchors, anchors_from_map, parse_anchor, place
+from anisomap.placement import (
+    Anchors,
+    anchors_from_map,
+    median_spacing,
+    mirrored,
+    parse_anchor,
+    parse_length,
+    place,
+    scaled_to_spacing,
+    surface_normals,
+    to_taxels,
+)
 from skins import lattice
 
 seeds = st.integers(0, 10_000)
@@ -198,6 +209,8 @@ def test_stating_the_hand_places_what_would_be_refused():
         place(sensor_map, three)
     found = place(sensor_map, three, handedness="mirrored")
     np.testing.assert_allclose(found.map.positions, truth, atol=1e-9)
+    with pytest.raises(InputError, match="in the frame of the robot already"):
+        place(found.map, three)
     with pytest.raises(InputError, match="contradict the stated handedness"):
         place(sensor_map, anchors_at(truth, [0, 8, 66, 31, 40]), handedness="same")
 
@@ -207,6 +220,8 @@ def test_a_spacing_alone_gives_metres():
     assert (found.units, found.anchored, found.handed) == ("m", False, False)
     assert found.known_up_to == "rotation, translation and reflection"
     assert place(mapped(body(2), 0), spacing=(6, "mm"), handedness="same").map.handed
+    with pytest.raises(InputError, match="spacing must be a positive number, got -1"):
+        place(mapped(body(2), 0), spacing=(-1, "mm"))
 
 
 FLAT, CURVED = body(2), body(3)
@@ -227,12 +242,6 @@ FLAT, CURVED = body(2), body(3)
 def test_incomplete_knowledge_is_refused_with_what_would_settle_it(k, anchors, message):
     with pytest.raises(InputError, match=message):
         place(mapped(body(k), 0), anchors)
-
-
-def test_a_placed_map_is_not_placed_again():
-    anchors = anchors_at(FLAT, [0, 8, 66])
-    with pytest.raises(InputError, match="in the frame of the robot already"):
-        place(place(mapped(FLAT, 0), anchors).map, anchors)
 
 
 @pytest.mark.parametrize("stated", [{}, {"handedness": "same"}])
@@ -269,3 +278,83 @@ def test_anchors_are_read():
         anchors_from_map(SensorMap([[1.0, 2]]))
     with pytest.raises(InputError, match="given more than once"):
         Anchors(("a", "a"), np.zeros((2, 2)))
+
+
+def some_map(seed, n_sensors=20, dimensions=3):
+    return SensorMap(np.random.default_rng(seed).normal(size=(n_sensors, dimensions)))
+
+
+@given(seeds, st.floats(1e-3, 1e3))
+@settings(max_examples=20)
+def test_scaling_sets_the_spacing_and_keeps_the_shape(seed, spacing):
+    before = some_map(seed)
+    after = scaled_to_spacing(before, spacing, "mm")
+    assert median_spacing(after) == pytest.approx(spacing)
+    assert after.units == "mm"
+    factor = after.provenance["scale"]
+    np.testing.assert_allclose(after.positions, factor * before.positions)
+
+
+@given(seeds, st.sampled_from([2, 3]))
+@settings(max_examples=20)
+def test_a_mirrored_map_is_a_reflection_and_twice_is_the_map(seed, dimensions):
+    before = some_map(seed, dimensions=dimensions)
+    after = mirrored(before)
+    assert align(after.positions, before.positions).reflected
+    assert after.mirrored is True
+    again = mirrored(after)
+    np.testing.assert_array_equal(again.positions, before.positions)
+    assert again.mirrored is False
+
+
+def test_components_share_a_scale_and_have_separate_normals():
+    grid = np.stack(np.meshgrid(np.arange(4.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
+    positions = np.vstack([grid, grid[:, ::-1] + 0.1, [[np.nan, np.nan]]])
+    found = SensorMap(positions, component=[0] * 16 + [1] * 16 + [-1])
+    assert median_spacing(found) == 1  # sensors of the other component are not neighbours
+    assert median_spacing(scaled_to_spacing(found, 6.5, "mm")) == pytest.approx(6.5)
+    normals = surface_normals(found)
+    np.testing.assert_array_equal(normals[:32], np.tile([0, 0, 1], (32, 1)))
+    assert np.isnan(normals[32]).all()
+
+
+def test_taxels_are_in_metres_and_their_frames_have_z_along_the_normal():
+    skin = to_taxels(scaled_to_spacing(some_map(3), 4.0, "mm"), "a test")
+    assert skin.frame == "skin"
+    frames = skin.rotations.as_matrix()
+    np.testing.assert_allclose(frames[:, :, 2], skin.normals, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(frames), 1)
+    spaced = SensorMap(skin.positions)
+    assert median_spacing(spaced) == pytest.approx(0.004)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("6.5mm", (6.5, "mm")), (" 2 cm ", (2, "cm")), ("1e-3m", (1e-3, "m")), ("4um", (4, "um"))],
+)
+def test_lengths_are_read(text, expected):
+    assert parse_length(text) == expected
+
+
+@pytest.mark.parametrize("text", ["", "6.5", "mm", "-1mm", "0m", "6.5 furlong", "1e999m", "--mm"])
+def test_malformed_lengths_are_rejected(text):
+    with pytest.raises(InputError, match="is not a length; write a positive number and a unit"):
+        parse_length(text)
+
+
+@pytest.mark.parametrize(
+    ("sensor_map", "message"),
+    [
+        (some_map(0), "a test needs positions in metres, but the unit of the map is"),
+        (SensorMap(np.eye(3), component=[0, 0, 1], units="mm"), "their relative poses are unknown"),
+        (SensorMap(np.eye(4), units="m"), "at most 3 dimensions, got 4"),
+    ],
+)
+def test_maps_without_poses_in_metres_are_rejected(sensor_map, message):
+    with pytest.raises(InputError, match=message):
+        to_taxels(sensor_map, "a test")
+
+
+def test_spacings_that_are_undefined_are_rejected():
+    with pytest.raises(InputError, match="spacing of the map is undefined"):
+        median_spacing(SensorMap(np.zeros((3, 2))))

@@ -42,13 +42,6 @@ def test_normals_of_a_sphere_point_outwards(seed: int, radius: float) -> None:
     assert degrees(normals, outward).max() < 10
 
 
-def test_normals_of_a_cylinder_point_away_from_its_axis() -> None:
-    points, outward = cylinder(20, 12)
-    normals, reliable = estimate_normals(points)
-    assert reliable.all()
-    assert degrees(normals, outward).max() < 25
-
-
 def test_normals_of_a_bent_sheet_are_on_one_side() -> None:
     # Three quarters of a tube: for some points, inwards is away from the centroid.
     points, outward = cylinder(40, 6)
