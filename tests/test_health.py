@@ -239,10 +239,10 @@ def test_copies_are_named_with_their_source():
 
 @pytest.mark.parametrize("skin", [wired_at_random, flat_skin, seeing_patch, bombarded_skin])
 def test_sound_recordings_have_no_faults_and_are_not_changed(skin):
-    recording = skin() if skin is bombarded_skin else skin(seed=301)
-    found = repair(recording)
-    assert found.findings == ()
-    assert found.recording is recording
+    for recording in [skin()] if skin is bombarded_skin else [skin(seed=301), skin(seed=303)]:
+        found = repair(recording)
+        assert found.findings == ()
+        assert found.recording is recording
 
 
 @pytest.mark.slow

@@ -54,6 +54,8 @@ def faults():
     moved = TRUTH.copy()
     patch = np.argsort(np.linalg.norm(TRUTH - TRUTH[75], axis=1))[:9]
     moved[patch] += [4.3, 3.1]
+    alone = TRUTH.copy()
+    alone[44] = TRUTH[115] + [0.5, 0.3]
     return {
         "swapped": with_places([3, 77], [77, 3]),
         "cycle": with_places([5, 66, 112], [66, 112, 5]),
@@ -62,6 +64,7 @@ def faults():
         "mirrored": with_places(*images(reflected=True)),
         "exchanged": with_places(both, np.concatenate([second, first])),
         "moved": replace(LAYOUT, positions=moved),
+        "moved alone": replace(LAYOUT, positions=alone),
     }
 
 
@@ -89,19 +92,19 @@ def test_each_fault_is_found_and_explained(kind, check):
     found = check(stated)
     np.testing.assert_array_equal(found.accused, wrong)
     error = np.linalg.norm(found.corrected.positions - TRUTH, axis=1)
-    assert error.max() < (0.5 if kind == "moved" else 1e-9)
+    assert error.max() < (0.5 if kind.startswith("moved") else 1e-9)
     (finding,) = found.findings
-    assert finding.kind == kind
+    assert finding.kind == kind.split()[0]
     assert finding.gain > 0
     assert finding.displacement > 0.5
     assert finding.agreement_proposed > finding.agreement_stated or np.isnan(
         finding.agreement_stated
     )
-    assert {found.status[i] for i in finding.sensors} == {kind}
+    assert {found.status[i] for i in finding.sensors} == {finding.kind}
 
 
 def test_every_kind_of_finding_has_a_test():
-    assert set(faults()) | {"dead", "doubled"} == set(KINDS)
+    assert {name.split()[0] for name in faults()} | {"dead", "doubled"} == set(KINDS)
 
 
 def test_several_faults_are_told_apart(check):
@@ -144,17 +147,6 @@ def test_a_sensor_in_the_place_of_a_dead_one(recording):
     )
     assert found.names(dead) == ("taxel91",)
     np.testing.assert_array_equal(found.corrected.positions, TRUTH)
-
-
-def test_a_sensor_on_a_place_of_its_own(check):
-    stated = TRUTH.copy()
-    stated[44] = TRUTH[115] + [0.5, 0.3]
-    found = check(replace(LAYOUT, positions=stated))
-    (finding,) = found.findings
-    assert (finding.kind, found.names(finding)) == ("moved", ("taxel44",))
-    error = np.linalg.norm(found.corrected.positions - TRUTH, axis=1)
-    assert error[44] < 0.7
-    assert (np.delete(error, 44) == 0).all()
 
 
 def test_noise_accuses_nobody():

@@ -121,9 +121,8 @@ def test_agreements_of_disjoint_contacts_add_up_exactly():
 def test_a_zero_that_shifts_between_recordings_relates_no_sensors():
     rng = np.random.default_rng(6)
     first, second = rng.normal(size=(2, 2000, 6))
-    pooled = PairSums.of(first, "pearson", bins=6).merged(
-        PairSums.of(second + 100, "pearson", bins=6)
-    )
+    sums = [PairSums.of(readings, "pearson", bins=6) for readings in (first, second + 100)]
+    pooled = sums[0].merged(sums[1])
     others = ~np.eye(6, dtype=bool)
     assert np.abs(pooled.statistics("pearson").similarity[others]).max() < 0.1
     assert np.abs(pearson(np.concatenate([first, second + 100]))[others]).min() > 0.9
@@ -295,7 +294,7 @@ def test_a_real_patch_gets_new_sensors_and_names_exchanged_wires(recordings_fold
     first = Recording(whole.readings[:half], names=whole.names).select(old)
     readings = np.array(whole.readings[half:])
     readings[:, wires] = readings[:, wires[::-1]]
-    found = quiet(update_map, *quiet(mapped, first), named(readings, whole.names))
+    found = quiet(update_map, *quiet(mapped, first, "covariogram"), named(readings, whole.names))
     assert set(found.moved) == {whole.names[i] for i in wires}
     assert set(found.added) == {whole.names[i] for i in fresh}
     made = found.map.select([found.map.names.index(name) for name in whole.names])
