@@ -1,5 +1,7 @@
 """Small synthetic skins with known positions, simulated in closed form."""
 
+from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -105,3 +107,13 @@ def swept(
     bar = np.arange(positions[:, 0].min() - 3, positions[:, 0].max() + 3, 0.4)
     profile = np.maximum(0, 1 - ((bar[:, None] - positions[:, 0]) / 2) ** 2)
     return (pressures[:, None] * profile).reshape(-1, len(positions))
+
+
+@cache
+def bombarded_skin() -> Recording:
+    """Return the readings of 60 sensors on a sphere that balls bombard: `simulate(seed=1)`, stored.
+
+    Readings are whole numbers up to 1000.
+    """
+    with np.load(Path(__file__).parent / "fixtures" / "bombarded.npz") as stored:
+        return Recording(stored["readings"], positions=stored["positions"])

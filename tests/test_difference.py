@@ -13,6 +13,7 @@ from anisomap.numerics.procrustes import fit_similarity, fit_similarity_robustly
 from skins import lattice
 
 seeds = st.integers(0, 10_000)
+few = settings(max_examples=15)
 
 
 def moved_freely(points, rng, factor=3.0):
@@ -31,6 +32,7 @@ def two_maps(seed, *, noise=0.05, rows=9, columns=10):
 
 
 @given(seeds, st.sampled_from([2, 3]), st.booleans())
+@few
 def test_a_fit_of_given_handedness_recovers_a_transform(seed, k, reflected):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(6, k))
@@ -45,6 +47,7 @@ def test_a_fit_of_given_handedness_recovers_a_transform(seed, k, reflected):
 
 
 @given(seeds)
+@few
 def test_weights_count_points_repeatedly(seed):
     rng = np.random.default_rng(seed)
     x, y = rng.normal(size=(2, 7, 3))
@@ -55,6 +58,7 @@ def test_weights_count_points_repeatedly(seed):
 
 
 @given(seeds, st.floats(0.05, 0.3))
+@few
 def test_a_robust_fit_is_not_bent_by_points_that_moved(seed, share):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(60, 3))
@@ -67,7 +71,7 @@ def test_a_robust_fit_is_not_bent_by_points_that_moved(seed, share):
 
 
 @given(seeds)
-@settings(max_examples=20)
+@few
 def test_an_alignment_applies_to_other_points(seed):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(20, 2))
@@ -84,30 +88,31 @@ def test_an_alignment_applies_to_other_points(seed):
 def test_maps_that_differ_by_chance_do_not_differ():
     alarms = sum(
         compare_maps(SensorMap(before), SensorMap(after)).moved.any()
-        for before, after, _ in map(two_maps, range(60))
+        for before, after, _ in map(two_maps, range(40))
     )
-    assert alarms <= 3  # 0.6 expected at a level of 1 %; P(more than 3) < 0.003
+    assert alarms <= 3  # 0.4 expected at a level of 1 %; P(more than 3) < 0.001
+    same = compare_maps(SensorMap(lattice()), SensorMap(lattice()))
+    assert not same.found
+    assert same.scale == pytest.approx(1)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_swapped_sensors_are_named_with_their_distance(seed):
     before, after, rng = two_maps(seed)
-    while True:
-        a, b = rng.choice(len(before), 2, replace=False)
-        apart = float(np.linalg.norm(before[a] - before[b]))
-        if apart > 2:
-            break
+    a = int(rng.integers(len(before)))
+    apart = np.linalg.norm(before - before[a], axis=1)
+    b = int(rng.choice(np.flatnonzero(apart > 2)))
     after[[a, b]] = after[[b, a]]
     found = compare_maps(SensorMap(before, units="mm"), SensorMap(after))
     assert np.flatnonzero(found.moved).tolist() == sorted((a, b))
-    assert found.distance[a] == pytest.approx(apart, abs=0.5)
+    assert found.distance[a] == pytest.approx(apart[b], abs=0.5)
     assert (found.p_values[found.moved] < 0.01).all()
     assert found.units == "mm"
     assert found.found
 
 
 @given(seeds)
-@settings(max_examples=15)
+@settings(max_examples=5)
 def test_the_comparison_does_not_depend_on_frames_or_order(seed):
     before, after, rng = two_maps(3)
     after[17] += 9
@@ -128,18 +133,17 @@ def test_the_comparison_does_not_depend_on_frames_or_order(seed):
 def test_sensors_appear_and_are_lost():
     before, after, _ = two_maps(0)
     names = [f"n{i}" for i in range(len(before))]
-    health = ["ok"] * len(before)
-    health[4] = "dead"
-    after[4] = np.nan
     after[5] = np.nan
-    found = compare_maps(
-        SensorMap(before[:-1], names=names[:-1]),
-        SensorMap(after[1:], names=names[1:], health=health[1:]),
-    )
+    first = SensorMap(before[:-1], names=names[:-1])
+    health = np.where(np.arange(1, len(after)) == 4, "dead", "ok")  # it keeps its place
+    second = SensorMap(after[1:], names=names[1:], health=health)
+    found = compare_maps(first, second)
     assert [found.names[i] for i in np.flatnonzero(found.lost)] == ["n0", "n4", "n5"]
     assert [found.names[i] for i in np.flatnonzero(found.appeared)] == [names[-1]]
     assert not found.moved.any()
-    assert np.isnan(found.distance[[0, 4, 5, -1]]).all()
+    assert np.isnan(found.distance[[0, 5, -1]]).all()
+    back = compare_maps(second, first)
+    assert "n4" in [back.names[i] for i in np.flatnonzero(back.appeared)]  # it recovered
 
 
 def test_components_are_aligned_apart():
@@ -167,10 +171,3 @@ def test_maps_that_cannot_be_compared_are_refused():
     assert compare_maps(SensorMap(before), named).notes == (
         "the maps share no sensor name: matched by order",
     )
-
-
-def test_a_map_does_not_differ_from_itself():
-    points = lattice()
-    found = compare_maps(SensorMap(points), SensorMap(points))
-    assert not found.found
-    assert found.scale == pytest.approx(1)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.distance import pdist, squareform
 from sklearn.datasets import make_swiss_roll
 from sklearn.decomposition import PCA
-from sklearn.manifold import MDS
+from sklearn.manifold import smacof
 from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
@@ -20,12 +20,17 @@ from skins import flat_skin, lattice
 SKIN = flat_skin()
 
 
+@pytest.fixture(scope="module")
+def mapper():
+    return SensorMapper(n_components=2).fit(SKIN.readings)
+
+
 # The checks use few frames of noise: the doubts that this raises are right, and not the point.
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
 @parametrize_with_checks(
     [
         SensorMapper(n_components=2),
-        SensorMapper(n_components=2, missing="interpolate"),
+        SensorMapper(n_components=2, method="r-anisomap", missing="interpolate"),
         SensorMapper(n_components=2, method="isomap", missing="drop-frames"),
         Anisomap(),
         Anisomap(metric="precomputed"),
@@ -35,12 +40,13 @@ def test_scikit_learn_contract(estimator, check):
     check(estimator)
 
 
-@pytest.mark.parametrize("method", [DEFAULT_METHOD, "r-anisomap", "isomap"])
-def test_mapper_equals_reconstruct(method):
-    mapper = SensorMapper(n_components=2, method=method).fit(SKIN.readings)
-    expected = reconstruct(SKIN, method, 2)
-    np.testing.assert_allclose(mapper.positions_, expected.positions, atol=1e-9)
-    assert mapper.map_.stress == pytest.approx(expected.stress)
+def test_mapper_equals_reconstruct(mapper):
+    for fitted in (mapper, SensorMapper(n_components=2, method="isomap").fit(SKIN.readings)):
+        expected = reconstruct(SKIN, fitted.method, 2)
+        np.testing.assert_allclose(fitted.positions_, expected.positions, atol=1e-9)
+        assert fitted.map_.stress == pytest.approx(expected.stress)
+    assert mapper.method == DEFAULT_METHOD
+    assert reconstruct(Recording(SKIN.readings), dimensions=2).method == DEFAULT_METHOD
 
 
 def test_partial_fit_equals_fit(monkeypatch):
@@ -58,29 +64,23 @@ def test_partial_fit_equals_fit(monkeypatch):
     np.testing.assert_allclose(parts.transform(SKIN.readings), whole.transform(SKIN.readings))
 
 
-def test_mapper_and_reconstruct_have_the_same_default_method():
-    assert SensorMapper().method == DEFAULT_METHOD
-    assert reconstruct(Recording(SKIN.readings), dimensions=2).method == DEFAULT_METHOD
-
-
-def test_partial_fit_notes_limitations_of_the_default_method():
+def test_partial_fit_notes_limitations_of_the_default_method(mapper):
     with pytest.warns(AnisomapWarning, match="Pearson's r alone"):
         parts = SensorMapper(n_components=2).partial_fit(SKIN.readings)
     assert any("Pearson's r alone" in note for note in parts.map_.notes)
-    assert SensorMapper(n_components=2).fit(SKIN.readings).map_.notes == ()
+    assert mapper.map_.notes == ()
 
 
 def test_partial_fit_warns_of_rounded_values(monkeypatch):
     monkeypatch.setattr("anisomap.numerics.similarity.joint_values.MAX_SERIES", 42 * 50)
-    mapper = SensorMapper(n_components=2, method="i-anisomap")
+    parts = SensorMapper(n_components=2, method="i-anisomap")
     with pytest.warns(AnisomapWarning, match="more than 50 distinct values"):
-        mapper.partial_fit(SKIN.readings)
+        parts.partial_fit(SKIN.readings)
     whole = SensorMapper(n_components=2, method="i-anisomap").fit(SKIN.readings)
-    assert mantel(mapper.positions_, whole.positions_, permutations=0).r > 0.98
+    assert mantel(parts.positions_, whole.positions_, permutations=0).r > 0.98
 
 
-def test_the_centre_of_contact_is_where_the_skin_is_touched():
-    mapper = SensorMapper(n_components=2).fit(SKIN.readings)
+def test_the_centre_of_contact_is_where_the_skin_is_touched(mapper):
     readings = SKIN.readings
     touched = readings.sum(axis=1) > 0
     centres = mapper.transform(readings)
@@ -88,15 +88,11 @@ def test_the_centre_of_contact_is_where_the_skin_is_touched():
     truth = readings[touched] @ lattice() / readings[touched].sum(axis=1, keepdims=True)
     some = np.flatnonzero(touched)[::10]
     assert mantel(centres[some], truth[::10], permutations=0).r > 0.98
-
-
-def test_a_touch_of_one_sensor_is_at_that_sensor():
-    mapper = SensorMapper(n_components=2).fit(SKIN.readings)
     np.testing.assert_allclose(mapper.transform(np.eye(42)), mapper.positions_)
 
 
 def test_missing_readings_are_left_out_of_the_centre():
-    mapper = SensorMapper(n_components=2, missing="interpolate").fit(SKIN.readings)
+    mapper = SensorMapper(2, method="r-anisomap", missing="interpolate").fit(SKIN.readings)
     frame = np.zeros((1, 42))
     frame[0, [3, 4]] = 1
     frame[0, 5] = np.nan
@@ -105,25 +101,24 @@ def test_missing_readings_are_left_out_of_the_centre():
 
 def test_columns_name_the_sensors():
     frame = pd.DataFrame(SKIN.readings, columns=[f"pad {i}" for i in range(42)])
-    for mapper in (
-        SensorMapper(2).fit(frame),
-        SensorMapper(2, method="r-anisomap").partial_fit(frame),
-    ):
+    for fit in (SensorMapper.fit, SensorMapper.partial_fit):
+        mapper = fit(SensorMapper(2, method="r-anisomap"), frame)
         assert mapper.map_.names == tuple(frame.columns)
 
 
 def test_a_mapper_works_in_a_pipeline():
-    pipeline = make_pipeline(SensorMapper(), PCA(2))
+    pipeline = make_pipeline(SensorMapper(method="r-anisomap"), PCA(2))
     touched = SKIN.readings[SKIN.readings.sum(axis=1) > 0]
     assert pipeline.fit_transform(touched).shape == (len(touched), 2)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_anisomap_does_no_worse_than_mds_on_euclidean_distances(seed):
     points = np.random.default_rng(seed).normal(size=(40, 4))
     ours = Anisomap(2).fit_transform(points)
-    theirs = MDS(2, n_init=1, init="classical_mds", random_state=0).fit_transform(points)
     truth = pdist(points)
+    start = PCA(2).fit_transform(points)
+    theirs, _ = smacof(squareform(truth), n_components=2, init=start, n_init=1)
     assert ((pdist(ours) - truth) ** 2).sum() <= ((pdist(theirs) - truth) ** 2).sum() * (1 + 1e-6)
 
 

@@ -1,15 +1,21 @@
-"""Recordings: accepted input, refused input, and conversions."""
+"""Recordings: accepted and refused input, conversions, several of one skin, and reprs."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from anisomap import Recording
-from anisomap.errors import InputError
+from anisomap import Recording, SensorMap, join_runs, reconstruct, reconstruct_from, score
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.health import assess
+from anisomap.methods import MethodOptions
+from anisomap.numerics.contacts import ContactOptions
+from skins import flat_skin
 
 
 @pytest.mark.parametrize(
@@ -83,24 +89,28 @@ def test_selection_applies_to_all_fields():
     np.testing.assert_array_equal(part.positions, np.eye(3)[[2, 0]])
 
 
+few = settings(max_examples=25)
 HOLES = arrays(
     np.float64, (8, 3), elements=st.one_of(st.floats(-9, 9), st.just(np.nan), st.just(np.inf))
 )
 
 
 @given(HOLES)
+@few
 def test_interpolation_fills_only_holes_and_stays_in_range(readings):
     filled = Recording(readings).complete(missing="interpolate").readings
     known = np.isfinite(readings)
     np.testing.assert_array_equal(filled[known], readings[known])
     assert np.isfinite(filled).all()
-    for column, values in zip(filled.T, readings.T, strict=True):
-        seen = values[np.isfinite(values)]
-        low, high = (seen.min(), seen.max()) if seen.size else (0, 0)
-        assert ((column >= low) & (column <= high)).all()
+    some = known.any(axis=0)
+    low, high = (limit(np.where(known, readings, np.nan)[:, some], axis=0)
+                 for limit in (np.nanmin, np.nanmax))  # fmt: skip
+    assert ((filled[:, some] >= low) & (filled[:, some] <= high)).all()
+    assert not filled[:, ~some].any()
 
 
 @given(HOLES)
+@few
 def test_dropping_frames_keeps_whole_frames_only(readings):
     known = np.isfinite(readings)
     sound = known[:, known.any(axis=0)].all(axis=1)
@@ -120,13 +130,6 @@ def test_missing_readings_are_named():
         Recording(readings).complete()
 
 
-def test_sensors_without_finite_readings_do_not_vary():
-    readings = np.random.default_rng(0).normal(size=(5, 3))
-    readings[:, 1] = np.nan
-    readings[0, 2] = np.inf
-    np.testing.assert_array_equal(Recording(readings).varying(), [True, False, True])
-
-
 def test_recordings_can_be_pickled():
     recording = Recording(np.eye(3), names="abc", metadata={"seed": 1})
     recording.extremes  # noqa: B018, statistics that were computed are not part of it
@@ -136,13 +139,8 @@ def test_recordings_can_be_pickled():
     assert not again.readings.flags.writeable
 
 
-@given(
-    readings=arrays(
-        np.float64,
-        st.tuples(st.integers(1, 6), st.integers(1, 4)),
-        elements=st.one_of(st.floats(-1e3, 1e3), st.sampled_from([np.nan, np.inf, -np.inf])),
-    )
-)
+@given(HOLES)
+@few
 def test_extremes_show_which_sensors_miss_readings(readings):
     recording = Recording(readings)
     lowest, highest = recording.extremes
@@ -150,3 +148,126 @@ def test_extremes_show_which_sensors_miss_readings(readings):
     np.testing.assert_array_equal(np.isfinite(lowest) & np.isfinite(highest), complete)
     np.testing.assert_array_equal(lowest[complete], readings.min(axis=0)[complete])
     assert (recording.complete("interpolate") is recording) == complete.all()
+    several = [len(np.unique(column[np.isfinite(column)])) > 1 for column in readings.T]
+    np.testing.assert_array_equal(recording.varying(), several)
+
+
+HOSTILE = "<script>alert(1)</script>"
+
+
+def test_the_repr_of_a_recording_tells_its_size():
+    shown = repr(Recording(np.zeros((400, 300)), rate_hz=50))
+    assert len(shown) < 200
+    assert "400 frames, 300 sensors, 50 Hz" in shown
+
+
+def test_the_repr_of_a_map_tells_its_size_method_and_components():
+    positions = np.vstack([np.eye(3), 9 + np.eye(3)[:2], np.full((1, 3), np.nan)])
+    made = SensorMap(positions, component=[0, 0, 0, 1, 1, -1], method="isomap", stress=0.25)
+    shown = repr(made)
+    assert len(shown) < 200
+    for part in ("5 of 6 sensors placed", "3D", "2 components", "isomap", "Stress-1=0.250"):
+        assert part in shown
+
+
+def test_notebooks_show_escaped_tables():
+    recording = Recording(np.eye(4), source=HOSTILE)
+    made = SensorMap(np.eye(3), notes=[HOSTILE], method=HOSTILE)
+    for table in (recording._repr_html_(), made._repr_html_()):
+        assert table.startswith("<table>")
+        assert "<script>" not in table
+        assert "&lt;script&gt;" in table
+
+
+SKIN = flat_skin(n_frames=3000)
+NAMED = Recording(
+    SKIN.readings, names=[f"pad{i}" for i in range(42)], positions=SKIN.positions, units="mm"
+)
+
+
+def frames(start, stop, sensors=slice(None)):
+    kept = NAMED.select(np.arange(42)[sensors])
+    return replace(kept, readings=kept.readings[start:stop], rate_hz=50)
+
+
+@pytest.mark.parametrize("method", ["covariogram", "contact-fit", "i-anisomap", "isomap"])
+def test_a_recording_split_into_runs_gives_the_same_map(method):
+    order = np.random.default_rng(0).permutation(42)
+    runs = [frames(0, 700), frames(700, 1900, order), frames(1900, 3000)]
+    quick = MethodOptions(contacts=ContactOptions(max_readings=6000))
+    whole = reconstruct(frames(0, 3000), method, 2, options=quick)
+    parts = reconstruct(runs, method, 2, options=quick)
+    assert parts.names == whole.names
+    np.testing.assert_allclose(parts.positions, whole.positions, atol=1e-9)
+    assert join_runs(runs).rate_hz == 50
+
+
+@pytest.mark.parametrize("method", ["r-anisomap", "i-anisomap"])
+def test_sensors_may_be_missing_in_a_run(method):
+    """The left two thirds of a skin in one run, the right two thirds in the other."""
+    x = NAMED.positions[:, 0]
+    runs = [frames(0, 1500, x < 4.4), frames(1500, 3000, x > 1.8)]
+    with pytest.warns(AnisomapWarning, match="pairs of sensors were never recorded together"):
+        found = reconstruct(runs, method, 2)
+    joined = join_runs(runs)
+    assert joined.n_frames == 3000
+    assert found.placed.all()
+    assert score(found, joined.positions, permutations=0).mantel.r > 0.9
+    assert found.provenance["runs"] == 2
+
+
+def test_pairs_are_compared_over_the_runs_that_contain_both():
+    """Dropping what was missing anywhere leaves the map of the sensors that never were."""
+    runs = [frames(0, 1500, slice(0, 36)), frames(1500, 3000, slice(6, 42))]
+    found = reconstruct(runs, "r-anisomap", 2, drop=[*range(6), *range(36, 42)])
+    expected = reconstruct(frames(0, 3000, slice(6, 36)), "r-anisomap", 2)
+    placed = found.select(found.placed)
+    assert placed.names == expected.names
+    np.testing.assert_allclose(placed.positions, expected.positions, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def test_pairs_are_correlated_as_pandas_does_where_readings_are_missing():
+    rng = np.random.default_rng(1)
+    runs = [frames(900 * i, 900 * (i + 1), rng.permutation(42)[: 42 - 4 * i]) for i in range(3)]
+    joined = join_runs(runs)
+    similarity = pd.DataFrame(joined.readings).corr().to_numpy()
+    assert np.isfinite(similarity).all(), "all met, though not in all runs"
+    found = reconstruct(runs, "r-anisomap", 2)
+    expected = reconstruct_from(similarity=similarity, method="r-anisomap", dimensions=2)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-6)
+
+
+def test_runs_that_share_no_names_are_matched_by_order_or_refused():
+    same = [Recording(SKIN.readings[:900]), Recording(SKIN.readings[900:])]
+    np.testing.assert_array_equal(join_runs(same).readings, SKIN.readings)
+    with pytest.raises(InputError, match="shares no sensor name"):
+        join_runs([frames(0, 900, slice(0, 20)), frames(0, 900, slice(20, 42))])
+    first = Recording(SKIN.readings, source="a.csv")
+    second = Recording(SKIN.readings[:, :30], source="b.csv")
+    with pytest.raises(InputError, match=r"a\.csv has 42, b\.csv has 30; give names"):
+        join_runs([first, second])
+
+
+def test_missing_readings_of_a_run_are_refused():
+    readings = NAMED.readings[:900].copy()
+    readings[7, 3] = np.nan
+    runs = [Recording(readings, names=NAMED.names), frames(0, 900, slice(0, 40))]
+    with pytest.raises(InputError, match="sensor pad3, frame 7"):
+        reconstruct(runs, "r-anisomap", 2)
+
+
+def test_contradictory_positions_are_discarded():
+    moved = Recording(NAMED.readings[:900], names=NAMED.names, positions=SKIN.positions + 1)
+    assert join_runs([frames(0, 900), moved]).positions is None
+    assert join_runs([frames(0, 900), frames(0, 900)]).units == "mm"
+
+
+def test_sensors_are_assessed_in_the_run_with_most_contacts():
+    silent = np.array(NAMED.readings[:1500])
+    silent[:, 5] = 0
+    runs = [Recording(silent[:, :40], names=NAMED.names[:40]), frames(1500, 3000)]
+    assert assess(runs[0])[5].status == "dead"
+    health = assess(runs)
+    assert [sensor.name for sensor in health] == list(NAMED.names)
+    assert health[5].status == "ok"

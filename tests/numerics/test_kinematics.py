@@ -57,7 +57,7 @@ def test_poses_are_those_of_mujoco(robot):
 
 
 @given(st.lists(st.floats(-3, 3), min_size=6, max_size=6))
-@settings(max_examples=30)
+@settings(max_examples=10)
 def test_poses_compose(tmp_path_factory, values):
     robot = robot_of(URDF, tmp_path_factory.mktemp("robot"))
     angles = angles_of(values)

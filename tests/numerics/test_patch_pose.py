@@ -19,7 +19,7 @@ def touched(seed, count=30):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20)
+@settings(max_examples=10)
 def test_the_pose_of_an_exact_patch_with_wrong_contacts(seed):
     places, targets, turn = touched(seed)
     wrong = np.arange(0, 30, 5)
@@ -35,16 +35,16 @@ def test_errors_are_as_large_as_stated():
     """Squared errors of a point over their variance have the mean 1 per coordinate."""
     point = np.array([[3.0, 2.0, 0.5]])
     ratios = []
-    for seed in range(100):
-        places, targets, _ = touched(seed)
-        truth = fit_patch_pose(places, targets).similarity.apply(point)
+    for seed in range(80):
+        places, targets, turn = touched(seed)
+        truth = targets[0] + (point - places[0]) @ turn.T
         noisy = targets + np.random.default_rng(seed).normal(0, 0.05, targets.shape)
         found = fit_patch_pose(places, noisy)
         placed = found.similarity.apply(point)
         covariance = found.position_covariances(placed)[0]
         off = (placed - truth)[0]
         ratios.append(off @ np.linalg.solve(covariance, off) / 3)
-    assert np.mean(ratios) == pytest.approx(1, abs=0.3)
+    assert np.mean(ratios) == pytest.approx(1, abs=4 * np.std(ratios) / len(ratios) ** 0.5)
 
 
 def test_too_few_contacts_or_on_a_line():

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.layout.chance import Chance, agreement, own_agreement
+from anisomap.numerics.layout.chance import Chance, agreement, agreement_gain, own_agreement
 from anisomap.numerics.layout.congruence import blocks_of_size, rigid_repeats, symmetries
 from anisomap.numerics.layout.evidence import Evidence, Move
 from anisomap.numerics.layout.falloff import fit_falloff, neighbour_spacing
@@ -62,7 +62,7 @@ def test_a_gain_is_the_difference_of_all_pairs(evidence, seed):
 
 
 @given(seeds)
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_a_move_and_its_return_cancel(evidence, seed):
     move = random_move(evidence, seed)
     back = Move(move.sensors, evidence.positions[move.sensors])
@@ -151,7 +151,9 @@ def test_shifted_readings_gain_less_than_misplaced_sensors(evidence, statistics)
     usable = np.flatnonzero(evidence.usable)
     # A free choice of places gains at least 0, also by chance.
     assert (chance.gains[:, usable] >= 0).all()
-    assert chance.of_sensors(usable) < 0.5
+    swap = np.array([0, 30])  # far from each other
+    misplaced = evidence.moved(Move(swap, evidence.positions[swap[::-1]]))
+    assert chance.of_sensors(usable) < agreement_gain(misplaced, Move(swap, TRUTH[swap])) / 2
 
 
 def test_shifts_leave_similarities_of_chance_only(statistics):
@@ -160,8 +162,9 @@ def test_shifts_leave_similarities_of_chance_only(statistics):
     assert statistics.shifted.shape == (19, len(TRUTH), len(TRUTH))
     assert np.abs(statistics.shifted[:, off].mean()) < 0.05
     near = cdist(TRUTH, TRUTH) < 1.2
-    assert statistics.similarity[near & off].mean() > 0.5
-    assert np.abs(statistics.shifted[:, near & off]).mean() < 0.15
+    strength = statistics.similarity[near & off].mean()
+    assert strength > 0.3
+    assert np.abs(statistics.shifted[:, near & off]).mean() < strength / 2
     assert statistics.tested.all()
     part = statistics.select(np.array([3, 1]))
     assert part.similarity[0, 1] == statistics.similarity[3, 1]

@@ -105,7 +105,9 @@ class Search:
         self.evidence = Evidence(
             statistics.similarity, positions, usable, self._falloff(positions, usable)
         )
-        self._typical = float(np.nanmedian(own_agreement(self.evidence)[usable]))
+        own = own_agreement(self.evidence)[usable]
+        own = own[np.isfinite(own)]
+        self._typical = float(np.median(own)) if own.size else 0.0
         self._chance = Chance.of(statistics.shifted, self.evidence)
         self.rigid: list[NDArray[np.intp]] = []
 
