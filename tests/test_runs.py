@@ -9,7 +9,8 @@ import pytest
 from anisomap import Recording, join_runs, reconstruct, reconstruct_from, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import assess
-from anisomap.methods import METHODS, MethodOptions
+from anisomap.methods import METHODS
+from anisomap.options import MethodOptions
 from anisomap.numerics.contacts import ContactOptions
 from skins import flat_skin
 
