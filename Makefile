@@ -11,7 +11,7 @@ PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
 # Without byte code on disk, every process that a test starts compiles the package again: .4 s.
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: help demo paper numbers test test-all coverage check format bench quality faults trust dimension uncertainty fuzz tables docs clean
+.PHONY: help demo paper numbers test test-all coverage golden golden-accept check format bench quality faults trust dimension uncertainty fuzz tables docs clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -44,6 +44,12 @@ test-all: $(READY)  ## run all tests
 
 coverage: $(READY)  ## measure which lines and branches the tests run
 	$(PYTEST) -m "not slow" --cov --cov-report=term
+
+golden: $(READY)  ## compare the maps of fixed recordings with the record (ARGS=--exact for the same arithmetic)
+	$(BIN)/python -m golden $(ARGS)
+
+golden-accept: $(READY)  ## write the rows that differ to the record, in tests/golden
+	$(BIN)/python -m golden --accept $(ARGS)
 
 check: $(READY)  ## check format, lint, types and imports between packages
 	$(BIN)/ruff format --check

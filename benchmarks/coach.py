@@ -16,7 +16,7 @@ import argparse
 import csv
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -44,6 +44,11 @@ MEAN_CONTACTS = (1, 2, 4, 8)  # at which the evenness is compared
 TICKS = (80, 160, 320, 640)  # of the figure
 STIMULI = ("palm", "fingertip")
 WAYS = ("coached", "uncoached")
+SUMMARY_COLUMNS = ("body", "stimulus", "goal", "spacings", *WAYS, "ratio")
+EVENNESS_COLUMNS = (
+    "skin",
+    *(f"{what}_{mean}" for mean in MEAN_CONTACTS for what in ("touched", "variation")),
+)
 FINGERTIP = 0.3  # x the size of the palm of `RubbingOptions`: it touches a few sensors at once
 
 
@@ -68,6 +73,9 @@ class Row:
     n_frames: int
     error: float
     touched: float
+
+
+COLUMNS = tuple(field.name for field in fields(Row))
 
 
 def rows_of(body: Body, dimensions: int, stimulus: str, way: str, *, seed: int) -> list[Row]:
@@ -219,16 +227,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given.output.mkdir(exist_ok=True)
     rows = [row for path in given.read or () for row in read(path)]
     if given.evenness is not None:
-        write(given.output / "coach-evenness.csv", evenness_table(given.evenness, given.seeds[:3]))
+        evenly = evenness_table(given.evenness, given.seeds[:3])
+        write(given.output / "coach-evenness.csv", evenly, EVENNESS_COLUMNS)
         return
     for name in () if rows else given.bodies:
         body, dimensions = find_body(name), DIMENSIONS.get(name, 3)
         for stimulus, seed, way in itertools.product(STIMULI, given.seeds, WAYS):
             rows += rows_of(body, dimensions, stimulus, way, seed=seed)
-            write(given.output / "coach.csv", [vars(row) for row in rows])
-    write(given.output / "coach.csv", [vars(row) for row in rows])
+            write(given.output / "coach.csv", [vars(row) for row in rows], COLUMNS)
+    write(given.output / "coach.csv", [vars(row) for row in rows], COLUMNS)
     results = summary(rows)
-    write(given.output / "coach-summary.csv", results)
+    write(given.output / "coach-summary.csv", results, SUMMARY_COLUMNS)
     for result in results:
         print(result)
     draw(rows, given.output / "coach.png")
@@ -251,10 +260,10 @@ def read(path: Path) -> list[Row]:
         ]
 
 
-def write(path: Path, rows: Sequence[dict[str, object]]) -> None:
+def write(path: Path, rows: Sequence[dict[str, object]], columns: Sequence[str]) -> None:
     """Write rows as CSV."""
     with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+        writer = csv.DictWriter(stream, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
 

@@ -31,6 +31,7 @@ import numpy as np
 _SETTLING_S = 5.0  # after the first map, before measurements begin
 _KIB = 1024
 ROLES = ("session", "quick_maps", "checked_maps")
+MEMORY_COLUMNS = ("seconds", "frames", *(f"{role}_mib" for role in ROLES))
 _N_TIMES = 60  # rows of the table of memory
 
 
@@ -218,7 +219,7 @@ def write_memory(memory: Sequence[Memory], path: Path) -> None:
     """Write the memory over time as CSV, in equal steps."""
     with path.with_suffix(".csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["seconds", "frames", *(f"{role}_mib" for role in ROLES)])
+        writer.writerow(MEMORY_COLUMNS)
         for one in memory[:: max(1, len(memory) // _N_TIMES)]:
             sizes = (round(size, 1) for size in one.mib)
             writer.writerow([round(one.seconds), one.n_frames, *sizes])

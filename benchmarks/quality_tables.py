@@ -133,12 +133,17 @@ def loss(group: Sequence[Result], methods: Sequence[str]) -> str:
     return f"{own:.3f} against {other:.3f} of {stock}" if round(own - other, 3) < 0 else ""
 
 
+def columns(methods: Sequence[str]) -> list[str]:
+    """Return the columns of `summary`."""
+    return ["skin", "seeds", *methods, "best stock", "best stock r", "margin"]
+
+
 def summary(results: Sequence[Result], n_frames: int) -> str:
     """Return mean and worst scores of one length as CSV, for documents."""
     methods = list(dict.fromkeys(result.method for result in results))
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["skin", "seeds", *methods, "best stock", "best stock r", "margin"])
+    table.writerow(columns(methods))
     chosen = [result for result in results if result.n_frames == n_frames]
     for name in dict.fromkeys(result.recording for result in chosen):
         found = scores([q for q in chosen if q.recording == name], methods)

@@ -37,6 +37,12 @@ FIRST_SEED = 3001
 SEEDS = 130
 """Number of seeds; each gives four recordings."""
 
+FACTS = (
+    "sensors", "frames", "dimensions", "cpu map", "cpu verdict",
+    "repeatability", "extent", "placed",
+)  # fmt: skip
+"""Columns of the evidence; those of the doubts follow them."""
+
 REFUSED = "refused"
 """Level of a recording of which no map is made."""
 
@@ -169,7 +175,7 @@ def judged(case: Case, source: str = "") -> Outcome:
 
 def write_csv(outcomes: Sequence[Outcome], path: Path) -> None:
     """Write all outcomes; columns of evidence follow the others."""
-    evidence = list(dict.fromkeys(name for one in outcomes for name in one.evidence))
+    evidence = list(dict.fromkeys([*FACTS, *(name for one in outcomes for name in one.evidence)]))
     partial = path.with_suffix(".part")
     with partial.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)

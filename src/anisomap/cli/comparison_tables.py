@@ -45,6 +45,13 @@ def to_markdown(comparisons: Sequence[Comparison]) -> str:
     return "\n\n".join([table, _LEGEND, *(escape(text, quote=False) for text in said)]) + "\n"
 
 
+def columns(methods: Sequence[str]) -> list[str]:
+    """Return the columns of `to_csv`."""
+    errors = [f"{method}: error" for method in methods]
+    facts = ["recording", "sensors x frames", "map", "scored"]
+    return [*facts, *methods, *errors, "best stock", "best stock r", "margin"]
+
+
 def to_csv(comparisons: Sequence[Comparison]) -> str:
     """Format comparisons of the same methods as CSV, one line per recording.
 
@@ -55,19 +62,7 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
     methods = [s.method for s in comparisons[0].scores]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(
-        [
-            "recording",
-            "sensors x frames",
-            "map",
-            "scored",
-            *methods,
-            *(f"{method}: error" for method in methods),
-            "best stock",
-            "best stock r",
-            "margin",
-        ]
-    )
+    table.writerow(columns(methods))
     for comparison in comparisons:
         stock = comparison.best(stock=True)
         table.writerow(

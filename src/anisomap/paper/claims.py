@@ -21,7 +21,7 @@ from anisomap.paper.claim_checks import (
 from anisomap.paper.experiment import Experiment, Outcome, Row, Settings, Table, Tables
 from anisomap.paper.experiments.accuracy import SCORES, all_scores
 
-_COLUMNS = {
+COLUMNS = {
     "claim": "claim of the paper",
     "where": "section or figure of the paper",
     "test": "criterion in numbers",
@@ -150,7 +150,7 @@ def claims_table(_: Settings, tables: Tables) -> Outcome:
         cases = f"{sum(found.held.values())} of {len(found.held)}"
         rows.append((claim.text, claim.where, claim.test, found.measured, cases, found.verdict))
     caption = "Verdict on each claim."
-    return Outcome(tables=(Table("claims", caption, _COLUMNS, tuple(rows)),))
+    return Outcome(tables=(Table("claims", caption, COLUMNS, tuple(rows)),))
 
 
 EXPERIMENT = Experiment(

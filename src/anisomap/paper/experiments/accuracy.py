@@ -22,7 +22,7 @@ SCORES = (*(f"scores-{case.name}" for case in CASES), f"scores-{PATCH}")
 """Names of the tables with the scores of all maps."""
 
 _RUN = "body and scenario; the patch in 2D or 3D"
-_SUMMARY = {
+SUMMARY_COLUMNS = {
     "run": _RUN,
     "runs": "number of runs",
     **{
@@ -32,7 +32,7 @@ _SUMMARY = {
     },
     "null max": "maximum of the null distributions of all maps",
 }
-_BINS = {
+BINS_COLUMNS = {
     "run": _RUN,
     "method": "method",
     **{f"{bins} bins": f"mean Mantel r with {bins} bins" for bins in (DEFAULT_BINS, *MORE_BINS)},
@@ -112,7 +112,7 @@ def figure_3(settings: Settings, tables: Tables) -> Outcome:
         f"of the first seed ({settings.permutations:,} random relabellings); whiskers: 1.5 "
         "interquartile ranges; +: all values beyond the whiskers."
     )
-    table = Table("figure-3", "Mantel r by scenario and method.", _SUMMARY, _summary(groups))
+    table = Table("figure-3", "Mantel r by scenario and method.", SUMMARY_COLUMNS, _summary(groups))
     return Outcome((Picture("figure-3", caption, figure),), (table,))
 
 
@@ -128,7 +128,7 @@ def bins_table(_: Settings, tables: Tables) -> Outcome:
             change = max(abs(mean - means[0]) for mean in means[1:])
             rows.append((group, method, *means, change))
     caption = "Mean Mantel r with 4, 6 and 8 bins; r-ANISOMAP does not use bins."
-    return Outcome(tables=(Table("bins", caption, _BINS, tuple(rows)),))
+    return Outcome(tables=(Table("bins", caption, BINS_COLUMNS, tuple(rows)),))
 
 
 def _score_group(label: str, rows: list[dict[str, Any]]) -> ScoreGroup:

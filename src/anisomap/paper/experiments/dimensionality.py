@@ -19,7 +19,7 @@ from anisomap.paper.shape_statistics import n_dimensions, spectrum
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 
-_COLUMNS = {
+COLUMNS = {
     "run": "body and scenario, or patch",
     "true": "dimensions of the true configuration",
     "auto": "dimensions that anisomap chooses, by the elbow of the stress",
@@ -65,7 +65,7 @@ def dimensions(settings: Settings, _: Tables) -> Outcome:
         f"true configuration. Seed {seed}."
     )
     tables = (
-        Table("dimensions", "Dimensions chosen by the largest drop.", _COLUMNS, tuple(rows)),
+        Table("dimensions", "Dimensions chosen by the largest drop.", COLUMNS, tuple(rows)),
         Table("spectra", "Variance by dimension.", _SPECTRA, tuple(shares), shown=False),
     )
     return Outcome((Picture("dimensions", caption, figure),), tables)

@@ -12,7 +12,7 @@ from anisomap.paper.cases import BOMBARDED, METHODS, Case, find_case, true_posit
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
 from anisomap.paper.map_scores import map_and_score
 
-_AXIAL = {
+AXIAL_COLUMNS = {
     "scenario": "scenario of the cylinder",
     "method": "method",
     "mantel_r": "Mantel r with the true positions",
@@ -21,7 +21,7 @@ _AXIAL = {
     "local_axial_scale": "distance of axial neighbours divided by distance of circumferential "
     "neighbours, relative to the true ratio; below 1: compressed along the axis",
 }
-_ROUNDNESS = {
+ROUNDNESS_COLUMNS = {
     "body": "bombarded body",
     "true spread": "spread of radii of the true positions: standard deviation divided by mean of "
     "the distances from the centroid; 0 for a sphere",
@@ -51,7 +51,7 @@ def figure_4(settings: Settings, tables: Tables) -> Outcome:
         for case in (rolling, bombarded)
         for row in _axial_rows(case, tables[f"scores-{case.name}"])
     )
-    table = Table("figure-4", "Mean axial scale of the maps of the cylinder.", _AXIAL, rows)
+    table = Table("figure-4", "Mean axial scale of the maps of the cylinder.", AXIAL_COLUMNS, rows)
     return Outcome((Picture("figure-4", caption, figure),), (table,))
 
 
@@ -77,7 +77,9 @@ def figure_7(settings: Settings, tables: Tables) -> Outcome:
         if case.body != "sphere"
     )
     caption = "Typical maps by information distance: cylinder, Y-shape, plane (seeds of Figure 1)."
-    table = Table("figure-7", "Spread of radii relative to the true spread.", _ROUNDNESS, rows)
+    table = Table(
+        "figure-7", "Spread of radii relative to the true spread.", ROUNDNESS_COLUMNS, rows
+    )
     return Outcome((Picture("figure-7", caption, figure),), (table,))
 
 

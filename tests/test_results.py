@@ -1,0 +1,69 @@
+"""Tables of results in the documentation have the columns that their commands write."""
+
+import csv
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from benchmarks import (
+    check,
+    coach,
+    dimension,
+    faults,
+    limits,
+    live,
+    placement,
+    quality,
+    quality_tables,
+    self_touch,
+    trust,
+    uncertainty,
+    updating,
+)
+
+from anisomap.cli import comparison_tables
+from anisomap.comparison import COMPARED
+from anisomap.paper import claims
+from anisomap.paper.experiments import accuracy, dimensionality, shape_distortion
+
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
+
+
+def columns(row):
+    return [field.name for field in fields(row)]
+
+
+HEADERS = {
+    "bins": accuracy.BINS_COLUMNS,
+    "check": columns(check.Result),
+    "claims": claims.COLUMNS,
+    "coach": coach.COLUMNS,
+    "coach-evenness": coach.EVENNESS_COLUMNS,
+    "coach-summary": coach.SUMMARY_COLUMNS,
+    "dimension": columns(dimension.Row),
+    "dimensions": dimensionality.COLUMNS,
+    "faults": columns(faults.Result),
+    "figure-3": accuracy.SUMMARY_COLUMNS,
+    "figure-4": shape_distortion.AXIAL_COLUMNS,
+    "figure-7": shape_distortion.ROUNDNESS_COLUMNS,
+    "limits": columns(limits.Limits),
+    "live-memory": live.MEMORY_COLUMNS,
+    "placement": columns(placement.Figure),
+    "quality": columns(quality.Result),
+    "recordings": comparison_tables.columns(COMPARED),
+    "self-touch": self_touch.HEADER,
+    "simulated": quality_tables.columns(quality.METHOD_NAMES),
+    "trust": [*trust.Outcome.FIXED, *trust.FACTS],
+    "uncertainty": columns(uncertainty.Judged),
+    "updating": columns(updating.Figure),
+}
+
+
+@pytest.mark.parametrize("path", sorted(RESULTS.iterdir()), ids=lambda path: path.name)
+def test_columns_are_those_that_the_command_writes(path):
+    with path.open(encoding="utf-8", newline="") as file:
+        header = next(csv.reader(file))
+    if path.stem == "trust":  # the doubts that were found follow
+        header, doubts = header[: len(HEADERS["trust"])], header[len(HEADERS["trust"]) :]
+        assert all(name.startswith(("doubt: ", "measured: ")) for name in doubts)
+    assert header == list(HEADERS[path.stem])
