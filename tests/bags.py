@@ -1,5 +1,6 @@
 """ROS bags with every kind of tactile message, written with rosbags."""
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +26,20 @@ DEFINITIONS = {
 START = 1_700_000_000 * 10**9
 
 
+@functools.cache
+def _store(version: str) -> Any:
+    store = typesys.get_typestore(typesys.Stores[version])
+    for name, text in DEFINITIONS.items():
+        store.register(typesys.get_types_from_msg(text, name))
+    return store
+
+
 class Bag:
     """A bag under construction: messages of one type store."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
-        self.store = typesys.get_typestore(
-            typesys.Stores.ROS1_NOETIC if kind == "bag" else typesys.Stores.ROS2_HUMBLE
-        )
-        for name, text in DEFINITIONS.items():
-            self.store.register(typesys.get_types_from_msg(text, name))
+        self.store = _store("ROS1_NOETIC" if kind == "bag" else "ROS2_HUMBLE")
         self.messages: list[tuple[str, Any, int]] = []
 
     def make(self, name: str, /, *values: Any, **fields: Any) -> Any:

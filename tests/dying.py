@@ -1,8 +1,7 @@
-"""Tasks for worker processes; in a module so that the processes can import them."""
+"""Runs that end too early: tasks for worker processes, in a module that these can import."""
 
 import os
 import signal
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +10,24 @@ from threadpoolctl import threadpool_info
 from anisomap.numerics.similarity.accumulators import Moments
 
 KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows has only the latter, which is as final
+
+
+class PowerCutError(Exception):
+    """Interrupts a run."""
+
+
+def failing(parts, n_chunks, passes=1):
+    """Return a function that opens chunks, and fails after some of them in its last pass."""
+    opened = []
+
+    def chunks():
+        opened.append(True)
+        for i, part in enumerate(parts):
+            if len(opened) == passes and i == n_chunks:
+                raise PowerCutError
+            yield part
+
+    return chunks
 
 
 class Dying:
@@ -27,18 +44,16 @@ class Dying:
 
 
 @dataclass(frozen=True)
-class Slow:
-    """Computes moments of chunks slowly; during the second chunk, a process is killed."""
+class Killing:
+    """Computes moments of chunks; during the second chunk, a process is killed."""
 
     mark: Path
     victim: int
-    signal: int
 
     def __call__(self, chunk):
         if self.mark.exists():
-            os.kill(self.victim, self.signal)
+            os.kill(self.victim, KILL)
         self.mark.touch()
-        time.sleep(0.5)
         return Moments.of(chunk)
 
 

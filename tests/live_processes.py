@@ -1,4 +1,4 @@
-"""A live session in a process of its own, as users run it."""
+"""Live sessions: sources that are given, and processes of their own, as users run them."""
 
 import json
 import queue
@@ -6,10 +6,38 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 LONGEST_S = 300
 """Time after which a process counts as hung; far more than a busy machine needs."""
+
+
+class Given:
+    """A source that yields some items and then waits."""
+
+    truth = None
+
+    def __init__(self, *items, names=(), description="a test"):
+        self._items, self.names, self.description = items, names, description
+
+    def items(self, stop):
+        yield from self._items
+        stop.wait()
+
+
+def wait_until(condition, what="it"):
+    """Wait until a condition is true, for something that tells nobody."""
+    end = time.monotonic() + LONGEST_S
+    while not condition():
+        assert time.monotonic() < end, f"{what} has not happened"
+        time.sleep(0.02)
+
+
+def wait_for_maps(session, condition):
+    """Wait until the maps of a session meet a condition."""
+    with session.changed:
+        assert session.changed.wait_for(lambda: condition(session.maps), timeout=LONGEST_S)
 
 
 class LiveProcess:
@@ -49,10 +77,10 @@ class LiveProcess:
             if condition(event):
                 return event
 
-    def notice(self, text):
-        """Wait for a notice that contains a text; return it."""
+    def port(self, text):
+        """Wait for the notice that begins with a text and ends with a port; return the port."""
         event = self.wait_for(lambda e: any(text in notice for notice in e["notices"]))
-        return next(notice for notice in event["notices"] if text in notice)
+        return int(next(notice for notice in event["notices"] if text in notice).split()[-1])
 
     def children(self):
         """Return the processes that the session has started, where the system lists them."""

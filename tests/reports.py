@@ -1,14 +1,15 @@
-"""Reports of small maps, and what a browser makes of their pages."""
+"""Reports of small maps and what a browser makes of their pages, and a small scene."""
 
 import json
 from html.parser import HTMLParser
-from typing import Any, NoReturn
 
 import numpy as np
 from plotly.offline import get_plotlyjs
 
-from anisomap.evaluation import Score, score
+from anisomap.drawing.report import render_report
+from anisomap.evaluation import score
 from anisomap.health import RecordingSummary, SensorHealth
+from anisomap.scene import Mesh, Prop, Scene
 from anisomap.sensor_map import SensorMap
 
 PNG = b"\x89PNG\r\n\x1a\n not decoded"
@@ -22,18 +23,18 @@ class Page(HTMLParser):
     Without `whole`, the 5 MB of plotly's library are removed first.
     """
 
-    def __init__(self, source: str, *, whole: bool = False) -> None:
+    def __init__(self, source, *, whole=False):
         super().__init__(convert_charrefs=True)
-        self.tags: list[str] = []
-        self.attributes: list[tuple[str, str, str]] = []
-        self.texts: dict[str, list[str]] = {}
-        self.rows: list[list[str]] = []
-        self._open: list[str] = []
+        self.tags = []
+        self.attributes = []
+        self.texts = {}
+        self.rows = []
+        self._open = []
         self.feed(source if whole else source.replace(LIBRARY, ""))
         self.close()
         assert not self._open, f"left open: {self._open}"
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
         self.attributes += [(tag, name, value or "") for name, value in attrs]
         if tag not in VOID:
@@ -44,25 +45,25 @@ class Page(HTMLParser):
         if tag in {"td", "th"}:
             self.rows[-1].append("")
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         assert self._open.pop() == tag, f"</{tag}> closes another element"
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         if self._open:
             self.texts[self._open[-1]][-1] += data
         if {"td", "th"} & set(self._open):
             self.rows[-1][-1] += data
 
-    def values(self, attribute: str) -> list[str]:
+    def values(self, attribute):
         return [value for _, name, value in self.attributes if name == attribute]
 
     @property
-    def sensor_rows(self) -> list[list[str]]:
+    def sensor_rows(self):
         width = next(len(row) for row in self.rows if row[0] == "Sensor")
         return [row for row in self.rows if len(row) == width][1:]
 
     @property
-    def text(self) -> str:
+    def text(self):
         skipped = {"script", "style"}
         words = " ".join(
             text for tag, texts in self.texts.items() if tag not in skipped for text in texts
@@ -70,7 +71,12 @@ class Page(HTMLParser):
         return " ".join(words.split())
 
 
-def assessed(sensor_map: SensorMap) -> list[SensorHealth]:
+def page_of(sensor_map, scored=None, *, whole=False, **rest):
+    """Render a report, and read it as a browser would."""
+    return Page(render_report(sensor_map, score=scored, **rest), whole=whole)
+
+
+def assessed(sensor_map):
     return [
         SensorHealth(
             name=name,
@@ -88,7 +94,7 @@ def assessed(sensor_map: SensorMap) -> list[SensorHealth]:
     ]
 
 
-def summary(*warnings: str) -> RecordingSummary:
+def summary(*warnings):
     return RecordingSummary(
         n_frames=2345,
         n_sensors=12,
@@ -104,9 +110,7 @@ def summary(*warnings: str) -> RecordingSummary:
     )
 
 
-def example(
-    true_dimensions: int | None = 3, dimensions: int = 3, n_sensors: int = 12, **rest: Any
-) -> tuple[SensorMap, Score | None]:
+def example(true_dimensions=3, dimensions=3, n_sensors=12, **rest):
     rng = np.random.default_rng(0)
     places = 50 * rng.normal(size=(n_sensors, 3))
     positions = places[:, :dimensions] + rng.normal(size=(n_sensors, dimensions))
@@ -117,10 +121,21 @@ def example(
     return sensor_map, score(sensor_map, truth, units="mm", permutations=50)
 
 
-def scene_of(page: Page) -> list[dict[str, Any]]:
-    def refuse(word: str) -> NoReturn:
+def scene_of(page):
+    def refuse(word):
         raise AssertionError(f"{word} is not JSON")
 
     (data,) = [text for text in page.texts["script"] if text.startswith("[{")]
-    scene: list[dict[str, Any]] = json.loads(data, parse_constant=refuse)
-    return scene
+    return json.loads(data, parse_constant=refuse)
+
+
+def small_scene(n_frames=6):
+    """Two triangles of different sizes that move past a triangular body."""
+    triangle = Mesh(np.eye(3), [[0, 1, 2]])
+    ways = np.linspace(0, 3, n_frames)[:, None, None] * np.ones((1, 2, 3))
+    readings = np.zeros((n_frames, 3), dtype=np.float32)
+    readings[4, :2] = 1
+    body = Prop("body", triangle, np.zeros((1, 1, 3)))
+    stimulus = Prop("stimulus", triangle, ways, scales=np.array([1.0, 2.0]))
+    times = np.arange(n_frames) / 20
+    return Scene("a small scene", (body, stimulus), np.eye(3)[None], readings, times, "m")

@@ -19,22 +19,19 @@ def rows(errors, way):
     ]
 
 
-def test_frames_count_from_where_the_error_stays_below_the_goal():
-    found = rows({100: 0.9, 200: 2.0, 400: 0.8, 800: 0.7}, "coached")
-    assert coach.frames_to(found, 1.0) == 400
-    assert coach.frames_to(found, 0.75) == 800
-    assert np.isnan(coach.frames_to(found, 0.1))
-
-
 def test_the_summary_compares_the_frames_to_each_goal():
-    found = rows({100: 3.0, 200: 1.0, 400: 0.5}, "coached") + rows(
-        {100: 4.0, 200: 2.0, 400: 0.8}, "uncoached"
-    )
-    touched, one, last = coach.summary(found)
-    assert (touched["coached"], touched["uncoached"], touched["ratio"]) == (100, 100, 1.0)
-    assert (one["coached"], one["uncoached"], one["ratio"]) == (200, 400, 0.5)
+    found = rows({100: 0.9, 200: 2.0, 400: 0.8, 800: 0.7}, "coached")
+    for goal, frames in ((1.0, 400), (0.75, 800), (0.1, np.nan)):  # where the error stays below
+        np.testing.assert_equal(coach.frames_to(found, goal), frames)
+    found = rows({100: 3.0, 200: 1.0, 400: 0.5}, "coached")
+    touched, one, last = coach.summary(found + rows({100: 4.0, 200: 2.0, 400: 0.8}, "uncoached"))
+    for row, expected in (
+        (touched, (100, 100, 1.0)),
+        (one, (200, 400, 0.5)),
+        (last, (400, 400, 1)),
+    ):
+        assert tuple(row[key] for key in ("coached", "uncoached", "ratio")) == expected
     assert last["spacings"] == 0.8
-    assert (last["coached"], last["uncoached"], last["ratio"]) == (400, 400, 1.0)
 
 
 def test_a_sensor_without_a_place_counts_as_in_the_middle():

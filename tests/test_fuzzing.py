@@ -12,6 +12,7 @@ for extra in ("h5py", "pyarrow", "rosbags", "mujoco", "trimesh", "PIL", "defused
     pytest.importorskip(extra, reason="the fuzzer needs all extras that read files")
 pytest.importorskip("resource", reason="the fuzzer limits the memory of processes as Unix does")
 
+from fuzzing import workers
 from fuzzing.checks import Findings
 from fuzzing.damage import DAMAGES, inside
 from fuzzing.odd import BOMBS, ODD
@@ -22,11 +23,19 @@ from fuzzing.workers import Tally, run_case, run_cases
 CORPUS = Path(__file__).parent / "corpus"
 USES = 8
 """Random generators per file, each of which chooses one of the ways to read it."""
+HANG_S = 60
+"""CPU time, and a tenth of the time by the clock: enough for any machine, however busy."""
 
 
 @pytest.fixture(scope="module")
 def formats() -> dict[str, Subject]:
     return {subject.name: subject for subject in subjects()}
+
+
+@pytest.fixture
+def patiently(monkeypatch):
+    monkeypatch.setattr(workers, "MAX_CPU_SECONDS", HANG_S)
+    monkeypatch.setattr(workers, "MAX_SECONDS", 10 * HANG_S)
 
 
 @pytest.fixture
@@ -80,6 +89,7 @@ def test_whole_files_are_read(formats, in_empty_folder, capfd):
         assert not found.problems, subject.name
 
 
+@pytest.mark.usefixtures("patiently")
 def test_some_damaged_files_of_every_format(formats, tmp_path):
     for subject in formats.values():
         tally = run_cases(subject, 99, range(5), tmp_path)
@@ -87,6 +97,7 @@ def test_some_damaged_files_of_every_format(formats, tmp_path):
         assert not tally.problems, subject.name
 
 
+@pytest.mark.usefixtures("patiently")
 def test_the_same_seed_gives_the_same_cases(formats, tmp_path):
     first, again = (run_cases(formats["text"], 5, range(30), tmp_path) for _ in range(2))
     assert (first.n_accepted, first.damages) == (again.n_accepted, again.damages)

@@ -60,7 +60,6 @@ def folder(tmp_path):
     ("command", "written"),
     [
         (["info", "skin.csv", "--sensors"], set()),
-        (["convert", "skin.npz", "m.json"], {"m.json"}),
         (["convert", "skin.npz", "m.launch.xml", "--spacing", "5mm"], {"m.launch.xml"}),
         pytest.param(
             ["map", "skin.npz", "-m", "r-anisomap", "-o", "m.csv", "--report", "r.html"],

@@ -6,81 +6,99 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from anisomap.drawing.figures import check_writable, map_figure, plot_distances, plot_map
-from anisomap.drawing.figures.charts import (
-    METHOD_LOOKS,
-    CurvePanel,
-    NullBox,
-    ScoreGroup,
-    curves_figure,
-    plot_curves,
-    plot_scores,
-    scores_figure,
-)
-from anisomap.drawing.figures.coverage import coverage_figure, plot_coverage
-from anisomap.drawing.figures.gallery import (
-    gallery_figure,
-    map_panel,
-    plot_panel,
-    truth_panel,
-)
-from anisomap.drawing.figures.mds_diagnostics import (
-    plot_shepard,
-    plot_shift_test,
-    plot_stress_per_point,
-)
-from anisomap.drawing.figures.scenes import bodies_figure, plot_scene, scene_figure
-from anisomap.drawing.figures.touches import plot_series, plot_touches
+from anisomap.drawing import figures as fig
+from anisomap.drawing.figures import charts, coverage, gallery, scenes
 from anisomap.errors import InputError, MissingExtraError
-from anisomap.evaluation import ShiftTest, score, shepard, stress_per_point
-from anisomap.health import touch_coverage
-from anisomap.scene import Mesh, Prop, Scene
+from anisomap.evaluation import ShiftTest, compare_maps, score, shepard, stress_per_point
+from anisomap.health import SensorHealth, touch_coverage
+from anisomap.layout import LayoutCheck
+from anisomap.layout.findings import LayoutFinding
+from anisomap.placement import Anchors, place
+from anisomap.recording import Recording
+from anisomap.scene import Mesh
 from anisomap.sensor_map import SensorMap
+from reports import small_scene
 
 TRUTH = np.random.default_rng(0).normal(size=(20, 3))
-FLAT = SensorMap(TRUTH[:, :2])
-CURVED = SensorMap(TRUTH)
-SCORE = score(CURVED, TRUTH, exclude=[3], units="mm", permutations=0)
+NAMES = ("$\\frac{$", "日本", "line\nbreak", *(f"s{i}" for i in range(3, 20)))
+MAPS = {k: SensorMap(TRUTH[:, :k], names=NAMES) for k in (2, 3)}
+SCORE = score(MAPS[3], TRUTH, exclude=["s3"], units="mm", permutations=0)
 WANTED = np.linalg.norm(TRUTH[:, None, :2] - TRUTH[:, :2], axis=2)
-SPP = stress_per_point(WANTED, TRUTH)
-TOUCHED = np.random.default_rng(1).uniform(size=(50, 20)) > 0.8
-SCENE = Scene(
-    "scene",
-    (Prop("body", Mesh(np.eye(3), [[0, 1, 2]]), np.zeros((1, 1, 3))),),
-    np.eye(3)[None],
-    np.ones((4, 3), dtype=np.float32),
-    np.arange(4.0),
-    "m",
-)
-CURVES = CurvePanel("title", np.array([1.0, 2.0]), {"isomap": np.array([[0.1, 0.2], [0.3, 0.4]])})
-GROUPS = [ScoreGroup("run", {"isomap": [0.8, 0.9]}, {"isomap": NullBox(-0.1, 0, 0, 0, 0.1)})]
-SHARES = {"share": np.array([[0.1], [0.9]])}
+RECORDING = Recording(np.random.default_rng(1).uniform(size=(50, 20)) > 0.8, names=NAMES)
+TOUCHED = {k: touch_coverage(made, RECORDING) for k, made in MAPS.items()}
+DOUBTED = [SensorHealth(NAMES[0], "noisy", "", 0, 1, 2, 0.1, 3, 0.2, 0.3)]
+TRIANGLE = Mesh(np.eye(3), [[0, 1, 2]])
+SCENE = small_scene()
+SCORES = {"isomap": [0.8, 0.9]}
+GROUPS = [charts.ScoreGroup("run", SCORES, {"isomap": charts.NullBox(-0.1, 0, 0, 0, 0.1)})]
+CURVES = charts.CurvePanel("title", np.array([1.0, 2]), {"isomap": np.array([[0.1, 0.2]] * 2)})
+SHARES = (np.array([100, 200]), 20.0, {"share": np.array([[0.1], [0.9]])})
+
+
+def difference(k):
+    """Two sensors moved, one was lost, and one appeared."""
+    after = TRUTH[:, :k] + np.random.default_rng(1).normal(0, 0.01, (20, k))
+    after[:2] += 5
+    after[4] = np.nan
+    before = np.where(np.arange(20)[:, None] == 5, np.nan, TRUTH[:, :k])
+    return compare_maps(SensorMap(before, names=NAMES), SensorMap(after, names=NAMES))
+
+
+def placed(k):
+    rows = [0, 1, 2, 9, 15, 17]
+    anchors = Anchors(tuple(NAMES[i] for i in rows), TRUTH[rows, :k])
+    return place(SensorMap(3 * TRUTH[:, :k], names=NAMES), anchors), anchors
+
+
+def checked(k):
+    """Sensors 0 and 1 are swapped, and sensor 2 is dead."""
+    right = SensorMap(MAPS[k].positions[[1, 0, *range(2, 20)]], names=NAMES)
+    findings = tuple(LayoutFinding(kind, np.array(rows), "") for kind, *rows in (
+        ("swapped", 0, 1), ("dead", 2),
+    ))  # fmt: skip
+    status = ("swapped", "swapped", "dead", *["ok"] * 17)
+    nothing = np.full(20, np.nan)
+    return LayoutCheck(MAPS[k], right, status, findings, nothing, np.zeros(20, int), 1.0)
+
 
 PANELS = {
-    "map in 2D": (2, lambda ax: plot_map(FLAT, ax=ax)),
-    "map in 3D": (3, lambda ax: plot_map(CURVED, SCORE, ax=ax)),
-    "distances": (2, lambda ax: plot_distances(SCORE, ax=ax)),
-    "panel in 2D": (2, lambda ax: plot_panel(truth_panel("", TRUTH[:, :2]), ax=ax)),
-    "panel in 3D": (3, lambda ax: plot_panel(map_panel("", CURVED, SCORE, TRUTH), ax=ax)),
-    "scores": (2, lambda ax: plot_scores(GROUPS, ax=ax)),
-    "curves": (2, lambda ax: plot_curves(CURVES, ax=ax)),
-    "coverage": (2, lambda ax: plot_coverage(np.array([100, 200]), 20.0, SHARES, ax=ax)),
-    "scene": (3, lambda ax: plot_scene(SCENE, 0, ax=ax)),
-    "stress per point": (2, lambda ax: plot_stress_per_point(SPP, ax=ax)),
-    "shepard": (2, lambda ax: plot_shepard(shepard(WANTED, TRUTH), ax=ax)),
-    "shift test": (2, lambda ax: plot_shift_test(ShiftTest(0.1, np.arange(9.0), 0.1), ax=ax)),
-    "series": (2, lambda ax: plot_series(np.sin(np.arange(2000.0)), rate_hz=20, ax=ax)),
-    "touches in 2D": (2, lambda ax: plot_touches(FLAT, touch_coverage(FLAT, TOUCHED), ax=ax)),
-    "touches in 3D": (3, lambda ax: plot_touches(CURVED, touch_coverage(CURVED, TOUCHED), ax=ax)),
+    "distances": (2, lambda ax: fig.plot_distances(SCORE, ax=ax)),
+    "scores": (2, lambda ax: charts.plot_scores(GROUPS, ax=ax)),
+    "curves": (2, lambda ax: charts.plot_curves(CURVES, ax=ax)),
+    "coverage": (2, lambda ax: coverage.plot_coverage(*SHARES, ax=ax)),
+    "scene": (3, lambda ax: scenes.plot_scene(SCENE, 0, ax=ax)),
+    "stress per point": (
+        2,
+        lambda ax: fig.plot_stress_per_point(stress_per_point(WANTED, TRUTH), NAMES, ax=ax),
+    ),
+    "shepard": (2, lambda ax: fig.plot_shepard(shepard(WANTED, TRUTH), units="mm", ax=ax)),
+    "shift test": (2, lambda ax: fig.plot_shift_test(ShiftTest(0.1, np.arange(9.0), 0.1), ax=ax)),
+    "series": (2, lambda ax: fig.plot_series(np.sin(np.arange(2000.0)), rate_hz=20, ax=ax)),
+} | {
+    f"{name} in {k}D": (k, lambda ax, k=k, plot=plot: plot(k, ax))
+    for k in (2, 3)
+    for name, plot in {
+        "map": lambda k, ax: fig.plot_map(MAPS[k], SCORE if k == 3 else None, ax=ax),
+        "truth": lambda k, ax: gallery.plot_panel(gallery.truth_panel("", TRUTH[:, :k]), ax=ax),
+        "touches": lambda k, ax: fig.plot_touches(MAPS[k], TOUCHED[k], ax=ax),
+        "difference": lambda k, ax: fig.plot_difference(difference(k), ax=ax),
+        "placement": lambda k, ax: fig.plot_placement(*placed(k), TRIANGLE, ax=ax),
+        "layout": lambda k, ax: fig.plot_layout(checked(k), ax=ax),
+    }.items()
 }
 FIGURES = {
-    "map": lambda: map_figure(CURVED),
-    "scores": lambda: scores_figure("title", [GROUPS]),
-    "curves": lambda: curves_figure("title", [CURVES], x_label="x", logarithmic=True),
-    "coverage": lambda: coverage_figure("title", np.array([100, 200]), 20.0, SHARES),
-    "gallery": lambda: gallery_figure("title", [truth_panel("", TRUTH)], 1, "note"),
-    "scene": lambda: scene_figure(SCENE),
-    "bodies": lambda: bodies_figure("title", [SCENE], ["body"]),
+    "map": lambda: fig.map_figure(MAPS[3]),
+    "touches": lambda: fig.touch_figure(MAPS[3], TOUCHED[3]),
+    "series": lambda: fig.series_figure(RECORDING, DOUBTED),
+    "difference": lambda: fig.difference_figure(difference(2)),
+    "placement": lambda: fig.placement_figure(*placed(3), TRIANGLE),
+    "layout": lambda: fig.layout_figure(checked(2)),
+    "scores": lambda: charts.scores_figure("title", [GROUPS]),
+    "curves": lambda: charts.curves_figure("title", [CURVES], x_label="x", logarithmic=True),
+    "coverage": lambda: coverage.coverage_figure("title", *SHARES),
+    "gallery": lambda: gallery.gallery_figure("title", [gallery.truth_panel("", TRUTH)], 1, "note"),
+    "scene": lambda: scenes.scene_figure(SCENE),
+    "bodies": lambda: scenes.bodies_figure("title", [SCENE], ["body"]),
 }
 
 
@@ -89,43 +107,37 @@ def axes_of(dimensions):
 
 
 @pytest.mark.parametrize("name", PANELS)
-def test_a_panel_is_drawn_into_the_given_axes(name):
+def test_a_panel_is_drawn_into_the_given_axes_or_a_figure_of_its_own(name):
     dimensions, plot = PANELS[name]
     given = axes_of(dimensions)
     assert not given.has_data()
     assert plot(given) is given
-    assert given.has_data()
-    assert given.figure.axes == [given]
-
-
-@pytest.mark.parametrize("name", PANELS)
-def test_without_axes_a_figure_with_one_panel_is_created(name):
-    dimensions, plot = PANELS[name]
-    axes = plot(None)
-    assert axes.has_data()
-    assert axes.figure.axes == [axes]
-    assert (axes.name == "3d") == (dimensions == 3)
-
-
-@pytest.mark.parametrize("name", PANELS)
-def test_axes_with_other_dimensions_are_rejected(name):
-    dimensions, plot = PANELS[name]
+    own = plot(None)
+    for axes in (given, own):
+        assert axes.has_data()
+        assert axes.figure.axes == [axes]
+    assert (own.name == "3d") == (dimensions == 3)
     with pytest.raises(InputError, match=r"the data need [23]D axes"):
         plot(axes_of(5 - dimensions))
 
 
 @pytest.mark.parametrize("name", FIGURES)
-def test_without_matplotlib_the_error_names_the_extra(monkeypatch, name):
+def test_the_same_figure_gives_the_same_bytes_whatever_the_names(name):
+    first, again = (fig.figure_bytes(FIGURES[name](), "svg") for _ in range(2))
+    assert first == again
+
+
+def test_without_matplotlib_the_error_names_the_extra(monkeypatch):
     for module in [name for name in sys.modules if name.startswith("matplotlib")]:
         monkeypatch.setitem(sys.modules, module, None)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    for call in (FIGURES[name], lambda: check_writable("map.png")):
+    for call in (*FIGURES.values(), lambda: fig.check_writable("map.png")):
         with pytest.raises(MissingExtraError, match=r"a picture needs .*anisomap\[report\]"):
             call()
 
 
 def test_charts_show_every_score_mean_and_null():
-    (axes,) = scores_figure("title", [GROUPS]).axes
+    (axes,) = charts.scores_figure("title", [GROUPS]).axes
     drawn = [list(line.get_ydata()) for line in axes.lines]
     assert [0.8, 0.9] in drawn
     assert any(np.allclose(values, 0.85) for values in drawn)
@@ -135,23 +147,20 @@ def test_charts_show_every_score_mean_and_null():
 
 def test_curves_show_every_run_and_the_mean_without_nan():
     values = np.array([[0.1, np.nan], [np.nan, np.nan], [0.3, 0.5]])
-    figure = curves_figure(
-        "title", [CurvePanel("panel", np.array([1.0, 2, 3]), {"isomap": values})], x_label="bins"
-    )
-    (axes,) = figure.axes
-    mean = axes.lines[-1].get_ydata()
-    np.testing.assert_allclose(mean, [0.1, np.nan, 0.4])
+    panel = charts.CurvePanel("panel", np.array([1.0, 2, 3]), {"isomap": values})
+    (axes,) = charts.curves_figure("title", [panel], x_label="bins").axes
+    np.testing.assert_allclose(axes.lines[-1].get_ydata(), [0.1, np.nan, 0.4])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("bins", "Mantel r")
 
 
 def test_every_method_has_its_own_colour_and_marker():
     for attribute in ("label", "colour", "marker"):
-        values = {getattr(look, attribute) for look in METHOD_LOOKS.values()}
-        assert len(values) == len(METHOD_LOOKS)
+        values = {getattr(look, attribute) for look in charts.METHOD_LOOKS.values()}
+        assert len(values) == len(charts.METHOD_LOOKS)
 
 
 def test_a_map_panel_shows_the_aligned_map_and_marks_excluded_sensors():
-    panel = map_panel("", CURVED, SCORE, TRUTH)
+    panel = gallery.map_panel("", MAPS[3], SCORE, TRUTH)
     np.testing.assert_allclose(panel.points[SCORE.sensors], SCORE.alignment.aligned)
     assert np.flatnonzero(panel.uncompared).tolist() == [3]
     assert not (panel.pairs == 3).any()
@@ -159,19 +168,40 @@ def test_a_map_panel_shows_the_aligned_map_and_marks_excluded_sensors():
 
 def test_a_truth_panel_shows_sensors_without_a_position_apart():
     on_maps = np.arange(20) != 7
-    panel = truth_panel("", TRUTH, on_maps=on_maps, labels={7: "a", 8: "b"})
+    panel = gallery.truth_panel("", TRUTH, on_maps=on_maps, labels={7: "a", 8: "b"})
     np.testing.assert_array_equal(panel.unplaced, TRUTH[[7]])
     np.testing.assert_array_equal(panel.points, TRUTH[on_maps])
     assert panel.labels == {7: "b"}
 
 
+@pytest.mark.parametrize("k", [2, 3])
+def test_legends_count_the_sensors_of_each_kind(k):
+    for name, expected in (
+        ("difference", ["unchanged (16)", "moved (2)", "lost (1)", "appeared (1)"]),
+        ("placement", ["placed (14)", "anchors (6)"]),
+        ("layout", ["as stated (17)", "swapped, shifted (2)", "dead, doubled (1)"]),
+    ):
+        axes = PANELS[f"{name} in {k}D"][1](None)
+        assert axes.get_legend_handles_labels()[1] == expected
+
+
+def test_arrows_of_moved_sensors_end_within_the_axes():
+    found = difference(2)
+    axes = fig.plot_difference(found)
+    assert axes.get_aspect() == 1.0
+    ends = found.after[found.moved]
+    for (low, high), values in zip([axes.get_xlim(), axes.get_ylim()], ends.T, strict=True):
+        assert low <= values.min() <= values.max() <= high
+
+
 @pytest.mark.parametrize(
     "draw",
     [
-        lambda: gallery_figure("title", [], 2),
-        lambda: scores_figure("title", [[]]),
-        lambda: curves_figure("title", [], x_label="x"),
-        lambda: bodies_figure("title", [SCENE], []),
+        lambda: gallery.gallery_figure("title", [], 2),
+        lambda: charts.scores_figure("title", [[]]),
+        lambda: charts.curves_figure("title", [], x_label="x"),
+        lambda: scenes.bodies_figure("title", [SCENE], []),
+        lambda: fig.series_figure(RECORDING, []),
     ],
 )
 def test_figures_without_content_are_rejected(draw):

@@ -1,36 +1,18 @@
 """Figures and animations of simulated scenes."""
 
 import sys
-import warnings
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from anisomap.drawing.figures import figure_bytes, scenes
-from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.scene import Mesh, Prop, Scene
+from anisomap.drawing.figures import scenes
+from anisomap.errors import FileError, InputError
+from anisomap.scene import Mesh, Prop
 from anisomap.simulation import BODIES, SCENARIOS, mujoco_viewer, run_simulation
+from reports import small_scene
 
 pytest.importorskip("matplotlib", reason="needs the extra 'report'")
-
-
-def small_scene(n_frames: int = 6) -> Scene:
-    triangle = Mesh(np.eye(3), [[0, 1, 2]])
-    ways = np.linspace(0, 3, n_frames)[:, None, None] * np.ones((1, 2, 3))
-    readings = np.zeros((n_frames, 3), dtype=np.float32)
-    readings[4, :2] = 1
-    return Scene(
-        "a small scene",
-        (
-            Prop("body", triangle, np.zeros((1, 1, 3))),
-            Prop("stimulus", triangle, ways, scales=np.array([1.0, 2.0])),
-        ),
-        np.eye(3)[None],
-        readings,
-        np.arange(n_frames) / 20,
-        "m",
-    )
 
 
 def test_objects_have_their_position_size_and_rotation():
@@ -55,33 +37,22 @@ def test_the_figure_shows_the_busiest_frame_with_axes_in_units():
     assert "reading (m)" in {axes.get_ylabel() for axes in figure.axes}
     shape = np.array([np.ptp(getattr(body, f"get_{name}lim")()) for name in "xyz"])
     np.testing.assert_allclose(body._box_aspect / body._box_aspect.max(), shape / shape.max())
-
-
-def test_the_same_scene_gives_the_same_bytes():
-    first, again = (figure_bytes(scenes.scene_figure(small_scene())) for _ in range(2))
-    assert first == again
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_every_scenario_can_be_drawn(scenario):
-    pytest.importorskip("mujoco")
-    body = next(name for name in BODIES if SCENARIOS[scenario].accepts(BODIES[name]()))
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", AnisomapWarning
-        )  # so short a run may leave sensors untouched
-        scene = run_simulation(body, scenario, n_frames=30).scene
-    assert scene.n_frames == 30
-    assert scene.sensors.shape[1:] == (scene.readings.shape[1], 3)
-    assert {prop.role for prop in scene.props} >= {"body"}
-    space, *_ = scenes.scene_figure(scene, 29).axes
-    assert any(len(drawn.get_facecolor()) > 10 for drawn in space.collections)
-
-
-def test_a_frame_beyond_the_scene_is_rejected():
     for frame in (-1, 6):
         with pytest.raises(InputError, match=f"frame must be from 0 to 5, got {frame}"):
             scenes.scene_figure(small_scene(), frame)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")  # sensors that nothing touches
+def test_every_scenario_can_be_drawn(scenario):
+    pytest.importorskip("mujoco")
+    body = next(name for name in BODIES if SCENARIOS[scenario].accepts(BODIES[name]()))
+    scene = run_simulation(body, scenario, n_frames=10).scene
+    assert scene.n_frames == 10
+    assert scene.sensors.shape[1:] == (scene.readings.shape[1], 3)
+    assert {prop.role for prop in scene.props} >= {"body"}
+    space, *_ = scenes.scene_figure(scene, 9).axes
+    assert any(len(drawn.get_facecolor()) > 10 for drawn in space.collections)
 
 
 def test_an_animation_has_one_picture_per_frame(tmp_path):
@@ -110,8 +81,6 @@ def test_mp4_without_ffmpeg_is_rejected(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FileError, match=r"needs the program ffmpeg.*\.gif does not need it"):
         scenes.check_animation(tmp_path / "run.mp4")
-    with pytest.raises(FileError, match=r"must end in \.gif or \.mp4"):
-        scenes.check_animation(tmp_path / "run.webm")
 
 
 def test_mujoco_renders_scenes():

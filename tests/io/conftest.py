@@ -1,9 +1,11 @@
 """An example file of every format, in the layout of the programs that write it."""
 
+import functools
 import gzip
 import json
 import math
 import shutil
+import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,8 +31,7 @@ def _readings() -> np.ndarray:
     return np.where(values < 0.4, 0, values)
 
 
-@pytest.fixture
-def recording() -> Recording:
+def _recording() -> Recording:
     return Recording(
         _readings(),
         names=NAMES,
@@ -39,6 +40,11 @@ def recording() -> Recording:
         source="by hand",
         metadata={"seed": 3, "licence": "BSD-3-Clause"},
     )
+
+
+@pytest.fixture
+def recording() -> Recording:
+    return _recording()
 
 
 @pytest.fixture
@@ -322,14 +328,23 @@ _TOLD = {"spikes.h5": pytest.mark.filterwarnings("ignore:.*in bins of 1 s, the d
 _EXAMPLES = [pytest.param(name, marks=_TOLD.get(name, ())) for name in RECORDINGS]
 
 
+@functools.cache
+def example(name: str) -> bytes:
+    """Return the content of an example in `RECORDINGS`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        make = RECORDINGS[name][1]
+        if make:
+            make(path)
+        else:
+            io.write(_recording(), path)
+        return path.read_bytes()
+
+
 @pytest.fixture(params=_EXAMPLES)
-def recording_file(request: pytest.FixtureRequest, tmp_path: Path, recording: Recording) -> Path:
+def recording_file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     path = tmp_path / request.param
-    make = RECORDINGS[request.param][1]
-    if make:
-        make(path)
-    else:
-        io.write(recording, path)
+    path.write_bytes(example(request.param))
     return path
 
 

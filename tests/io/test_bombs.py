@@ -52,6 +52,13 @@ def _hdf5(path: Path, kept: int) -> None:
         file.create_dataset("a", data=np.zeros(_shape(kept), "u1"), compression="gzip")
 
 
+def _unwritten(path: Path, kept: int) -> None:
+    """A dataset of which nothing is stored."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file.create_dataset("a", (kept // 64, 64), "f8", chunks=(1 << 12, 64))
+
+
 def _chunk(path: Path, kept: int) -> None:
     """A chunk of 640 bytes that HDF5 would unpack to any size."""
     h5py = pytest.importorskip("h5py")
@@ -81,12 +88,24 @@ def _matlab(path: Path, kept: int) -> None:
     scipy_io.savemat(path, {"a": np.zeros(_shape(kept), "u1")}, do_compression=True)
 
 
+def _cells(path: Path, kept: int) -> None:
+    """A cell array, whose header does not declare its size."""
+    cells = np.empty((2, 1), dtype=object)
+    cells[:, 0] = [np.zeros((1, kept // 8)), np.ones((1, 2))]
+    pytest.importorskip("scipy.io").savemat(path, {"a": cells}, do_compression=True)
+
+
 def _line(path: Path, kept: int) -> None:
     path.write_bytes(gzip.compress(b"11," * max(kept // 3, 4 * MIB)))
 
 
 def _text(path: Path, kept: int) -> None:
     path.write_bytes(gzip.compress(b"1,2,3\n" * 9 + (b" " * 65_535 + b"\n") * (kept >> 16)))
+
+
+def _log(path: Path, kept: int) -> None:
+    lines = b"0 1300000000.5 0 0\n" + (b" " * 65_535 + b"\n") * (kept >> 16)
+    path.write_bytes(gzip.compress(lines))
 
 
 def _arrow(path: Path, kept: int) -> None:
@@ -174,12 +193,15 @@ BOMBS: dict[str, Callable[[Path, int], None]] = {
     "readings.npz": _npz,
     "names.npz": _names,
     "zeros.h5": _hdf5,
+    "unwritten.h5": _unwritten,
     "chunk.h5": _chunk,
     "references.h5": _lzf,
     "declared.h5": _szip,
     "zeros.mat": _matlab,
+    "cells.mat": _cells,
     "line.csv.gz": _line,
     "blanks.csv.gz": _text,
+    "blanks.log.gz": _log,
     "zeros.feather": _arrow,
     "zeros.arrows": _arrow,
     "zeros.parquet": _parquet,

@@ -238,13 +238,6 @@ class TestMatlab:
         path = saved(readings=np.eye(4), notes=self.cells([np.array([[1.0, 2.0]])]))
         assert io.read(path).n_sensors == 4
 
-    def test_cells_that_unpack_too_far_are_refused(self, saved, monkeypatch) -> None:
-        monkeypatch.setattr("anisomap.budget.FREE_BYTES", 1 << 20)
-        path = saved(big=self.cells([np.zeros((1, 4_000_000))]))
-        assert path.stat().st_size < 1 << 20
-        with pytest.raises(FileError, match=r"touch\.mat: its content expands to"):
-            io.read(path)
-
 
 class TestJson:
     """Contacts as a list of objects, or one object per line."""

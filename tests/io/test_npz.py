@@ -275,13 +275,6 @@ def test_wrong_single_arrays(tmp_path: Path) -> None:
         io.read(path)
 
 
-def test_duplicate_names_are_made_distinct(saved) -> None:
-    path = saved(readings=READINGS, names=["a", "b", "a"], positions=np.eye(3))
-    for reader in (io.read, io.read_map):
-        with pytest.warns(AnisomapWarning, match="several sensors have the name a"):
-            assert reader(path).names == ("a", "b", "a_2")
-
-
 @pytest.mark.parametrize("shape", ["(True, 3)", "(3, True)"])
 def test_true_is_a_length_of_one(tmp_path: Path, shape: str) -> None:
     """numpy accepts it in a header, but not as a length."""

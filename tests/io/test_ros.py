@@ -55,7 +55,7 @@ def test_tactile_state(bag: Bag, tmp_path: Path) -> None:
     np.testing.assert_allclose(found.times, np.arange(60) / 50, atol=1e-8)
 
 
-@pytest.mark.parametrize("start", [0, 10, 32_765, 65_500])
+@pytest.mark.parametrize("start", [10, 32_765, 65_500])
 def test_xela_counters_overflow(bag: Bag, tmp_path: Path, start: int) -> None:
     """The server counts from 0 to 65535, and the message declares signed integers."""
     counters = (start + 40 * READINGS).astype(np.int64).astype(np.uint16).view(np.int16)
@@ -125,13 +125,13 @@ def test_taxel_arrays_have_positions(bag: Bag, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "encoded", [("mono8", "u1", 1), ("16UC1", "<u2", 1), ("32FC1", "<f4", 1), ("bgr8", "u1", 3)]
+    "encoded",
+    [("mono8", "u1", 1, 0), ("16UC1", "<u2", 1, 5), ("32FC1", "<f4", 1, 0), ("bgr8", "u1", 3, 5)],
 )
-@pytest.mark.parametrize("padding", [0, 5])
 def test_images_have_one_sensor_per_pixel(
-    bag: Bag, tmp_path: Path, encoded: tuple[str, str, int], padding: int
+    bag: Bag, tmp_path: Path, encoded: tuple[str, str, int, int]
 ) -> None:
-    encoding, dtype, channels = encoded
+    encoding, dtype, channels, padding = encoded
     for i, row in enumerate(READINGS):
         pixels = np.repeat(row.astype(dtype).reshape(2, 3, 1), channels, axis=2)
         lines = pixels.reshape(2, -1).view(np.uint8)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -97,32 +97,14 @@ def assert_same_mapping(found: Mapping[str, Scalar], expected: Mapping[str, Scal
         np.testing.assert_equal(found[key], value)
 
 
-def assert_same_verdict(found: Verdict, expected: Verdict) -> None:
-    assert (found.level, found.reasons) == (expected.level, expected.reasons)
-    for name in ERRORS:
-        np.testing.assert_equal(getattr(found, name), getattr(expected, name))
-
-
 def assert_same_map(found: SensorMap, expected: SensorMap) -> None:
     assert_same_bits(found.positions, expected.positions)
-    np.testing.assert_array_equal(found.component, expected.component)
-    assert found.names == expected.names
-    assert found.health == expected.health
-    assert (found.units, found.method, found.notes) == (
-        expected.units,
-        expected.method,
-        expected.notes,
-    )
-    np.testing.assert_array_equal(found.errors, expected.errors)
-    assert (found.covariances is None) == (expected.covariances is None)
-    if found.covariances is not None:
-        np.testing.assert_array_equal(found.covariances, expected.covariances)
-    assert (found.normals is None) == (expected.normals is None)
-    if found.normals is not None:
-        np.testing.assert_array_equal(found.normals, expected.normals)
-    assert (found.handed, found.anchored) == (expected.handed, expected.anchored)
-    np.testing.assert_equal(found.stress, expected.stress)
-    assert_same_verdict(found.verdict, expected.verdict)
+    for name in ("component", "errors", "covariances", "normals", "stress"):
+        np.testing.assert_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+    for name in ("names", "health", "units", "method", "notes", "handed", "anchored"):
+        assert getattr(found, name) == getattr(expected, name), name
+    for name in ("level", "reasons", *ERRORS):
+        np.testing.assert_equal(getattr(found.verdict, name), getattr(expected.verdict, name))
     assert_same_mapping(found.provenance, expected.provenance)
 
 
@@ -131,12 +113,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("round-trips")
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".json", ".npz"])
+def refuse(constant: str) -> float:
+    raise AssertionError(f"{constant} is not JSON")
+
+
 @given(sensor_map=maps())
-def test_maps(folder: Path, suffix: str, sensor_map: SensorMap) -> None:
-    path = folder / f"map{suffix}"
-    io.write(sensor_map, path)
-    assert_same_map(io.read_map(path), sensor_map)
+@settings(max_examples=60)
+def test_maps(folder: Path, sensor_map: SensorMap) -> None:
+    for suffix in (".csv", ".tsv", ".json", ".npz"):
+        path = folder / f"map{suffix}"
+        io.write(sensor_map, path)
+        assert_same_map(io.read_map(path), sensor_map)
+    text = (folder / "map.json").read_text(encoding="utf-8")
+    document = json.loads(text, parse_constant=refuse)
+    unknown = [None in sensor["position"] for sensor in document["sensors"]]
+    np.testing.assert_array_equal(unknown, np.isnan(sensor_map.positions).any(axis=1))
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".json"])
@@ -160,6 +151,7 @@ def test_texts_may_be_marks_of_other_formats(tmp_path: Path, suffix: str, mark: 
 
 
 @given(sensor_map=maps(2, 3))
+@settings(max_examples=40)
 def test_point_clouds(folder: Path, sensor_map: SensorMap) -> None:
     path = folder / "map.ply"
     io.write(sensor_map, path)
@@ -174,21 +166,22 @@ def test_point_clouds(folder: Path, sensor_map: SensorMap) -> None:
     assert found.units == sensor_map.units
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".npz"])
 @given(recording=recordings())
-def test_recordings(folder: Path, suffix: str, recording: Recording) -> None:
-    path = folder / f"skin{suffix}"
-    io.write(recording, path)
-    found = io.read(path)
-    assert_same_bits(found.readings.astype(np.float64), recording.readings.astype(np.float64))
-    assert found.readings.dtype <= recording.readings.dtype
-    assert found.names == recording.names
-    assert (found.times is None) == (recording.times is None)
-    if recording.times is not None and found.times is not None:
-        assert_same_bits(found.times, recording.times)
-    assert found.rate_hz == recording.rate_hz
-    assert found.source == recording.source
-    assert_same_mapping(found.metadata, recording.metadata)
+@settings(max_examples=60)
+def test_recordings(folder: Path, recording: Recording) -> None:
+    for suffix in (".csv", ".tsv", ".npz"):
+        path = folder / f"skin{suffix}"
+        io.write(recording, path)
+        found = io.read(path)
+        assert_same_bits(found.readings.astype(np.float64), recording.readings.astype(np.float64))
+        assert found.readings.dtype <= recording.readings.dtype
+        assert found.names == recording.names
+        assert (found.times is None) == (recording.times is None)
+        if recording.times is not None and found.times is not None:
+            assert_same_bits(found.times, recording.times)
+        assert found.rate_hz == recording.rate_hz
+        assert found.source == recording.source
+        assert_same_mapping(found.metadata, recording.metadata)
 
 
 @pytest.mark.parametrize("k", [2, 3])
@@ -208,19 +201,6 @@ def test_text_warns_that_it_drops_true_positions(tmp_path: Path) -> None:
     with pytest.warns(AnisomapWarning, match=r"cannot store positions.*\.npz"):
         io.write(recording, tmp_path / "skin.csv")
     assert io.read(tmp_path / "skin.csv").positions is None
-
-
-@given(sensor_map=maps())
-def test_json_is_strict(folder: Path, sensor_map: SensorMap) -> None:
-    path = folder / "strict.json"
-    io.write(sensor_map, path)
-
-    def refuse(constant: str) -> float:
-        raise AssertionError(f"{constant} is not JSON")
-
-    document = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
-    unknown = [None in sensor["position"] for sensor in document["sensors"]]
-    np.testing.assert_array_equal(unknown, np.isnan(sensor_map.positions).any(axis=1))
 
 
 def test_point_clouds_have_three_dimensions(tmp_path: Path) -> None:
@@ -243,26 +223,16 @@ def test_provenance_accepts_numpy_scalars(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "field", ["approximate", "uneven", "mirrored", "handed", "anchored", "frame"]
 )
-@pytest.mark.parametrize("value", ["", True, "base"])
-def test_provenance_may_use_the_names_of_fields(
-    tmp_path: Path, suffix: str, field: str, value: Scalar
-) -> None:
-    provenance = {field: value, f"~{field}": 2, f"~~{field}": 3, "~": 4}
-    for flag in (False, True):
-        path = tmp_path / f"{flag}{suffix}"
+def test_provenance_may_use_the_names_of_fields(tmp_path: Path, suffix: str, field: str) -> None:
+    path = tmp_path / f"map{suffix}"
+    for value, flag in (("", True), (True, False), ("base", True)):
+        provenance = {field: value, f"~{field}": 2, f"~~{field}": 3, "~": 4}
         changed = {field: ("base" if flag else "skin") if field == "frame" else flag}
         sensor_map = replace(SensorMap(np.eye(2), provenance=provenance), **changed)
         io.write(sensor_map, path)
         found = io.read_map(path)
         assert dict(found.provenance) == provenance
         assert getattr(found, field) == getattr(sensor_map, field)
-
-
-def test_provenance_rejects_lists(tmp_path: Path) -> None:
-    for suffix in (".csv", ".json", ".npz"):
-        with pytest.raises(InputError, match="got list"):
-            io.write(SensorMap(np.eye(2), provenance={"a": [1]}), tmp_path / f"map{suffix}")
-    assert not list(tmp_path.iterdir())
 
 
 def test_comments_padded_by_a_spreadsheet(tmp_path: Path, sensor_map: SensorMap) -> None:

@@ -1,6 +1,5 @@
 """Pipes, devices and files that change while they are read."""
 
-import itertools
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -101,15 +100,3 @@ def test_a_file_that_is_cut_while_it_is_read(tmp_path: Path, name: str) -> None:
         with pytest.warns(AnisomapWarning, match="cut"):
             rest = sum(len(block.readings) for block in stream.blocks)
     assert 0 < rest < 59_000
-
-
-@pytest.mark.parametrize("name", GROWING)
-def test_whole_files_are_read_in_blocks(tmp_path: Path, name: str) -> None:
-    path = tmp_path / name
-    readings = np.random.default_rng(0).random((25_000, 50))
-    GROWING[name](path, readings)
-    with io.open_stream(path, frames=900) as stream:
-        starts = itertools.count(0, 900)
-        for start, block in zip(starts, stream.blocks, strict=False):
-            np.testing.assert_array_equal(block.readings, readings[start : start + 900])
-    np.testing.assert_array_equal(io.read(path).readings, readings)

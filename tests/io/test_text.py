@@ -29,26 +29,21 @@ def table(values: np.ndarray, delimiter: str = ",", end: str = "\n", decimal: st
     return "".join(row.replace(".", decimal) + end for row in rows)
 
 
-@pytest.mark.parametrize("header", ["", "a{0}b{0}c{0}d", '"a"{0}"b"{0}"c"{0}"d"'])
-@pytest.mark.parametrize(
-    "dialect",
-    [
-        (",", "."),
-        (", ", "."),
-        (";", "."),
-        (";", ","),
-        ("\t", "."),
-        ("\t", ","),
-        (" ", "."),
-        ("  ", "."),
-    ],
-)
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "gzip"])
-def test_dialects(put: Put, header: str, dialect: tuple[str, str], end: str, encoding: str) -> None:
-    delimiter, decimal = dialect
-    head = f"# made by hand{end}{end}" + (header.format(delimiter) + end if header else "")
-    text = head + table(READINGS, delimiter, end, decimal)
+HEADERS = ("", "a{0}b{0}c{0}d", '"a"{0}"b"{0}"c"{0}"d"')
+ENDS = ("\n", "\r\n", "\r")
+ENCODINGS = ("utf-8", "utf-8-sig", "gzip")
+
+
+@pytest.mark.parametrize("header", range(3))
+@pytest.mark.parametrize("end", range(3))
+@pytest.mark.parametrize("dialect", [",.", ", .", ";.", ";,", "\t.", "\t,", " .", "  ."])
+def test_dialects(put: Put, dialect: str, end: int, header: int) -> None:
+    delimiter, decimal = dialect[:-1], dialect[-1]
+    # Every pair of a header, a line end and an encoding, in a Latin square.
+    line, encoding = ENDS[end], ENCODINGS[(end + header) % 3]
+    head = f"# made by hand{line}{line}"
+    head += HEADERS[header].format(delimiter) + line if header else ""
+    text = head + table(READINGS, delimiter, line, decimal)
     content = gzip.compress(text.encode()) if encoding == "gzip" else text.encode(encoding)
     found = io.read(put("skin.csv", content))
     np.testing.assert_array_equal(found.readings, READINGS)

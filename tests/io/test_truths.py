@@ -217,18 +217,15 @@ def test_bad_point_clouds(put: Put, old: str, new: str, message: str | None) -> 
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("truth.csv", "name,x,y\na,1,2\na,3,4\n"),
-        (
-            "truth.json",
-            '{"sensors": [{"name": "a", "position": [1, 2]}, {"name": "a", "position": [3, 4]}]}',
-        ),
-    ],
-)
-def test_duplicate_names_are_made_distinct(put: Put, name: str, text: str) -> None:
-    with pytest.warns(AnisomapWarning, match=rf"{name}: several sensors have the name a; they"):
-        found = io.read_map(put(name, text))
-    assert found.names == ("a", "a_2")
-    np.testing.assert_array_equal(found.positions, [[1, 2], [3, 4]])
+def test_duplicate_names_are_made_distinct(put: Put, tmp_path: Path) -> None:
+    twice = [{"name": "a", "position": [1, 2]}, {"name": "a", "position": [3, 4]}]
+    np.savez(tmp_path / "truth.npz", names=["a", "a"], positions=[[1, 2], [3, 4]])
+    for path in (
+        put("truth.csv", "name,x,y\na,1,2\na,3,4\n"),
+        put("truth.json", json.dumps({"sensors": twice})),
+        tmp_path / "truth.npz",
+    ):
+        with pytest.warns(AnisomapWarning, match=r"truth.*: several sensors have the name a; they"):
+            found = io.read_map(path)
+        assert found.names == ("a", "a_2")
+        np.testing.assert_array_equal(found.positions, [[1, 2], [3, 4]])

@@ -13,7 +13,7 @@ from anisomap.large.landmarks.options import ApproximateOptions
 from skins import lattice, rubbed
 
 PLACES = lattice(15, 16)
-READINGS = np.round(rubbed(PLACES, 6000) * 40).astype(np.uint8)
+READINGS = np.round(rubbed(PLACES, 3000) * 40).astype(np.uint8)
 FEW = ApproximateOptions(n_candidates=30, n_landmarks=60)
 
 pytestmark = pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
@@ -29,13 +29,16 @@ def found():
         return made()
 
 
-@pytest.mark.parametrize("dimensions", [pytest.param(2, marks=pytest.mark.slow), 3])
+def agreement(found, other):
+    return mantel(found, other, permutations=0).r
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
 def test_approximate_maps_resemble_exact_maps(dimensions):
     exact = reconstruct(Recording(READINGS), "r-anisomap", dimensions)
     approximate = made(dimensions=dimensions)
-    assert mantel(approximate, exact, permutations=0).r > 0.995
-    truth = [mantel(skin, PLACES, permutations=0).r for skin in (approximate, exact)]
-    assert truth[0] > truth[1] - 0.005
+    assert agreement(approximate, exact) > 0.99
+    assert agreement(approximate, PLACES) > agreement(exact, PLACES) - 0.01
 
 
 def test_approximate_maps_are_labelled(found):
@@ -51,18 +54,15 @@ def test_the_seed_determines_the_map(found):
     np.testing.assert_array_equal(made().positions, found.positions)
     other = made(approximate=ApproximateOptions(n_candidates=30, n_landmarks=60, seed=1))
     assert not np.allclose(other.positions, found.positions)
-    assert mantel(other, found, permutations=0).r > 0.999
+    assert agreement(other, found) > 0.99
 
 
-def test_chunk_boundaries_do_not_matter(found):
-    parts = made(lambda: np.array_split(READINGS, [5, 700, 701, 4000]))
-    assert mantel(parts, found, permutations=0).r > 0.9999
-
-
-def test_the_order_of_sensors_does_not_matter(found):
+def test_chunk_boundaries_and_the_order_of_sensors_do_not_matter(found):
+    parts = made(lambda: np.array_split(READINGS, [5, 700, 701, 2000]))
+    assert agreement(parts, found) > 1 - 1e-6
     order = np.random.default_rng(0).permutation(len(PLACES))
     shuffled = made(READINGS[:, order])
-    assert mantel(shuffled.positions, found.positions[order], permutations=0).r > 0.999
+    assert agreement(shuffled.positions, found.positions[order]) > 0.99
 
 
 def test_skins_touched_independently_are_components():
@@ -72,7 +72,7 @@ def test_skins_touched_independently_are_components():
         pair = made(both)
     np.testing.assert_array_equal(pair.component, np.repeat([0, 1], len(PLACES)))
     for piece in pair.split():
-        assert mantel(piece, PLACES, permutations=0).r > 0.99
+        assert agreement(piece, PLACES) > 0.98
 
 
 def test_dead_and_dropped_sensors_are_unplaced_and_broken_wires_separate(monkeypatch):
@@ -101,24 +101,17 @@ def test_missing_readings_follow_the_policy():
 
 
 @pytest.mark.parametrize(
-    ("readings", "message"),
+    ("readings", "options", "message"),
     [
-        (np.zeros((50, 9), np.uint8), "got 0 of 9"),
-        (
-            np.random.default_rng(0).integers(0, 9, (300, 9)),
-            "at least 3 sensors with statistically significant links",
-        ),
-        (READINGS[0], "frames x sensors"),
+        (np.zeros((50, 9), np.uint8), {}, "got 0 of 9"),
+        (np.random.default_rng(0).integers(0, 9, (300, 9)), {}, "at least 3 sensors with statist"),
+        (READINGS[0], {}, "frames x sensors"),
+        (READINGS, {"dimensions": 0}, "dimensions must be a whole number of at least 1"),
     ],
 )
-def test_unrelated_sensors_are_refused(readings, message):
+def test_what_gives_no_map_is_refused(readings, options, message):
     with pytest.raises(InputError, match=message):
-        made(readings)
-
-
-def test_dimensions_must_be_positive():
-    with pytest.raises(InputError, match="dimensions must be a whole number of at least 1"):
-        made(dimensions=0)
+        made(readings, **options)
 
 
 def test_health_of_many_sensors_is_assessed_from_an_excerpt(monkeypatch):

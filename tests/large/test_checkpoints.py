@@ -19,9 +19,10 @@ from anisomap.large.map_reduce import map_reduce
 from anisomap.large.streaming import stream_similarity
 from anisomap.options import MethodOptions
 from anisomap.numerics.similarity.accumulators import Moments
+from dying import PowerCutError, failing
 from skins import flat_skin
 
-READINGS = np.round(flat_skin(n_frames=1200).readings * 20).astype(np.float32)
+READINGS = np.round(flat_skin(n_frames=600).readings[:, :12] * 20).astype(np.float32)
 PARTS = np.split(READINGS, 6)
 OPTIONS = MethodOptions()
 
@@ -44,38 +45,20 @@ map_reduce(slowly, Moments.of, checkpoint=Checkpoint(folder / "counts.npz", "mom
 """
 
 
-class PowerCutError(Exception):
-    """Interrupts a run."""
-
-
-def failing(parts, n_chunks, passes=1):
-    """Return a function that fails after some chunks of its last pass."""
-    opened = []
-
-    def chunks():
-        opened.append(True)
-        for i, part in enumerate(parts):
-            if len(opened) == passes and i == n_chunks:
-                raise PowerCutError
-            yield part
-
-    return chunks
-
-
 def similarity(parts, file=None, method="i-anisomap", options=OPTIONS, **more):
     chunks = parts if callable(parts) else lambda: iter(parts)
     return stream_similarity(chunks, method, options, checkpoint=file, **more).similarity
 
 
-def cut_off(file, n_chunks=4, passes=2, **more):
+def cut_off(file, parts=PARTS, n_chunks=4, passes=2, **more):
     with pytest.raises(PowerCutError):
-        similarity(failing(PARTS, n_chunks, passes), file, **more)
+        similarity(failing(parts, n_chunks, passes), file, **more)
 
 
 def test_killed_processes_resume_to_the_same_result(tmp_path):
     np.save(tmp_path / "readings.npy", READINGS)
     file, rng = tmp_path / "counts.npz", np.random.default_rng(0)
-    for _ in range(3):
+    for _ in range(2):
         program = [sys.executable, "-c", KILLED, str(tmp_path)]
         with subprocess.Popen(program) as process:
             before = file.stat().st_mtime_ns if file.exists() else 0
@@ -87,7 +70,7 @@ def test_killed_processes_resume_to_the_same_result(tmp_path):
             process.kill()
     parts = np.split(READINGS, 60)
     progress = Checkpoint(file, "moments")
-    assert progress.progress("total")[0] >= 3, "every run added to what was done"
+    assert progress.progress("total")[0] >= 2, "every run added to what was done"
     found = map_reduce(lambda: iter(parts), Moments.of, checkpoint=progress)
     expected = map_reduce(lambda: iter(parts), Moments.of)
     np.testing.assert_array_equal(found.comoment, expected.comoment)
@@ -110,7 +93,7 @@ def test_no_processed_chunk_is_processed_again(tmp_path):
 @pytest.mark.parametrize("n_chunks", [1, 4])
 def test_interrupted_runs_resume_to_the_same_result(tmp_path, passes, n_chunks):
     file = tmp_path / "counts.npz"
-    cut_off(file, n_chunks, passes)
+    cut_off(file, PARTS, n_chunks, passes)
     np.testing.assert_array_equal(similarity(PARTS, file), similarity(PARTS))
     np.testing.assert_array_equal(similarity(PARTS, file), similarity(PARTS))
 
@@ -124,10 +107,8 @@ def changed(part, frame, sensor):
 OTHERS = {
     "one reading of the first frames": [changed(PARTS[0], 7, 3), *PARTS[1:]],
     "one reading of what was done last": [*PARTS[:3], changed(PARTS[3], 9, 0), *PARTS[4:]],
-    "sensors in another order": [part[:, ::-1] for part in PARTS],
     "frames in another order": [part[::-1] for part in PARTS],
     "other chunks": np.split(READINGS, 5),
-    "another type": [part.astype(np.float64) for part in PARTS],
     "fewer frames": PARTS[:2],
     "more frames than when values were counted": [*PARTS, PARTS[0]],
     "values of late frames": [*PARTS[:5], changed(PARTS[5], 9, 0)],
@@ -149,21 +130,15 @@ def test_other_readings_are_refused(tmp_path, other):
         {"method": "spearman-anisomap"},
         {"options": MethodOptions(bins=5)},
         {"source": "another.npz"},
+        {"missing": "drop-frames"},
     ],
 )
-def test_other_methods_and_sources_are_refused(tmp_path, other):
-    file = tmp_path / "counts.npz"
-    cut_off(file)
-    with pytest.raises(FileError, match="another computation"):
-        similarity(PARTS, file, **other)
-
-
-def test_other_policies_on_missing_readings_are_refused(tmp_path):
+def test_other_options_are_refused(tmp_path, other):
     file, holed = tmp_path / "counts.npz", [part.copy() for part in PARTS]
     holed[0][10:20, 4] = np.nan
-    similarity(holed, file, missing="interpolate")
+    cut_off(file, holed, missing="interpolate")
     with pytest.raises(FileError, match="another computation"):
-        similarity(holed, file, missing="drop-frames")
+        similarity(holed, file, **{"missing": "interpolate", **other})
 
 
 SMALL = [part[:, :3] for part in np.split(READINGS[:60], 4)]
@@ -173,13 +148,12 @@ SMALL = [part[:, :3] for part in np.split(READINGS[:60], 4)]
 def held(tmp_path_factory):
     """Return a checkpoint of half of the frames, as bytes, and the result of all."""
     file = tmp_path_factory.mktemp("whole") / "counts.npz"
-    with pytest.raises(PowerCutError):
-        similarity(failing(SMALL, 2, 2), file)
+    cut_off(file, SMALL, 2)
     return file.read_bytes(), similarity(SMALL)
 
 
 @given(data=st.data())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_damaged_files_are_refused_unless_the_damage_is_harmless(held, tmp_path_factory, data):
     content, expected = held
     damaged = bytearray(content)
@@ -212,19 +186,11 @@ def rewritten(content, **changes):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"pairs/chunks": np.array(-1)},
-        {"pairs/chunks": np.array(1)},
         {"pairs/chunks": None},
-        {"pairs/digest": np.array("")},
-        {"pairs/kind": np.array("Moments")},
         {"pairs/kind": np.array("Checkpoint")},
-        {"pairs/counts": np.zeros((2, 2), np.uint32)},
         {"pairs/counts": np.array(["a"])},
-        {"pairs/first": np.zeros(1, np.int64)},
-        {"pairs/n_frames": np.array([1, 2])},
         {"values/sizes": np.array([1])},
         {"values/counts": None},
-        {"values/more": np.array(1)},
     ],
     ids=lambda changes: "-".join(f"{k}={v}" for k, v in changes.items())[:40],
 )
@@ -235,32 +201,37 @@ def test_changed_archives_are_refused(held, tmp_path, changes):
         similarity(SMALL, file)
 
 
-@pytest.mark.parametrize("content", [b"", b"PK", b"no archive at all", b"PK\5\6" + bytes(18)])
-def test_other_files_are_refused(tmp_path, content):
+def object_array():
+    """Return an archive of a pickle, which must never be loaded."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive, archive.open("subject.npy", "w") as member:
+        np.lib.format.write_array(member, np.array([print], dtype=object), allow_pickle=True)
+    return stream.getvalue()
+
+
+def compressed(content):
+    """Return an archive that may expand to any size, which checkpoints may not."""
+    stream = io.BytesIO()
+    with np.load(io.BytesIO(content)) as archive:
+        np.savez_compressed(stream, **archive)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("kind", ["empty", "cut", "text", "no member", "pickle", "compressed"])
+def test_other_files_are_refused(tmp_path, held, kind):
+    content = {
+        "empty": b"",
+        "cut": held[0][:-200],
+        "text": b"no archive at all",
+        "no member": b"PK\5\6" + bytes(18),
+        "pickle": object_array(),
+        "compressed": compressed(held[0]),
+    }[kind]
     file = tmp_path / "counts.npz"
     file.write_bytes(content)
     with pytest.raises(FileError, match="damaged or not a checkpoint"):
-        similarity(PARTS, file)
+        similarity(SMALL, file)
     assert file.read_bytes() == content
-
-
-def test_pickles_are_never_loaded(tmp_path):
-    file = tmp_path / "counts.npz"
-    with zipfile.ZipFile(file, "w") as archive, archive.open("subject.npy", "w") as member:
-        np.lib.format.write_array(member, np.array([print], dtype=object), allow_pickle=True)
-    with pytest.raises(FileError, match="damaged or not a checkpoint"):
-        similarity(PARTS, file)
-
-
-def test_compressed_archives_are_refused(tmp_path):
-    """Checkpoints are not compressed, so that one that is may expand to any size."""
-    file = tmp_path / "counts.npz"
-    similarity(PARTS, file)
-    with np.load(file) as archive:
-        arrays = dict(archive)
-    np.savez_compressed(file, **arrays)
-    with pytest.raises(FileError, match="damaged or not a checkpoint"):
-        similarity(PARTS, file)
 
 
 def test_pipes_are_refused(tmp_path):

@@ -1,11 +1,13 @@
 """Similarities computed in chunks equal those of the whole recording, in one pass or two."""
 
+import functools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from anisomap.large.chunked_similarity import CHUNKED
+from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
 from anisomap.numerics.similarity import co_occurrence, joint_values, value_counts
 from anisomap.numerics.similarity.accumulators import StoredCodes
 from anisomap.numerics.similarity.joint_values import JointValues
@@ -25,25 +27,18 @@ def readings_of(seed, n_values=9):
     return levels
 
 
+def merged(mapper, parts):
+    return functools.reduce(lambda total, part: total.merged(part), map(mapper, parts))
+
+
 def in_chunks(name, parts):
     recipe = CHUNKED[name]
-    known = None
-    if recipe.needs_values:
-        known = ValueCounts.of(parts[0])
-        for part in parts[1:]:
-            known = known.merged(ValueCounts.of(part))
-    mapper = recipe.prepare(known, BINS)
-    total = mapper(parts[0])
-    for part in parts[1:]:
-        total = total.merged(mapper(part))
-    return recipe.finish(total)
+    known = merged(ValueCounts.of, parts) if recipe.needs_values else None
+    return recipe.finish(merged(recipe.prepare(known, BINS), parts))
 
 
 def in_one_pass(name, parts):
-    total = JointValues.of(parts[0])
-    for part in parts[1:]:
-        total = total.merged(JointValues.of(part))
-    return CHUNKED[name].of_values(total, BINS)
+    return CHUNKED[name].of_values(merged(JointValues.of, parts), BINS)
 
 
 def test_every_similarity_can_be_computed_in_chunks():
@@ -54,11 +49,10 @@ def test_every_similarity_can_be_computed_in_chunks():
 @pytest.mark.parametrize("many", [1, 10**6], ids=["compiled", "numpy"])
 @pytest.mark.parametrize("name", CHUNKED)
 @given(seed=st.integers(0, 20), cuts=rows, data=st.data())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_chunks_give_the_similarity_of_the_whole(name, many, seed, cuts, data):
     readings = readings_of(seed)
-    of = "pearson" if name == "blended-correlation" else name
-    expected = SIMILARITIES[of].compute(readings, BINS)
+    expected = SIMILARITIES[computed_similarity(name)].compute(readings, BINS)
     parts = data.draw(st.permutations(np.split(readings, cuts)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(co_occurrence, "MIN_COMPILED_SENSORS", many)

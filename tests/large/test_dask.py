@@ -14,11 +14,21 @@ from anisomap.errors import InputError
 from anisomap.large import dask_workers
 from anisomap.large.map_reduce import WorkerPool, map_reduce
 from anisomap.numerics.similarity.accumulators import Moments
-from dying import KILL, Slow
+from dying import Killing
 
 distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
 
 CHUNKS = np.random.default_rng(0).random((20, 30, 4))
+LONGEST_S = 300.0
+"""Time after which a cluster counts as hung; far more than a busy machine needs."""
+
+
+@pytest.fixture(autouse=True)
+def limits(monkeypatch):
+    """Let only the limit that a test is about end its wait."""
+    for name in ("ANSWER_S", "WORKERS_S"):
+        monkeypatch.setattr(dask_workers, name, LONGEST_S)
+    return lambda name, seconds: monkeypatch.setattr(dask_workers, name, seconds)
 
 
 def mapped(address: str, mapper=Moments.of) -> Moments:
@@ -38,23 +48,24 @@ def test_encryption_needs_certificates() -> None:
         mapped("tls://127.0.0.1:8786")
 
 
-def test_a_port_that_never_answers(monkeypatch) -> None:
-    monkeypatch.setattr(dask_workers, "ANSWER_S", 0.3)
+def test_a_port_that_never_answers(limits) -> None:
+    limits("ANSWER_S", 0.3)
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
-        with pytest.raises(InputError, match=r"no Dask scheduler at .*no answer within 0\.3 s"):
-            mapped(f"tcp://127.0.0.1:{silent.getsockname()[1]}")
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(InputError, match=f"no Dask scheduler at {address}"):
+            mapped(address)
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_cluster_without_workers(monkeypatch) -> None:
-    monkeypatch.setattr(dask_workers, "WORKERS_S", 0.3)
+def test_a_cluster_without_workers(limits) -> None:
+    limits("WORKERS_S", 0.3)
     with (
         distributed.LocalCluster(
             n_workers=0, processes=False, protocol="tcp", dashboard_address=None
         ) as cluster,
-        pytest.raises(InputError, match=r"no worker for 0\.3 s"),
+        pytest.raises(InputError, match="has had no worker for"),
     ):
         mapped(cluster.scheduler_address)
 
@@ -76,6 +87,7 @@ def cluster(tmp_path: Path):
     ):
         started.append(subprocess.Popen([*common, *arguments], **options))
         while not answers(int(port)):
+            assert started[0].poll() is None, "the scheduler ended"
             time.sleep(0.1)
     yield address, *started
     for process in started:
@@ -90,11 +102,11 @@ def answers(port: int) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(("killed", "message"), [(1, "is lost"), (2, "no worker for 2 s")])
+@pytest.mark.parametrize(("killed", "message"), [(1, "is lost"), (2, "has had no worker for")])
 def test_a_cluster_that_is_killed_midway(
-    cluster, tmp_path: Path, monkeypatch, killed: int, message: str
+    cluster, tmp_path: Path, limits, killed: int, message: str
 ) -> None:
     mapped(cluster[0])  # waits for the worker
-    monkeypatch.setattr(dask_workers, "WORKERS_S", 2.0)
+    limits("WORKERS_S", 2.0)
     with pytest.raises(InputError, match=message):
-        mapped(cluster[0], Slow(tmp_path / "started", cluster[killed].pid, KILL))
+        mapped(cluster[0], Killing(tmp_path / "started", cluster[killed].pid))

@@ -22,8 +22,6 @@ from anisomap.large.landmarks.sensor_graph import (
 )
 from anisomap.large.landmarks.sketch import compute_sketch
 from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
-from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
-from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 from anisomap.numerics.similarity import search
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
@@ -33,13 +31,20 @@ RNG = np.random.default_rng
 SKIN = np.round(rubbed(lattice(), 600) * 40)
 
 
+SEEDS = st.integers(0, 2**32 - 1)
+
+
 def all_pairs(n_sensors):
     """Indices of all pairs."""
     return np.triu_indices(n_sensors, 1)
 
 
-def sketched(readings, size=256, seed=0):
-    return compute_sketch([readings], size, np.random.default_rng(seed))
+def in_chunks(readings, cuts):
+    return [part for part in np.split(readings, sorted(cuts)) if len(part)]
+
+
+def sketched(readings, size=256, seed=0, cuts=()):
+    return compute_sketch(in_chunks(readings, cuts), size, RNG(seed))
 
 
 def linked(readings):
@@ -48,17 +53,13 @@ def linked(readings):
     return correlations([readings], known, all_pairs(readings.shape[1])), known
 
 
-@settings(deadline=None)  # the first call may compile
-@given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 59), max_size=4))
+@settings(max_examples=40)
+@given(SEEDS, st.lists(st.integers(1, 59), max_size=4))
 def test_a_sketch_does_not_depend_on_the_chunks(seed, cuts):
-    rng = np.random.default_rng(seed)
+    rng = RNG(seed)
     readings = rng.integers(-3, 4, (60, 5)).astype(float) + rng.normal(0, 100, 5)
     whole = sketched(readings, 16, seed)
-    parts = compute_sketch(
-        [part for part in np.split(readings, sorted(cuts)) if len(part)],
-        16,
-        np.random.default_rng(seed),
-    )
+    parts = sketched(readings, 16, seed, cuts)
     np.testing.assert_allclose(whole.mean, readings.mean(axis=0), rtol=1e-12)
     np.testing.assert_allclose(whole.deviation, readings.std(axis=0), rtol=1e-9)
     np.testing.assert_array_equal(whole.varying, np.ptp(readings, axis=0) > 0)
@@ -85,61 +86,53 @@ def test_contacts_are_counted_on_both_sides_of_rest():
         assert known.active_frames == 12
 
 
-@pytest.mark.parametrize("count", [1, 5, 30])
-@pytest.mark.parametrize("grouped", [False, True])
-def test_the_most_similar_have_the_greatest_products(count, grouped):
-    rows = np.random.default_rng(0).normal(size=(30, 8)).astype(np.float32)
-    groups = np.arange(30) // 7 if grouped else np.arange(30)
-    products = rows @ rows.T
-    products[groups[:, None] == groups] = -np.inf
+@pytest.mark.parametrize(
+    ("n_sensors", "queries", "count"),
+    [
+        (30, range(30), 1),
+        (30, [3, 11, 29], 5),
+        (30, range(30), 30),
+        (search.COLUMNS + 500, range(0, search.COLUMNS, 7), 3),  # several blocks
+    ],
+)
+@pytest.mark.parametrize("group_size", [1, 7])
+def test_the_most_similar_have_the_greatest_products(n_sensors, queries, count, group_size):
+    rows = RNG(0).normal(size=(n_sensors, 8)).astype(np.float32)
+    groups = np.arange(n_sensors) // group_size
+    products = rows[queries] @ rows.T
+    products[groups[queries][:, None] == groups] = -np.inf
     expected = np.sort(products, axis=1)[:, ::-1][:, :count]
-    found, values = most_similar(rows, count, groups=groups)
+    found, values = most_similar(rows, count, groups=groups, sensors=np.array(queries))
     np.testing.assert_allclose(values, expected, atol=1e-5)
     there = found != NO_SENSOR
     np.testing.assert_array_equal(there, np.isfinite(expected))
     mine = np.take_along_axis(products, np.maximum(found, 0), axis=1)
     np.testing.assert_allclose(mine[there], expected[there], atol=1e-5)
-    some = np.array([3, 11, 29])
-    np.testing.assert_array_equal(
-        most_similar(rows, count, groups=groups, sensors=some)[0], found[some]
-    )
 
 
-def test_the_search_finds_the_most_similar_across_blocks():
-    n_sensors = search.COLUMNS + 500
-    rows = np.random.default_rng(0).normal(size=(n_sensors, 8)).astype(np.float32)
-    queries = np.arange(0, n_sensors, 7)
-    assert len(queries) > search.ROWS
-    products = rows[queries] @ rows.T
-    products[np.arange(len(queries)), queries] = -np.inf
-    _, found = most_similar(rows, 3, sensors=queries)
-    np.testing.assert_allclose(found, np.sort(products, axis=1)[:, :-4:-1], atol=1e-5)
-
-
-@settings(deadline=None)  # the first call may compile
-@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=40)
+@given(SEEDS)
 def test_pairs_are_listed_once(seed):
-    found = np.random.default_rng(seed).integers(-1, 9, (9, 4))
+    found = RNG(seed).integers(-1, 9, (9, 4))
     firsts, seconds = pairs_of(found)
     expected = {tuple(sorted((i, j))) for i in range(9) for j in found[i] if j != NO_SENSOR}
     assert list(zip(firsts.tolist(), seconds.tolist(), strict=True)) == sorted(expected)
 
 
-@settings(deadline=None)  # the first call may compile
-@given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 599), max_size=3))
+@settings(max_examples=40)
+@given(SEEDS, st.lists(st.integers(1, 599), max_size=3))
 def test_r_of_pairs_is_pearsons(seed, cuts):
-    rng = np.random.default_rng(seed)
+    rng = RNG(seed)
     readings = SKIN[:, :12] + 1000 * rng.integers(0, 2, 12)
     readings[:, 3] = 7
-    chunks = [part for part in np.split(readings, sorted(cuts)) if len(part)]
-    found = correlations(chunks, sketched(readings), all_pairs(12))
+    found = correlations(in_chunks(readings, cuts), sketched(readings), all_pairs(12))
     with np.errstate(invalid="ignore"):
         expected = np.nan_to_num(np.corrcoef(readings.T))
     np.testing.assert_allclose(found.r, expected[all_pairs(12)], atol=2e-6)
 
 
 def test_a_skin_is_connected_and_broken_wires_are_not_linked_to_it():
-    rng = np.random.default_rng(0)
+    rng = RNG(0)
     broken = rng.integers(0, 5, (len(SKIN), 3))
     readings = np.hstack([SKIN, broken, np.zeros((len(SKIN), 1))])
     graph = build_graph(*linked(readings), n_neighbours=8)
@@ -147,18 +140,8 @@ def test_a_skin_is_connected_and_broken_wires_are_not_linked_to_it():
     assert set(graph.component[42:]) == {1, 2, 3, 4}
 
 
-def test_skins_touched_separately_are_components():
-    pause = np.zeros_like(SKIN)
-    readings = np.vstack([np.hstack([SKIN, pause]), np.hstack([pause, SKIN])])
-    links, known = linked(readings)
-    graph, further = bridge_components(build_graph(links, known, 8), known, lambda: [readings])
-    np.testing.assert_array_equal(graph.component, np.repeat([0, 1], 42))
-    assert further.r.size
-    assert (further.r < 0.1).all()
-
-
 def test_rigid_plates_are_linked():
-    rng = np.random.default_rng(0)
+    rng = RNG(0)
     plates = rubbed(np.arange(6.0)[:, None] * [1, 0], 4000)
     readings = np.repeat(plates, 30, axis=1) + 0.02 * rng.normal(size=(4000, 180))
     known = sketched(readings, 512)
@@ -169,22 +152,10 @@ def test_rigid_plates_are_linked():
     assert together.component.max() == 0
 
 
-def test_paths_equal_the_exact_metric_if_all_pairs_are_edges():
-    links, _ = linked(SKIN)
-    positive = links.select(links.r > 0)
-    graph = adjacency_matrix(positive, edge_lengths(links, positive, mu=0.0), 42)
-    similarity = np.zeros((42, 42))
-    similarity[links.firsts, links.seconds] = links.r
-    expected = metricise(regularised_reciprocal(similarity + similarity.T, mu=0.0))
-    landmarks = np.array([30, 2, 17])
-    found = paths_from(landmarks, graph)
-    np.testing.assert_allclose(found, expected[:, landmarks], rtol=1e-5)
-
-
-@settings(deadline=None)  # the first call may compile
-@given(st.integers(0, 2**32 - 1), st.integers(1, 9))
+@settings(max_examples=40)
+@given(SEEDS, st.integers(1, 9))
 def test_paths_are_dijkstras(seed, degree):
-    rng = np.random.default_rng(seed)
+    rng = RNG(seed)
     n_nodes = 60
     ends = rng.integers(0, n_nodes, (2, degree * n_nodes // 2))
     firsts, seconds = pairs_of(ends[1][:, None], ends[0])
@@ -196,17 +167,17 @@ def test_paths_are_dijkstras(seed, degree):
     np.testing.assert_allclose(paths_from(sources, graph), expected, rtol=1e-5)
 
 
-@settings(deadline=None)  # the first call may compile
-@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+@settings(max_examples=40)
+@given(SEEDS, st.integers(1, 4))
 def test_triangulation_of_euclidean_distances_is_exact(seed, dimensions):
-    points = np.random.default_rng(seed).normal(size=(40, dimensions))
+    points = RNG(seed).normal(size=(40, dimensions))
     landmarks = points[:12] + 3  # their own frame
     rows = cdist(points, points[:12]).astype(np.float32)
     np.testing.assert_allclose(triangulate(rows, landmarks), points + 3, atol=1e-3)
 
 
 def test_the_stress_of_landmark_pairs_and_its_gradient():
-    rng = np.random.default_rng(0)
+    rng = RNG(0)
     points, anchors = rng.normal(size=(2, 20)), rng.normal(size=(2, 7))
     points[:, 5] = anchors[:, 3]  # they coincide
     targets = rng.uniform(0.5, 2, (20, 7))
@@ -223,7 +194,7 @@ def test_the_stress_of_landmark_pairs_and_its_gradient():
 
 
 def exact_targets(n_landmarks, noise=0.0):
-    rng = np.random.default_rng(1)
+    rng = RNG(1)
     points = rng.uniform(0, 10, (300, 2))
     apart = cdist(points, points)
     landmarks = np.arange(n_landmarks)
@@ -237,7 +208,7 @@ def exact_targets(n_landmarks, noise=0.0):
 
 def test_refinement_never_increases_the_stress():
     points, targets = exact_targets(40, noise=0.2)
-    start = points + np.random.default_rng(0).normal(0, 2, points.shape)
+    start = points + RNG(0).normal(0, 2, points.shape)
     found = refine(targets, start, 1e-7, 300)
     assert (np.diff(found.trace) <= 0).all()
     assert found.converged
@@ -255,23 +226,15 @@ def test_with_all_sensors_as_landmarks_the_map_is_exact():
     edges = build_graph(links, known, 20).edges
     graph = adjacency_matrix(edges, edge_lengths(links, edges, 1.0), 42)
     assert connected_components(graph)[0] == 1
-    found = place_component(
-        graph, 2, n_landmarks=1000, options=SmacofOptions(), rng=np.random.default_rng(0)
-    )
+    options = {"n_landmarks": 1000, "options": SmacofOptions(), "rng": RNG(0)}
+    found = place_component(graph, 2, **options)
     expected = smacof(dijkstra(graph, directed=False), dimensions=2)
     r = np.corrcoef(pdist(found.positions), pdist(expected.positions))[0, 1]
     assert r > 0.99999
     stress = np.sqrt(found.raw_stress / found.spread)
     assert stress == pytest.approx(expected.stress, rel=0.01)
-
-
-def test_a_single_sensor_lies_at_the_origin():
-    nothing = SensorPairs(*all_pairs(1), np.empty(0))
-    graph = adjacency_matrix(nothing, np.empty(0), 1)
-    found = place_component(
-        graph, 3, n_landmarks=10, options=SmacofOptions(), rng=np.random.default_rng(0)
-    )
-    np.testing.assert_array_equal(found.positions, np.zeros((1, 3)))
+    single = place_component(graph[:1, :1], 3, **options)
+    np.testing.assert_array_equal(single.positions, np.zeros((1, 3)))
 
 
 def test_the_number_of_threads_does_not_change_a_bit(monkeypatch):
@@ -295,21 +258,15 @@ def test_the_number_of_threads_does_not_change_a_bit(monkeypatch):
     np.testing.assert_array_equal(positions(3), positions(1))
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"n_neighbours": 2},
-        {"n_candidates": 10},
-        {"sketch_size": 4},
-        {"n_landmarks": 3},
-        {"seed": -1},
-    ],
-)
-def test_options_out_of_range_are_refused(options):
-    with pytest.raises(InputError, match=f"{next(iter(options))} must be at least"):
-        ApproximateOptions(**options)
+TOO_SMALL = {"n_neighbours": 2, "n_candidates": 10, "sketch_size": 4, "n_landmarks": 3, "seed": -1}
+
+
+@pytest.mark.parametrize(("name", "value"), TOO_SMALL.items())
+def test_options_out_of_range_are_refused(name, value):
+    with pytest.raises(InputError, match=f"{name} must be at least"):
+        ApproximateOptions(**{name: value})
 
 
 def test_recordings_without_frames_are_refused():
     with pytest.raises(InputError, match="no frames"):
-        compute_sketch([], 16, np.random.default_rng(0))
+        compute_sketch([], 16, RNG(0))

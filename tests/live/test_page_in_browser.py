@@ -1,15 +1,14 @@
 """The page in a browser: no error of a script, everything by the keyboard, at two sizes."""
 
-import time
+import itertools
 
 import numpy as np
 import pytest
 from benchmarks.browser import browser, find_chromium
 
+from anisomap.live import ExaminationOptions, LiveSession
 from anisomap.live.batches import Batch, Names
-from anisomap.live.maps.examination import ExaminationOptions
 from anisomap.live.page.server import Server
-from anisomap.live.session import LiveSession
 from skins import flat_skin
 
 CHROMIUM = find_chromium()
@@ -24,57 +23,55 @@ SIZES = ((1280, 800), (820, 1180))
 
 
 class Rubbed:
-    """A skin that is rubbed at 100 Hz."""
+    """A skin that is rubbed at 100 Hz, without end."""
 
     description, names, truth = EVIL, (EVIL, *SKIN.names[1:]), None
 
     def items(self, stop):
         yield Names(self.names)
-        for row in SKIN.readings.astype(float):
+        for row in itertools.cycle(SKIN.readings.astype(float)):
             yield Batch(row[None])
             if stop.wait(0.01):
                 return
 
 
-def text(page, name):
-    return page.evaluate(f"document.getElementById('{name}').textContent")
+def element(name):
+    return f"document.getElementById('{name}')"
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_a_session_in_the_browser(tmp_path, dimensions):
-    options = ExaminationOptions(dimensions=dimensions)
+    options = ExaminationOptions(method="r-anisomap", dimensions=dimensions)
     with (
         LiveSession(Rubbed(), tmp_path / "r.csv", options) as session,
         Server(session, port=0) as server,
         browser(CHROMIUM) as page,
     ):
         page.open(server.url)
-        page.wait_for("document.getElementById('which').textContent.startsWith('quick map')")
+        page.wait_for(f"{element('which')}.textContent.startsWith('quick map')")
         for width, height in SIZES:
             page.resize(width, height)
-            time.sleep(0.3)
-            assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+            page.wait_for(f"window.innerWidth === {width}")
+            page.wait_for("document.documentElement.scrollWidth <= window.innerWidth")
             assert page.screenshot(tmp_path / f"{width}.png").startswith(b"\x89PNG")
         page.press("ArrowRight")
-        page.wait_for(
-            "document.getElementById('selected').textContent.startsWith('selected: <img')"
-        )
+        page.wait_for(f"{element('selected')}.textContent.startsWith('selected: <img')")
         page.press("d")
-        page.wait_for("document.getElementById('dropped').textContent.includes('<img')")
+        page.wait_for(f"{element('dropped')}.textContent.includes('<img')")
         assert session.maps.options.drop == (EVIL,)
         page.press("p")
-        page.wait_for("document.getElementById('state').textContent === 'paused'")
+        page.wait_for(f"{element('state')}.textContent === 'paused'")
         before = session.recorder.n_frames
         page.press("p")
-        page.wait_for("document.getElementById('state').textContent === 'running'")
-        page.wait_for(f"+document.getElementById('frames').textContent > {before}")
-        page.wait_for("!document.getElementById('show').disabled")
+        page.wait_for(f"{element('state')}.textContent === 'running'")
+        page.wait_for(f"+{element('frames')}.textContent > {before}")
+        page.wait_for(f"!{element('show')}.disabled")
         page.press("m")
-        page.wait_for("document.getElementById('which').textContent.startsWith('checked map')")
+        page.wait_for(f"{element('which')}.textContent.startsWith('checked map')")
         page.press("s")
-        page.wait_for("document.getElementById('files').children.length === 2")
+        page.wait_for(f"{element('files')}.children.length === 2")
         page.press("e")
-        assert page.evaluate("document.getElementById('export-dialog').open")
+        assert page.evaluate(f"{element('export-dialog')}.open")
         assert page.errors == []
         assert page.evaluate("document.title") == "anisomap live"
     assert (tmp_path / "r.report.html").exists()

@@ -5,17 +5,18 @@ import pytest
 
 import anisomap
 from anisomap import io
+from anisomap.live import ExaminationOptions, LiveSession
 from anisomap.live.batches import Batch
 from anisomap.live.journal import JournalWriter
 from anisomap.live.maps import examination
-from anisomap.live.maps.examination import ExaminationOptions, examine
-from anisomap.live.session import LiveSession
+from anisomap.live.maps.examination import examine
+from live_processes import Given, wait_for_maps
 from skins import lattice, rubbed
 
 PORT = "YARP port /icub/skin/right_hand"
 PADS = [96 + i for i in range(48) if i not in (11, 23, 35, 43)]
 NAMES = [f"palm.{i - 96}" for i in PADS]
-LONGEST_S = 600
+OPTIONS = {"method": "r-anisomap", "dimensions": 2, "preset": "icub"}
 
 
 @pytest.fixture(scope="module")
@@ -27,23 +28,12 @@ def hand():
     return readings
 
 
-class Port:
-    description, names, truth = PORT, (), None
-
-    def __init__(self, readings):
-        self._readings = readings
-
-    def items(self, stop):
-        yield Batch(self._readings)
-        stop.wait()
-
-
 @pytest.mark.slow
 def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
-    options = ExaminationOptions(dimensions=2, preset="icub")
-    with LiveSession(Port(hand), tmp_path / "r.csv", options) as session:
-        with session.changed:
-            assert session.changed.wait_for(lambda: session.maps.quick, LONGEST_S)
+    options = ExaminationOptions(**OPTIONS)
+    source = Given(Batch(hand), description=PORT)
+    with LiveSession(source, tmp_path / "r.csv", options) as session:
+        wait_for_maps(session, lambda maps: maps.quick)
         quick = session.maps.quick
         command = session.command
     # The final map of the session is made by the same function, in another process.
@@ -55,18 +45,22 @@ def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
     assert "--preset icub" in command
     np.testing.assert_array_equal(anisomap.read(tmp_path / "r.csv").readings, hand)
     read = io.read(tmp_path / "r.csv", options=io.ReadOptions(preset="icub"))
-    again = anisomap.reconstruct(read, dimensions=2)
+    again = anisomap.reconstruct(read, "r-anisomap", 2)
     np.testing.assert_allclose(final.sensor_map.positions, again.positions, atol=1e-6)
 
 
-def test_long_recordings_are_named_in_blocks(hand, tmp_path, monkeypatch):
+@pytest.mark.parametrize("limit", [None, "MAX_READINGS", "MAX_INTERIM_READINGS"])
+def test_pads_are_named_however_much_is_read(hand, tmp_path, monkeypatch, limit):
+    """Above some limits, recordings are read in blocks, or in parts."""
     writer = JournalWriter(tmp_path / "r.csv", [f"s{i}" for i in range(192)], PORT)
     writer.add(np.arange(len(hand)) / 50, hand)
     writer.close()
-    monkeypatch.setattr(examination, "MAX_READINGS", 1000)
-    options = ExaminationOptions(dimensions=2, preset="icub", drop=("palm.0",))
-    found = examine(tmp_path / "r.csv", len(hand), options, final=True)
+    if limit:
+        monkeypatch.setattr(examination, limit, 192 * 300)
+    options = ExaminationOptions(**OPTIONS, drop=("palm.0",))
+    final = limit != "MAX_INTERIM_READINGS"
+    found = examine(tmp_path / "r.csv", len(hand), options, final=final)
     assert found.sensor_map is not None, found.reason
     assert list(found.sensor_map.names) == NAMES
-    placed = np.isfinite(found.sensor_map.positions).all(axis=1)
-    assert [name for name, one in zip(NAMES, placed, strict=True) if not one] == ["palm.0"]
+    unplaced = [name for name, one in zip(NAMES, found.sensor_map.placed, strict=True) if not one]
+    assert unplaced == ["palm.0"]

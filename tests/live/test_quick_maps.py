@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from anisomap import SensorMap, reconstruct
-from anisomap.evaluation import align, score
+from anisomap import reconstruct
+from anisomap.evaluation import align
 from anisomap.health import SensorHealth
 from anisomap.health.contact_counts import count_contacts, count_joint_contacts
 from anisomap.live.maps.coach import advise, confirmed_faults
@@ -16,6 +16,9 @@ from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.numerics.similarity.rest import estimate_rest
 from skins import flat_skin, lattice, rubbed
+
+SKIN = flat_skin(n_frames=1500)
+READINGS = SKIN.readings.astype(float)
 
 
 def accumulated(readings, *sizes):
@@ -30,6 +33,7 @@ def accumulated(readings, *sizes):
 
 
 @given(sizes=st.lists(st.integers(1, 300), min_size=1, max_size=4), offset=st.floats(-1e3, 1e3))
+@settings(max_examples=30)
 def test_statistics_do_not_depend_on_the_batches(sizes, offset):
     readings = rubbed(lattice(4, 4), 300, seed=3) + offset
     readings[:, 5] = offset
@@ -78,20 +82,16 @@ def test_missing_readings_count_as_the_last_ones():
 def test_a_sensor_that_never_sends_a_number_has_no_place():
     readings = rubbed(lattice(4, 4), 400, seed=2)
     readings[:, 7] = np.nan
-    statistics = accumulated(readings, 100, 300)
-    made = QuickMapper([f"s{i}" for i in range(16)], 2).make(statistics)
-    assert not np.isfinite(made.positions[7]).any()
-    assert np.isfinite(np.delete(made.positions, 7, axis=0)).all()
+    made = QuickMapper([f"s{i}" for i in range(16)], 2).make(accumulated(readings, 100, 300))
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(made.positions).any(axis=1)), 7)
 
 
 def test_maps_grow_without_turning_over():
-    skin = flat_skin(n_frames=1500)
-    statistics, mapper = TouchStatistics(skin.n_sensors), QuickMapper(skin.names, 2)
-    before = None
-    for at in range(0, 1500, 50):
-        statistics.add(skin.readings[at : at + 50].astype(float))
+    statistics, mapper, before = TouchStatistics(42), QuickMapper(SKIN.names, 2), None
+    for at in range(0, 1500, 100):
+        statistics.add(READINGS[at : at + 100])
         made = mapper.make(statistics)
-        assert made.n_frames == at + 50
+        assert made.n_frames == at + 100
         if made.reason:
             assert not np.isfinite(made.positions).any()
             continue
@@ -101,12 +101,11 @@ def test_maps_grow_without_turning_over():
                 fit = fit_similarity(made.positions[shared], before[shared], scaling=False)
                 np.testing.assert_allclose(fit.rotation, np.eye(2), atol=1e-6)
         before = made.positions
-    assert score_of(before, skin) < 0.5
-
-
-def score_of(positions, skin):
-    placed = np.isfinite(positions).all(axis=1)
-    return align(positions[placed], skin.positions[placed]).rms
+    # A warm map is the cold one, which is that of the published method.
+    cold = QuickMapper(SKIN.names, 2).make(statistics).positions
+    published = reconstruct(SKIN, "r-anisomap", 2).positions
+    for found in (before, published):
+        assert align(found, cold).rms < 1e-3  # of an RMS radius of 1
 
 
 @given(seed=st.integers(0, 100), mirrored=st.booleans(), dimensions=st.sampled_from([2, 3]))
@@ -127,32 +126,16 @@ def test_sensors_without_a_place_start_beside_the_most_similar_one():
     assert np.linalg.norm(start[2] - before[1]) < 0.1
 
 
-def test_a_warm_map_is_the_cold_map():
-    skin = flat_skin(n_frames=1000)
-    cold = QuickMapper(skin.names, 2).make(accumulated(skin.readings.astype(float), 1000))
-    warm = QuickMapper(skin.names, 2)
-    statistics = TouchStatistics(skin.n_sensors)
-    for at in range(0, 1000, 250):
-        statistics.add(skin.readings[at : at + 250].astype(float))
-        last = warm.make(statistics)
-    assert align(last.positions, cold.positions).rms < 0.02  # of an RMS radius of 1
-
-
 def test_the_coach_names_what_was_not_touched_and_says_when_it_is_enough():
-    skin = flat_skin(n_frames=1500)
-    half = np.flatnonzero(skin.positions[:, 0] > 3)
-    readings = skin.readings.astype(float).copy()
-    frames = readings[:, half].max(axis=1) == 0
-    statistics = TouchStatistics(skin.n_sensors)
-    statistics.add(readings[frames])
-    untouched = np.flatnonzero(statistics.rest.active(readings[frames]).sum(axis=0) == 0)
-    made = QuickMapper(skin.names, 2).make(statistics)
-    assert set(made.advice.untouched) == set(untouched) >= set(half[2:4])
-    assert skin.names[untouched[0]] in made.advice.text
+    half = np.flatnonzero(SKIN.positions[:, 0] > 3)
+    readings = READINGS[READINGS[:, half].max(axis=1) == 0]
+    untouched = np.flatnonzero(readings.max(axis=0) == 0)
+    made = QuickMapper(SKIN.names, 2).make(accumulated(readings, len(readings)))
+    assert set(made.advice.untouched) == set(untouched) >= set(half)
+    assert SKIN.names[untouched[0]] in made.advice.text
     assert not made.advice.enough
-    enough = advise(
-        skin.positions, np.full(42, 99), np.full((42, 42), 99, dtype=np.float32), skin.names
-    )
+    together = np.full((42, 42), 99, dtype=np.float32)
+    enough = advise(SKIN.positions, np.full(42, 99), together, SKIN.names)
     assert enough.enough
     assert enough.share_done == 1
     assert enough.text.startswith("enough")
@@ -163,29 +146,17 @@ def test_dropped_sensors_are_no_advice():
     contacts[[3, 4]] = 0
     together = np.full((42, 42), 99, dtype=np.float32)
     together[[3, 4]] = together[:, [3, 4]] = 0
-    names = [f"s{i}" for i in range(42)]
     positions = lattice()
     positions[[3, 4]] = np.nan
-    told = advise(positions, contacts, together, names)
-    assert told.untouched == (3, 4)
-    assert advise(positions, contacts, together, names, drop={3, 4}).enough
+    assert advise(positions, contacts, together, SKIN.names).untouched == (3, 4)
+    assert advise(positions, contacts, together, SKIN.names, drop={3, 4}).enough
 
 
 @pytest.mark.parametrize("n_frames", [1, 2, 3])
 def test_first_frames_give_a_reason_instead_of_a_map(n_frames):
-    skin = flat_skin()
-    statistics = accumulated(np.repeat(skin.readings[:1].astype(float), n_frames, axis=0), 3)
-    made = QuickMapper(skin.names, 2).make(statistics)
+    made = QuickMapper(SKIN.names, 2).make(accumulated(READINGS[[0] * n_frames], 3))
     assert made.reason
     assert not np.isfinite(made.positions).any()
-
-
-def test_the_score_of_a_quick_map_is_that_of_the_published_method():
-    skin = flat_skin(n_frames=1500)
-    made = QuickMapper(skin.names, 2).make(accumulated(skin.readings.astype(float), 1500))
-    published = reconstruct(skin, "r-anisomap", 2)
-    mine = score(SensorMap(made.positions, names=skin.names), skin, permutations=0)
-    assert mine.mantel.r == pytest.approx(score(published, skin, permutations=0).mantel.r, abs=1e-3)
 
 
 def health(name, status, contacts):

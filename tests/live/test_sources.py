@@ -1,6 +1,5 @@
 """Sources, each with a real peer on this computer."""
 
-import builtins
 import itertools
 import json
 import os
@@ -18,9 +17,11 @@ import anisomap
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.live.batches import Batch, Names, Notice
 from anisomap.live.sources import SOURCES, open_source
+from anisomap.live.sources.simulated import BOUT_FRAMES, SimulatedHand
+from anisomap.simulation import find_body
+from live_processes import LONGEST_S
 
 ROWS = np.round(np.random.default_rng(0).random((20, 4)), 3)
-LONGEST_S = 120
 
 
 def text(rows):
@@ -28,13 +29,21 @@ def text(rows):
 
 
 class Collected:
-    """What a source yields, collected in a thread until it is stopped."""
+    """What a source yields, collected in a thread until the end of the block."""
 
     def __init__(self, source):
         self.items, self.stop, self.error = [], threading.Event(), None
         self.arrived = threading.Condition()
         self.thread = threading.Thread(target=self._collect, args=(source,), daemon=True)
+
+    def __enter__(self):
         self.thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.stop.set()
+        self.thread.join(LONGEST_S)
+        assert not self.thread.is_alive()
 
     def _collect(self, source):
         try:
@@ -43,9 +52,8 @@ class Collected:
                     self.items.append(item)
                     self.arrived.notify_all()
         except Exception as error:
-            self.error = error
-        finally:
             with self.arrived:
+                self.error = error
                 self.arrived.notify_all()
 
     def wait(self, condition):
@@ -53,28 +61,25 @@ class Collected:
             assert self.arrived.wait_for(lambda: self.error or condition(self), LONGEST_S)
         assert self.error is None, self.error
 
+    def wait_for_rows(self):
+        """Wait until all rows have arrived, and nothing else."""
+        self.wait(lambda found: len(found.rows) >= len(ROWS))
+        np.testing.assert_array_equal(self.rows, ROWS)
+
     @property
     def rows(self):
         return [row for item in self.items if isinstance(item, Batch) for row in item.readings]
 
     @property
     def times(self):
-        found = [item.times for item in self.items if isinstance(item, Batch)]
-        return np.concatenate(found)
+        return np.concatenate([item.times for item in self.items if isinstance(item, Batch)])
 
     def told(self, words):
         return any(isinstance(item, Notice) and words in item.text for item in self.items)
 
 
-@contextmanager
-def collected(source):
-    found = Collected(source)
-    try:
-        yield found
-    finally:
-        found.stop.set()
-        found.thread.join(LONGEST_S)
-        assert not found.thread.is_alive()
+def collected(address, **options):
+    return Collected(open_source(address, **options))
 
 
 @contextmanager
@@ -87,37 +92,65 @@ def listening():
 
 
 def test_a_lost_tcp_connection_is_made_again():
-    with listening() as (server, port), collected(open_source(f"tcp://127.0.0.1:{port}")) as found:
+    with listening() as (server, port), collected(f"tcp://127.0.0.1:{port}") as found:
         for part in (ROWS[:5], ROWS[5:]):
             connection, _ = server.accept()
             with connection:
                 connection.sendall(text(part) + b"1,2")
-        found.wait(lambda f: len(f.rows) == 20)
-        np.testing.assert_array_equal(found.rows, ROWS)
+        found.wait_for_rows()
         found.wait(lambda f: f.told("lost the connection"))
+
+
+@pytest.mark.parametrize("scheme", ["tcp-listen", "udp"])
+def test_lines_that_are_sent_to_us(scheme):
+    """Lines end with a datagram; a line that a connection cuts is dropped."""
+    source, is_udp = open_source(f"{scheme}://127.0.0.1:0"), scheme == "udp"
+    with Collected(source) as found:
+        found.wait(lambda f: f.told(f"port {source.port}"))
+        with pytest.raises(InputError, match="cannot listen"):
+            open_source(f"{scheme}://127.0.0.1:{source.port}")
+        for begin, until in ((0, 5), (5, 20)):
+            part = ROWS[begin:until]
+            with socket.socket(type=socket.SOCK_DGRAM if is_udp else socket.SOCK_STREAM) as peer:
+                peer.connect(("127.0.0.1", source.port))
+                peer.sendall(text(part).rstrip() if is_udp else text(part) + b"1,2")
+            found.wait(lambda f, until=until: len(f.rows) == until)
+        found.wait_for_rows()
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:{}", "rosbridge://127.0.0.1:{}/skin"])
 def test_a_peer_that_is_not_there_yet_is_waited_for(address):
     if address.startswith("rosbridge"):
         pytest.importorskip("websockets", reason="needs the extra 'rosbridge'")
-    with collected(open_source(address.format(free_port()))) as found:
+    with collected(address.format(free_port())) as found:
         found.wait(lambda f: f.told("still trying"))
 
 
-def test_a_recording_is_replayed_whole(tmp_path):
+@pytest.mark.parametrize("speed", [0, 1000])
+def test_a_recording_is_replayed_whole(tmp_path, speed):
     path = tmp_path / "r.npz"
     recording = anisomap.Recording(
         ROWS, names=["a", "b", "c", "d"], rate_hz=10, positions=np.eye(4, 2), units="mm"
     )
     anisomap.write(recording, path)
-    source = open_source(str(path), speed=0)
+    source = open_source(str(path), speed=speed)
     assert source.names == ("a", "b", "c", "d")
     assert source.truth.units == "mm"
-    with collected(source) as found:
+    with Collected(source) as found:
+        found.wait_for_rows()
         found.wait(lambda f: f.told("has ended"))
-    np.testing.assert_array_equal(found.rows, ROWS)
     np.testing.assert_allclose(found.times, np.arange(20) / 10)
+
+
+def test_a_simulated_hand_rubs_where_it_is_told():
+    body = find_body("sphere")
+    source, asked = SimulatedHand(body, speed=0, max_frames=60), []
+    source.where = lambda: asked.append(7) or ((7,), None)
+    batches = list(source.items(threading.Event()))
+    assert [batch.readings.shape for batch in batches] == [(1, body.n_sensors)] * 60
+    assert len(asked) == -(-60 // BOUT_FRAMES)
+    assert (np.diff([batch.times[0] for batch in batches]) > 0).all()
+    np.testing.assert_array_equal(source.truth.positions, body.positions)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are those of Unix")
@@ -125,11 +158,10 @@ def test_a_serial_port():
     pytest.importorskip("serial", reason="needs the extra 'serial'")
     ours, theirs = os.openpty()
     try:
-        with collected(open_source(f"serial://{os.ttyname(theirs)}?baud=9600")) as found:
+        with collected(f"serial://{os.ttyname(theirs)}?baud=9600") as found:
             os.write(ours, text(ROWS[:3]) + b"\xff\x00garbage\n")
             os.write(ours, text(ROWS[3:]))
-            found.wait(lambda f: len(f.rows) == 20)
-        np.testing.assert_array_equal(found.rows, ROWS)
+            found.wait_for_rows()
         assert found.told("no frame")
     finally:
         os.close(ours)
@@ -144,14 +176,13 @@ def test_an_lsl_stream():
     outlet = lsl.StreamOutlet(info)
     if not lsl.resolve_byprop("name", name, 1, 10):
         pytest.skip("LSL cannot find streams on this computer")
-    with collected(open_source(f"lsl://{name}")) as found:
+    with collected(f"lsl://{name}") as found:
         assert outlet.wait_for_consumers(LONGEST_S)
-        for row in ROWS:
-            outlet.push_sample(row.tolist())
-        found.wait(lambda f: len(f.rows) == 20)
-    np.testing.assert_array_equal(found.rows, ROWS)
+        for i, row in enumerate(ROWS):
+            outlet.push_sample(row.tolist(), 1000 + i)
+        found.wait_for_rows()
     assert Names(("a", "b", "c", "d")) in found.items
-    assert (np.diff(found.times) > 0).all()
+    np.testing.assert_allclose(found.times, 1000 + np.arange(20))
 
 
 def test_a_topic_of_rosbridge():
@@ -175,17 +206,13 @@ def test_a_topic_of_rosbridge():
         threading.Thread(target=peer.serve_forever, daemon=True).start()
         port = peer.socket.getsockname()[1]
         address = f"rosbridge://127.0.0.1:{port}/skin?type=std_msgs/msg/Float32MultiArray"
-        with collected(open_source(address)) as found:
-            found.wait(lambda f: len(f.rows) == 20)
+        with collected(address) as found:
+            found.wait_for_rows()
         peer.shutdown()
-    np.testing.assert_array_equal(found.rows, ROWS)
     assert found.times[1] == pytest.approx(100.000001)
     assert found.told("lost the connection")
-    assert asked[0] == {
-        "op": "subscribe",
-        "topic": "/skin",
-        "type": "std_msgs/msg/Float32MultiArray",
-    }
+    kind = "std_msgs/msg/Float32MultiArray"
+    assert asked[0] == {"op": "subscribe", "topic": "/skin", "type": kind}
 
 
 def free_port():
@@ -209,15 +236,14 @@ def test_a_topic_of_zenoh(key):
     address = f"zenoh://{key}?connect=tcp/127.0.0.1:{port}{kind}"
     with zenoh.open(config) as peer:
         publisher = peer.declare_publisher(key)
-        with collected(open_source(address)) as found:
+        with collected(address) as found:
             while not publisher.matching_status.matching:
                 time.sleep(0.01)
             publisher.put(b"garbage")
             for row in ROWS:
                 message = array(layout=layout(dim=[], data_offset=0), data=row)
                 publisher.put(store.serialize_cdr(message, array.__msgtype__).tobytes())
-            found.wait(lambda f: len(f.rows) == 20)
-    np.testing.assert_array_equal(found.rows, ROWS)
+            found.wait_for_rows()
     assert found.told("ignored a message")
 
 
@@ -238,7 +264,7 @@ def test_a_port_of_yarp():
     with (
         listening() as (names, server),
         listening() as (skin, port),
-        collected(open_source(f"yarp://127.0.0.1:{server}/skin/torso")) as found,
+        collected(f"yarp://127.0.0.1:{server}/skin/torso") as found,
     ):
         for part in (ROWS[:5], ROWS[5:]):
             connection, _ = names.accept()
@@ -254,8 +280,7 @@ def test_a_port_of_yarp():
                 connection.sendall(b"Welcome anisomap\n")
                 for row in part.tolist():
                     write(connection, row)
-        found.wait(lambda f: len(f.rows) == 20)
-    np.testing.assert_array_equal(found.rows, ROWS)
+        found.wait_for_rows()
     assert found.times[0] == pytest.approx(1e9 + ROWS[0, 0], abs=1e-3)
 
 
@@ -269,17 +294,9 @@ def test_a_port_of_yarp():
     ],
 )
 def test_a_missing_library_is_named_with_its_command(address, library, extra, monkeypatch):
-    imported = builtins.__import__
-
-    def without(name, *arguments):
-        if name.partition(".")[0] == library:
-            raise ImportError(name)
-        return imported(name, *arguments)
-
     for name in [name for name in sys.modules if name.partition(".")[0] == library]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, library, None)
-    monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(MissingExtraError, match=rf"pip install 'anisomap\[{extra}\]'"):
         open_source(address)
 

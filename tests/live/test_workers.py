@@ -11,22 +11,13 @@ import pytest
 
 from anisomap.live import ExaminationOptions, LiveSession
 from anisomap.live.batches import Batch
+from live_processes import LONGEST_S, Given, wait_for_maps
 from skins import flat_skin
 
 if sys.platform == "win32":
     pytest.skip("signals are those of Unix", allow_module_level=True)
 
-TOO_LONG = 600
-
-
-class Skin:
-    """A source that yields a recording and then waits."""
-
-    description, names, truth = "a test", (), None
-
-    def items(self, stop):
-        yield Batch(flat_skin(n_frames=300).readings.astype(float))
-        stop.wait()
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -41,26 +32,28 @@ def workers_beside(others):
 
 @pytest.fixture
 def session(tmp_path, others):  # lists others before its own start
+    source = Given(Batch(flat_skin(n_frames=300).readings.astype(float)))
     options = ExaminationOptions(method="r-anisomap", dimensions=2)
-    with LiveSession(Skin(), tmp_path / "r.csv", options) as started:
-        with started.changed:
-            assert started.changed.wait_for(lambda: started.maps.checked, timeout=TOO_LONG)
+    with LiveSession(source, tmp_path / "r.csv", options) as started:
+        wait_for_maps(started, lambda maps: maps.checked)
         yield started
 
 
 def finish_while(session, action):
-    """Finish a session; repeat an action until it is finished."""
+    """Finish a session without a limit of time; repeat an action until it is finished."""
     with ThreadPoolExecutor(1) as pool:
-        final = pool.submit(session.finish, TOO_LONG)
+        final, begun = pool.submit(session.finish), time.monotonic()
         while not (session.finishing or final.done()):
             time.sleep(0.01)
-        while not final.done():
+        while not final.done() and time.monotonic() - begun < LONGEST_S:
             action()
             time.sleep(0.01)
+        if not final.done():
+            session.maps.close()  # ends the wait
+            pytest.fail("the session does not end")
         return final.result()
 
 
-@pytest.mark.slow
 def test_the_final_map_is_made_though_its_process_is_killed(session, others):
     workers = workers_beside(others)
     for worker in workers:
@@ -71,13 +64,10 @@ def test_the_final_map_is_made_though_its_process_is_killed(session, others):
     assert final.sensor_map is not None
 
 
-@pytest.mark.slow
 def test_a_session_ends_though_its_processes_die_again_and_again(session, others):
     def kill():
         for worker in workers_beside(others):
             worker.kill()
 
     assert finish_while(session, kill) is None
-    begun = time.monotonic()
-    assert session.finish(TOO_LONG) is None
-    assert time.monotonic() - begun < TOO_LONG  # it does not wait for a process that is gone
+    assert finish_while(session, lambda: None) is None  # waits for no process that is gone

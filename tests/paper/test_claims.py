@@ -29,43 +29,24 @@ def rows_of(score):
 
 
 def tables(*, isolation, patch_r, axial_scale, spread, change, identified=(0.5, 1.0)):
-    columns = {
-        "figure-2": [
-            {
-                "run": i + 1,
-                "method": "r-anisomap",
-                "dimensions": 2,
-                "isolation": alone,
-                "mantel_r": r,
-            }
-            for i, (alone, r) in enumerate(zip(isolation, patch_r, strict=True))
-        ],
-        "figure-4": [
-            {
-                "scenario": "locomotion",
-                "method": method,
-                "local_axial_scale": axial_scale,
-                "axial_scale": axial_scale,
-            }
-            for method in METHODS
-        ],
-        "figure-7": [
-            {"body": body, "r-anisomap": 1.0, "information-distance": spread}
-            for body in ("cylinder", "plane")
-        ],
-        "bins": [
-            {"run": "plane", "method": method, "largest change": change} for method in METHODS[1:]
-        ],
+    maps = enumerate(zip(isolation, patch_r, strict=True), start=1)
+    common = {"method": "r-anisomap", "dimensions": 2}
+    scales = {"scenario": "locomotion", "local_axial_scale": axial_scale}
+    spreads = {"r-anisomap": 1.0, "information-distance": spread}
+    unlike = zip(METHODS[:2], identified, strict=True)
+    rows = {
+        "figure-2": [common | {"run": i, "isolation": a, "mantel_r": r} for i, (a, r) in maps],
+        "figure-4": [scales | {"method": m, "axial_scale": axial_scale} for m in METHODS],
+        "figure-7": [spreads | {"body": body} for body in ("cylinder", "plane")],
+        "bins": [{"run": "plane", "method": m, "largest change": change} for m in METHODS[1:]],
         "unlike-responses": [
-            {"run": "plane", "method": method, "optimum": 0.5, "identified": share}
-            for method, share in zip(METHODS[:2], identified, strict=True)
+            {"run": "plane", "method": m, "optimum": 0.5, "identified": share}
+            for m, share in unlike
         ],
     }
     return {
-        name: Table(
-            name, "", dict.fromkeys(rows[0], ""), tuple(tuple(row.values()) for row in rows)
-        )
-        for name, rows in columns.items()
+        name: Table(name, "", dict.fromkeys(found[0], ""), tuple(tuple(r.values()) for r in found))
+        for name, found in rows.items()
     }
 
 

@@ -13,10 +13,9 @@ import pytest
 from anisomap import io
 from anisomap.cli.app import main
 from anisomap.paper import EXPERIMENTS, Settings, reproduce, results
-from anisomap.paper.cases import find_case
+from anisomap.paper.cases import patch_run
 from anisomap.paper.claim_checks import NOT_REPRODUCED, PARTLY, REPRODUCED
 from anisomap.paper.claims import CLAIMS
-from anisomap.simulation import find_body
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
@@ -112,9 +111,8 @@ def test_every_claim_has_a_verdict_that_agrees_with_its_cases(quick):
 
 
 def test_sample_data_hold_the_readings_positions_and_parameters(quick):
-    path = quick / "data-s1-s6" / "data-s2.txt"
-    case = find_case("sphere")
-    recording = case.record(QUICK, QUICK.picked_seed(case.name))
+    path = quick / "data-s7-s11" / "data-s9.txt"
+    recording = patch_run(QUICK, 3)
     found = io.read(path)
     assert found.names == recording.names
     np.testing.assert_allclose(found.readings, recording.readings, rtol=1e-4)
@@ -122,11 +120,11 @@ def test_sample_data_hold_the_readings_positions_and_parameters(quick):
     positions = np.array(
         [line.split()[3:6] for line in text.splitlines() if line.startswith("# sensor")], float
     )
-    np.testing.assert_allclose(positions, find_body("sphere").positions, atol=1e-5)
-    description = (quick / "data-s1-s6" / "text-s1.txt").read_text()
+    np.testing.assert_allclose(positions, recording.positions, rtol=1e-5, atol=1e-5)
+    description = (quick / "data-s7-s11" / "text-s2.txt").read_text()
     for name in re.findall(r"^# (\w+): ", text, flags=re.MULTILINE):
         facts = {"frames", "rate_hz", "body", "scenario", "seed", "anisomap", "mujoco"}
-        measured = {"energy_drift", "deepest_overlap"}
+        measured = {"n_strokes", "faults"}
         assert name in facts | measured or f"{name} = " in description, name
 
 
@@ -145,7 +143,7 @@ def test_real_skin_is_mapped_if_its_recording_is_given(recordings_folder, tmp_pa
     settings = replace(QUICK, recordings=recordings_folder)
     reproduce(tmp_path, settings, only=["real-skin"], workers=1)
     found = {row["method"]: float(row["mantel_r"]) for row in read_table(tmp_path, "real-skin")}
-    assert found["r-anisomap"] > 0.98
+    assert found["r-anisomap"] > 0.9
     assert "was not given" not in (tmp_path / "index.html").read_text()
 
 

@@ -1,34 +1,29 @@
 """Scores, responses and shapes in the experiments."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.paper import Settings, shape_statistics
-from anisomap.paper.cases import METHODS, find_case
+from anisomap.paper.cases import METHODS
 from anisomap.paper.experiments.unlike_responses import radial_basis
 from anisomap.paper.map_scores import SCORE_COLUMNS, map_and_score, null_box, score_rows
 from anisomap.simulation import find_body
+from skins import flat_skin
 
 cbook = pytest.importorskip("matplotlib.cbook")
 
-QUICK = Settings(quick=True)
+CYLINDER = find_body("cylinder").positions
 
 
 def test_box_plots_keep_every_value_beyond_the_whiskers():
-    recording = find_case("sphere").record(QUICK, 1)
-    settings = replace(QUICK, seed=1)
-    row = dict(
-        zip(SCORE_COLUMNS, next(score_rows("sphere", recording, 1, [3], settings)), strict=True)
-    )
-    box = null_box(row)
-    truth, made = recording.positions, map_and_score(recording, METHODS[0], 3, permutations=200)
-    drawn = cbook.boxplot_stats(made.score.mantel.null)[0]
-    assert len(truth) == made.score.mantel.n_sensors
-    assert len(box.outliers) == len(drawn["fliers"]) > 2
+    recording = flat_skin(n_frames=300)
+    row = next(score_rows("skin", recording, 1, [2], Settings()))
+    box = null_box(dict(zip(SCORE_COLUMNS, row, strict=True)))
+    null = map_and_score(recording, METHODS[0], 2, permutations=10_000).score.mantel.null
+    drawn = cbook.boxplot_stats(null)[0]
+    assert len(box.outliers) == len(drawn["fliers"]) > 10
     np.testing.assert_allclose(box.outliers, np.sort(drawn["fliers"]), atol=1e-4)
     assert (box.whisker_low, box.whisker_high) == (drawn["whislo"], drawn["whishi"])
 
@@ -44,9 +39,8 @@ def test_radial_basis_sensors_respond_most_at_their_optimum(quantile):
 
 @given(st.floats(0.05, 3), st.integers(0, 100))
 def test_axial_scale_recovers_the_compression_of_a_cylinder(factor, seed):
-    truth = find_body("cylinder").positions
     rotation = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
-    scale = shape_statistics.axial_scale(7 * truth * [1, 1, factor] @ rotation + 3, truth)
+    scale = shape_statistics.axial_scale(7 * CYLINDER * [1, 1, factor] @ rotation + 3, CYLINDER)
     assert scale.local == pytest.approx(factor, rel=1e-6)
     if factor > 0.5:  # the axis of a much flatter cylinder is not aligned with the true axis
         assert scale.whole == pytest.approx(factor, rel=1e-3)

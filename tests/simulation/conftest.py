@@ -9,6 +9,7 @@ import pytest
 from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bodies.lattice import sphere
 from anisomap.simulation.physics.bombardment import BombardmentOptions, Flight, simulate_flight
+from anisomap.simulation.sensing import read_balls
 
 
 @dataclass(frozen=True)
@@ -16,6 +17,7 @@ class Bombarded:
     body: Body
     options: BombardmentOptions
     flight: Flight
+    readings: np.ndarray
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +25,9 @@ def bombarded() -> Bombarded:
     """The default run: 2,000 frames of a sphere with 60 sensors."""
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     body, options = sphere(), BombardmentOptions()
-    return Bombarded(body, options, simulate_flight(body, 2000, options, np.random.default_rng(1)))
+    flight = simulate_flight(body, 2000, options, np.random.default_rng(1))
+    radii = options.ball_radius, options.detection_radius
+    return Bombarded(body, options, flight, read_balls(body.positions, flight.centres, *radii))
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,8 @@
-"""Bombardment of the sphere: conservation laws and kinetic theory of gases."""
+"""Bombardment: conservation laws and kinetic theory of gases.
+
+The flight of the balls is chaotic: processors differ in the course of a run, but not in what is
+conserved. Statistics have a tolerance of twice their largest deviation over ten seeds, or more.
+"""
 
 from typing import Any
 
@@ -7,27 +11,47 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.errors import AnisomapWarning
+from anisomap.simulation import simulate
+from anisomap.simulation.bodies import Body
 from anisomap.simulation.bodies.lattice import sphere
+from anisomap.simulation.bodies.poisson_disc import holed_plate
+from anisomap.simulation.geometry import solids
+from anisomap.simulation.options import options_for
 from anisomap.simulation.physics.bombardment import (
     BombardmentOptions,
     Flight,
     bombardment,
     simulate_flight,
 )
-from anisomap.simulation.physics.elastic import ElasticContact
-from anisomap.simulation.sensing import read_balls
+from anisomap.simulation.physics.elastic import ElasticContact, add_fixed_solids
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 
 STEP = 0.001
+OPTIONS = BombardmentOptions(n_balls=30, timestep=STEP, frame_interval=STEP)
 
 
-def every_step(n_balls: int, seed: int, n_steps: int, **parameters: Any) -> Flight:
-    """Record every step of the physics."""
-    options = BombardmentOptions(n_balls=n_balls, timestep=STEP, frame_interval=STEP, **parameters)
-    assert options.steps_per_frame == 1
-    return simulate_flight(sphere(), n_steps, options, np.random.default_rng(seed))
+@pytest.fixture(scope="module")
+def stepped() -> Flight:
+    """Every step of four seconds of physics, with 30 balls around the sphere."""
+    assert OPTIONS.steps_per_frame == 1
+    return simulate_flight(sphere(), 4000, OPTIONS, np.random.default_rng(5))
+
+
+@pytest.fixture(scope="module")
+def assembly() -> Body:
+    """A solid of each kind. The mesh is a plate with a hole in its middle."""
+    holed = holed_plate(4).solids[0].scaled(0.5)
+    parts = [
+        solids.ball(0.2, (0, 0, 0.6)),
+        holed.moved(np.eye(3), (-0.5, 0, 0)),
+        solids.box((0.2, 0.3, 0.15), (0.7, 0.3, 0)),
+        solids.capsule(0.12, (0.3, -0.8, 0), (0.8, -0.4, 0.2)),
+        solids.cylinder(0.2, 0.3).moved(np.eye(3), (0, 0.7, 0)),
+    ]
+    body = Body("assembly", np.array([[0, 0, 0.8]]), np.array([[0, 0, 1.0]]), parts)
+    return body.scaled(1 / body.reach)
 
 
 def wall_gaps(centres: NDArray[np.float64], options: BombardmentOptions) -> NDArray[np.float64]:
@@ -43,8 +67,8 @@ def ball_gaps(centres: NDArray[np.float64], options: BombardmentOptions) -> NDAr
 
 
 def lag_correlation(readings: NDArray[np.float32]) -> float:
-    pairs = zip(readings[:-1].T, readings[1:].T, strict=True)
-    return float(np.mean([np.corrcoef(now, next_) for now, next_ in pairs], axis=0)[0, 1])
+    centred = readings - readings.mean(axis=0, dtype=float)
+    return float(np.mean((centred[1:] * centred[:-1]).mean(axis=0) / centred.var(axis=0)))
 
 
 def test_energy_is_conserved(bombarded: Any) -> None:
@@ -62,36 +86,57 @@ def test_energy_is_conserved(bombarded: Any) -> None:
 
 def test_energy_is_conserved_when_balls_touch_several_objects_at_once() -> None:
     options = BombardmentOptions(n_balls=60, box_half_width=2.0)
-    flight = simulate_flight(sphere(), 500, options, np.random.default_rng(4))
+    flight = simulate_flight(sphere(), 200, options, np.random.default_rng(4))
     crowded = (ball_gaps(flight.centres, options) < 0).sum(axis=1) > 1
     assert crowded.mean() > 0.5
     assert np.abs(flight.energies / flight.energies[0] - 1).max() < 0.02
 
 
-def test_nothing_overlaps_at_the_start(bombarded: Any) -> None:
-    first, options = bombarded.flight.centres[:1], bombarded.options
-    assert wall_gaps(first, options).min() >= 0
-    assert body_gaps(first, options).min() > 0
-    assert ball_gaps(first, options).min() > 0
-    assert bombarded.flight.overlaps[0] == 0
+def test_contacts_with_solids_of_all_kinds_conserve_energy(assembly: Body) -> None:
+    options = options_for(BombardmentOptions, assembly, {"box_half_width": 2.0})
+    flight = simulate_flight(assembly, 250, options, np.random.default_rng(5))
+    assert flight.energy_drift < 0.02
+    clearances = assembly.distance(flight.centres.reshape(-1, 3)) - options.ball_radius
+    assert (clearances < 0).sum() > 5
+    # Softness is the depth at the mean speed; the fastest balls penetrate a few times deeper.
+    assert clearances.min() > -4 * options.softness
 
 
-@pytest.mark.parametrize("seed", [2, 3])
-def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other(seed: int) -> None:
-    n_balls = 40
-    flight = every_step(n_balls, seed, 4000)
-    options = BombardmentOptions(n_balls=n_balls)
+def test_mujoco_finds_the_contacts_of_the_exact_distance(assembly: Body) -> None:
+    """MuJoCo replaces a mesh geom by its convex hull, which would close the hole."""
+    spec, radius = mujoco.MjSpec(), 0.1
+    add_fixed_solids(mujoco, spec, assembly.solids, {"condim": 1}, 1e-6)
+    ball = spec.worldbody.add_body()
+    ball.add_freejoint()
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    hole = assembly.solids[1].centre
+    points = np.vstack([hole, np.random.default_rng(0).uniform(-1, 1, (600, 3))])
+    distances = assembly.distance(points)
+    points, distances = points[distances > 0], distances[distances > 0]
+    found = []
+    for point in points:
+        data.qpos[:3] = point
+        mujoco.mj_forward(model, data)
+        found.append(-data.contact.dist.min(initial=0))
+    expected = np.maximum(0, radius - distances)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert expected[0] == 0
+    assert (expected > 0).sum() > 20
+
+
+def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other(stepped: Flight) -> None:
     # Depth is proportional to the square root of the speed, which is bounded by that of one ball
     # (or two colliding balls) with all the energy.
-    deepest = options.softness * n_balls**0.25
-    assert wall_gaps(flight.centres, options).min() > -deepest
-    assert body_gaps(flight.centres, options).min() > -deepest
-    assert ball_gaps(flight.centres, options).min() > -deepest * 2**0.25
-    assert flight.overlaps.max() < deepest * 2**0.25
-    assert flight.overlaps.max() > options.softness / 2
+    deepest = OPTIONS.softness * OPTIONS.n_balls**0.25
+    assert wall_gaps(stepped.centres, OPTIONS).min() > -deepest
+    assert body_gaps(stepped.centres, OPTIONS).min() > -deepest
+    assert ball_gaps(stepped.centres, OPTIONS).min() > -deepest * 2**0.25
+    assert OPTIONS.softness / 2 < stepped.overlaps.max() < deepest * 2**0.25
 
 
-def test_overlaps_agree_with_positions(bombarded: Any) -> None:
+def test_overlaps_agree_with_positions_and_start_at_0(bombarded: Any) -> None:
     centres, options = bombarded.flight.centres, bombarded.options
     min_gaps = [
         gaps(centres, options).reshape(len(centres), -1).min(axis=1)
@@ -100,29 +145,28 @@ def test_overlaps_agree_with_positions(bombarded: Any) -> None:
     np.testing.assert_allclose(
         bombarded.flight.overlaps, np.maximum(0, -np.min(min_gaps, axis=0)), atol=1e-9
     )
+    assert np.min(min_gaps, axis=0)[0] >= 0  # nothing overlaps at the start
 
 
-def test_momentum_changes_only_at_the_walls_and_the_body() -> None:
-    options = BombardmentOptions(n_balls=30)
-    flight = every_step(30, 5, 4000)
-    momentum = np.diff(flight.centres.sum(axis=1), axis=0) / STEP
+def test_momentum_changes_only_at_the_walls_and_the_body(stepped: Flight) -> None:
+    momentum = np.diff(stepped.centres.sum(axis=1), axis=0) / STEP
     change = np.abs(np.diff(momentum, axis=0)).max(axis=1)
     outside = np.minimum(
-        wall_gaps(flight.centres, options).min(axis=(1, 2)),
-        body_gaps(flight.centres, options).min(axis=1),
+        wall_gaps(stepped.centres, OPTIONS).min(axis=(1, 2)),
+        body_gaps(stepped.centres, OPTIONS).min(axis=1),
     )
-    collided = ball_gaps(flight.centres, options).min(axis=1) < 0
+    collided = ball_gaps(stepped.centres, OPTIONS).min(axis=1) < 0
     alone = outside[1:-1] > 0
-    assert (alone & collided[1:-1]).sum() > 100
+    assert (alone & collided[1:-1]).sum() > 20
     assert change[alone].max() < 1e-9
     assert change[~alone].max() > 1
 
 
 def test_a_contact_with_a_wall_is_elastic_and_has_the_expected_depth_and_duration() -> None:
-    options = BombardmentOptions(n_balls=1)
+    options = BombardmentOptions(n_balls=1, timestep=STEP, frame_interval=STEP)
     bounces = 0
-    for seed in range(8):
-        flight = every_step(1, seed, 4000)
+    for seed in range(4):
+        flight = simulate_flight(sphere(), 4000, options, np.random.default_rng(seed))
         inside = body_gaps(flight.centres, options)[:, 0] > 0.1
         for axis in range(3):
             gap = wall_gaps(flight.centres, options)[:, 0, axis]
@@ -136,14 +180,14 @@ def test_a_contact_with_a_wall_is_elastic_and_has_the_expected_depth_and_duratio
                     continue
                 contact = ElasticContact(options.softness, options.speed)
                 depth = options.softness * np.sqrt(before / options.speed)
-                assert after == pytest.approx(before, rel=2e-3)
+                assert after == pytest.approx(before, rel=5e-3)
                 # MuJoCo's impedance does not start at 0, so the spring is slightly stiffer.
                 assert -gap[bounce].min() == pytest.approx(depth, rel=0.05)
                 # Proportional to depth / speed, so to speed^(-1/2); resolved to two steps.
                 duration = contact.duration * np.sqrt(options.speed / before)
                 assert bounce.size * STEP == pytest.approx(duration, abs=2 * STEP)
                 bounces += 1
-    assert bounces > 10
+    assert bounces >= 4
 
 
 def test_the_density_of_balls_is_uniform(bombarded: Any) -> None:
@@ -159,61 +203,82 @@ def test_the_density_of_balls_is_uniform(bombarded: Any) -> None:
         / 12
     )
     expected = options.n_balls * (4 / 3 * np.pi * sensing**3 - lens) / free
-    sensors = bombarded.body.positions
-    in_range = np.array(
+    in_range = np.mean(
         [
-            [(np.linalg.norm(balls - s, axis=1) < sensing).sum() for s in sensors]
-            for balls in centres
+            (np.linalg.norm(centres - sensor, axis=2) < sensing).sum(axis=1)
+            for sensor in bombarded.body.positions
         ]
     )
     # Excluded volume increases the density near surfaces by a few per cent, and 2,000 frames
     # determine the mean to 5 %.
-    assert in_range.mean() == pytest.approx(expected, rel=0.25)
+    assert in_range == pytest.approx(expected, rel=0.25)
 
 
-def test_velocities_follow_the_maxwell_distribution() -> None:
-    flight = every_step(40, 7, 12_000)
-    velocities = np.diff(flight.centres, axis=0)[::100].reshape(-1, 3) / STEP
-    mean_square = np.mean(velocities**2, axis=0)
-    np.testing.assert_allclose(mean_square, 3.0, rtol=0.25)
-    # The fourth moment of a normal distribution is three times the square of the second.
-    kurtosis = np.mean(velocities**4) / np.mean(velocities**2) ** 2
-    assert kurtosis == pytest.approx(3, rel=0.2)
+def test_velocities_follow_the_maxwell_distribution(bombarded: Any) -> None:
+    # A ball that bounces within a frame appears slower; quantiles hardly depend on these.
+    late = np.diff(bombarded.flight.centres[1000:], axis=0).reshape(-1, 3)
+    speeds = np.abs(late) / bombarded.options.frame_interval
+    half = 0.6745  # quantiles of the absolute value of a normal variable
+    median = np.median(speeds, axis=0)
+    np.testing.assert_allclose(median, half * bombarded.options.speed / np.sqrt(3), rtol=0.2)
+    for share, quantile in ((0.25, 0.3186), (0.9, 1.6449), (0.99, 2.5758)):
+        ratio = np.quantile(speeds, share) / np.median(speeds)
+        assert ratio == pytest.approx(quantile / half, rel=0.15)
 
 
-def test_readings_on_the_sphere_are_isotropic(bombarded: Any) -> None:
-    body, options = bombarded.body, bombarded.options
-    readings = read_balls(
-        body.positions, bombarded.flight.centres, options.ball_radius, options.detection_radius
-    )
+def test_energy_is_equipartitioned_among_balls_of_different_sizes() -> None:
+    options = BombardmentOptions(size_ratio=3.0, n_balls=30)
+    assert options.radii.max() / options.radii.min() == pytest.approx(3)
+    flight = simulate_flight(sphere(), 1000, options, np.random.default_rng(2))
+    assert flight.energy_drift < 0.02
+    speeds = np.linalg.norm(np.diff(flight.centres, axis=0), axis=2) / options.frame_interval
+    kinetic = options.masses * np.median(speeds, axis=0) ** 2
+    small, large = np.array_split(kinetic, 2)
+    # The masses of the two halves differ by a factor of about 5.
+    assert 0.5 < small.mean() / large.mean() < 2
+    away = np.linalg.norm(flight.centres, axis=2).min(axis=0)
+    assert (away > 1 + options.radii - 6 * options.softness).all()
+
+
+def test_readings_on_the_sphere_are_isotropic_and_stationary(bombarded: Any) -> None:
+    body, readings = bombarded.body, bombarded.readings
     mean_reading = readings.mean(axis=0)
-    assert np.linalg.norm(mean_reading @ body.normals) / mean_reading.sum() < 0.1
-    assert mean_reading.std() < 0.25 * mean_reading.mean()
+    # Of a half that is not reached, these would be 0.5, 1 and 0.
+    assert np.linalg.norm(mean_reading @ body.normals) / mean_reading.sum() < 0.25
+    assert mean_reading.std() < 0.5 * mean_reading.mean()
     quadrupole = body.normals.T @ (body.normals * mean_reading[:, None]) / mean_reading.sum()
-    np.testing.assert_allclose(quadrupole, np.eye(3) / 3, atol=0.06)
-
-
-def test_readings_are_stationary(bombarded: Any) -> None:
-    options = bombarded.options
-    readings = read_balls(
-        bombarded.body.positions,
-        bombarded.flight.centres,
-        options.ball_radius,
-        options.detection_radius,
-    )
+    np.testing.assert_allclose(quadrupole, np.eye(3) / 3, atol=0.1)
+    # Springs that slowly gain energy take the correlation to 0.
     early, late = readings[:1000], readings[1000:]
-    assert lag_correlation(early) > 0.8
+    assert lag_correlation(early) > 0.7
+    assert lag_correlation(late) == pytest.approx(lag_correlation(early), abs=0.1)
+    assert late.mean() == pytest.approx(early.mean(), rel=0.4)
+    assert (late == 0).mean() == pytest.approx((early == 0).mean(), abs=0.05)
+
+
+@pytest.mark.slow
+def test_energy_and_autocorrelation_are_stationary_over_20_000_frames() -> None:
+    recording = simulate(n_frames=20_000, seed=11)
+    assert float(recording.metadata["energy_drift"]) < 0.02
+    early, late = (np.asarray(part) for part in np.array_split(recording.readings, 2))
     assert lag_correlation(late) == pytest.approx(lag_correlation(early), abs=0.03)
-    assert late.mean() == pytest.approx(early.mean(), rel=0.3)
-    assert (late == 0).mean() == pytest.approx((early == 0).mean(), abs=0.04)
+    assert late.mean() == pytest.approx(early.mean(), rel=0.15)
+    # All sensors on a sphere are equally likely to be touched.
+    touched = (recording.readings > 0).mean(axis=0)
+    assert touched.std() < 0.2 * touched.mean()
 
 
 def test_the_frame_interval_does_not_change_the_physics() -> None:
-    coarse = BombardmentOptions(timestep=STEP, frame_interval=0.1)
-    fine = BombardmentOptions(timestep=STEP, frame_interval=0.02)
-    a = simulate_flight(sphere(), 6, coarse, np.random.default_rng(1)).centres
-    b = simulate_flight(sphere(), 26, fine, np.random.default_rng(1)).centres
-    np.testing.assert_allclose(b[::5], a, atol=1e-6)
+    coarse, fine = (
+        simulate_flight(
+            sphere(),
+            n_frames,
+            BombardmentOptions(timestep=STEP, frame_interval=interval),
+            np.random.default_rng(1),
+        ).centres
+        for n_frames, interval in ((6, 0.1), (26, 0.02))
+    )
+    np.testing.assert_allclose(fine[::5], coarse, atol=1e-6)
 
 
 def test_a_longer_run_begins_with_the_shorter_one(bombarded: Any) -> None:
@@ -244,56 +309,11 @@ def test_the_default_step_is_valid_for_all_speeds_and_softnesses(
     assert options.step > options.contact.duration / 20
 
 
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"n_balls": 0}, "n_balls must be an integer of at least 1, got 0"),
-        ({"n_balls": 2.5}, r"n_balls must be an integer of at least 1, got 2\.5"),
-        ({"ball_radius": -0.1}, r"ball_radius must be positive, got -0\.1 m"),
-        ({"detection_radius": 0.0}, "detection_radius must be positive, got 0 m"),
-        ({"box_half_width": float("nan")}, "box_half_width must be positive, got nan"),
-        ({"speed": 0.0}, "speed must be positive, got 0 m/s"),
-        ({"speed": float("inf")}, "speed must be positive, got inf"),
-        ({"frame_interval": -1.0}, "frame_interval must be positive, got -1 s"),
-        ({"softness": 0.0}, "softness must be positive, got 0 m"),
-        ({"softness": 0.1}, r"softness must be at most 0\.075 m"),
-        ({"timestep": 0.0}, "timestep must be positive, got 0 s"),
-        ({"timestep": 0.01}, r"timestep must be at most 0\.00175 s"),
-        ({"timestep": 0.001, "speed": 30.0}, r"timestep must be at most 0\.000175 s"),
-    ],
-)
-def test_invalid_options_raise_an_error_with_the_valid_range(parameters: Any, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        BombardmentOptions(**parameters)
-
-
-def test_the_maximum_timestep_given_by_the_error_is_accepted() -> None:
-    assert BombardmentOptions(timestep=0.0017).step <= 0.0017
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"ball_radius": 1.1}, r"do not fit between the body.*box_half_width must exceed 3\.2 m"),
-        ({"box_half_width": 0.5}, "do not fit between the body"),
-        ({"n_balls": 5000}, r"only \d+ of 5000 balls .* use fewer or smaller balls"),
-    ],
-)
-def test_balls_that_do_not_fit_raise_an_error(parameters: Any, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        simulate_flight(sphere(), 1, BombardmentOptions(**parameters), np.random.default_rng(0))
-
-
 class DampedContact(ElasticContact):
     """MuJoCo's default contact, a damped spring that starts abruptly."""
 
-    @property
-    def solref(self) -> list[float]:
-        return [0.02, 1.0]
-
-    @property
-    def solimp(self) -> list[float]:
-        return [0.9, 0.95, 0.001, 0.5, 2.0]
+    solref = (0.02, 1.0)
+    solimp = (0.9, 0.95, 0.001, 0.5, 2.0)
 
 
 class DampedOptions(BombardmentOptions):

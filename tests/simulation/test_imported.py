@@ -50,19 +50,6 @@ def test_sensors_are_spread_over_a_mesh_of_any_format(folder: Path, suffix: str)
     assert (body.name, body.n_sensors) == ("part", 40)
     np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-6)
     np.testing.assert_allclose(body.origin, [10, 20, 30], atol=1e-6)
-    recording = simulate(body, n_frames=30)
-    assert recording.positions is not None
-    assert np.abs(recording.positions - [10, 20, 30]).max() <= 1.0 + 1e-6
-
-
-def test_contacts_reach_into_the_hole_of_a_mesh(folder: Path) -> None:
-    # MuJoCo replaces a mesh geom by its convex hull, which would close the hole.
-    body = load_body(folder / "part.stl", 150)
-    recording = simulate(body, n_frames=1500, seed=3, ball_radius=0.2)
-    inner = np.linalg.norm(body.positions[:, :2], axis=1) < 0.51
-    assert inner.sum() > 10
-    assert (recording.readings[:, inner] > 0.8 * recording.readings.max()).any()
-    assert float(recording.metadata["energy_drift"]) < 0.02
 
 
 def test_sites_of_a_model_become_sensors(folder: Path) -> None:
@@ -71,13 +58,10 @@ def test_sites_of_a_model_become_sensors(folder: Path) -> None:
     places = body.positions + body.origin
     np.testing.assert_allclose(places, [[0, 0, 1.1], [0, 0.2, 1.1], [-0.1, 0.2, 1]], atol=1e-9)
     np.testing.assert_allclose(body.normals, [[0, 0, 1], [0, 0, 1], [-1, 0, 0]], atol=1e-4)
-    assert {solid.kind for solid in body.solids} == {
-        "capsule",
-        "mesh",
-    }  # without the floor and the visual box
+    # Without the floor and the visual box.
+    assert {solid.kind for solid in body.solids} == {"capsule", "mesh"}
     assert body.units == "m"
-    spread_out = load_body(folder / "bare.xml", 30)
-    assert spread_out.n_sensors == 30
+    assert load_body(folder / "bare.xml", 30).n_sensors == 30
 
 
 def test_given_sensors_near_the_surface_are_projected_onto_it() -> None:
@@ -96,22 +80,19 @@ def test_given_sensors_near_the_surface_are_projected_onto_it() -> None:
         body_from_mesh(outline.vertices, outline.faces, exact[:, :2])
 
 
-def check_body_from_points(
-    positions: NDArray[np.float64], normals: NDArray[np.float64] | None = None
-) -> None:
-    body = body_from_points(positions, normals)
-    np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-9)
-    np.testing.assert_allclose(body.positions + body.origin, positions, atol=1e-12)
-
-
 def test_a_body_from_points_leaves_all_sensors_exposed() -> None:
-    for body in (sphere(), hand()):
-        check_body_from_points(body.positions + np.array([3, 2, 1]))
+    for positions in (part.positions + np.array([3, 2, 1]) for part in (sphere(), hand())):
+        body = body_from_points(positions)
+        np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-9)
+        np.testing.assert_allclose(body.positions + body.origin, positions, atol=1e-12)
     ball = sphere(200)
     estimated = body_from_points(ball.positions).normals
     assert (np.einsum("nd,nd->n", estimated, ball.normals) > np.cos(np.radians(12))).all()
     assert surface_distances(body_from_points(ball.positions)) is None
-    assert simulate(body_from_points(ball.positions), n_frames=200).varying().mean() > 0.8
+    far = ball.positions + np.array([10, 20, 30])
+    recording = simulate(body_from_points(far), "pressing", n_frames=1500)
+    assert recording.varying().all()
+    np.testing.assert_allclose(recording.positions, far, atol=1e-12)
 
 
 def test_normals_are_used_unless_they_contradict_the_positions() -> None:

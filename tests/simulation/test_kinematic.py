@@ -1,0 +1,251 @@
+"""Kinematic scenarios: rubbing, roller, pressing, self-touch and pulses."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from anisomap.scene import Prop
+from anisomap.simulation import SCENARIOS, simulate
+from anisomap.simulation.bodies.body import Body
+from anisomap.simulation.bodies.lattice import cylinder, plane, sphere, y_shape
+from anisomap.simulation.kinematic.paths import sample_skin
+from anisomap.simulation.kinematic.pressing import PressingOptions, draw_presses
+from anisomap.simulation.kinematic.pulses import PulsesOptions, draw_pulses, read_pulses
+from anisomap.simulation.kinematic.rubbing import RubbingOptions, move_hand, rubbing
+from anisomap.simulation.kinematic.self_touch import (
+    SelfTouchOptions,
+    fingertip_directions,
+    move_fingertip,
+    with_fingertip,
+)
+from anisomap.simulation.kinematic.settling import support
+from anisomap.simulation.options import options_for
+from anisomap.simulation.result import ScenarioResult
+from anisomap.simulation.sensing import read_balls, read_capsules, read_half_spaces
+
+KINEMATIC = ("rubbing", "roller", "pressing", "self-touch", "pulses")
+CONTACT = KINEMATIC[:4]
+seeds = st.integers(0, 2**32 - 1)
+
+
+def run(scenario: str, body: Body, n_frames: int, seed: int, **given: Any) -> ScenarioResult:
+    chosen = SCENARIOS[scenario]
+    options = options_for(chosen.options, body, given)
+    return chosen.run(body, n_frames, options, np.random.default_rng(seed))
+
+
+@given(seeds, st.integers(1, 5), st.integers(1, 6))
+def test_readings_of_balls_agree_with_the_closed_form(
+    seed: int, n_sensors: int, n_balls: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    sensors, centres = rng.uniform(-2, 2, (n_sensors, 3)), rng.uniform(-2, 2, (3, n_balls, 3))
+    radii, detection = rng.uniform(0.01, 1.5, n_balls), rng.uniform(0.01, 1.5)
+    found = read_balls(sensors, centres, radii, detection)
+    for t, i in np.ndindex(found.shape):
+        gaps = [np.sqrt(((sensors[i] - c) ** 2).sum()) for c in centres[t]] - radii
+        assert found[t, i] == pytest.approx(max(0, detection - gaps.min()), abs=3e-6)
+    alike = read_balls(sensors, centres, 0.3, detection)
+    np.testing.assert_array_equal(
+        alike, read_balls(sensors, centres, np.full(n_balls, 0.3), detection)
+    )
+
+
+@given(seeds)
+def test_readings_of_capsules_and_half_spaces_agree_with_sampled_distances(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sensors, radius, detection = rng.uniform(-0.5, 0.5, (4, 3)), 0.3, 0.9
+    start, end = rng.uniform(-1, 1, (2, 3))
+    axis = start + np.linspace(0, 1, 5001)[:, None] * (end - start)
+    nearest = np.linalg.norm(sensors[:, None] - axis, axis=2).min(axis=1) - radius
+    found = read_capsules(sensors, start[None, None], end[None, None], radius, detection)
+    np.testing.assert_allclose(found[0], np.maximum(0, detection - nearest), atol=1e-3)
+    direction = start / np.linalg.norm(start)
+    heights = rng.uniform(0, 1.2, 4)
+    beside = rng.normal(size=(4, 3))
+    beside -= np.outer(beside @ direction, direction)
+    below = start + beside - heights[:, None] * direction
+    found = read_half_spaces(below, direction[None], [start @ direction], detection)
+    np.testing.assert_allclose(found[0], np.maximum(0, detection - heights), atol=1e-6)
+
+
+@given(seeds)
+def test_pulses_add_up_and_halve_at_the_half_distance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sensors, places = rng.standard_normal((4, 3)), rng.standard_normal((3, 2, 3))
+    strengths = rng.random((3, 2))
+    found = read_pulses(sensors, places, strengths, 0.4)
+    for t, i in np.ndindex(found.shape):
+        squared = ((sensors[i] - places[t]) ** 2).sum(axis=1)
+        assert found[t, i] == pytest.approx(sum(strengths[t] / (1 + squared / 0.16)), rel=1e-6)
+    at = read_pulses([[0, 0, 0], [0.4, 0, 0]], [[[0, 0, 0]]], [[0.8]], 0.4)
+    np.testing.assert_allclose(at, [[0.8, 0.4]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("scenario", CONTACT)
+def test_a_default_run_touches_all_sensors_with_sparse_readings(scenario: str) -> None:
+    touched = run(scenario, cylinder(), 1000, 2).readings > 0
+    assert touched.any(axis=0).all()
+    assert 0.2 < 1 - touched.mean() < 0.98
+    assert 0 < (~touched.any(axis=1)).mean() < 0.5  # some frames have no contact
+    assert len(touched) == 1000
+
+
+@pytest.mark.parametrize(
+    ("scenario", "depths"),
+    [("rubbing", (0.02, 0.06, 0.1)), ("roller", (0.02, 0.1, 0.18)), ("pressing", (0.05, 0.2, 0.4))],
+)
+@pytest.mark.parametrize("make", [sphere, plane])
+def test_pressing_deeper_never_lowers_a_reading(
+    make: Callable[[], Body], scenario: str, depths: tuple[float, ...]
+) -> None:
+    runs = [run(scenario, make(), 100, 4, press_depth=depth).readings for depth in depths]
+    for lighter, harder in pairwise(runs):
+        assert (harder >= lighter - 1e-6).all()
+        assert harder.sum() > lighter.sum()
+
+
+def test_palms_are_rigid_irregular_and_random() -> None:
+    rng = np.random.default_rng(5)
+    body = sphere()
+    hand, other = (
+        move_hand(body, sample_skin(body, rng), 100, RubbingOptions(), rng) for _ in range(2)
+    )
+    assert not np.allclose(hand.radii, other.radii)
+    assert len(np.unique(hand.radii)) == len(hand.radii)
+    apart = np.linalg.norm(hand.centres[:, :, None] - hand.centres[:, None], axis=-1)
+    np.testing.assert_allclose(apart, np.broadcast_to(apart[0], apart.shape), atol=1e-9)
+    assert len(np.unique(apart[0].round(6))) > len(hand.radii)
+    # No pad is deeper than the press depth.
+    assert (hand.radii + 1 - np.linalg.norm(hand.centres, axis=2)).max() < 0.1 + 1e-9
+
+
+def test_readings_of_two_hands_are_the_maximum_of_both() -> None:
+    body = sphere()
+    one, two = (
+        rubbing(body, 300, RubbingOptions(n_hands=n), np.random.default_rng(6)) for n in (1, 2)
+    )
+    assert (two.readings >= one.readings).all()
+    assert (two.readings > 0).mean() > 1.2 * (one.readings > 0).mean()
+    hands = np.split(two.props[-1].centres, 2, axis=1)
+    sizes = np.split(np.asarray(two.props[-1].scales), 2)
+    alone = [read_balls(body.positions, *hand, 0.3) for hand in zip(hands, sizes, strict=True)]
+    np.testing.assert_array_equal(two.readings, np.max(alone, axis=0))
+
+
+def test_a_roller_touches_whole_lines_of_sensors() -> None:
+    body = plane()
+    elongated = []
+    for row in run("roller", body, 400, 7, detection_radius=0.1).readings:
+        spots = body.positions[row > 0][:, :2]
+        if len(spots) >= 8:
+            width = np.linalg.svd(spots - spots.mean(axis=0), compute_uv=False)
+            elongated.append(width[0] / max(width[1], 1e-9))
+    assert len(elongated) > 50
+    assert np.median(elongated) > 2
+
+
+def test_presses_have_the_given_depth_and_uniform_directions() -> None:
+    body, options = sphere(), PressingOptions()
+    directions, depths = draw_presses(body, 4000, options, np.random.default_rng(8))
+    offsets = support(body.solids, directions) - depths
+    np.testing.assert_allclose(offsets, 1 - depths)
+    assert depths.max() <= options.press_depth
+    assert depths.min() == -options.detection_radius
+    assert np.linalg.norm(directions.mean(axis=0)) < 0.1
+    assert np.abs(np.cov(directions.T) - np.eye(3) / 3).max() < 0.1
+
+
+def test_sources_are_uniform_outside_the_body() -> None:
+    body, options = sphere(), PulsesOptions()
+    places, strengths = draw_pulses(body, 8000, options, np.random.default_rng(9))
+    distance = np.linalg.norm(places, axis=-1)
+    assert distance.min() > 1
+    assert distance.max() <= options.field_radius
+    # For a uniform distribution, half of the sources lie in the inner half of the volume.
+    half = ((1 + options.field_radius**3) / 2) ** (1 / 3)
+    assert (distance < half).mean() == pytest.approx(0.5, abs=0.05)
+    assert np.linalg.norm((places / distance[..., None]).mean(axis=(0, 1))) < 0.1
+    assert strengths.min() >= 0
+    assert strengths.max() <= options.strength
+    readings = read_pulses(body.positions, places, strengths, options.half_distance)
+    assert readings.mean(axis=0).std() < 0.1 * readings.mean()
+
+
+def test_fingertip_and_body_respond_to_the_same_contact() -> None:
+    body, options = sphere(), SelfTouchOptions()
+    recording = simulate(body, "self-touch", n_frames=500, seed=10)
+    n = body.n_sensors
+    assert recording.names[:n] == body.names
+    assert recording.names[n:] == tuple(f"finger{i}" for i in range(options.n_finger_sensors))
+    assert recording.positions is not None
+    np.testing.assert_array_equal(recording.positions[:n], body.positions)
+    beside = np.linalg.norm(recording.positions[n:], axis=1)
+    assert beside.min() > body.reach + options.finger_radius
+    apart = recording.surface_distances
+    assert apart is not None
+    assert np.isinf(apart[:n, n:]).all()
+    assert np.isfinite(apart[:n, :n]).all()
+    assert np.isfinite(apart[n:, n:]).all()
+    body_active, tip_active = recording.readings[:, :n] > 0, recording.readings[:, n:] > 0
+    assert tip_active.any(axis=0).all()
+    # When the fingertip senses a contact, so does the body: its sensor spacing is below the range.
+    assert body_active[tip_active.any(axis=1)].any(axis=1).all()
+
+
+def test_self_touch_agrees_with_the_closed_form() -> None:
+    body, options = sphere(), SelfTouchOptions()
+    touched = run("self-touch", body, 100, 11)
+    centres, turns = move_fingertip(body, 100, options, np.random.default_rng(11))
+    moved = centres + np.einsum(
+        "tij,nj->tni", turns, options.finger_radius * fingertip_directions(options)
+    )
+    distances = np.linalg.norm(body.positions - centres, axis=2) - options.finger_radius
+    on_body = options.detection_radius - distances
+    on_tip = options.finger_detection_radius - (np.linalg.norm(moved, axis=2) - 1)
+    np.testing.assert_allclose(
+        touched.readings, np.maximum(np.hstack([on_body, on_tip]), 0), atol=1e-6
+    )
+    fixed = np.broadcast_to(body.positions, (100, 60, 3))
+    np.testing.assert_allclose(touched.sensors, np.concatenate([fixed, moved], axis=1))
+    identities = np.broadcast_to(np.eye(3), turns.shape)
+    np.testing.assert_allclose(turns @ np.swapaxes(turns, 1, 2), identities, atol=1e-9)
+
+
+def test_a_body_with_a_fingertip_has_all_sensors_on_its_surface() -> None:
+    body = with_fingertip(y_shape(), SelfTouchOptions())
+    assert body.n_sensors == 105 + 16
+    assert np.abs(body.distance(body.positions)).max() < 1e-9
+    np.testing.assert_allclose(body.normals_at(body.positions)[105:], body.normals[105:], atol=1e-4)
+
+
+@pytest.mark.parametrize("scenario", KINEMATIC)
+def test_props_and_facts_of_a_run_are_complete(scenario: str) -> None:
+    options = SCENARIOS[scenario].options
+    made = run(scenario, sphere(), 30, 12)
+    assert {field.name for field in fields(options)} <= set(made.facts)
+    for prop in made.props:
+        assert len(prop.centres) in (1, 30)
+        for corners in prop.surfaces(17):
+            assert np.isfinite(corners).all()
+    if scenario in ("rubbing", "roller", "self-touch"):
+        # The stimulus is drawn in contact, with at most the press depth, or lifted off.
+        nearest = min(
+            np.linalg.norm(edge_points(made.props[-1], t), axis=1).min() for t in range(30)
+        )
+        assert 1 - options().press_depth - 0.01 < nearest < 1.01
+
+
+def edge_points(prop: Prop, frame: int) -> NDArray[np.float64]:
+    """Sample the edges of the triangles of a prop in a frame."""
+    corners = np.array(prop.surfaces(frame))[:, prop.mesh.faces].reshape(-1, 3, 3)
+    along = np.linspace(0, 1, 9)[:, None, None, None]
+    edges = along * corners + (1 - along) * np.roll(corners, 1, axis=1)
+    return np.asarray(edges.reshape(-1, 3))
