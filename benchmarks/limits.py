@@ -28,11 +28,12 @@ from threadpoolctl import threadpool_limits
 import anisomap
 from anisomap.comparison import MIN_TOUCHES, spanned_dimensions, touched
 from anisomap.evaluation import mantel
+from anisomap.evidence import compare
 from anisomap.mapping import dissimilarities
-from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions
+from anisomap.methods import DEFAULT_METHOD, METHODS
+from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from anisomap.stages.pairs import compare
-from anisomap.stages.scaling import Configuration, refine
+from anisomap.scaling import Configuration
 
 FRAMES_FOR_HALVES = 1000
 """Shorter recordings are not halved: their halves hold too few contacts for a map."""
@@ -112,9 +113,7 @@ def _map_from(part: Recording, places: Array) -> tuple[Array, Array]:
         converged=True,
         n_iterations=0,
     )
-    refined = start
-    if recipe.refine is not None:
-        refined = refine(recipe.refine, pairs, metric, start, options)
+    refined = refine_components(recipe.refinements, pairs, metric, start, options)
     return np.asarray(pairs.similarity), np.asarray(refined.positions)
 
 

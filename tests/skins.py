@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from anisomap import Recording, SensorMap, score
 from anisomap.mapping import dissimilarities
-from anisomap.methods import MethodOptions, find_method
-from anisomap.stages.pairs import compare
+from anisomap.methods import find_method
+from anisomap.options import MethodOptions
+from anisomap.evidence import compare
 
 
 def lattice(rows: int = 6, columns: int = 7) -> NDArray[np.float64]:
@@ -56,7 +57,7 @@ def seeing_patch(*, seed: int = 0, n_frames: int = 1500) -> Recording:
 def stages(readings, method="covariogram", options=None):
     """Compute the similarity of pairs, the dissimilarity and the metric of a method."""
     recipe, chosen = find_method(method), options or MethodOptions()
-    refined = recipe.refine is not None
+    refined = bool(recipe.refinements)
     runs = [Recording(readings)]
     pairs = compare(runs, recipe.similarity, bins=chosen.bins, with_noise=refined)
     dissimilarity = dissimilarities(pairs, method, chosen)

@@ -5,7 +5,7 @@ import pytest
 
 import anisomap
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
-from anisomap.stages.pairs import compare
+from anisomap.evidence import compare
 from skins import flat_skin
 
 

@@ -11,7 +11,7 @@ from anisomap import io, reconstruct, reconstruct_from
 from anisomap.comparison import compare_methods
 from anisomap.errors import AnisomapWarning
 from anisomap.evaluation import mantel
-from anisomap.methods import MethodOptions
+from anisomap.options import MethodOptions
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import pearson
 from skins import mantel_r, stages

@@ -14,8 +14,8 @@ from anisomap.errors import InputError
 from anisomap.evaluation import compare_maps, score
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.placement import Anchors, place
-from anisomap.stages.pair_sums import PairSums
-from anisomap.stages.pairs import SIMILARITIES
+from anisomap.tracking.pair_sums import PairSums
+from anisomap.evidence import SIMILARITIES
 from anisomap.tracking import gather_evidence, map_evidence, update_map
 from skins import flat_skin, lattice, rubbed
 

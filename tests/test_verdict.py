@@ -17,7 +17,7 @@ from anisomap.diagnosis.halves import repeatability_of_halves
 from anisomap.diagnosis.judgement import expected_mantel_r
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
-from anisomap.methods import MethodOptions
+from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
 from skins import flat_skin, lattice
 

@@ -22,6 +22,7 @@ from .estimators import SensorMapper as SensorMapper
 from .evaluation import align as align
 from .evaluation import mantel as mantel
 from .evaluation import score as score
+from .evidence import SIMILARITIES as SIMILARITIES
 from .health import assess as assess
 from .health import find_faults as find_faults
 from .health import repair as repair
@@ -31,14 +32,13 @@ from .io import read_map as read_map
 from .io import write as write
 from .layout import check_layout as check_layout
 from .methods import METHODS as METHODS
-from .methods import MethodOptions as MethodOptions
+from .options import MethodOptions as MethodOptions
 from .reconstruction import reconstruct as reconstruct
 from .reconstruction import reconstruct_from as reconstruct_from
 from .recording import Recording as Recording
 from .runs import join_runs as join_runs
 from .sensor_map import SensorMap as SensorMap
 from .simulation import simulate as simulate
-from .stages.pairs import SIMILARITIES as SIMILARITIES
 from .tracking import gather_evidence as gather_evidence
 from .tracking import update_map as update_map
 from .usability import Verdict as Verdict

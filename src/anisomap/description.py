@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap._version import __version__
-from anisomap.methods import MethodOptions, find_method
+from anisomap.methods import find_method
+from anisomap.options import MethodOptions
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNPLACED
-from anisomap.stages.refinement import RefinementFacts
 from anisomap.wording import join_items, noun_and_items
 
 
@@ -52,7 +52,7 @@ def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]
     }
     if options.n_neighbours is not None:
         facts["n_neighbours"] = options.n_neighbours
-    if recipe.refine is not None:
+    if recipe.refinements:
         for kind in ("covariogram", "contacts"):
             usual = asdict(getattr(defaults, kind))
             changed = {k: v for k, v in asdict(getattr(options, kind)).items() if v != usual[k]}
@@ -61,9 +61,3 @@ def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]
         if getattr(options, name) != getattr(defaults, name):
             facts[name] = getattr(options, name)
     return facts | asdict(options.smacof)
-
-
-def refinement_provenance(facts: RefinementFacts) -> dict[str, Scalar]:
-    """Return the facts that differ from those of an unrefined map."""
-    unrefined = asdict(RefinementFacts())
-    return {k: v for k, v in asdict(facts).items() if v != unrefined[k]}

@@ -7,19 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisomap.methods import DEFAULT_METHOD, METHODS, Method, MethodOptions, find_method
-from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.numerics.precision import Reals
-from anisomap.recording import Recording
-from anisomap.stages.dimension import (
+from anisomap.dimensions import (
     AUTO,
     SPATIAL,
     DimensionPlan,
     Dimensions,
     plan_dimensions,
 )
-from anisomap.stages.pairs import PairStatistics, compare
-from anisomap.stages.scaling import Configuration, configure
+from anisomap.evidence import PairStatistics, compare
+from anisomap.methods import DEFAULT_METHOD, METHODS, Method, find_method
+from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.precision import Reals
+from anisomap.options import MethodOptions
+from anisomap.recording import Recording
+from anisomap.scaling import Configuration, configure
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ def compute_stages(
     -------
     Stages
     """
-    refined = recipe.refine is not None
+    refined = bool(recipe.refinements)
     with limited_blas(max(run.n_sensors for run in runs)):
         pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=refined)
         metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
@@ -65,7 +66,7 @@ def compute_stages(
         else:
             plan = plan_dimensions(dimensions, metric, pairs.weights, examine=refined)
         configuration, plan = configure(
-            plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
+            plan, metric, pairs, steps=recipe.refinements, options=options, weights=pairs.weights
         )
     return Stages(pairs, configuration, plan)
 
@@ -91,7 +92,7 @@ def configure_pairs(
         metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
         plan = plan_dimensions(dimensions, None)
         return configure(
-            plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
+            plan, metric, pairs, steps=recipe.refinements, options=options, weights=pairs.weights
         )[0]
 
 
@@ -103,7 +104,7 @@ def dissimilarities(
     Parameters
     ----------
     pairs : PairStatistics
-        From `anisomap.stages.pairs.compare`.
+        From `anisomap.evidence.compare`.
     method : str
         A key of `METHODS`.
     options : MethodOptions, optional
@@ -143,5 +144,5 @@ def _plan_by_default_method(runs: Sequence[Recording], options: MethodOptions) -
     if plan.dimensions == SPATIAL:
         return plan
     return configure(
-        plan, metric, pairs, method=recipe.refine, options=options, weights=pairs.weights
+        plan, metric, pairs, steps=recipe.refinements, options=options, weights=pairs.weights
     )[1]

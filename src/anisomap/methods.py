@@ -5,7 +5,7 @@ A method is a chain of stages::
     readings --similarity--> S --dissimilarity--> M --metric--> D --scaling--> positions
 
 and some methods refine the positions by S. To add a method, add one line to `METHODS`; to add a
-similarity, add one line to `anisomap.stages.pairs.SIMILARITIES`.
+similarity, add one line to `anisomap.evidence.SIMILARITIES`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,8 @@ from types import MappingProxyType
 import numpy as np
 
 from anisomap.errors import InputError
-from anisomap.numerics.contacts import ContactOptions
+from anisomap.evidence import PairStatistics
 from anisomap.numerics.contacts.contact_agreement import shows_single_contacts
-from anisomap.numerics.covariogram.minimisation import SharedCurvature
-from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.graph.connectivity import (
     neighbour_graph,
     smallest_connected_neighbour_graph,
@@ -34,80 +32,20 @@ from anisomap.numerics.graph.dissimilarity import (
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.significance import remove_insignificant_links
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from anisomap.stages.contact_average import average_with_contacts, refine_by_contacts
-from anisomap.stages.pairs import PairStatistics
-from anisomap.stages.refinement import Refined, refine_by_covariogram
+from anisomap.refinements.chain import Step
+from anisomap.refinements.contacts import by_contacts, only_contacts
+from anisomap.refinements.covariogram import by_covariogram
+from anisomap.refinements.heights import by_heights
+from anisomap.refinements.paths import by_paths
+from anisomap.refinements.spacing import by_even_spacing
 
 logger = logging.getLogger(__name__)
 
 DEFAULT_METHOD = "covariogram"
 
 _MIN_KNOWN = 0.6  # share of known pairs below which partial correlations miss too much
-
-
-@dataclass(frozen=True)
-class MethodOptions:
-    """Parameters of the methods; each method uses those of its stages.
-
-    Parameters
-    ----------
-    mu : float
-        Regularisation of the reciprocal, at least 0. With 0, unrelated sensors are infinitely far
-        apart, and components come out as separate maps.
-    bins : int
-        Bins per sensor for entropies, at least 2.
-    n_neighbours : int, optional
-        Neighbours per sensor in ISOMAP's graph; by default the smallest number that connects all.
-    smacof : SmacofOptions
-        Stopping criteria of the scaling.
-    covariogram : CovariogramOptions
-        Parameters of the method "covariogram".
-    contacts : ContactOptions
-        Parameters of the fit of contacts, in "covariogram" and "contact-fit".
-    split_unrelated : bool
-        Whether the covariogram method separates components without statistically significant
-        links.
-    independent_frames : float
-        Effective sample size of correlations that are given without readings, above 0.
-    even_spacing : bool
-        Whether neighbours are declared to be evenly spaced, for methods with
-        `Method.takes_even_spacing`. A map that relies on the declaration carries a note.
-    min_sensors : int
-        Minimum number of sensors in the largest component of a map.
-
-    Raises
-    ------
-    InputError
-        If `mu` or `independent_frames` is out of range.
-    """
-
-    mu: float = 1.0
-    bins: int = DEFAULT_BINS
-    n_neighbours: int | None = None
-    smacof: SmacofOptions = field(default_factory=SmacofOptions)
-    covariogram: CovariogramOptions = field(default_factory=CovariogramOptions)
-    contacts: ContactOptions = field(default_factory=ContactOptions)
-    split_unrelated: bool = True
-    independent_frames: float = 500.0
-    even_spacing: bool = False
-    min_sensors: int = 3
-
-    def __post_init__(self) -> None:
-        for name, least in (("bins", 2), ("n_neighbours", 1), ("min_sensors", 1)):
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, int | np.integer) and value >= least):
-                raise InputError(
-                    f"{name} must be a whole number of at least {least}, got {value!r}"
-                )
-        if not (isinstance(self.mu, int | float) and np.isfinite(self.mu) and self.mu >= 0):
-            raise InputError(f"mu must be a finite number of at least 0, got {self.mu}")
-        if not (np.isfinite(self.independent_frames) and self.independent_frames > 0):
-            raise InputError(
-                f"independent_frames must be a finite number above 0, got {self.independent_frames}"
-            )
 
 
 @dataclass(frozen=True)
@@ -119,16 +57,14 @@ class Method:
     summary : str
         Description in one line, for lists of methods.
     similarity : str
-        A key of `anisomap.stages.pairs.SIMILARITIES`.
+        A key of `anisomap.evidence.SIMILARITIES`.
     dissimilarity : callable
         ``dissimilarity(pairs, options)`` returns M, shape (n, n).
     metric : callable
         ``metric(M)`` returns D.
-    refine : callable, optional
-        ``refine(pairs, D, positions, options)`` refines the positions of one component and returns
-        a `Refined`. None if the scaled positions are the result.
-    takes_even_spacing : bool
-        Whether `refine` can use declared even spacing of neighbours.
+    refinements : mapping of str to callable
+        Steps that refine the positions of one component, in order: see
+        `anisomap.refinements.chain`. Empty if the scaled positions are the result.
     contact_similarity : str, optional
         Similarity that takes the place of `similarity` for readings that are on or off and show
         one contact at a time.
@@ -138,9 +74,13 @@ class Method:
     similarity: str
     dissimilarity: Callable[[PairStatistics, MethodOptions], Reals]
     metric: Callable[[Reals], Reals]
-    refine: Callable[[PairStatistics, Reals, Reals, MethodOptions], Refined] | None = None
-    takes_even_spacing: bool = False
+    refinements: Mapping[str, Step] = field(default_factory=dict)
     contact_similarity: str | None = None
+
+    @property
+    def takes_even_spacing(self) -> bool:
+        """Whether a step can use declared even spacing of neighbours."""
+        return by_even_spacing in self.refinements.values()
 
     def similarity_of(self, runs: Sequence[Recording]) -> str:
         """Return the key of the similarity for some recordings."""
@@ -186,44 +126,6 @@ def _identity(dissimilarity: Reals) -> Reals:
     return dissimilarity
 
 
-def _covariogram(
-    pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
-) -> Refined:
-    mapped = refine_without_contacts(pairs, metric, positions, options)
-    return average_with_contacts(pairs, mapped, options.contacts)
-
-
-def _contact_fit(
-    pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
-) -> Refined:
-    mapped = refine_without_contacts(pairs, metric, positions, options)
-    return refine_by_contacts(pairs, mapped, options.contacts)
-
-
-def refine_without_contacts(
-    pairs: PairStatistics,
-    metric: Reals,
-    positions: Reals,
-    options: MethodOptions,
-    *,
-    with_heights: bool = True,
-    curvature: SharedCurvature | None = None,
-) -> Refined:
-    """Refine one component as the default method does before it fits contacts.
-
-    See `anisomap.stages.refinement.refine_by_covariogram`.
-    """
-    return refine_by_covariogram(
-        pairs,
-        metric,
-        positions,
-        options.covariogram,
-        evenly_spaced=options.even_spacing,
-        with_heights=with_heights,
-        curvature=curvature,
-    )
-
-
 def _anisomap(similarity: str, summary: str) -> Method:
     return Method(summary, similarity, _reciprocal, metricise)
 
@@ -239,8 +141,13 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             "blended-correlation",
             _direct,
             metricise,
-            _covariogram,
-            takes_even_spacing=True,
+            {
+                "covariogram": by_covariogram,
+                "even-spacing": by_even_spacing,
+                "heights": by_heights,
+                "paths": by_paths,
+                "contacts": by_contacts,
+            },
             contact_similarity="contact-agreement",
         ),
         "contact-fit": Method(
@@ -248,7 +155,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             "blended-correlation",
             _direct,
             metricise,
-            _contact_fit,
+            {"covariogram": by_covariogram, "heights": by_heights, "contacts": only_contacts},
             contact_similarity="contact-agreement",
         ),
         "r-anisomap": _anisomap("pearson", "ANISOMAP on linear correlation"),

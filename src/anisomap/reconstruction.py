@@ -4,12 +4,12 @@
 precomputed stage. Every stage can be called separately:
 
 =============  ==================================  =====================================
-S              `anisomap.stages.pairs.compare`     similarity of all pairs of sensors
+S              `anisomap.evidence.compare`     similarity of all pairs of sensors
 M              `anisomap.mapping.dissimilarities`  dissimilarity of all pairs of sensors
 D              `anisomap.methods.Method.metric`    metric: shortest path lengths
-dimensions     `anisomap.stages.dimension`         their number, if it is not given
-positions      `anisomap.stages.scaling.scale`     scaling by SMACOF
-refinement     `anisomap.stages.scaling.refine`    positions refined by S
+dimensions     `anisomap.dimensions`         their number, if it is not given
+positions      `anisomap.scaling.scale`     scaling by SMACOF
+refinement     `anisomap.scaling.refine`    positions refined by S
 =============  ==================================  =====================================
 """
 
@@ -24,26 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.description import (
     caveats,
     options_provenance,
-    refinement_provenance,
     unknown_pairs,
 )
-from anisomap.errors import AnisomapWarning, InputError
-from anisomap.mapping import Stages, compute_stages, dissimilarities
-from anisomap.memory import check_pair_memory
-from anisomap.methods import (
-    DEFAULT_METHOD,
-    Method,
-    MethodOptions,
-    check_even_spacing,
-    examined_metric,
-    find_method,
-)
-from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.numerics.graph.metric import check_semi_metric
-from anisomap.recording import Recording, Scalar, check_names, default_names, sensor_mask
-from anisomap.runs import as_runs, join_runs, select_sensors
-from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.stages.dimension import (
+from anisomap.dimensions import (
     AUTO,
     SPATIAL,
     Dimensions,
@@ -51,9 +34,25 @@ from anisomap.stages.dimension import (
     given_dimensions,
     plan_dimensions,
 )
-from anisomap.stages.pairs import PairStatistics
-from anisomap.stages.precomputed import checked_noise, checked_start, checked_weights, only_stage
-from anisomap.stages.scaling import Configuration, configure
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.evidence import PairStatistics
+from anisomap.mapping import Stages, compute_stages, dissimilarities
+from anisomap.memory import check_pair_memory
+from anisomap.methods import (
+    DEFAULT_METHOD,
+    Method,
+    check_even_spacing,
+    examined_metric,
+    find_method,
+)
+from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.graph.metric import check_semi_metric
+from anisomap.options import MethodOptions
+from anisomap.precomputed import checked_noise, checked_start, checked_weights, only_stage
+from anisomap.recording import Recording, Scalar, check_names, default_names, sensor_mask
+from anisomap.runs import as_runs, join_runs, select_sensors
+from anisomap.scaling import Configuration, configure
+from anisomap.sensor_map import UNPLACED, SensorMap
 
 
 def reconstruct(
@@ -278,19 +277,19 @@ def reconstruct_from(
         computed = semi_metric if stage == "metric" else recipe.metric(semi_metric)
         chosen = dimensions == AUTO
         examined = examined_metric(recipe, pairs, computed, options) if chosen else computed
-        examine = recipe.refine is not None and pairs is not None
+        examine = bool(recipe.refinements) and pairs is not None
         plan = plan_dimensions(dimensions, examined, pair_weights, examine=examine)
         configuration, plan = configure(
             plan,
             computed,
             pairs,
-            method=recipe.refine,
+            steps=recipe.refinements,
             options=options,
             weights=pair_weights,
             start=initial,
         )
     notes = plan.note
-    if recipe.refine is not None and pairs is None:
+    if bool(recipe.refinements) and pairs is None:
         notes = (
             *notes,
             f"{method} refines positions by the similarity, which was not given: these positions "
@@ -322,7 +321,7 @@ def _check_size(
         )
     if dimensions != AUTO and dimensions > n_mapped:
         raise InputError(f"{dimensions} dimensions require as many sensors, got {n_mapped}")
-    check_pair_memory(int(n_mapped), refined=recipe.refine is not None)
+    check_pair_memory(int(n_mapped), refined=bool(recipe.refinements))
 
 
 def _check_related(configuration: Configuration, options: MethodOptions) -> None:
@@ -346,6 +345,7 @@ def _as_map(
     stack_level: int = 3,
 ) -> SensorMap:
     """Make a map of all sensors from the positions of the mapped ones; warn for each note."""
+    refined = configuration.largest
     positions = np.full((len(names), configuration.positions.shape[1]), np.nan)
     positions[mapped] = configuration.positions
     component = np.full(len(names), UNPLACED)
@@ -365,9 +365,9 @@ def _as_map(
         similarity=similarity,
         stress=configuration.stress,
         n_iterations=configuration.n_iterations,
-        uneven=configuration.facts.distorted,
+        uneven=refined is not None and refined.distorted,
         notes=all_notes,
         provenance=provenance
         | {"iterations": configuration.n_iterations}
-        | refinement_provenance(configuration.facts),
+        | ({} if refined is None else refined.facts),
     )

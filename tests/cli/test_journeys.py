@@ -11,7 +11,7 @@ import pytest
 
 import anisomap
 from anisomap.methods import METHODS
-from anisomap.stages.pairs import SIMILARITIES
+from anisomap.evidence import SIMILARITIES
 from skins import flat_skin
 
 

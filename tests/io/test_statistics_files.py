@@ -5,7 +5,7 @@ import pytest
 
 from anisomap import Recording, io
 from anisomap.errors import FileError
-from anisomap.methods import MethodOptions
+from anisomap.options import MethodOptions
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.tracking import gather_evidence
 from skins import lattice, rubbed

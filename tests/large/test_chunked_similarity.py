@@ -12,7 +12,7 @@ from anisomap.numerics.similarity import co_occurrence, joint_values, value_coun
 from anisomap.numerics.similarity.accumulators import StoredCodes
 from anisomap.numerics.similarity.joint_values import JointValues
 from anisomap.numerics.similarity.value_counts import ValueCounts
-from anisomap.stages.pairs import SIMILARITIES
+from anisomap.evidence import SIMILARITIES
 
 BINS = 4
 rows = st.lists(st.integers(1, 299), max_size=4, unique=True).map(sorted)

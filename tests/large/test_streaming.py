@@ -15,7 +15,8 @@ from anisomap.large import chunks
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.map_reduce import WorkerPool, map_reduce
 from anisomap.large.streaming import reconstruct_chunks
-from anisomap.methods import METHODS, MethodOptions
+from anisomap.methods import METHODS
+from anisomap.options import MethodOptions
 from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.numerics.similarity.joint_values import JointValues
 from dying import Dying, PowerCutError, ThreadLimits, failing

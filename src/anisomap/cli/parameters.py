@@ -14,12 +14,12 @@ from cyclopts.validators import Number
 
 from anisomap import io
 from anisomap.cli.console import Printer
+from anisomap.dimensions import AUTO, Dimensions, check_dimensions
 from anisomap.errors import InputError
 from anisomap.io import ReadOptions
 from anisomap.placement import METRES, mirrored, parse_length, scaled_to_spacing
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
-from anisomap.stages.dimension import AUTO, Dimensions, check_dimensions
 from anisomap.wording import printable
 
 _PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}

@@ -13,6 +13,7 @@ from anisomap.cli import printing, touches
 from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnosis.diagnostics import diagnose
+from anisomap.dimensions import Dimensions
 from anisomap.errors import FileError, InputError
 from anisomap.evaluation import Score, score
 from anisomap.files import check_distinct
@@ -29,12 +30,11 @@ from anisomap.health import (
 from anisomap.large.approximation import SimilarityGraph, map_similarity_graph
 from anisomap.large.streaming import StreamedSimilarity, map_streamed_similarity
 from anisomap.memory import check_pair_memory
-from anisomap.methods import MethodOptions
+from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
-from anisomap.stages.dimension import Dimensions
 from anisomap.usability import Verdict
 from anisomap.wording import as_text
 

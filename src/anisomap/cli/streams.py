@@ -27,7 +27,8 @@ from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.large.landmarks.options import ApproximateOptions
 from anisomap.large.map_reduce import WorkerPool
 from anisomap.large.streaming import StreamedSimilarity, stream_similarity
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_even_spacing
+from anisomap.methods import DEFAULT_METHOD, check_even_spacing
+from anisomap.options import MethodOptions
 from anisomap.recording import MissingPolicy, Recording, default_names
 
 LARGE_BYTES = 1 << 29

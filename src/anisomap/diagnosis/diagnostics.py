@@ -10,7 +10,6 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,8 +23,9 @@ from anisomap.diagnosis.uncertainty import covariances, departure_in_spacings, e
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.mapping import Stages
-from anisomap.methods import METHODS, MethodOptions
+from anisomap.methods import METHODS
 from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.options import MethodOptions
 from anisomap.recording import Recording
 from anisomap.runs import as_runs, join_runs
 from anisomap.sensor_map import SensorMap
@@ -194,9 +194,7 @@ def _uncertainty(
                 part.pairs,
                 positions,
                 sensor_map.method,
-                partial(part.contacts_from, options=options or MethodOptions()),
-                fitted=None if part.refinement is None else part.refinement.covariogram,
-                curvature=part.curvature,
+                part.refined,
                 options=options,
                 rng=generator,
                 progress=_part_of(report, done, share),
@@ -301,8 +299,7 @@ def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
         return "the map does not follow from the readings of one recording in memory"
     n_sensors = np.count_nonzero(sensor_map.component == 0)
     reasons = {
-        f"only methods with a refinement have verdicts, not {sensor_map.method}": method.refine
-        is None,
+        f"{sensor_map.method} does not refine maps, and has no verdicts": not method.refinements,
         "the recordings have different sensors": len(runs) > 1,
         f"fewer than {MIN_SENSORS} sensors are related": n_sensors < MIN_SENSORS,
         f"resampling more than {MAX_SENSORS} sensors takes too much memory": n_sensors

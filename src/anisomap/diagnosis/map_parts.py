@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,20 +12,15 @@ from numpy.typing import NDArray
 from anisomap.diagnosis.halves import repeatability_of_halves
 from anisomap.diagnosis.uncertainty import departure_in_spacings
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.evidence import PairStatistics, compare
 from anisomap.mapping import Stages, configure_pairs
-from anisomap.methods import DEFAULT_METHOD, METHODS, MethodOptions, refine_without_contacts
+from anisomap.methods import find_method
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.numerics.covariogram.minimisation import SharedCurvature
-from anisomap.numerics.precision import Reals
+from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording
+from anisomap.refinements.chain import RefinedMap
 from anisomap.sensor_map import SensorMap
-from anisomap.stages.contact_average import (
-    average_with_contacts,
-    average_with_known_contacts,
-)
-from anisomap.stages.pairs import PairStatistics, compare
-from anisomap.stages.refinement import ContactAverage, Refined
 
 logger = logging.getLogger(__name__)
 
@@ -50,42 +45,24 @@ _SAME = 1e-6  # spacings; rounding errors of a map that was scaled or turned are
 class MapPart:
     """A component of a map.
 
-    Attributes
-    ----------
-    readings : ndarray of shape (T, n)
-    positions : ndarray of shape (n, k)
-    pairs : PairStatistics
-    refinement : Refined, optional
-        How the positions were computed; None if that is not known.
-    curvature : SharedCurvature
-        Of the covariogram fits of resamples and halves. Their minima do not depend on it, but a fit
-        that ends after its maximum number of iterations does, slightly.
+    positions (n, k)
+    refined: How the positions were computed; None if that is not known.
     """
 
-    readings: NDArray[np.floating]
     positions: NDArray[np.float64]
     pairs: PairStatistics
-    refinement: Refined | None = None
-    curvature: SharedCurvature = field(default_factory=SharedCurvature)
+    refined: RefinedMap | None = None
 
-    def contacts_from(self, reference: Reals, options: MethodOptions) -> ContactAverage | None:
-        """Return the fit of contacts of the map; if unknown, that of a reference map instead."""
-        if self.refinement is not None:
-            return self.refinement.contacts
-        return average_with_contacts(self.pairs, Refined(reference), options.contacts).contacts
+    @property
+    def readings(self) -> NDArray[np.generic]:
+        """Readings of the sensors, shape (T, n)."""
+        return np.asarray(self.pairs.readings)
 
 
 class MapParts:
     """The components of a map of one recording, each examined once.
 
-    Parameters
-    ----------
-    sensor_map : SensorMap
-    run : Recording
-        Complete.
-    options : MethodOptions
-    stages : Stages, optional
-        The stages of the map. Without them, the map is made again.
+    Without the stages of the map, it is made again.
     """
 
     def __init__(
@@ -101,27 +78,13 @@ class MapParts:
         self._parts: dict[int, MapPart] = {}
 
     def __getitem__(self, label: int) -> MapPart:
-        """Return the component with a label.
-
-        Raises
-        ------
-        InputError
-            If no variance of its similarity can be estimated.
-        """
+        """Return the component with a label; `InputError` if it has no variance of similarity."""
         if label not in self._parts:
             self._parts[label] = self._part(label)
         return self._parts[label]
 
     def error_of_halves(self, label: int) -> float:
-        """Map halves of the recording of a component, and return its error in spacings.
-
-        Notes
-        -----
-        Every half is mapped from the beginning, up to the fit of contacts; heights of
-        contacts are examined if they contradict the map of the whole recording. Where its map then
-        agrees with that of the whole recording, the fit of the whole recording is continued with
-        the contacts of the half, instead of repeated.
-        """
+        """Map halves of the recording of a component, and return its error in spacings."""
         if label not in self._halves:
             part = self[label]
             logger.info("mapping halves of the recording to estimate the repeatability")
@@ -136,17 +99,17 @@ class MapParts:
 
     def _part(self, label: int) -> MapPart:
         members = self._map.component == label
-        run, stages = self._run.select(members), self._stages
-        positions = self._map.positions[members]
+        stages, positions = self._stages, self._map.positions[members]
         components = self._map.component[self._map.placed]
         if stages is not None and np.array_equal(stages.configuration.component, components):
             made, inside = stages.configuration, components == label
             same = departure_in_spacings(made.positions[inside], positions) <= _SAME
-            refinement = made.refinements[label] if same else None
-            return MapPart(run.readings, positions, stages.pairs.select(inside), refinement)
+            refined = made.refinements[label] if same else None
+            return MapPart(positions, stages.pairs.select(inside), refined)
+        run = self._run.select(members)
         with limited_blas(run.n_sensors):
             pairs = compare([run], self._map.similarity, bins=self._options.bins, with_noise=True)
-        return MapPart(run.readings, positions, pairs)
+        return MapPart(positions, pairs)
 
     def _made_again(self) -> Stages | None:
         unplaced = [self._map.names[i] for i in np.flatnonzero(~self._map.placed)]
@@ -164,40 +127,22 @@ class MapParts:
                 return None
 
     def _map_half(self, part: MapPart, frames: NDArray[np.intp]) -> NDArray[np.float64]:
-        def refine(
-            pairs: PairStatistics, metric: Reals, positions: Reals, options: MethodOptions
-        ) -> Refined:
-            made = part.refinement
-            # Whether heights contradict a map is known best from the whole recording.
-            heights = made is None or made.facts.heights_contradict
-            mapped = refine_without_contacts(
-                pairs,
-                metric,
-                positions,
-                options,
-                with_heights=heights,
-                # The curvature is that of all sensors.
-                curvature=part.curvature if len(positions) == len(part.positions) else None,
-            )
-            known = None if part.refinement is None else part.refinement.contacts
-            if known is None and part.refinement is not None:
-                return mapped
-            if known is None or len(mapped.positions) < len(part.positions):
-                return average_with_contacts(pairs, mapped, options.contacts)
-            return average_with_known_contacts(known, mapped, frames) or average_with_contacts(
-                pairs, mapped, options.contacts
-            )
-
+        """Map a half of the frames from the beginning, as all of them; NaN for constant sensors."""
         covariogram, smacof = self._options.covariogram, self._options.smacof
+        contacts = self._options.contacts
         options = replace(
             self._options,
             split_unrelated=False,
             covariogram=replace(
                 covariogram, max_iterations=min(covariogram.max_iterations, _MAX_ITERATIONS)
             ),
+            contacts=replace(
+                contacts,
+                max_readings=-(-contacts.max_readings // 2),
+                readings_per_sensor=-(-contacts.readings_per_sensor // 2),
+            ),
             smacof=replace(smacof, tolerance=max(smacof.tolerance, _START_TOLERANCE)),
         )
-        recipe = replace(METHODS[DEFAULT_METHOD], refine=refine)
         # The half that begins with the first frame is the first.
         half = part.pairs.of_half(int(frames[0] > 0))
         varying = np.ptp(np.asarray(half.readings), axis=0) > 0
@@ -205,6 +150,6 @@ class MapParts:
             raise InputError("too few sensors vary in a half of the recording")
         positions = np.full(part.positions.shape, np.nan)
         positions[varying] = configure_pairs(
-            half.select(varying), recipe, self._map.dimensions, options
+            half.select(varying), find_method(self._map.method), self._map.dimensions, options
         ).positions
         return positions

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from anisomap.methods import MethodOptions, find_method
+from anisomap.evidence import PairStatistics
+from anisomap.methods import find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import resampled_contact_agreement
-from anisomap.numerics.contacts.contact_fit import resample_contacts
+from anisomap.numerics.contacts.contact_fit import ContactFit, resample_contacts
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
 from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
@@ -20,10 +21,11 @@ from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.block_bootstrap import balanced_weights, block_edges
 from anisomap.numerics.reliability.sampling_noise import thinning, typical_variance
+from anisomap.numerics.similarity.reference import without_common_signal
 from anisomap.numerics.similarity.resampled import resampled_correlation
-from anisomap.stages.consensus import combine_with_paths
-from anisomap.stages.pairs import PairStatistics
-from anisomap.stages.refinement import ContactAverage
+from anisomap.options import MethodOptions
+from anisomap.refinements.chain import RefinedMap
+from anisomap.refinements.paths import by_paths
 
 N_RESAMPLES = 8
 """Number of resamples: together they take about as much time as the map.
@@ -62,116 +64,86 @@ def resampled_maps(
     pairs: PairStatistics,
     positions: NDArray[np.float64],
     method: str,
-    contacts_from: Callable[[NDArray[np.float64]], ContactAverage | None],
+    refined: RefinedMap | None = None,
     *,
-    fitted: Covariogram | None = None,
-    curvature: SharedCurvature | None = None,
     options: MethodOptions | None = None,
     rng: np.random.Generator,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Map resamples of blocks of a recording.
+    """Map resamples of blocks of a recording of T >= 80 frames, starting from its map.
 
-    Parameters
-    ----------
-    pairs : PairStatistics
-        Of one component, with its readings, T >= 80. The similarity is blended, or the agreement of
-        contacts.
-    positions : ndarray of shape (n, k)
-        Its map, from which the fits start.
-    method : str
-        Name of a method that refines positions.
-    contacts_from : callable
-        Takes a map of the recording that is not averaged with a fit of contacts, and returns that
-        average; None if the map itself is not such an average.
-    fitted : Covariogram, optional
-        The covariogram fit of the map, from which fits then start instead.
-    curvature : SharedCurvature, optional
-        Of fits near the map of the recording; computed if it is not known.
-    options : MethodOptions, optional
-    rng : numpy.random.Generator
-    progress : callable, optional
-        Called with the completed share, from 0 to 1.
+    positions (n, k) -> reference (n, k), maps (R, n, k).
 
-    Returns
-    -------
-    reference : ndarray of shape (n, k)
-        Map of the recording by the same fit.
-    maps : ndarray of shape (R, n, k)
-        Maps of the resamples, which differ by `STEP` times as much as independent recordings.
+    The reference is a map of the recording by the same fit; the maps differ by `STEP` times as much
+    as maps of independent recordings. `refined` tells how the positions were computed, if known.
     """
     options = replace(options or MethodOptions(), split_unrelated=False)
     recipe = find_method(method)
-    curvature = curvature or SharedCurvature()
-    readings = np.asarray(pairs.readings)
-    edges = block_edges(readings)
+    edges = block_edges(np.asarray(pairs.readings))
     drawn = balanced_weights(len(edges) - 1, N_RESAMPLES, rng)
     weights = np.vstack([np.ones(len(edges) - 1), 1 + STEP * (drawn - 1)])
+    start, exponent = positions, 1.0
+    iterations = options.covariogram.max_iterations
+    if refined is not None and isinstance(fit := _fit(refined, "covariogram"), Covariogram):
+        start, exponent = np.asarray(fit.positions), fit.exponent
+        iterations = min(iterations, _MAX_CONTINUED)
+    curvature: SharedCurvature | None = None
+    linked: NDArray[np.bool_] | None = None
+    averaged = refined is None or bool(refined.weights.get("paths"))
+    made: list[NDArray[np.float64]] = []
     with limited_blas(len(positions)):
-        resamples, noise = _similarities(pairs, edges, weights), pairs.noise
-        variance = typical_variance(noise)
-        made: list[NDArray[np.float64]] = []
-        start, exponent, by_paths = positions, 1.0, True
-        iterations, shared = options.covariogram.max_iterations, None
-        if fitted is not None:
-            start, exponent = np.asarray(fitted.positions), fitted.exponent
-            iterations = min(iterations, _MAX_CONTINUED)
-        for i, resample in enumerate(resamples):
+        for resample in _similarities(pairs, edges, weights):
             compared = PairStatistics.from_similarity(
-                resample, noise=noise, statistic=pairs.statistic
+                resample, noise=pairs.noise, statistic=pairs.statistic
             )
-            if i == 0:
+            if linked is None:
                 dissimilarity = recipe.dissimilarity(compared, options)
                 linked = np.isfinite(dissimilarity)
             else:
                 # Links that are significant in the recording are not tested again.
-                dissimilarity = direct_dissimilarity(resample, noise)
+                dissimilarity = direct_dissimilarity(resample, pairs.noise)
                 dissimilarity[~linked] = np.inf
             metric = recipe.metric(dissimilarity)
-            fit = fit_covariogram(
+            found = fit_covariogram(
                 resample,
                 _scaled(start, metric),
                 metric,
-                noise=variance,
+                noise=typical_variance(pairs.noise),
                 exponent=exponent,
                 options=replace(options.covariogram, max_iterations=iterations),
-                shared=shared,
+                shared=curvature,
             )
-            found = np.asarray(fit.positions, dtype=np.float64)
-            if by_paths:
-                consensus = combine_with_paths(compared, found)
-                by_paths = consensus.path_weight > 0
-                found = np.asarray(consensus.positions, dtype=np.float64)
-            if i == 0:
-                start, exponent = np.asarray(fit.positions), fit.exponent
+            mapped = RefinedMap(found.positions, 1.0)
+            if averaged and (proposal := by_paths(compared, metric, found.positions, options)):
+                mapped = mapped.combined("paths", proposal)
+            made.append(np.asarray(mapped.positions, dtype=np.float64))
+            if curvature is None:
                 # All resamples are near the recording, so that one curvature serves them all.
-                iterations, shared = _MAX_ITERATIONS, curvature
-            made.append(found)
+                start, exponent = np.asarray(found.positions), found.exponent
+                iterations, curvature = _MAX_ITERATIONS, SharedCurvature()
             if progress is not None:
                 progress(len(made) / len(weights))
-        contacts = None if by_paths else contacts_from(made[0])
-        if contacts is not None:
-            frames = np.repeat(weights, np.diff(edges), axis=1)
-            refined = _with_contacts(contacts, made, frames)
-            # Contacts are not part of maps whose lengths came from elsewhere.
-            if _misfit(refined[0], positions) < _misfit(made[0], positions):
-                made = refined
+        if refined is not None and refined.weights.get("contacts"):
+            made = _with_contacts(refined, made, np.repeat(weights, np.diff(edges), axis=1))
     return made[0], np.array(made[1:])
 
 
+def _fit(refined: RefinedMap, step: str) -> object:
+    return refined.proposals[step].fit if step in refined.proposals else None
+
+
 def _with_contacts(
-    contacts: ContactAverage, made: list[NDArray[np.float64]], weights: NDArray[np.float64]
+    refined: RefinedMap, made: list[NDArray[np.float64]], weights: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
     """Average maps with a fit of contacts to frames of given weights, shape (R, T)."""
-    whole = np.asarray(contacts.given, dtype=np.float64)
+    fit = _fit(refined, "contacts")
+    if not isinstance(fit, ContactFit):
+        return made
+    whole = np.asarray(refined.given["contacts"], dtype=np.float64)
+    share = refined.weights["contacts"]
     given = np.array([fit_similarity(one, whole).apply(one) for one in made])
-    moved = resample_contacts(contacts.fit, given, weights)
-    refined = (1 - contacts.share) * given + contacts.share * moved
-    return list(refined[0] + CONTACT_INFLATION * (refined - refined[0]))
-
-
-def _misfit(moved: NDArray[np.float64], positions: NDArray[np.float64]) -> float:
-    return float(np.square(fit_similarity(moved, positions).apply(moved) - positions).sum())
+    averaged = (1 - share) * given + share * resample_contacts(fit, given, weights)
+    return list(averaged[0] + CONTACT_INFLATION * (averaged - averaged[0]))
 
 
 def _similarities(
@@ -189,7 +161,7 @@ def _similarities(
     blended *= found.weight
     rho *= 1 - found.weight
     blended += rho
-    return blended
+    return np.array([without_common_signal(one) for one in blended])
 
 
 def _scaled(positions: NDArray[np.float64], metric: Reals) -> NDArray[np.float64]:

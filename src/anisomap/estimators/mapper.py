@@ -12,19 +12,20 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from anisomap.diagnosis.diagnostics import diagnose
+from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import AnisomapWarning
 from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
+from anisomap.methods import DEFAULT_METHOD, find_method
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.joint_values import JointValues
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
+from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct, reconstruct_from
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.stages.dimension import AUTO, Dimensions
 
 SAMPLE_FRAMES = 4096
 """Maximum number of frames that `SensorMapper` keeps to estimate the rest of each sensor."""

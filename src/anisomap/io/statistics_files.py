@@ -17,17 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError
+from anisomap.evidence import SIMILARITIES
 from anisomap.files import atomic_write, check_target
 from anisomap.io.npz import to_json, write_arrays
 from anisomap.io.parsing.archive import NUMBERS, Archive, open_archive
 from anisomap.io.parsing.encoding import check_encodable
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import file_errors
-from anisomap.methods import MethodOptions, find_method
+from anisomap.methods import find_method
+from anisomap.options import MethodOptions
 from anisomap.recording import Scalar
-from anisomap.stages.pair_sums import PairSums
-from anisomap.stages.pairs import SIMILARITIES
 from anisomap.tracking import Evidence
+from anisomap.tracking.pair_sums import PairSums
 
 SUFFIX = ".statistics.npz"
 """End of the name of the file beside a map."""

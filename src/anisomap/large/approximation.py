@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from anisomap._version import __version__
 from anisomap.description import caveats
+from anisomap.dimensions import AUTO, Dimensions, check_dimensions, given_dimensions
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Matches, SensorHealth, assess, weaknesses
 from anisomap.large.chunks import CHUNK_READINGS, Chunks, Excerpt, complete_chunks, split_array
@@ -27,11 +28,10 @@ from anisomap.large.landmarks.sensor_graph import (
     edge_lengths,
 )
 from anisomap.large.landmarks.sketch import Sketch, compute_sketch
-from anisomap.methods import MethodOptions
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
+from anisomap.options import MethodOptions
 from anisomap.recording import MissingPolicy, Recording, Scalar, sensor_mask
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.stages.dimension import AUTO, Dimensions, check_dimensions, given_dimensions
 
 logger = logging.getLogger(__name__)
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth, assess, weaknesses
 from anisomap.large.checkpoints import Checkpoint
@@ -19,18 +20,25 @@ from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
 from anisomap.large.chunks import SEGMENT_FRAMES, Chunks, Excerpt, complete_chunks, split_array
 from anisomap.large.map_reduce import SERIAL, WorkerPool, map_reduce
 from anisomap.memory import check_pair_memory, check_worker_memory
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_even_spacing, find_method
+from anisomap.methods import DEFAULT_METHOD, check_even_spacing, find_method
+from anisomap.numerics.geodesic.geodesic_refinement import GeodesicOptions
+from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import MAX_SQUARED, squares_overflow
 from anisomap.numerics.similarity.value_counts import ValueCounts
+from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import MissingPolicy, Recording
+from anisomap.refinements.chain import MIN_SENSORS
 from anisomap.sensor_map import SensorMap
-from anisomap.stages.dimension import AUTO, Dimensions
-from anisomap.stages.refinement import unexamined_unevenness
 
 logger = logging.getLogger(__name__)
+
+_NOT_EXAMINED = (
+    "the map has very unequal distances between neighbours; heights of contacts, which may give "
+    "better ones, were not examined: map a part of the recording that fits in memory"
+)
 
 _MAX_EXAMINED = 2000  # sensors; finding the neighbours of more takes longer than the map
 
@@ -161,7 +169,7 @@ def stream_similarity(
     """
     check_even_spacing(method, options, readings=False)
     recipe = find_method(method)
-    name, refined = recipe.similarity, recipe.refine is not None
+    name, refined = recipe.similarity, bool(recipe.refinements)
     chunked, segments, complete = CHUNKED[name], Excerpt(), complete_chunks(chunks, missing)
     subject = f"{name} of {source or 'frames'}, {options.bins} bins"
     saved = Checkpoint(checkpoint, subject) if checkpoint else None
@@ -238,7 +246,7 @@ def map_streamed_similarity(
     """
     dropped = set(found.excerpt.indices(drop).tolist())
     noise = None
-    if find_method(method).refine is not None:
+    if find_method(method).refinements:
         # The variance is inversely proportional to the number of frames; the autocorrelation can
         # be estimated from the excerpt.
         share = found.excerpt.n_frames / found.n_frames
@@ -279,15 +287,23 @@ def _limitations(found: StreamedSimilarity, made: SensorMap) -> Iterator[str]:
         )
     largest = np.flatnonzero(made.component == 0)
     if (
-        recipe.refine is not None
+        bool(recipe.refinements)
         and largest.size <= _MAX_EXAMINED
         and found.excerpt.n_frames >= SEGMENT_FRAMES
+        and _is_uneven(found, largest, made.positions[largest])
     ):
-        yield from unexamined_unevenness(
-            found.excerpt.readings[:, largest],
-            made.positions[largest],
-            found.similarity[np.ix_(largest, largest)],
-        )
+        yield _NOT_EXAMINED
+
+
+def _is_uneven(
+    found: StreamedSimilarity, sensors: NDArray[np.intp], positions: NDArray[np.float64]
+) -> bool:
+    """Return whether neighbours on a map lie at very unequal distances."""
+    if len(positions) < MIN_SENSORS or positions.shape[1] < 2:
+        return False
+    similarity = found.similarity[np.ix_(sensors, sensors)]
+    graph = neighbour_graph(found.excerpt.readings[:, sensors], positions, similarity=similarity)
+    return unevenness(positions, graph.adjacency) > GeodesicOptions.max_unevenness
 
 
 def _check_unit(chunk: NDArray[Any]) -> None:

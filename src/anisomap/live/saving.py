@@ -6,13 +6,13 @@ import shlex
 from pathlib import Path
 
 from anisomap import io
+from anisomap.dimensions import AUTO
 from anisomap.drawing import figures, report
 from anisomap.errors import InputError
 from anisomap.live.maps.examination import Examination, ExaminationOptions
 from anisomap.methods import DEFAULT_METHOD
 from anisomap.placement import Anchors, parse_length, place, scaled_to_spacing
 from anisomap.sensor_map import SensorMap
-from anisomap.stages.dimension import AUTO
 
 EXPORTS = (".csv", ".json", ".ply", ".pcd", ".npz", ".urdf", ".mjcf", ".icub.txt", ".launch.xml")
 """Suffixes of the exports that the page offers."""

@@ -11,9 +11,9 @@ import numpy as np
 
 from anisomap.drawing.figures.charts import METHOD_LOOKS, NullBox
 from anisomap.evaluation import Mantel, Score, score
-from anisomap.methods import MethodOptions
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.options import MethodOptions
 from anisomap.paper.cases import METHODS, true_positions
 from anisomap.paper.experiment import Row, Settings
 from anisomap.paper.shape_statistics import axial_scale, spread_of_radii

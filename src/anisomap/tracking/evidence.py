@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
+from anisomap.evidence import PairStatistics
 from anisomap.memory import check_pair_memory
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, check_even_spacing, find_method
+from anisomap.methods import DEFAULT_METHOD, check_even_spacing, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import (
     MIN_CONTACTS,
@@ -20,12 +21,12 @@ from anisomap.numerics.contacts.contact_agreement import (
     is_on_off,
     shows_single_contacts,
 )
+from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import Recording, sensor_mask
 from anisomap.runs import as_runs
 from anisomap.sensor_map import SensorMap
-from anisomap.stages.pair_sums import PairSums
-from anisomap.stages.pairs import PairStatistics
+from anisomap.tracking.pair_sums import PairSums
 
 _MIN_VARYING = 2  # sensors; fewer form no pair
 _DIGEST_BYTES = 16  # of a recording; equal digests of different recordings are out of the question
@@ -165,7 +166,7 @@ def gather_evidence(
                 f"{run.source or 'the recording'} is no evidence of distances: "
                 f"{np.count_nonzero(mapped)} of its {run.n_sensors} sensors vary"
             )
-        check_pair_memory(int(np.count_nonzero(mapped)), refined=recipe.refine is not None)
+        check_pair_memory(int(np.count_nonzero(mapped)), refined=bool(recipe.refinements))
         found = _evidence_of(run.select(mapped).complete(), method, dimensions, chosen)
         total = found if total is None else total.merged(found)
     if total is None:

@@ -13,7 +13,7 @@ from anisomap.numerics.reliability.sampling_noise import (
     typical_variance,
 )
 from anisomap.numerics.similarity.correlation import pearson
-from anisomap.stages.pairs import SIMILARITIES
+from anisomap.evidence import SIMILARITIES
 
 
 def autoregressive(n_frames: int, n_sensors: int, memory: float, seed: int) -> np.ndarray:

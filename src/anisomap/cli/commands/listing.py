@@ -13,10 +13,10 @@ from docstring_parser import parse as parse_docstring
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number
 from anisomap.evaluation.rivals import RIVALS
+from anisomap.evidence import SIMILARITIES
 from anisomap.io import FORMATS
 from anisomap.methods import METHODS, PAPER_METHODS
 from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS, find_scenario
-from anisomap.stages.pairs import SIMILARITIES
 
 
 def methods(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:

@@ -19,6 +19,7 @@ from anisomap import io
 from anisomap.cli import bodies, pipeline, printing
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number, percent, print_warning, progress
+from anisomap.dimensions import AUTO
 from anisomap.drawing import report as reports
 from anisomap.errors import InputError
 from anisomap.files import check_distinct, check_target
@@ -29,7 +30,6 @@ from anisomap.live.page.server import Server
 from anisomap.live.saving import save_map, save_report
 from anisomap.live.sources.simulated import Advised, SimulatedHand
 from anisomap.methods import DEFAULT_METHOD, find_method
-from anisomap.stages.dimension import AUTO
 
 _source = Group("Source", sort_key=0)
 _page = Group("Page", sort_key=4)

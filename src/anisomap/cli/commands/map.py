@@ -13,13 +13,14 @@ from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, printing, streams
 from anisomap.cli.console import print_warning, progress
+from anisomap.dimensions import AUTO
 from anisomap.errors import InputError
 from anisomap.evaluation import PERMUTATIONS
 from anisomap.health import Finding
-from anisomap.methods import DEFAULT_METHOD, MethodOptions, find_method
+from anisomap.methods import DEFAULT_METHOD, find_method
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
-from anisomap.stages.dimension import AUTO
+from anisomap.options import MethodOptions
 from anisomap.tracking import gather_evidence
 
 

@@ -15,17 +15,18 @@ from numpy.typing import NDArray
 
 from anisomap import io
 from anisomap.diagnosis.diagnostics import diagnose
+from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import AnisomapError
 from anisomap.evaluation import score
 from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
 from anisomap.io.stream import ReadOptions
 from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.large.streaming import map_streamed_similarity, stream_similarity
-from anisomap.methods import DEFAULT_METHOD, MethodOptions
+from anisomap.methods import DEFAULT_METHOD
+from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.stages.dimension import AUTO, Dimensions
 from anisomap.usability import Verdict
 
 MAX_READINGS = 1 << 27

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from anisomap.diagnosis.halves import MIN_FRAMES
+from anisomap.dimensions import AUTO
 from anisomap.health import SensorHealth
 from anisomap.live.history import Point, thinned
 from anisomap.live.maps.coach import confirmed_faults
@@ -17,7 +18,6 @@ from anisomap.live.maps.examination import Examination, ExaminationOptions
 from anisomap.live.maps.quick_map import QuickMap
 from anisomap.live.maps.workers import Changed, Examine, Failed, Ready, Worker
 from anisomap.live.recorder import Segment
-from anisomap.stages.dimension import AUTO
 from anisomap.usability import UNKNOWN
 
 _GROWTH = 1.15  # of the number of frames between two checked maps

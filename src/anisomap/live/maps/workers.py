@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from anisomap.dimensions import AUTO, SPATIAL
 from anisomap.errors import InputError
 from anisomap.io import numbering
 from anisomap.live.journal import JournalTail
@@ -28,7 +29,6 @@ from anisomap.live.maps.statistics import TouchStatistics
 from anisomap.live.recorder import Segment
 from anisomap.memory import check_pair_memory
 from anisomap.recording import Recording
-from anisomap.stages.dimension import AUTO, SPATIAL
 
 _POLL_S = 0.03  # between two looks at a recording that has not grown
 _READ_BYTES = 1 << 22  # at a time, so that a map of a backlog is made now and then

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,18 +14,17 @@ from anisomap.numerics.contacts.alternation import (
     alternate,
     explained_share,
     initial_state,
-    relocated,
 )
 from anisomap.numerics.contacts.bundle_adjustment import ReducedSystem
 from anisomap.numerics.contacts.detection import Contacts, find_contacts
 from anisomap.numerics.contacts.levels import Levels, assign_levels
 from anisomap.numerics.contacts.localisation import evaluate
+from anisomap.numerics.similarity.rest import Rest
 
 Matrix = NDArray[np.float64]
 
 # Chosen by hand on simulated skins, seeds 101 to 105; lengths in sensor spacings.
 _MIN_CONTACTS = 0.5  # per sensor
-_REFIT_STEPS = 4  # of the sensors; with 3, differences of halves were up to 4 % larger
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,11 @@ class Solution:
 
 
 def fit_contacts(
-    readings: ArrayLike, positions: ArrayLike, options: ContactOptions | None = None
+    readings: ArrayLike,
+    positions: ArrayLike,
+    options: ContactOptions | None = None,
+    *,
+    rest: Rest | None = None,
 ) -> ContactFit:
     """Refine a map by fitting the contacts that caused the readings.
 
@@ -166,6 +169,8 @@ def fit_contacts(
         An approximately correct map in any unit, for example from
         `anisomap.numerics.covariogram.covariogram_fit.fit_covariogram`.
     options : ContactOptions, optional
+    rest : Rest, optional
+        Rest of the sensors, if already estimated.
 
     Returns
     -------
@@ -195,7 +200,7 @@ def fit_contacts(
     chosen = options or ContactOptions()
     values, given = np.asarray(readings), np.asarray(positions, dtype=np.float64)
     _check(values, given)
-    levels = assign_levels(values, chosen.n_levels, chosen.max_gain_spread)
+    levels = assign_levels(values, chosen.n_levels, chosen.max_gain_spread, rest)
     if levels.at_rest < chosen.min_at_rest:
         reason = (
             f"only {levels.at_rest:.0%} of the readings are at rest; detecting contacts needs "
@@ -230,60 +235,6 @@ def fit_contacts(
         gains=levels.gains,
         used=True,
         solution=Solution(contacts, state, centre, unit, chosen),
-    )
-
-
-def refit_contacts(fit: ContactFit, start: ArrayLike, frames: NDArray[np.intp]) -> ContactFit:
-    """Fit the contacts of some frames, beginning with those of a fit to all frames.
-
-    Parameters
-    ----------
-    fit : ContactFit
-        That was used.
-    start : array_like of shape (N, k)
-        Map in place of the given one, in its frame and unit.
-    frames : ndarray of int
-        Indices of the frames.
-
-    Returns
-    -------
-    ContactFit
-        With the positions `start` if the checks of `ContactOptions` fail.
-
-    Raises
-    ------
-    InputError
-        If the fit was not used.
-
-    Notes
-    -----
-    Contacts and their readings are not detected again, and sensors make 4 steps from `start`. On
-    maps of halves of ten recordings (eight simulated ones, seeds 11 to 25, and the iCub's hexagon
-    and palm), the differences from the map of all frames were .79 to 1.21 times those of fits from
-    the beginning, 1.06 in the median.
-    """
-    solved = _solution(fit)
-    initial = np.asarray(start, dtype=np.float64)
-    chosen = np.isin(solved.contacts.frames, frames)
-    centre = initial.mean(axis=0)
-    unused = replace(fit, positions=initial, used=False, solution=None)
-    if np.count_nonzero(chosen & solved.state.kept) < _MIN_CONTACTS * len(initial):
-        return replace(unused, reason="too few contacts")
-    contacts = solved.contacts.select(chosen)
-    given = (initial - centre) / solved.unit
-    known = solved.state
-    state = ContactState(given, known.contacts[chosen], known.profile, known.kept[chosen])
-    options = replace(solved.options, n_steps=_REFIT_STEPS)
-    state = _alternated(contacts, relocated(contacts, state), given, options)
-    explained = explained_share(contacts, state)
-    if not explained >= options.min_explained:
-        return replace(unused, explained=explained, reason="contacts do not explain the readings")
-    return replace(
-        fit,
-        positions=state.positions * solved.unit + centre,
-        n_contacts=len(contacts.starts),
-        explained=explained,
-        solution=Solution(contacts, state, centre, solved.unit, solved.options),
     )
 
 

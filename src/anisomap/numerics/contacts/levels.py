@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.columns import columns, find_levels
-from anisomap.numerics.similarity.rest import quantile_from_counts, rest_from_counts
+from anisomap.numerics.similarity.rest import Rest, estimate_rest
 
 Floats = NDArray[np.float64]
 
@@ -40,69 +39,61 @@ class Levels:
     gains: NDArray[np.float64]
 
 
-def assign_levels(readings: ArrayLike, n_levels: int, max_gain_spread: float) -> Levels:
-    """Quantise readings above rest into levels of about equal counts.
+def assign_levels(
+    readings: ArrayLike, n_levels: int, max_gain_spread: float, rest: Rest | None = None
+) -> Levels:
+    """Quantise readings (T, N) above rest into at most `n_levels` levels of about equal counts.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings.
-    n_levels : int
-        Number of levels above rest; there are fewer if readings have fewer distinct values.
-    max_gain_spread : float
-        Standard deviation of the log gains of sensors, at least 0, up to which readings are not
-        normalised. Above it, each sensor is divided by its gain, the 0.9 quantile of its readings
-        above rest, which is itself noisy.
-
-    Returns
-    -------
-    Levels
-        Rest is that of `anisomap.numerics.similarity.rest.estimate_rest`.
+    Sensors whose log gains spread by more than `max_gain_spread` are divided by their gains, the
+    0.9 quantiles of their readings above rest, which are themselves noisy. The rest is estimated
+    if it is not given.
     """
     values = np.asarray(readings)
-    # Of each sensor, only distinct readings are examined.
-    found = [find_levels(column) for column in columns(values)]
-    distinct = [one.values.astype(np.float64) for one in found]
-    counts = [one.counts for one in found]
-    rest = rest_from_counts(zip(distinct, counts, strict=True))
-    own = list(zip(distinct, rest.value, rest.side, rest.threshold, strict=True))
-    depths = [np.maximum(side * (x - value) - least, 0) for x, value, side, least in own]
-    typical = np.array(
-        [quantile_from_counts(*pair, _RANGE_QUANTILE) for pair in zip(depths, counts, strict=True)]
-    )
-    typical = np.where(typical > 0, typical, [depth.max() for depth in depths])
-    gains = _gains(depths, counts, typical)
+    rest = estimate_rest(values) if rest is None else rest
+    depths = np.ascontiguousarray(rest.depth(values).T)  # sensor by sensor
+    ordered = [np.sort(depth[depth > 0]) for depth in depths]
+    n_frames = len(values)
+    typical = np.array([_quantile(one, n_frames, _RANGE_QUANTILE) for one in ordered])
+    typical = np.where(typical > 0, typical, [one[-1] if one.size else 0.0 for one in ordered])
+    gains = _gains(ordered, typical)
     if np.log(gains).std() > max_gain_spread:
-        depths = [depth / gain for depth, gain in zip(depths, gains, strict=True)]
+        depths /= gains[:, None]
+        ordered = [one / gain for one, gain in zip(ordered, gains, strict=True)]
         typical = typical / gains
     least_depth = _MIN_DEPTH * np.median(typical)
-    touched = [depth > least_depth for depth in depths]
-    pressed = np.repeat(np.concatenate(depths), np.concatenate(counts) * np.concatenate(touched))
+    pressed = np.concatenate([one[one > least_depth] for one in ordered])
     edges = pressed
     if pressed.size:
         edges = np.unique(np.quantile(pressed, np.arange(1, n_levels) / n_levels))
     edges = edges[edges < pressed.max(initial=0.0)]
-    by_sensor = np.empty(values.shape[::-1], dtype=np.int8)
-    for level, depth, above, row in zip(found, depths, touched, by_sensor, strict=True):
-        own_levels = above * (1 + np.searchsorted(edges, depth, side="left"))
-        level.expand(own_levels.astype(np.int8), out=row)
-    near_rest = [
-        count[np.abs(x - value) <= max(least, _MIN_DEPTH * (x[-1] - x[0]))].sum()
-        for (x, value, _, least), count in zip(own, counts, strict=True)
-    ]
-    at_rest = float(sum(near_rest)) / max(values.size, 1)
+    by_sensor = np.empty(depths.shape, dtype=np.int8)
+    for depth, row in zip(depths, by_sensor, strict=True):
+        row[:] = (depth > least_depth) * (1 + np.searchsorted(edges, depth, side="left"))
+    extent = values.max(axis=0).astype(np.float64) - values.min(axis=0)
+    near = np.maximum(rest.threshold, _MIN_DEPTH * extent)
+    at_rest = float((np.abs(values - rest.value) <= near).mean()) if values.size else 0.0
     levels, gains = np.ascontiguousarray(by_sensor.T), gains / np.median(gains)
     for array in (levels, gains):
         array.setflags(write=False)
     return Levels(values=levels, max_level=len(edges) + 1, at_rest=at_rest, gains=gains)
 
 
-def _gains(depths: list[Floats], counts: list[NDArray[np.int64]], typical: Floats) -> Floats:
+def _quantile(ordered: Floats, n_values: int, level: float) -> float:
+    """Return a quantile of `n_values` values of which all but the ordered ones are 0."""
+    place = level * (n_values - 1) - (n_values - ordered.size)
+    if place < 0:
+        return max(0.0, 1 + place) * float(ordered[0]) if ordered.size else 0.0
+    below = int(place)
+    low, high = ordered[[below, min(below + 1, ordered.size - 1)]]
+    return float(low + (place - below) * (high - low))
+
+
+def _gains(ordered: list[Floats], typical: Floats) -> Floats:
     """Return the gain of each sensor; the median of all for a rarely touched sensor."""
-    gains = np.full(len(depths), np.nan)
-    for i, (depth, count) in enumerate(zip(depths, counts, strict=True)):
-        touched = depth > _MIN_DEPTH * typical[i]
-        if count[touched].sum() > _MIN_TOUCHES:
-            gains[i] = quantile_from_counts(depth[touched], count[touched], _GAIN_QUANTILE)
+    gains = np.full(len(ordered), np.nan)
+    for i, depth in enumerate(ordered):
+        touched = depth[depth > _MIN_DEPTH * typical[i]]
+        if touched.size > _MIN_TOUCHES:
+            gains[i] = np.quantile(touched, _GAIN_QUANTILE)
     known = np.isfinite(gains)
     return np.where(known, gains, np.median(gains[known]) if known.any() else 1.0)

@@ -11,18 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import isotonic_regression
 from scipy.spatial.distance import pdist
 
-from anisomap.errors import InputError
-from anisomap.numerics.columns import columns, find_levels, ranks_from_counts
+from anisomap.numerics.columns import mean_ranks
 from anisomap.numerics.geodesic.contact_peaks import MIN_PEAKS, contacts_of
 from anisomap.numerics.reliability.split_half import split_blocks
-from anisomap.numerics.similarity.rest import rest_from_counts
 
 Matrix = NDArray[np.float64]
 
@@ -31,7 +28,8 @@ _MIN_HEIGHTS = 4  # distinct heights per sensor; readings with fewer levels have
 _MIN_VARIANCE = 1e-9  # of relative ranks, whose variance is 1/12 without ties; rounding error
 _RIDGE = 1.0  # of the partial correlations, as for correlations of readings
 _MIN_TOUCHED = 0.5  # share of a sensor's contacts that another shares, to be its possible neighbour
-_SENSORS_AT_ONCE = 16  # sensors whose ranks are transposed at a time: those of a cache line
+_MAX_SHARING = 48  # sensors given which a pair is correlated; a surface has fewer around a sensor
+_TINY = 1e-12  # standard deviation of ranks that are all equal
 _MIN_PAIRS = 50  # of which the explained share is computed; chosen by hand
 
 
@@ -91,44 +89,29 @@ class ContactHeights:
     ranks: NDArray[np.float32]
 
     @classmethod
-    def of(cls, readings: ArrayLike) -> ContactHeights:
+    def of(cls, depths: ArrayLike) -> ContactHeights:
         """Find the contacts of all sensors.
 
         Parameters
         ----------
-        readings : array_like of shape (T, N)
-            Finite readings in temporal order.
+        depths : array_like of shape (T, N)
+            Depths beyond rest (`anisomap.numerics.similarity.rest.Rest.depth`) in temporal order.
 
         Returns
         -------
         ContactHeights
-
-        Raises
-        ------
-        InputError
-            If the readings do not have two dimensions.
         """
-        values = np.asarray(readings)
-        if values.ndim != 2:
-            raise InputError(f"readings must have shape (T, N), got {values.shape}")
-        peaks, graded, durations, order = [], [], [], []
-        for column in columns(values):
-            raised, codes = _raised(column)
-            frames, heights, lasting = contacts_of(raised)
-            peaks.append(frames)
-            graded.append(np.unique(heights).size >= _MIN_HEIGHTS)
-            durations.append(lasting)
-            order.append(codes)
+        by_sensor = np.ascontiguousarray(np.asarray(depths, dtype=np.float64).T)
+        peaks, heights, durations = zip(*map(contacts_of, by_sensor), strict=True)
+        graded = [np.unique(one).size >= _MIN_HEIGHTS for one in heights]
         lasting = np.concatenate(durations)
         half = max(1, round(_WINDOW * float(np.median(lasting)))) if lasting.size else 1
         # The highest reading around a frame is the height of the contact that matches a peak there;
         # it is at rest, a tie, where the sensor is not touched.
-        ranks = np.empty(values.shape, np.float32)
-        for begin in range(0, values.shape[1], _SENSORS_AT_ONCE):
-            some = order[begin : begin + _SENSORS_AT_ONCE]
-            rows = [_relative_ranks(_highest_around(codes, half)) for codes in some]
-            ranks[:, begin : begin + len(some)] = np.array(rows).T
-        return cls(tuple(peaks), np.array(graded), ranks)
+        ranks = np.empty(by_sensor.shape, np.float32)
+        for row, depth in zip(ranks, by_sensor, strict=True):
+            row[:] = mean_ranks(_highest_around(depth, half)) / len(depth)
+        return cls(peaks, np.array(graded), ranks.T)
 
     @cached_property
     def halves(self) -> list[HeightSimilarity]:
@@ -193,17 +176,19 @@ class ContactHeights:
         if len(ranks) < MIN_PEAKS:
             return found
         sharing = np.mean(ranks > lowest, axis=0) > _MIN_TOUCHED
-        sharing[sensor] = True
+        sharing[sensor] = False
         chosen = np.flatnonzero(sharing)
         centred = ranks[:, chosen] - ranks[:, chosen].mean(axis=0)
-        spread = centred.std(axis=0)
-        centred /= np.where(spread > 0, spread, 1.0)
-        covariance = centred.T @ centred / len(ranks) + _RIDGE * np.eye(len(chosen))
+        own = ranks[:, sensor] - ranks[:, sensor].mean()
+        spread = np.maximum(centred.std(axis=0), _TINY)
+        if len(chosen) > _MAX_SHARING:
+            nearest = np.argsort(-(own @ centred) / spread, kind="stable")[:_MAX_SHARING]
+            chosen, centred, spread = chosen[nearest], centred[:, nearest], spread[nearest]
+        standardised = np.column_stack([own / max(own.std(), _TINY), centred / spread])
+        covariance = standardised.T @ standardised / len(ranks) + _RIDGE * np.eye(len(chosen) + 1)
         precision = np.linalg.inv(covariance)
-        own = int(np.searchsorted(chosen, sensor))
         scale = np.sqrt(np.diag(precision))
-        found[chosen] = -precision[own] / (scale * scale[own])
-        found[sensor] = 0.0
+        found[chosen] = -precision[0, 1:] / (scale[1:] * scale[0])
         return found
 
 
@@ -254,30 +239,10 @@ def explained_share(
     return Explained(float(np.corrcoef(first, second)[0, 1]), 1 - unexplained)
 
 
-def _raised(column: NDArray[Any]) -> tuple[Matrix, NDArray[np.unsignedinteger[Any]]]:
-    """Return the readings of a sensor beyond rest, on the side of contact, and their order.
-
-    Returns
-    -------
-    raised : ndarray of float64, shape (T,)
-    codes : ndarray of unsigned int, shape (T,)
-        0 at rest, and greater for higher readings.
-    """
-    levels = find_levels(column)
-    values = levels.values.astype(np.float64)
-    rest = rest_from_counts([(values, levels.counts)])
-    raised = np.maximum(rest.side * (values - rest.value), 0)
-    order = slice(None, None, int(rest.side[0]))
-    codes = np.cumsum(raised[order] > 0)[order]
-    codes = codes.astype(np.min_scalar_type(len(codes)))
-    return levels.expand(raised), levels.expand(codes)
-
-
-def _highest_around(codes: NDArray[Any], half: int) -> NDArray[Any]:
+def _highest_around(depths: Matrix, half: int) -> Matrix:
     """Return the maximum over `half` frames to each side of every frame."""
     width = 2 * half + 1
-    highest = np.zeros(len(codes) + 2 * half, codes.dtype)
-    highest[half : half + len(codes)] = codes
+    highest = np.pad(depths, half)
     size = 1
     while 2 * size <= width:  # maxima over twice as many frames
         highest = np.maximum(highest[:-size], highest[size:])
@@ -285,8 +250,3 @@ def _highest_around(codes: NDArray[Any], half: int) -> NDArray[Any]:
     if size < width:
         highest = np.maximum(highest[: size - width], highest[width - size :])
     return highest
-
-
-def _relative_ranks(codes: NDArray[Any]) -> NDArray[np.float32]:
-    levels = find_levels(codes)
-    return levels.expand((ranks_from_counts(levels.counts) / len(codes)).astype(np.float32))

@@ -16,7 +16,8 @@ from anisomap.numerics.reliability.split_half import (
     at_frames,
     correlation_and_reliability,
 )
-from anisomap.numerics.similarity.rest import ranks_of_depths
+from anisomap.numerics.similarity.reference import without_common_signal
+from anisomap.numerics.similarity.rest import Rest, rest_and_ranks
 
 # Tuned on simulated skins, seeds 101-105; 3 to 10 in place of 5 give about equal maps.
 _POWER_OF_RELIABILITY = 5.0
@@ -75,6 +76,7 @@ class SplitBlend:
 
     similarity: Reals
     weights: tuple[float, ...]
+    rest: Rest
     ranks: Reals
     halves: tuple[Reals, ...] = ()
 
@@ -95,12 +97,12 @@ def split_blend(readings: ArrayLike, *, halves: bool = False) -> SplitBlend:
     SplitBlend
     """
     values = np.asarray(readings)
-    ranks = ranks_of_depths(values, single=True)
+    rest, ranks = rest_and_ranks(values, single=True)
     halves = halves and values.shape[1] <= _MAX_SENSORS_OF_HALVES
     linear, by_rank = (correlation_and_reliability(one, halves=halves) for one in (values, ranks))
     parts = zip((linear, *linear.halves), (by_rank, *by_rank.halves), strict=True)
     blended, weights = zip(*(_blended(*part) for part in parts), strict=True)
-    return SplitBlend(blended[0], weights, ranks, blended[1:])
+    return SplitBlend(blended[0], weights, rest, ranks, blended[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +130,7 @@ class Blend:
     similarity: Reals
     variance: Reals
     weights: tuple[float, ...]
+    rest: Rest
     ranks_of_all: Reals
     halves: tuple[Reals, ...] = ()
     deviations: tuple[Reals, ...] = ()
@@ -140,6 +143,7 @@ class Blend:
             self,
             similarity=self.similarity[inside],
             variance=self.variance[inside],
+            rest=self.rest.select(sensors),
             ranks_of_all=self.ranks_of_all[:, sensors],
             halves=tuple(half[inside] for half in self.halves),
             deviations=tuple(one[inside] for one in self.deviations),
@@ -167,7 +171,7 @@ class Blend:
         else:
             parts = (readings, at_frames(ranks, frames))
             variance = _combined_variance(weight, _deviations(parts))
-        return Blend(self.halves[half], variance, (weight,), ranks, frames=frames)
+        return Blend(self.halves[half], variance, (weight,), self.rest, ranks, frames=frames)
 
 
 def blend(readings: ArrayLike) -> Blend:
@@ -198,7 +202,9 @@ def blend(readings: ArrayLike) -> Blend:
     deviations = _deviations((values, found.ranks))
     variance = _combined_variance(found.weights[0], deviations)
     kept = deviations if found.halves and len(values) >= _MIN_FRAMES_FOR_HALVES else ()
-    return Blend(found.similarity, variance, found.weights, found.ranks, found.halves, kept)
+    return Blend(
+        found.similarity, variance, found.weights, found.rest, found.ranks, found.halves, kept
+    )
 
 
 def _deviations(parts: tuple[NDArray[Any], ...]) -> tuple[Reals, ...]:
@@ -222,4 +228,4 @@ def _blended(linear: SplitCorrelation, by_rank: SplitCorrelation) -> tuple[Reals
     blended *= weight
     blended += (1 - weight) * by_rank.correlation
     np.fill_diagonal(blended, 1.0)
-    return blended, weight
+    return without_common_signal(blended), weight

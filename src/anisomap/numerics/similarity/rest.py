@@ -52,6 +52,11 @@ class Rest:
     threshold: NDArray[np.float64]
     known: NDArray[np.bool_]
 
+    def select(self, sensors: NDArray[Any]) -> Rest:
+        """Return the rest of some sensors, given as a mask or as indices."""
+        chosen = (self.value, self.side, self.threshold, self.known)
+        return Rest(*(one[sensors] for one in chosen))
+
     def depth(self, readings: ArrayLike) -> NDArray[np.float64]:
         """Return the excess of readings over the threshold, shape (T, N); 0 at rest."""
         beyond = self.side * (np.asarray(readings, dtype=np.float64) - self.value) - self.threshold
@@ -128,7 +133,12 @@ def _rest_of_readings(readings: NDArray[Any]) -> Rest:
 
 
 def ranks_of_depths(readings: ArrayLike, *, single: bool = False) -> NDArray[Any]:
-    """Rank the readings of each sensor by their depth beyond rest.
+    """Rank the readings of each sensor by their depth beyond rest: see `rest_and_ranks`."""
+    return rest_and_ranks(readings, single=single)[1]
+
+
+def rest_and_ranks(readings: ArrayLike, *, single: bool = False) -> tuple[Rest, NDArray[Any]]:
+    """Estimate the rest of each sensor, and rank its readings by their depth beyond rest.
 
     Parameters
     ----------
@@ -139,29 +149,32 @@ def ranks_of_depths(readings: ArrayLike, *, single: bool = False) -> NDArray[Any
 
     Returns
     -------
-    ndarray of shape (T, N)
-        Ranks of ``estimate_rest(readings).depth(readings)`` among those of the sensor; ties share
-        their mean. Contiguous by column.
+    rest : Rest
+        That of `estimate_rest`.
+    ranks : ndarray of shape (T, N)
+        Ranks of ``rest.depth(readings)`` among those of the sensor; ties share their mean.
+        Contiguous by column.
     """
     values = np.asarray(readings)
     dtype = np.float32 if single and len(values) <= _MAX_EXACT_FRAMES else np.float64
     ranks = np.empty(values.shape[::-1], dtype)
-    for own, column in zip(ranks, columns(values), strict=True):
-        _rank_depths(column, own)
-    return ranks.T
+    found = [_rank_depths(column, own) for own, column in zip(ranks, columns(values), strict=True)]
+    return _as_rest(found), ranks.T
 
 
-def _rank_depths(column: NDArray[Any], ranks: NDArray[Any]) -> None:
-    """Rank the readings of one sensor, shape (T,), by their depth; overwrite `ranks`."""
+def _rank_depths(column: NDArray[Any], ranks: NDArray[Any]) -> tuple[float, float, float, bool]:
+    """Rank the readings of one sensor, shape (T,), by depth into `ranks`; return its rest."""
     levels = find_levels(column)
     values = levels.values.astype(np.float64)
-    value, side, threshold, _ = _rest_of(values, levels.counts)
+    rest = _rest_of(values, levels.counts)
+    value, side, threshold, _ = rest
     depths = np.maximum(side * (values - value) - threshold, 0)[:: int(side)]
     # Depths do not decrease in this order; several readings at rest have depth 0.
     level = np.zeros(depths.size, dtype=np.intp)
     np.cumsum(depths[1:] > depths[:-1], out=level[1:])
     by_level = ranks_from_counts(np.bincount(level, weights=levels.counts[:: int(side)]))
     levels.expand(by_level[level][:: int(side)], out=ranks)
+    return rest
 
 
 def rest_from_counts(
@@ -179,8 +192,12 @@ def rest_from_counts(
     Rest
         See `estimate_rest`.
     """
-    rest, side, threshold, known = np.array([_rest_of(*pair) for pair in values_and_counts]).T
-    return Rest(value=rest, side=side, threshold=threshold, known=known > 0)
+    return _as_rest([_rest_of(*pair) for pair in values_and_counts])
+
+
+def _as_rest(of_sensors: list[tuple[float, float, float, bool]]) -> Rest:
+    value, side, threshold, known = np.array(of_sensors).T
+    return Rest(value=value, side=side, threshold=threshold, known=known > 0)
 
 
 def quantile_from_counts(

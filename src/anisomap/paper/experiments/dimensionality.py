@@ -8,15 +8,16 @@ import numpy as np
 
 from anisomap.drawing.figures.charts import CurvePanel, curves_figure
 from anisomap.errors import AnisomapWarning
+from anisomap.evidence import compare
 from anisomap.mapping import dissimilarities
-from anisomap.methods import MethodOptions, find_method
+from anisomap.methods import find_method
 from anisomap.numerics.precision import Reals
+from anisomap.options import MethodOptions
 from anisomap.paper.cases import CASES, METHODS, patch_run
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
 from anisomap.paper.shape_statistics import n_dimensions, spectrum
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
-from anisomap.stages.pairs import compare
 
 COLUMNS = {
     "run": "body and scenario, or patch",

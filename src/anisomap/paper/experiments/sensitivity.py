@@ -11,8 +11,8 @@ import numpy as np
 
 from anisomap.drawing.figures.charts import CurvePanel, curves_figure
 from anisomap.errors import InputError
-from anisomap.methods import MethodOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.options import MethodOptions
 from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
 from anisomap.paper.map_scores import map_and_score

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
-from anisomap.numerics.geodesic.contact_heights import ContactHeights
-from anisomap.numerics.geodesic.height_refinement import examined_heights
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.blending import (
@@ -29,8 +27,7 @@ from anisomap.numerics.reliability.split_half import at_frames, split_blocks, sp
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
-from anisomap.numerics.similarity.reference import refer_to_mean
-from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.numerics.similarity.rest import Rest, estimate_rest, rest_and_ranks
 from anisomap.recording import Recording
 
 logger = logging.getLogger(__name__)
@@ -60,15 +57,12 @@ class Similarity:
     blend : callable, optional
         ``blend(readings)`` returns the similarity, its sampling variance and what it was blended
         from, if it is not the correlation of any scores.
-    refer : callable, optional
-        ``refer(readings)`` returns the readings that are compared, shape (T, n).
     """
 
     summary: str
     compute: Callable[[ArrayLike, int], Reals]
     scores: Callable[[NDArray[np.generic]], ArrayLike] | None = None
     blend: Callable[[ArrayLike], Blend] | None = None
-    refer: Callable[[NDArray[Any]], NDArray[Any]] | None = None
 
     def with_variance(self, readings: NDArray[np.generic], bins: int) -> tuple[Reals, Reals]:
         """Compute the similarity, and its sampling variance for unrelated sensors, (n, n) each."""
@@ -100,7 +94,6 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
             "linear correlation where it is reliable, else rank correlation",
             lambda x, _: blended_correlation(x),
             blend=blend,
-            refer=refer_to_mean,
         ),
         "contact-agreement": Similarity(
             "agreement over distinct contacts (kappa), for readings that are on or off",
@@ -203,9 +196,20 @@ class PairStatistics:
         return None if self.readings is None else blended_correlation(self.readings)
 
     @cached_property
-    def heights(self) -> ContactHeights | None:
-        """Heights of contacts by `examined_heights`; None without readings."""
-        return None if self.readings is None else examined_heights(self.readings)
+    def rest(self) -> Rest:
+        """Rest of each sensor; requires readings."""
+        return self._rest_and_ranks[0]
+
+    @property
+    def ranks(self) -> Reals:
+        """Ranks of the depths of each sensor beyond rest, (T, n); requires readings."""
+        return self._rest_and_ranks[1]
+
+    @cached_property
+    def _rest_and_ranks(self) -> tuple[Rest, Reals]:
+        if self.blended is not None:
+            return self.blended.rest, self.blended.ranks
+        return rest_and_ranks(np.asarray(self.readings))
 
     @cached_property
     def _changes(self) -> tuple[Reals, ...]:
@@ -324,17 +328,13 @@ def compare(
     logger.info("comparing all pairs of sensors (%s)", similarity)
     statistic = SIMILARITIES[similarity]
 
-    def joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.floating]:
-        readings = _joined(runs, names)
-        return readings if statistic.refer is None else statistic.refer(readings)
-
     def computed(readings: NDArray[np.floating]) -> tuple[Reals, ArrayLike]:
         if with_noise:
             return statistic.with_variance(readings, bins)
         return statistic.compute(readings, bins), np.nan
 
     if len({frozenset(run.names) for run in runs}) == 1:
-        readings = joined(runs, runs[0].names)
+        readings = _joined(runs, runs[0].names)
         if with_noise and statistic.blend is not None:
             readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
             blended = statistic.blend(readings)
@@ -356,7 +356,7 @@ def compare(
     shared = _shared_runs(runs, names)
     values, noise = np.eye(len(names)), np.ones(shared.shape)
     for runs_of_pair, chosen, sensors in _groups(runs, shared):
-        readings = joined(chosen, tuple(names[i] for i in sensors))
+        readings = _joined(chosen, tuple(names[i] for i in sensors))
         inside = np.ix_(sensors, sensors)
         in_group = shared[inside] == runs_of_pair
         found, variance = computed(readings)

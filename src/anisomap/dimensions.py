@@ -11,7 +11,6 @@ from anisomap.errors import InputError
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.dimension import DimensionChoice, choose_dimensions
 from anisomap.recording import Scalar
-from anisomap.stages.refinement import RefinementFacts
 
 AUTO: Literal["auto"] = "auto"
 """Let the readings choose between 2 and 3 dimensions."""
@@ -90,14 +89,14 @@ class DimensionPlan:
             facts |= {f"elbow_{k}": round(self.choice.elbow(k), 3) for k in (1, 2, 3)}
         return facts
 
-    def revised(self, facts: RefinementFacts) -> DimensionPlan:
+    def revised(self, *, elongated: bool) -> DimensionPlan:
         """Return the plan after the map was refined.
 
         Where contacts are long in one direction, distances across them appear too small, and the
         metric of a body that rolls looks flat. A chosen flat map then has to be made again.
         """
         # Maps of lines are curves, which look like maps of elongated contacts.
-        if self.choice is None or self.choice.line or not facts.elongated:
+        if self.choice is None or self.choice.line or not elongated:
             return self
         if not self.choice.clear or self.choice.dimensions == SPATIAL:
             return self

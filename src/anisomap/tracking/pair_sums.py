@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
+from anisomap.evidence import SIMILARITIES, PairStatistics
 from anisomap.numerics.contacts.contact_agreement import (
     agreement_of_sums,
     distinct_contacts,
@@ -17,7 +18,6 @@ from anisomap.numerics.contacts.contact_agreement import (
 )
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.similarity.rest import ranks_of_depths
-from anisomap.stages.pairs import SIMILARITIES, PairStatistics
 
 _MIN_CONTACTS = 2  # for a sampling variance
 
@@ -59,15 +59,13 @@ class PairSums:
         readings : ndarray of shape (T, n)
             Finite readings of sensors that vary.
         similarity : str
-            A key of `anisomap.stages.pairs.SIMILARITIES`.
+            A key of `anisomap.evidence.SIMILARITIES`.
         bins : int
             Bins per sensor, for entropies.
         """
         chosen, shape = SIMILARITIES[similarity], (readings.shape[1],) * 2
         if similarity in _OF_CONTACTS and len(distinct_contacts(readings)) < _MIN_CONTACTS:
             return cls(*(np.zeros(shape) for _ in fields(cls)))
-        if chosen.refer is not None:
-            readings = chosen.refer(readings)
         products, squares, weight = _pooling(similarity).sums(
             readings, chosen.compute(readings, bins)
         )

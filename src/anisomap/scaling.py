@@ -3,35 +3,22 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from anisomap.dimensions import DimensionPlan
+from anisomap.evidence import PairStatistics
 from anisomap.numerics.graph.connectivity import components
 from anisomap.numerics.precision import Reals, row_blocks
 from anisomap.numerics.scaling.stress_minimisation import Scaling, SmacofOptions, smacof
-from anisomap.stages.dimension import DimensionPlan
-from anisomap.stages.pairs import PairStatistics
-from anisomap.stages.refinement import Refined, RefinementFacts
+from anisomap.options import MethodOptions
+from anisomap.refinements.chain import RefinedMap, Step, refine
 
 logger = logging.getLogger(__name__)
-
-
-class _HasMinSensors(Protocol):
-    @property
-    def min_sensors(self) -> int: ...
-
-
-class _Options(_HasMinSensors, Protocol):
-    @property
-    def smacof(self) -> SmacofOptions: ...
-
-
-Options = TypeVar("Options", bound=_HasMinSensors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +37,7 @@ class Configuration:
         Whether the scaling of every component converged.
     n_iterations : int
         Number of SMACOF iterations, the maximum over components.
-    facts : RefinementFacts
-        How the largest component was refined.
-    notes : tuple of str
-        Caveats of the refinement of any component.
-    refinements : tuple of Refined or None
+    refinements : tuple of RefinedMap or None
         How each component was refined, before it was rescaled; empty if none was.
     """
 
@@ -63,9 +46,18 @@ class Configuration:
     stress: float
     converged: bool
     n_iterations: int
-    facts: RefinementFacts = field(default_factory=RefinementFacts)
-    notes: tuple[str, ...] = ()
-    refinements: tuple[Refined | None, ...] = ()
+    refinements: tuple[RefinedMap | None, ...] = ()
+
+    @property
+    def largest(self) -> RefinedMap | None:
+        """How the largest component was refined; None if it was not."""
+        return self.refinements[0] if self.refinements else None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Caveats of the refinement of any component, each once."""
+        refined = [one for one in self.refinements if one is not None]
+        return tuple(dict.fromkeys(note for one in refined for note in one.notes))
 
 
 def scale(
@@ -124,47 +116,25 @@ def scale(
     )
 
 
-def refine(
-    method: Callable[[PairStatistics, Reals, Reals, Options], Refined],
+def refine_components(
+    steps: Mapping[str, Step],
     pairs: PairStatistics,
     metric: Reals,
     configuration: Configuration,
-    options: Options,
+    options: MethodOptions,
 ) -> Configuration:
-    """Refine each connected component by the similarity of its sensors.
-
-    Parameters
-    ----------
-    method : callable
-        ``method(pairs, metric, positions, options)`` refines one component: see
-        `anisomap.methods.Method`.
-    pairs : PairStatistics
-    metric : ndarray of shape (n, n)
-    configuration : Configuration
-        From `scale`.
-    options : MethodOptions
-        Components of fewer than its `min_sensors` are not refined.
-
-    Returns
-    -------
-    Configuration
-        With refined positions in the unit of the metric, and their Stress-1.
-    """
+    """Refine each connected component; those of fewer than `min_sensors` stay as they are."""
     positions = configuration.positions.copy()
     raw = spread = 0.0
-    facts = RefinementFacts()
-    notes: list[str] = []
-    refinements: list[Refined | None] = []
+    refinements: list[RefinedMap | None] = []
     for label in range(configuration.component.max() + 1):
         inside = configuration.component == label
-        refinements.append(None)
         lengths = _among(metric, inside)
+        refined = None
         if np.count_nonzero(inside) >= options.min_sensors and (lengths > 0).any():
-            refined = method(pairs.select(inside), lengths, positions[inside], options)
+            refined = refine(pairs.select(inside), lengths, positions[inside], steps, options)
             positions[inside] = refined.positions
-            facts = refined.facts if label == 0 else facts
-            notes += refined.notes
-            refinements[label] = refined
+        refinements.append(refined)
         # Refinement changes the unit; rescale every component to the unit of the metric.
         factor, missed, size = _best_scale(positions[inside], lengths)
         positions[inside] *= factor if factor > 0 else 1.0
@@ -172,12 +142,7 @@ def refine(
         spread += factor**2 * size
     stress = float(np.sqrt(raw / spread)) if spread > 0 else 0.0
     return replace(
-        configuration,
-        positions=positions,
-        stress=stress,
-        facts=facts,
-        notes=tuple(dict.fromkeys(notes)),
-        refinements=tuple(refinements),
+        configuration, positions=positions, stress=stress, refinements=tuple(refinements)
     )
 
 
@@ -186,39 +151,24 @@ def configure(
     metric: Reals,
     pairs: PairStatistics | None,
     *,
-    method: Callable[[PairStatistics, Reals, Reals, Any], Refined] | None,
-    options: _Options,
+    steps: Mapping[str, Step],
+    options: MethodOptions,
     weights: Reals | None = None,
     start: NDArray[np.float64] | None = None,
 ) -> tuple[Configuration, DimensionPlan]:
     """Scale a metric and refine the positions; once more if these contradict the plan.
 
-    Parameters
-    ----------
-    plan : DimensionPlan
-    metric : ndarray of shape (n, n)
-    pairs : PairStatistics, optional
-        Without them, positions are not refined.
-    method : callable, optional
-        See `refine`.
-    options : MethodOptions
-    weights, start
-        See `scale`.
-
-    Returns
-    -------
-    configuration : Configuration
-    plan : DimensionPlan
-        See `DimensionPlan.revised`.
+    metric (n, n), weights (n, n), start (n, k). Without statistics of pairs, positions are not
+    refined.
     """
     found = scale(metric, plan.dimensions, start=start, weights=weights, options=options.smacof)
-    if method is None or pairs is None:
+    if not steps or pairs is None:
         return found, plan
-    found = refine(method, pairs, metric, found, options)
-    revised = plan.revised(found.facts)
+    found = refine_components(steps, pairs, metric, found, options)
+    revised = plan.revised(elongated=found.largest is not None and found.largest.elongated)
     if revised.dimensions != plan.dimensions:
         found = scale(metric, revised.dimensions, weights=weights, options=options.smacof)
-        found = refine(method, pairs, metric, found, options)
+        found = refine_components(steps, pairs, metric, found, options)
     return found, revised
 
 

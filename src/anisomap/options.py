@@ -1,0 +1,75 @@
+"""Parameters of the methods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from anisomap.errors import InputError
+from anisomap.numerics.contacts import ContactOptions
+from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
+
+
+@dataclass(frozen=True)
+class MethodOptions:
+    """Parameters of the methods; each method uses those of its stages.
+
+    Parameters
+    ----------
+    mu : float
+        Regularisation of the reciprocal, at least 0. With 0, unrelated sensors are infinitely far
+        apart, and components come out as separate maps.
+    bins : int
+        Bins per sensor for entropies, at least 2.
+    n_neighbours : int, optional
+        Neighbours per sensor in ISOMAP's graph; by default the smallest number that connects all.
+    smacof : SmacofOptions
+        Stopping criteria of the scaling.
+    covariogram : CovariogramOptions
+        Parameters of the method "covariogram".
+    contacts : ContactOptions
+        Parameters of the fit of contacts, in "covariogram" and "contact-fit".
+    split_unrelated : bool
+        Whether the covariogram method separates components without statistically significant
+        links.
+    independent_frames : float
+        Effective sample size of correlations that are given without readings, above 0.
+    even_spacing : bool
+        Whether neighbours are declared to be evenly spaced, for methods with
+        `Method.takes_even_spacing`. A map that relies on the declaration carries a note.
+    min_sensors : int
+        Minimum number of sensors in the largest component of a map.
+
+    Raises
+    ------
+    InputError
+        If `mu` or `independent_frames` is out of range.
+    """
+
+    mu: float = 1.0
+    bins: int = DEFAULT_BINS
+    n_neighbours: int | None = None
+    smacof: SmacofOptions = field(default_factory=SmacofOptions)
+    covariogram: CovariogramOptions = field(default_factory=CovariogramOptions)
+    contacts: ContactOptions = field(default_factory=ContactOptions)
+    split_unrelated: bool = True
+    independent_frames: float = 500.0
+    even_spacing: bool = False
+    min_sensors: int = 3
+
+    def __post_init__(self) -> None:
+        for name, least in (("bins", 2), ("n_neighbours", 1), ("min_sensors", 1)):
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, int | np.integer) and value >= least):
+                raise InputError(
+                    f"{name} must be a whole number of at least {least}, got {value!r}"
+                )
+        if not (isinstance(self.mu, int | float) and np.isfinite(self.mu) and self.mu >= 0):
+            raise InputError(f"mu must be a finite number of at least 0, got {self.mu}")
+        if not (np.isfinite(self.independent_frames) and self.independent_frames > 0):
+            raise InputError(
+                f"independent_frames must be a finite number above 0, got {self.independent_frames}"
+            )

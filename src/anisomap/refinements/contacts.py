@@ -1,0 +1,71 @@
+"""Positions at which the distances from contacts explain the readings."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from anisomap.evidence import PairStatistics
+from anisomap.numerics.contacts import ContactFit, fit_contacts
+from anisomap.numerics.precision import Reals
+from anisomap.options import MethodOptions
+from anisomap.refinements.chain import EXACT, MIN_SENSORS, Proposal
+
+logger = logging.getLogger(__name__)
+
+
+# Greatest precision for readings that are on or off, of which the covariogram, too, compares
+# contacts: see `anisomap.numerics.contacts.contact_agreement`.
+_ON_OFF = 1.0
+
+
+def by_contacts(
+    pairs: PairStatistics, _: Reals, positions: Reals, options: MethodOptions
+) -> Proposal | None:
+    """Propose a map by contacts, where they are compact and alike and explain the readings.
+
+    The covariogram assumes that correlation falls with distance in the same way everywhere, which
+    curvature and edges of the skin violate; the fit assumes that contacts are round. Both have
+    systematic errors, which differ. The precision is the odds of the share of the entropy of the
+    readings that distances from contacts explain.
+    """
+    if pairs.readings is None or len(positions) < MIN_SENSORS:
+        return None
+    fit = _fitted(pairs, positions, options)
+    if not fit.used:
+        return None
+    odds = fit.explained / (1 - fit.explained)
+    return _proposed(fit, min(odds, _ON_OFF) if fit.n_levels == 1 else odds)
+
+
+def only_contacts(
+    pairs: PairStatistics, _: Reals, positions: Reals, options: MethodOptions
+) -> Proposal | None:
+    """Replace the map by that of a fit of contacts; a note says why, where it is not used."""
+    if pairs.readings is None:
+        return _rejected(positions, "readings of all sensors in the same frames were not given")
+    if len(positions) < MIN_SENSORS:
+        return _rejected(positions, f"{len(positions)} sensors are too few")
+    fit = _fitted(pairs, positions, options)
+    return _proposed(fit, EXACT) if fit.used else _rejected(positions, fit.reason)
+
+
+def _fitted(pairs: PairStatistics, positions: Reals, options: MethodOptions) -> ContactFit:
+    fit = fit_contacts(np.asarray(pairs.readings), positions, options.contacts, rest=pairs.rest)
+    logger.debug("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
+    return fit
+
+
+def _proposed(fit: ContactFit, precision: float) -> Proposal:
+    return Proposal(
+        fit.positions,
+        precision,
+        facts={"n_contacts": fit.n_contacts, "explained": round(fit.explained, 3)},
+        fit=fit,
+    )
+
+
+def _rejected(positions: Reals, reason: str) -> Proposal:
+    note = f"contacts did not refine the map, which is that of the covariogram: {reason}"
+    return Proposal(positions, notes=(note,), facts={"n_contacts": 0})
