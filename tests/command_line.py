@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from anisomap.cli import console
-from anisomap.cli.app import main
+from anisomap.cli.app import run
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,12 @@ def call(folder: Path, *arguments: object) -> Outcome:
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
         pytest.MonkeyPatch.context() as patch,
-        pytest.raises(SystemExit) as end,
     ):
         patch.setenv("ANISOMAP_DEBUG", "1")
         for shown in (console.console, console.errors):
             patch.setattr(shown, "width", 200)
-        main([str(argument) for argument in arguments])
-    return Outcome(int(end.value.code or 0), out.getvalue(), err.getvalue())
+        code = run([str(argument) for argument in arguments])
+    return Outcome(code, out.getvalue(), err.getvalue())
 
 
 def write_layout(

@@ -131,7 +131,7 @@ repair skin.npz -o skin.npz                               | another file
 repair skin.npz -o a.csv                                  | .npz
 live                                                      | give either a source or --simulate BODY
 live skin.csv --simulate hand                             | give either a source or --simulate BODY
-live missing.csv                                          | no file missing.csv, and it is no address
+live missing.csv                                          | missing.csv, and it is no address
 live tcp://127.0.0.1                                      | needs a port
 live udp://127.0.0.1:99999                                | is not an address
 live skin.csv --recording old.csv                         | old.csv exists
