@@ -9,7 +9,7 @@ import anisomap
 from command_line import call, write_layout
 from skins import flat_skin
 
-QUICK = {"-m": "r-anisomap", "--permutations": 0}
+QUICK = {"-m": "r-anisomap", "-d": 2, "--permutations": 0}
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def run(monkeypatch, tmp_path):
 
 @pytest.fixture
 def run_map(run):
-    """Run ``anisomap map`` by the quickest method, without a verdict and a null distribution."""
+    """Run ``anisomap map`` in 2D by the quickest method, without a verdict and permutations."""
 
     def mapped(*arguments):
         quick = [word for pair in QUICK.items() if pair[0] not in arguments for word in pair]

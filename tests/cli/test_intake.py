@@ -115,7 +115,7 @@ def test_from_the_file_to_a_scored_map(run, run_map, skin, tmp_path, name):
     looked = run("info", name, *options)
     assert looked.code == 0, looked.err
     assert f"{skin.n_sensors}, " in looked.out
-    done = run_map(name, *options, "--positions", CALIBRATION, "-d", 2, "-o", "m.csv", "--json")
+    done = run_map(name, *options, "--positions", CALIBRATION, "-o", "m.csv", "--json")
     assert done.code == 0, done.err
     score = done.values["score"]
     assert score["sensors_compared"] == skin.n_sensors - (1 - first)
@@ -148,7 +148,7 @@ def test_a_grid_with_dead_cells(run_map, skin, tmp_path):
     padded = np.zeros((skin.n_frames, rows + 2, columns))
     padded[:, 1:-1] = skin.readings.reshape(-1, rows, columns)
     lists_in_cells(Recording(padded.reshape(skin.n_frames, -1)), tmp_path / "mat.csv")
-    done = run_map("mat.csv", "--grid", f"{rows + 2}x{columns}", "-d", 2, "-o", "m.csv", "--json")
+    done = run_map("mat.csv", "--grid", f"{rows + 2}x{columns}", "-o", "m.csv", "--json")
     assert done.code == 0, done.err
     assert done.values["map"]["placed"] == skin.n_sensors
     assert done.values["score"]["mantel_r"] > 0.85
@@ -167,7 +167,7 @@ def test_positions_of_sensors_that_a_preset_names(run_map, skin, tmp_path):
     write_layout(tmp_path / "truth.csv", skin.positions[: len(pads)], names)
     for files in (["one.log"], ["one.log", "two.log"]):
         for large in ([], ["--workers", "2"]):
-            done = run_map(*files, "--preset", "icub", "-d", 2, "--positions", "truth.csv",
+            done = run_map(*files, "--preset", "icub", "--positions", "truth.csv",
                            "-o", "m.csv", "--json", *large)  # fmt: skip
             assert done.code == 0, done.err
             assert done.values["score"]["sensors_compared"] == len(pads)

@@ -65,7 +65,7 @@ def said_of_both(run):
 
 
 def test_workers_and_checkpoints(run_map, parts):
-    assert run_map(*parts, "-m", "r-anisomap", "-d", 2, "-o", "whole.csv").code == 0
+    assert run_map(*parts, "-m", "r-anisomap", "-o", "whole.csv").code == 0
     options = ["-m", "r-anisomap", "-d", 2, "--checkpoint", "counts.npz"]
     assert run_map(*parts, *options, "--workers", 2, "-o", "first.csv").code == 0
     assert Path("counts.npz").exists()
@@ -146,7 +146,7 @@ def test_large_recordings_must_have_the_same_sensors(run, parts):
 def test_approximate_maps_are_labelled_in_every_output(run_map, parts):
     outputs = [f"map.{suffix}" for suffix in ("csv", "json", "npz")]
     written = [word for name in outputs for word in ("-o", name)]
-    made = run_map(*parts, "--approximate", "-d", 2, *written, "--report", "map.html")
+    made = run_map(*parts, "--approximate", *written, "--report", "map.html")
     assert made.code == 0
     assert "Map by r-anisomap, approximate" in made.out
     assert "this map is approximate" in made.err
@@ -157,7 +157,7 @@ def test_approximate_maps_are_labelled_in_every_output(run_map, parts):
     page = Path("map.html").read_text(encoding="utf-8")
     assert "This map is approximate" in page
     assert "approximate_n_landmarks" in page
-    assert run_map(*parts, "-m", "r-anisomap", "-d", 2, "-o", "exact.csv").code == 0
+    assert run_map(*parts, "-m", "r-anisomap", "-o", "exact.csv").code == 0
     exact = positions("exact.csv")
     assert anisomap.mantel(positions("map.csv"), exact, permutations=0).r > 0.99
 

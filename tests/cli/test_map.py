@@ -56,12 +56,12 @@ def test_maps_that_are_not_usable_or_not_judged_fail_but_are_written(run, tmp_pa
 
 def test_a_map_without_an_output_and_a_verdict(run_map, skin_csv, tmp_path):
     """It is named after the recording, and its dimensions are chosen."""
-    done = run_map(skin_csv, "--report", "map.html")
+    done = run_map(skin_csv, "-d", "auto", "--report", "map.html")
     assert done.code == 0
     assert "2, chosen: a third dimension explains no more than chance" in done.out
-    assert anisomap.read_map("skin.map.csv").dimensions == 2
+    found = anisomap.read_map("skin.map.csv")
+    assert (found.dimensions, found.provenance["chosen_dimensions"]) == (2, 2)
     assert "Ellipses hold 95" not in (tmp_path / "map.html").read_text(encoding="utf-8")
-    assert run_map(skin_csv, "--json").values["map"]["provenance"]["chosen_dimensions"] == 2
     flat = run_map(skin_csv, "-d", 3, "-m", "covariogram", "-o", "solid.csv")
     assert "this looks flat" in flat.err
     assert anisomap.read_map("solid.csv").dimensions == 3
@@ -70,7 +70,7 @@ def test_a_map_without_an_output_and_a_verdict(run_map, skin_csv, tmp_path):
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_runs_from_the_command_line(run_map, method):
     anisomap.write(flat_skin(n_frames=400), "skin.npz")
-    assert run_map("skin.npz", "-d", 2, "-m", method, "-o", "m.csv").code == 0
+    assert run_map("skin.npz", "-m", method, "-o", "m.csv").code == 0
     assert anisomap.read_map("m.csv").method == method
 
 
@@ -125,8 +125,8 @@ def test_several_recordings_are_one_map(run_map, skin_csv, tmp_path):
     header, *lines = skin_csv.read_text().splitlines()
     for name, part in (("one", lines[:700]), ("two", lines[700:])):
         (tmp_path / f"{name}.csv").write_text("\n".join([header, *part]) + "\n")
-    assert run_map("skin.csv", "-d", "2", "-o", "whole.csv").code == 0
-    assert run_map("one.csv", "two.csv", "-d", "2", "-o", "parts.csv").code == 0
+    assert run_map("skin.csv", "-o", "whole.csv").code == 0
+    assert run_map("one.csv", "two.csv", "-o", "parts.csv").code == 0
     whole, parts = (anisomap.read_map(f"{name}.csv") for name in ("whole", "parts"))
     np.testing.assert_allclose(parts.positions, whole.positions, atol=1e-6)
 
@@ -138,7 +138,7 @@ def test_a_triangle_that_is_silent_in_one_run_is_still_there(run_map, tmp_path):
     second[:, 24:] = 0
     np.savetxt(tmp_path / "one.csv", first, "%d", ",")
     np.savetxt(tmp_path / "two.csv", second, "%d", ",")
-    assert run_map("one.csv", "two.csv", "--preset", "icub", "-d", "2", "-o", "m.csv").code == 0
+    assert run_map("one.csv", "two.csv", "--preset", "icub", "-o", "m.csv").code == 0
     found = anisomap.read_map("m.csv")
     assert found.n_sensors == 30
     assert "b0.t2.k11" in found.names
@@ -146,14 +146,14 @@ def test_a_triangle_that_is_silent_in_one_run_is_still_there(run_map, tmp_path):
 
 def test_a_grid_is_its_own_truth(run_map, tmp_path):
     np.savetxt(tmp_path / "mat.csv", flat_skin().readings, "%.4g", ",")
-    found = run_map("mat.csv", "--grid", "6x7", "-d", "2")
+    found = run_map("mat.csv", "--grid", "6x7")
     assert found.code == 0
     assert "Score against the true positions" in found.out
 
 
 def test_a_declared_prior_is_named_in_the_map(run_map):
     anisomap.write(flat_skin(n_frames=400), "skin.npz")
-    done = run_map("skin.npz", "-d", 2, "-m", "covariogram", "--even-spacing", "-o", "even.csv")
+    done = run_map("skin.npz", "-m", "covariogram", "--even-spacing", "-o", "even.csv")
     assert done.code == 0
     assert "declared, not measured" in " ".join(done.err.split())
     assert anisomap.read_map("even.csv").provenance["even_spacing"] is True
@@ -172,8 +172,8 @@ def test_a_spoilt_recording_is_named_repaired_and_mapped(run, run_map, skin_npz)
     assert "No faults were found" in run("repair", skin_npz, "-o", "same.npz").out
     same, sound = anisomap.read("same.npz"), anisomap.read(skin_npz)
     np.testing.assert_array_equal(same.readings, sound.readings)
-    assert "opposite sign" in run_map("bad.npz", "-d", 2, "-o", "plain.csv").err
-    mended = run_map("bad.npz", "-d", 2, "-o", "mended.json", "--repair")
+    assert "opposite sign" in run_map("bad.npz", "-o", "plain.csv").err
+    mended = run_map("bad.npz", "-o", "mended.json", "--repair")
     assert mended.code == 0
     assert "opposite sign" not in mended.err
     assert "mended: these sensors were mirrored" in mended.out
@@ -218,6 +218,6 @@ def test_commands_say_where_to_touch_next(run, run_map, tmp_path):
     first = re.search(r"touch next +around ([^;\n]*)", told).group(1).replace(" and", ",")
     assert {name.strip() for name in first.split(",")} <= near
     assert re.search(r"contacts +median \d+", told)
-    found = run_map("corner.npz", "-d", 2, "-o", "m.csv", "--json").values["touches"]
+    found = run_map("corner.npz", "-o", "m.csv", "--json").values["touches"]
     assert set(found["next"][0]["sensors"]) <= near
     assert found["contacts"].keys() == set(names)

@@ -73,7 +73,7 @@ def test_modules_give_millimetres_and_the_hand_without_anchors(run, run_map, tmp
     truth = triangles(columns=3, rows=1)
     names = tuple(f"taxel{i}" for i in range(60))
     anisomap.write(anisomap.Recording(rubbed(truth), names=names), tmp_path / "patch.npz")
-    assert run_map("patch.npz", "-d", 2, "-o", "map.csv").code == 0
+    assert run_map("patch.npz", "-o", "map.csv").code == 0
     write_layout(
         tmp_path / "triangle.csv", truth[:10], [f"P{i}" for i in range(10)], "name,x [mm],y [mm]"
     )
