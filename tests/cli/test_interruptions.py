@@ -1,6 +1,7 @@
 """Processes that are interrupted, killed, or denied what they need: outputs are whole or absent."""
 
 import ctypes
+import gc
 import os
 import signal
 import subprocess
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 import anisomap
+from anisomap.cli import main
 from anisomap.cli.app import run
 from skins import flat_skin
 
@@ -182,6 +184,37 @@ def test_interruption_of_an_import_of_extensions(folder, module, number):
     assert code in CODES[number]
     assert errors_in(said) == ([REPORT] if number == signal.SIGINT else [])
     assert whole(folder, SIMULATE_PHYSICS)
+
+
+@pytest.fixture
+def _as_process(monkeypatch):
+    """Restore what `main` changes for the rest of a process."""
+    monkeypatch.setenv("OPENBLAS_THREAD_TIMEOUT", "4")
+    handlers = {number: signal.getsignal(number) for number in CODES if number != signal.SIGKILL}
+    thresholds = gc.get_threshold()
+    yield
+    gc.unfreeze()
+    gc.set_threshold(*thresholds)
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("_as_process")
+@pytest.mark.parametrize("number", [None, signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_command_with_its_code(folder, monkeypatch, capsys, number):
+    read = anisomap.io.read
+
+    def interrupted(*arguments, **options):
+        if number is not None:
+            os.kill(os.getpid(), number)
+        return read(*arguments, **options)
+
+    monkeypatch.setattr(anisomap.io, "read", interrupted)
+    with pytest.raises(SystemExit) as end:
+        main(["info", str(folder / "skin.npz")])
+    assert end.value.code == (128 + number if number else 0)
+    said = [] if number is None else errors_in(capsys.readouterr().err)
+    assert said == ([REPORT] if number == signal.SIGINT else [])
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
