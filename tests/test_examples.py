@@ -27,7 +27,7 @@ def test_examples_map_their_recording(name, tmp_path, monkeypatch, capsys):
     load(name).main()
     lines = [line.split() for line in capsys.readouterr().out.splitlines() if "Mantel" in line]
     scores = {words[0]: float(words[-1]) for words in lines}
-    assert max(scores.values()) > 0.9
+    assert max(scores.values()) > 0.8  # .91 to .98 on four seeds of each
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 

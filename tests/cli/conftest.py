@@ -1,49 +1,45 @@
 """Run the command in this process and capture its output."""
 
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
 
 import anisomap
-from anisomap.cli import console
-from anisomap.cli.app import main
+from command_line import call, write_layout
 from skins import flat_skin
 
-
-@dataclass
-class Outcome:
-    code: int
-    out: str
-    err: str
+QUICK = {"-m": "r-anisomap", "-d": 2, "--permutations": 0}
 
 
 @pytest.fixture
-def run(capsys, monkeypatch, tmp_path):
+def run(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("ANISOMAP_DEBUG", "1")  # raise unexpected errors instead of reporting them
-
-    def call(*arguments):
-        for shown in (console.console, console.errors):
-            monkeypatch.setattr(shown, "width", 200)
-        with pytest.raises(SystemExit) as end:
-            main([str(argument) for argument in arguments])
-        said = capsys.readouterr()
-        return Outcome(int(end.value.code or 0), said.out, said.err)
-
-    return call
+    return partial(call, tmp_path)
 
 
 @pytest.fixture
 def run_map(run):
-    """Run ``anisomap map`` without a verdict, which takes most of its time."""
-    return lambda *arguments: run("map", *arguments, "--no-verdict")
+    """Run ``anisomap map`` in 2D by the quickest method, without a verdict and permutations."""
+
+    def mapped(*arguments):
+        quick = [word for pair in QUICK.items() if pair[0] not in arguments for word in pair]
+        return run("map", *arguments, *quick, "--no-verdict")
+
+    return mapped
 
 
 @pytest.fixture(scope="session")
-def flat_map():
-    """Map the flat skin once, for commands that start from a map."""
-    return anisomap.reconstruct(flat_skin(), dimensions=2)
+def made(tmp_path_factory):
+    """Map a flat skin once, by the default method, into files of all kinds; give their folder."""
+    folder = tmp_path_factory.mktemp("made")
+    anisomap.write(flat_skin(), folder / "skin.npz")
+    files = [word for suffix in ("csv", "json", "npz", "ply") for word in ("-o", f"map.{suffix}")]
+    done = call(folder, "map", "skin.npz", "-d", 2, "--min-quality", "usable", "--permutations", 99,
+                "--picture", "map.png", "--report", "map.html", "--json", *files)  # fmt: skip
+    assert done.code == 0, done.err
+    (folder / "said.json").write_text(done.out)
+    return folder
 
 
 @pytest.fixture
@@ -66,7 +62,5 @@ def skin_npz(tmp_path):
 @pytest.fixture
 def truth_csv(tmp_path):
     path = tmp_path / "truth.csv"
-    recording = flat_skin()
-    rows = [f"{n},{x},{y}" for n, (x, y) in zip(recording.names, recording.positions, strict=True)]
-    path.write_text("name,x,y\n" + "\n".join(rows))
+    write_layout(path, flat_skin().positions, flat_skin().names)
     return path

@@ -47,11 +47,11 @@ def positions(path: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("method", ["r-anisomap", "i-anisomap"])
-def test_large_recordings_make_the_same_map(run, parts, method, request):
-    arguments = ["-d", 2, "-m", method, "--permutations", 9]
-    whole = run("map", *parts, *arguments, "-o", "whole.csv")
+def test_large_recordings_make_the_same_map(run_map, parts, method, request):
+    arguments = [*parts, "-d", 2, "-m", method, "--permutations", 9]
+    whole = run_map(*arguments, "-o", "whole.csv")
     request.getfixturevalue("all_is_large")
-    made = run("map", *parts, *arguments, "-o", "parts.csv", "--report", "report.html")
+    made = run_map(*arguments, "-o", "parts.csv", "--report", "report.html")
     assert made.code == whole.code == 0
     np.testing.assert_allclose(positions("parts.csv"), positions("whole.csv"), atol=1e-8)
     assert said_of_both(made) == said_of_both(whole)
@@ -59,14 +59,13 @@ def test_large_recordings_make_the_same_map(run, parts, method, request):
 
 
 def said_of_both(run):
-    """Return the lines on a map, except for its verdict and touches, which need all readings."""
+    """Return the lines on a map, except for its touches, which need all readings."""
     lines = "\n".join(line.rstrip() for line in run.out.split("Files")[0].splitlines())
-    lines = re.sub(r"^Touches\n( .*\n)+", "", lines, flags=re.MULTILINE)
-    return re.sub(r"^ verdict .*\n(  .*\n)*", "", lines, flags=re.MULTILINE)
+    return re.sub(r"^Touches\n( .*\n)+", "", lines, flags=re.MULTILINE)
 
 
 def test_workers_and_checkpoints(run_map, parts):
-    assert run_map(*parts, "-m", "r-anisomap", "-d", 2, "-o", "whole.csv").code == 0
+    assert run_map(*parts, "-m", "r-anisomap", "-o", "whole.csv").code == 0
     options = ["-m", "r-anisomap", "-d", 2, "--checkpoint", "counts.npz"]
     assert run_map(*parts, *options, "--workers", 2, "-o", "first.csv").code == 0
     assert Path("counts.npz").exists()
@@ -99,22 +98,13 @@ def robots(tmp_path):
 
 @pytest.mark.parametrize("nan", ["interpolate", "drop-frames"])
 @pytest.mark.parametrize("case", [(1, "icub"), (2, "icub"), (2, "")])
-def test_gaps_and_robots_are_treated_as_in_whole_recordings(run, robots, nan, case, request):
+def test_gaps_and_robots_are_treated_as_in_whole_recordings(run_map, robots, nan, case, request):
     n_files, preset = case
-    arguments = [
-        *robots[:n_files],
-        "-d",
-        2,
-        "-m",
-        "i-anisomap",
-        "--missing",
-        nan,
-        "--no-verdict",
-    ]
+    arguments = [*robots[:n_files], "-d", 2, "-m", "i-anisomap", "--missing", nan]
     arguments += ["--preset", preset] if preset else []
-    whole = run("map", *arguments, "-o", "whole.json")
+    whole = run_map(*arguments, "-o", "whole.json")
     request.getfixturevalue("all_is_large")
-    made = run("map", *arguments, "-o", "blocks.json")
+    made = run_map(*arguments, "-o", "blocks.json")
     assert made.code == whole.code == 0
     expected, found = (anisomap.read_map(f"{name}.json") for name in ("whole", "blocks"))
     np.testing.assert_allclose(found.positions, expected.positions, atol=1e-8)
@@ -156,7 +146,7 @@ def test_large_recordings_must_have_the_same_sensors(run, parts):
 def test_approximate_maps_are_labelled_in_every_output(run_map, parts):
     outputs = [f"map.{suffix}" for suffix in ("csv", "json", "npz")]
     written = [word for name in outputs for word in ("-o", name)]
-    made = run_map(*parts, "--approximate", "-d", 2, *written, "--report", "map.html")
+    made = run_map(*parts, "--approximate", *written, "--report", "map.html")
     assert made.code == 0
     assert "Map by r-anisomap, approximate" in made.out
     assert "this map is approximate" in made.err
@@ -167,7 +157,7 @@ def test_approximate_maps_are_labelled_in_every_output(run_map, parts):
     page = Path("map.html").read_text(encoding="utf-8")
     assert "This map is approximate" in page
     assert "approximate_n_landmarks" in page
-    assert run_map(*parts, "-m", "r-anisomap", "-d", 2, "-o", "exact.csv").code == 0
+    assert run_map(*parts, "-m", "r-anisomap", "-o", "exact.csv").code == 0
     exact = positions("exact.csv")
     assert anisomap.mantel(positions("map.csv"), exact, permutations=0).r > 0.99
 
@@ -180,19 +170,3 @@ def test_a_seed_repeats_an_approximate_map(run_map, parts):
     assert Path("one.csv").read_bytes() == Path("two.csv").read_bytes()
     assert Path("one.csv").read_bytes() != Path("other.csv").read_bytes()
     assert np.isnan(positions("one.csv")[[5, 7]]).all()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["-m", "covariogram"], "supports r-anisomap only, got covariogram"),
-        (["-m", "isomap"], "supports r-anisomap only, got isomap"),
-        (["--workers", 2], "does not support --workers"),
-        (["--even-spacing"], "even spacing"),
-    ],
-)
-def test_unsupported_options_of_approximate_maps_are_refused(run, parts, arguments, message):
-    made = run("map", *parts, "--approximate", *arguments)
-    assert made.code != 0
-    assert message in made.err
-    assert not list(Path().glob("*.csv"))

@@ -1,0 +1,223 @@
+"""Journeys of ``anisomap map``: from a recording to a judged map in files of every kind."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+import anisomap
+from anisomap.methods import METHODS
+from command_line import write_layout
+from skins import flat_skin, lattice
+
+
+def test_every_file_holds_the_map_and_its_verdict(made):
+    said = json.loads((made / "said.json").read_text())
+    score, verdict = said["score"], said["map"]["verdict"]
+    assert score["mantel_r"] > 0.95
+    assert score["p_value"] == pytest.approx(0.01)
+    assert (score["sensors_compared"], score["units"]) == (42, "mm")
+    assert verdict["level"] == "usable"
+    expected = anisomap.reconstruct(anisomap.read(made / "skin.npz"), dimensions=2)
+    for suffix in ("csv", "json", "npz", "ply"):
+        found = anisomap.read_map(made / f"map.{suffix}")
+        np.testing.assert_array_equal(found.positions, expected.positions)
+        if suffix != "ply":
+            assert found.verdict.level == "usable"
+            assert found.verdict.expected_error == pytest.approx(verdict["expected_error"])
+            assert np.isfinite(found.covariances).all()
+    header = (made / "map.csv").read_text().split('"name"')[1].splitlines()[0]
+    assert header.endswith('"cov_xx","cov_xy","cov_yy"')
+    sensors = json.loads((made / "map.json").read_text())["sensors"]
+    np.testing.assert_array_equal([sensor["covariance"] for sensor in sensors], found_in(made))
+    assert (made / "map.png").read_bytes().startswith(b"\x89PNG")
+    page = (made / "map.html").read_text(encoding="utf-8")
+    assert "Ellipses hold 95" in page
+    assert "How the skin was touched" in page
+
+
+def found_in(made):
+    return anisomap.read_map(made / "map.npz").covariances
+
+
+def test_maps_that_are_not_usable_or_not_judged_fail_but_are_written(run, tmp_path):
+    short = flat_skin(n_frames=120).readings
+    noise = np.random.default_rng(0).normal(0, 0.5, short.shape)
+    anisomap.write(anisomap.Recording(short + noise), tmp_path / "noise.npz")
+    for method, level in (("covariogram", "usable"), ("r-anisomap", "usable-locally")):
+        output = f"{method}.csv"
+        done = run("map", "noise.npz", "-d", 2, "-m", method, "-o", output, "-q",
+                   "--min-quality", level)  # fmt: skip
+        assert done.code == 1
+        assert f"below --min-quality {level}" in done.err
+        assert (tmp_path / output).exists()
+
+
+def test_a_map_without_an_output_and_a_verdict(run_map, skin_csv, tmp_path):
+    """It is named after the recording, and its dimensions are chosen."""
+    done = run_map(skin_csv, "-d", "auto", "--report", "map.html")
+    assert done.code == 0
+    assert "2, chosen: a third dimension explains no more than chance" in done.out
+    found = anisomap.read_map("skin.map.csv")
+    assert (found.dimensions, found.provenance["chosen_dimensions"]) == (2, 2)
+    assert "Ellipses hold 95" not in (tmp_path / "map.html").read_text(encoding="utf-8")
+    flat = run_map(skin_csv, "-d", 3, "-m", "covariogram", "-o", "solid.csv")
+    assert "this looks flat" in flat.err
+    assert anisomap.read_map("solid.csv").dimensions == 3
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_runs_from_the_command_line(run_map, method):
+    anisomap.write(flat_skin(n_frames=400), "skin.npz")
+    assert run_map("skin.npz", "-m", method, "-o", "m.csv").code == 0
+    assert anisomap.read_map("m.csv").method == method
+
+
+def test_sensors_are_dropped_from_the_map_or_excluded_from_the_score(run_map, skin_csv, truth_csv):
+    """A column of text is skipped with a warning, and may be dropped, too."""
+    header, *lines = skin_csv.read_text().splitlines()
+    labelled = [f"label,{header}", *(f"press {i % 3},{line}" for i, line in enumerate(lines))]
+    skin_csv.write_text("\n".join(labelled) + "\n")
+    done = run_map(skin_csv, "-o", "m.json", "--exclude", "s3,s4", "--exclude", 5,
+                   "--drop", "label,s7", "--truth", truth_csv, "--json")  # fmt: skip
+    assert done.code == 0
+    assert "label" in done.err
+    found = anisomap.read_map("m.json")
+    assert found.n_sensors == 42
+    np.testing.assert_array_equal(np.flatnonzero(~found.placed), [7])
+    assert done.values["score"]["sensors_compared"] == 38
+    assert "--exclude has no effect" in run_map(skin_csv, "--exclude", "s3").err
+
+
+def test_missing_readings_are_refused_until_a_way_is_chosen(run, run_map, skin_csv):
+    lines = skin_csv.read_text().splitlines()
+    lines[7] = lines[7].replace(lines[7].split(",")[2], "nan", 1)
+    skin_csv.write_text("\n".join(lines))
+    refused = run_map(skin_csv, "-o", "m.csv")
+    assert refused.code == 2
+    assert "missing" in refused.err
+    for policy in ("drop-frames", "interpolate"):
+        assert run_map(skin_csv, "-o", "m.csv", "--missing", policy).code == 0
+    assert "1 missing" in run("info", skin_csv).out
+
+
+def test_separate_components_are_warned_of_and_written_apart(run_map, tmp_path):
+    readings = np.zeros((1200, 12))
+    rng = np.random.default_rng(0)
+    for sensors, frames in ((range(7), slice(0, 600)), (range(7, 12), slice(600, 1200))):
+        touch = rng.uniform(sensors.start, sensors.stop, 600)[:, None]
+        readings[frames, sensors.start : sensors.stop] = np.maximum(0, 2 - abs(touch - sensors))
+    anisomap.write(anisomap.Recording(readings), tmp_path / "pieces.npz")
+    words = ("pieces.npz", "-d", 2, "--mu", 0)
+    made = run_map(*words, "-o", "m.csv", "--picture", "m.png", "--report", "m.html")
+    assert made.code == 0
+    assert "2 separate components" in made.err
+    assert anisomap.read_map("m.csv").component_sizes == (7, 5)
+    urdf = ("--spacing", "5mm", "-o", "m.urdf")
+    assert run_map(*words, *urdf).code == 2
+    assert run_map(*words, *urdf, "--split-components").code == 0
+    assert (tmp_path / "m-1.urdf").exists()
+    assert (tmp_path / "m-2.urdf").exists()
+
+
+def test_several_recordings_are_one_map(run_map, skin_csv, tmp_path):
+    header, *lines = skin_csv.read_text().splitlines()
+    for name, part in (("one", lines[:700]), ("two", lines[700:])):
+        (tmp_path / f"{name}.csv").write_text("\n".join([header, *part]) + "\n")
+    assert run_map("skin.csv", "-o", "whole.csv").code == 0
+    assert run_map("one.csv", "two.csv", "-o", "parts.csv").code == 0
+    whole, parts = (anisomap.read_map(f"{name}.csv") for name in ("whole", "parts"))
+    np.testing.assert_allclose(parts.positions, whole.positions, atol=1e-6)
+
+
+def test_a_triangle_that_is_silent_in_one_run_is_still_there(run_map, tmp_path):
+    """Under a preset, what never varies is absent: but only if it never does in any run."""
+    readings = np.round(flat_skin().readings[:, :36] * 10).astype(int)
+    first, second = readings[:700], readings[700:].copy()
+    second[:, 24:] = 0
+    np.savetxt(tmp_path / "one.csv", first, "%d", ",")
+    np.savetxt(tmp_path / "two.csv", second, "%d", ",")
+    assert run_map("one.csv", "two.csv", "--preset", "icub", "-o", "m.csv").code == 0
+    found = anisomap.read_map("m.csv")
+    assert found.n_sensors == 30
+    assert "b0.t2.k11" in found.names
+
+
+def test_a_grid_is_its_own_truth(run_map, tmp_path):
+    np.savetxt(tmp_path / "mat.csv", flat_skin().readings, "%.4g", ",")
+    found = run_map("mat.csv", "--grid", "6x7")
+    assert found.code == 0
+    assert "Score against the true positions" in found.out
+
+
+def test_a_declared_prior_is_named_in_the_map(run_map):
+    anisomap.write(flat_skin(n_frames=400), "skin.npz")
+    done = run_map("skin.npz", "-m", "covariogram", "--even-spacing", "-o", "even.csv")
+    assert done.code == 0
+    assert "declared, not measured" in " ".join(done.err.split())
+    assert anisomap.read_map("even.csv").provenance["even_spacing"] is True
+
+
+def test_a_spoilt_recording_is_named_repaired_and_mapped(run, run_map, skin_npz):
+    pytest.importorskip("mujoco", reason="faults are injected by the extra 'simulation'")
+    assert run("spoil", skin_npz, "-f", "inverted:20%", "-o", "bad.npz").code == 0
+    told = run("info", "bad.npz").out
+    assert "inverted: contact has the opposite sign in 8 of 42 sensors" in told
+    assert "can be mended: anisomap map --repair" in told
+    repaired = run("repair", "bad.npz", "-o", "good.npz")
+    assert repaired.code == 0
+    assert "mended: these sensors were mirrored" in repaired.out
+    assert run("info", "good.npz", "--json").values["findings"] == []
+    assert "No faults were found" in run("repair", skin_npz, "-o", "same.npz").out
+    same, sound = anisomap.read("same.npz"), anisomap.read(skin_npz)
+    np.testing.assert_array_equal(same.readings, sound.readings)
+    assert "opposite sign" in run_map("bad.npz", "-o", "plain.csv").err
+    mended = run_map("bad.npz", "-o", "mended.json", "--repair")
+    assert mended.code == 0
+    assert "opposite sign" not in mended.err
+    assert "mended: these sensors were mirrored" in mended.out
+    assert anisomap.read_map("mended.json").provenance["repaired"] == "inverted"
+
+
+def test_a_map_of_few_of_the_sensors_is_not_called_a_perfect_fit(run, tmp_path):
+    """Presses on a skin of 64 sensors, most of which no other press reaches."""
+    places = np.stack(np.meshgrid(range(8), range(8)), -1).reshape(-1, 2)
+    touches = np.random.default_rng(1).uniform(0, 7, (18, 1, 2))
+    depth = np.maximum(0, 1.3 - np.linalg.norm(touches - places, axis=2))
+    course = np.sin(np.linspace(0, np.pi, 8))
+    readings = np.concatenate([course[:, None] * press for press in depth])
+    anisomap.write(anisomap.Recording(readings), tmp_path / "short.npz")
+    made = run("map", "short.npz", "-d", 2, "-o", "m.csv")
+    assert made.code == 0
+    assert "most of the skin is not mapped" in made.err
+    assert "relative to one another" in made.out
+    assert "perfect fit" not in made.out
+    shown = anisomap.read_map("m.csv").component_sizes[0]
+    assert shown < 64 / 3
+    assert "verdict not usable" in " ".join(made.out.split())
+    assert f"the map shows only {shown} sensors" in made.out
+
+
+def test_commands_say_where_to_touch_next(run, run_map, tmp_path):
+    """A corner was spared by seven of eight touches."""
+    places = lattice(7, 7)
+    corner = np.array([5, 4.3])
+    rng = np.random.default_rng(0)
+    touches = rng.uniform(0, 6, (800, 1, 2)) * [1, 3**0.5 / 2]
+    spared = np.linalg.norm(touches[:, 0] - corner, axis=1) < 2.2
+    touches = touches[~spared | (np.arange(800) % 8 == 0)]
+    depth = np.maximum(0, 1.6 - np.linalg.norm(touches - places, axis=2))
+    readings = np.zeros((2 * len(depth), 49))
+    readings[::2] = depth
+    names = [f"s{i}" for i in range(49)]
+    write_layout(tmp_path / "truth.csv", places, names)
+    anisomap.write(anisomap.Recording(readings), tmp_path / "corner.npz")
+    near = {names[i] for i in np.flatnonzero(np.linalg.norm(places - corner, axis=1) < 2.5)}
+    told = run("info", "corner.npz").out
+    first = re.search(r"touch next +around ([^;\n]*)", told).group(1).replace(" and", ",")
+    assert {name.strip() for name in first.split(",")} <= near
+    assert re.search(r"contacts +median \d+", told)
+    found = run_map("corner.npz", "-o", "m.csv", "--json").values["touches"]
+    assert set(found["next"][0]["sensors"]) <= near
+    assert found["contacts"].keys() == set(names)
