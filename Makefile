@@ -11,7 +11,7 @@ PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
 # Without byte code on disk, every process that a test starts compiles the package again: .4 s.
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: help demo paper numbers test test-all coverage golden golden-accept check format bench quality faults trust dimension uncertainty fuzz tables docs clean
+.PHONY: help demo paper numbers test test-all test-random test-profiles coverage golden golden-accept check format bench quality faults trust dimension uncertainty fuzz tables docs clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 15
@@ -41,6 +41,12 @@ test: $(READY)  ## run the tests, all but the slow ones (about four minutes)
 
 test-all: $(READY)  ## run all tests
 	$(PYTEST)
+
+test-random: $(READY)  ## run the property tests with new examples (ARGS=tests/numerics)
+	$(PYTEST) --hypothesis-profile random -m "not slow" $(ARGS)
+
+test-profiles: $(READY)  ## run the tests under several kinds of arithmetic (ARGS="--only numba-generic tests/numerics")
+	$(BIN)/python -m tests.profiles $(ARGS)
 
 coverage: $(READY)  ## measure which lines and branches the tests run
 	$(PYTEST) -m "not slow" --cov --cov-report=term
@@ -99,4 +105,4 @@ docs: $(READY)  ## build the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
 clean:  ## remove the output of all targets
-	rm -rf .venv demo bench fuzz quality faults trust dimension uncertainty paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov
+	rm -rf .venv .venv-lowest-versions demo bench fuzz quality faults trust dimension uncertainty paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from anisomap.health.activity import Activity, join_rests
 from anisomap.health.contact_counts import count_runs
 from anisomap.numerics.columns import columns
+from anisomap.numerics.graph.connectivity import greatest_of_rows
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.rest import Rest
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
@@ -173,8 +174,8 @@ def _find_matches(readings: NDArray[np.floating]) -> Matches:
         return Matches(found, r[:, 0].astype(np.float64))
     correlation = pearson(readings)
     np.fill_diagonal(correlation, -np.inf)
-    nearest = np.argpartition(-correlation, count - 1, axis=1)[:, :count]
-    return Matches(nearest.astype(np.int64), correlation.max(axis=1))
+    nearest = np.nonzero(greatest_of_rows(correlation, count))[1].reshape(n_sensors, count)
+    return Matches(nearest, correlation.max(axis=1))
 
 
 def _unexplained(series: NDArray[np.bool_], nearest: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -161,6 +161,19 @@ def test_torgerson_clips_negative_eigenvalues():
     assert not found[:, -1].any()
 
 
+@pytest.mark.parametrize("n_rows", [8, 15])  # dense and iterative eigensolver
+def test_rounding_does_not_decide_the_signs_of_torgerson(n_rows):
+    # On a rectangle, opposite corners have the greatest coordinates.
+    places = np.stack(np.meshgrid(np.arange(n_rows), np.arange(n_rows + 2.0)), -1).reshape(-1, 2)
+    distances = pdist(places)
+    maps = [
+        torgerson(squareform(distances * (1 + 1e-13 * rng.standard_normal(len(distances)))), 2)
+        for rng in map(np.random.default_rng, range(8))
+    ]
+    for other in maps:
+        np.testing.assert_allclose(other, maps[0], atol=1e-9)
+
+
 def test_the_same_input_gives_the_same_bytes():
     points = np.random.default_rng(0).normal(size=(DENSE_LIMIT + 50, 2))
     distances = squareform(pdist(points)) ** 0.9

@@ -80,7 +80,7 @@ def _print(printer: Printer, found: Difference, title: str) -> None:
         },
     )
     moved = np.flatnonzero(found.moved)
-    moved = moved[np.argsort(-found.distance[moved])]
+    moved = moved[np.argsort(-found.distance[moved], kind="stable")]
     if moved.size:
         printer.table(
             "Sensors that moved",

@@ -118,7 +118,7 @@ def plot_difference(difference: Difference, *, ax: Axes | None = None) -> Axes:
     ]
     before = np.where(np.isfinite(difference.before), difference.before, difference.after)
     worst = np.flatnonzero(difference.moved)[
-        np.argsort(-difference.distance[difference.moved])[:_MAX_LABELS]
+        np.argsort(-difference.distance[difference.moved], kind="stable")[:_MAX_LABELS]
     ]
     labels = {int(i): difference.names[i] for i in worst}
     arrows = np.where(difference.moved[:, None], difference.after, np.nan)

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from anisomap.numerics.contacts.levels import Levels
-from anisomap.numerics.graph.connectivity import spanning_tree
+from anisomap.numerics.graph.connectivity import greatest_of_rows, spanning_tree
 
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -152,9 +152,7 @@ def _neighbourhood(positions: Matrix) -> _Neighbourhood:
     distances = cdist(positions, positions)
     n_sensors = len(distances)
     n_near = min(_N_NEIGHBOURS, n_sensors - 1)
-    near = np.argpartition(distances, n_near, axis=1)[:, : n_near + 1]  # and the sensor itself
-    adjacency = np.zeros(distances.shape, dtype=bool)
-    np.put_along_axis(adjacency, near, values=True, axis=1)
+    adjacency = greatest_of_rows(-distances, n_near + 1)  # and the sensor itself
     np.fill_diagonal(adjacency, val=False)
     adjacency &= adjacency.T
     tree = spanning_tree(distances)

@@ -53,7 +53,7 @@ def unexplained_share(
     if known is not None and not np.all(known):
         among = squareform(np.asarray(known)[::step, ::step].astype(np.float64), checks=False) > 0
         distances, correlations = distances[among], correlations[among]
-    order = np.argsort(distances)
+    order = np.argsort(distances, kind="stable")
     fitted = np.empty_like(correlations)
     fitted[order] = isotonic_regression(correlations[order], increasing=False).x
     significant = fitted > _SIGNIFICANT * np.sqrt(noise)

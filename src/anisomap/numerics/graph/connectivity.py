@@ -73,18 +73,36 @@ def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool
         raise InputError(f"n_neighbours must be at least 1, got {n_neighbours}")
     values = as_symmetric(similarity, "similarity")
     np.fill_diagonal(values, -np.inf)
-    n_objects = len(values)
-    if n_neighbours >= n_objects - 1:
-        return ~np.eye(n_objects, dtype=bool)
-    # Of equal similarities at the limit, the first are taken. Sorting takes ten times as long.
-    limit = np.partition(values, n_objects - n_neighbours, axis=1)[:, -n_neighbours, None]
-    chosen = values >= limit
-    for row in np.flatnonzero(chosen.sum(axis=1) > n_neighbours):
-        equal = np.flatnonzero(values[row] == limit[row])
-        surplus = np.count_nonzero(chosen[row]) - n_neighbours
-        chosen[row, equal[len(equal) - surplus :]] = False
-    np.fill_diagonal(chosen, val=False)
+    if n_neighbours >= len(values) - 1:
+        return ~np.eye(len(values), dtype=bool)
+    chosen = greatest_of_rows(values, n_neighbours)
     return np.asarray(chosen | chosen.T)
+
+
+def greatest_of_rows(values: NDArray[np.floating[Any]], count: int) -> NDArray[np.bool_]:
+    """Mark the greatest values of each row; of equal ones, the first.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n, m)
+        Free of NaN.
+    count : int
+        From 1 to m.
+
+    Returns
+    -------
+    ndarray of bool, shape (n, m)
+        `count` per row. The indices that ``numpy.argpartition`` returns depend, among equal values,
+        on the processor.
+    """
+    # Sorting takes ten times as long.
+    limit = np.partition(values, values.shape[1] - count, axis=1)[:, -count, None]
+    chosen = values >= limit
+    for row in np.flatnonzero(chosen.sum(axis=1) > count):
+        equal = np.flatnonzero(values[row] == limit[row])
+        surplus = np.count_nonzero(chosen[row]) - count
+        chosen[row, equal[len(equal) - surplus :]] = False
+    return np.asarray(chosen)
 
 
 def spanning_tree(lengths: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:

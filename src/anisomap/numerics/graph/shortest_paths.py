@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
+from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.precision import Reals, row_blocks
@@ -19,8 +19,12 @@ logger = logging.getLogger(__name__)
 N_NEAREST = 12
 """Edges per node of the first search; chosen by hand, does not affect the result."""
 
-FIRST_SWEEPS = 2
-"""Sweeps of the first search, forwards and backwards; chosen by hand."""
+FIRST_SWEEPS = 4
+"""Sweeps of the first search, forwards and backwards in turn.
+
+After 4, as few edges of simulated skins (400 to 2,500 sensors in 12 orders) are tight as after a
+search to the end; after 2, up to five times as many in some orders.
+"""
 
 MAX_EDGE_SHARE = 1 / 40
 """Maximum share of the pairs followed as edges; with more, `through_all_nodes` is faster.
@@ -239,12 +243,23 @@ def _edges(lengths: Reals, starts: NDArray[np.int64], ends: NDArray[np.int64]) -
 
 
 def _bandwidth_order(edges: Edges) -> NDArray[np.int64]:
-    """Order nodes so that neighbours are close together; a sweep then extends paths far."""
+    """Order nodes so that neighbours are close together; a sweep then extends paths far.
+
+    Cuthill & McKee (1969), doi:10.1145/800195.805928: breadth first, by increasing degree. Nodes of
+    equal degree follow each other as they are numbered; scipy sorts degrees with an unstable sort,
+    which orders them differently on different processors.
+    """
     n_nodes = len(edges.offsets) - 1
-    joined = csr_array(
-        (np.ones(len(edges.ends)), edges.ends, edges.offsets), shape=(n_nodes, n_nodes)
-    )
-    return reverse_cuthill_mckee(joined, symmetric_mode=True).astype(np.int64)
+    by_degree = np.argsort(np.diff(edges.offsets), kind="stable")
+    ones = np.ones(len(edges.ends))
+    graph = csr_array((ones, edges.ends, edges.offsets), shape=(n_nodes, n_nodes))
+    joined: Any = graph[by_degree][:, by_degree]
+    # One search visits all components, which are joined by their first nodes.
+    first = np.unique(connected_components(joined, directed=False)[1], return_index=True)[1]
+    joined += csr_array((np.ones(len(first) - 1), (first[:-1], first[1:])), shape=joined.shape)
+    joined.sort_indices()
+    order = breadth_first_order(joined, 0, directed=False, return_predecessors=False)
+    return np.asarray(by_degree[order], dtype=np.int64)
 
 
 def _relax(paths: Reals, order: NDArray[np.int64], edges: Edges, max_sweeps: int) -> None:

@@ -133,7 +133,7 @@ def fill_from_others(
         known = known[:: max(1, known.size // _MAX_FRAMES)]
         similarity = standard[known].T @ standard[known, i]
         similarity[i] = -np.inf
-        partners = np.argsort(-similarity)[:_N_PARTNERS]
+        partners = np.argsort(-similarity, kind="stable")[:_N_PARTNERS]
         partners = partners[similarity[partners] > 0]
         if known.size < 2 * _N_PARTNERS or not partners.size or not depth[known, i].any():
             left.append(i)

@@ -67,7 +67,7 @@ class LagCorrelations:
     def strongest_links(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return pairs: each sensor and the ones that it is most similar to at any lag."""
         count = min(_N_PARTNERS, len(self.peak) - 1)
-        partners = np.argsort(-self.peak, axis=1)[:, :count]
+        partners = np.argsort(-self.peak, axis=1, kind="stable")[:, :count]
         return np.repeat(np.arange(len(self.peak)), count), partners.ravel()
 
     def along(

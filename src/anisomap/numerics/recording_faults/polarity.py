@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.numerics.graph.connectivity import greatest_of_rows
 from anisomap.numerics.recording_faults.excerpt import MAX_FRAMES, standardised
 
 _MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand
@@ -107,10 +108,9 @@ def _confirmed(
         return np.empty(0, dtype=np.intp)
     r = correlation[np.ix_(suspects, judged)]
     count = min(_N_PARTNERS, judged.size - 1)
-    strongest = np.argpartition(-np.abs(r), count - 1, axis=1)[:, :count]
-    r = np.take_along_axis(r, strongest, axis=1)
-    same = np.isin(judged, suspects)[strongest]
-    counted = np.abs(r) >= _MIN_CORRELATION
+    strength = np.abs(r)
+    same = np.isin(judged, suspects)
+    counted = greatest_of_rows(strength, count) & (strength >= _MIN_CORRELATION)
     explained = (counted & ((r > 0) == same)).sum(axis=1)
     crossing = (counted & ~same).any() or suspects.size == judged.size
     confirmed = (explained >= _MIN_AGREEMENT * counted.sum(axis=1)) & (explained > 0)

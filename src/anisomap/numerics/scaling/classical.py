@@ -15,6 +15,8 @@ from anisomap.numerics.precision import Reals
 DENSE_LIMIT = 200
 """Maximum number of points for which a full eigendecomposition is faster than an iterative one."""
 
+_NEARLY_GREATEST = 1 - 1e-6  # magnitudes above this share differ by rounding only
+
 
 def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     """Classical scaling: positions from the leading eigenvectors of the inner products.
@@ -30,7 +32,8 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     -------
     ndarray of shape (N, k)
         Centred; columns are orthogonal, by decreasing spread. The entry of greatest magnitude of
-        each column is positive, so that runs agree. Columns with eigenvalues of 0 or less are 0.
+        each column is positive, so that runs agree; of equal ones, as on symmetric skins, the
+        first. Columns with eigenvalues of 0 or less are 0.
 
     Raises
     ------
@@ -54,7 +57,9 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
         values, vectors = _leading_iterative(squares, dimensions)
     order = np.argsort(values)[::-1]
     columns = vectors[:, order] * np.sqrt(np.maximum(values[order], 0))
-    peaks = columns[np.abs(columns).argmax(axis=0), np.arange(columns.shape[1])]
+    magnitudes = np.abs(columns)
+    first = (magnitudes >= _NEARLY_GREATEST * magnitudes.max(axis=0)).argmax(axis=0)
+    peaks = columns[first, np.arange(columns.shape[1])]
     columns = columns * np.where(peaks < 0, -1.0, 1.0)
     return np.pad(columns, ((0, 0), (0, dimensions - columns.shape[1])))
 
