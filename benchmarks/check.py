@@ -29,10 +29,10 @@ from scipy.spatial.distance import cdist
 
 import anisomap
 from anisomap.layout import LayoutCheck, check_layout, module_members
-from anisomap.layout.findings import NOT_TESTED
+from anisomap.layout.checking import NOT_TESTED
+from anisomap.numerics.layout.chance import reading_statistics
 from anisomap.numerics.layout.congruence import congruent, symmetries
-from anisomap.numerics.layout.falloff import neighbour_spacing
-from anisomap.numerics.layout.statistics import reading_statistics
+from anisomap.numerics.layout.evidence import neighbour_spacing
 
 FIRST_SEED = 1001
 SHARES = (0.01, 0.05, 0.1)

@@ -26,15 +26,13 @@ from numpy.typing import NDArray
 from anisomap import read as read_recording
 from anisomap.evaluation import median_spacing, score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
-from anisomap.live.maps.quick_map import QuickMapper
-from anisomap.live.maps.statistics import TouchStatistics
-from anisomap.live.sources.simulated import BOUT_FRAMES
+from anisomap.live.quick_map import QuickMapper, TouchStatistics
+from anisomap.live.sources.replay import BOUT_FRAMES
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body
-from anisomap.simulation.kinematic.guided import TRAVEL_FRAMES, GuidedHand
-from anisomap.simulation.kinematic.rubbing import RubbingOptions
 from anisomap.simulation.options import options_for
+from anisomap.simulation.rubbing import TRAVEL_FRAMES, GuidedHand, RubbingOptions
 
 BODIES = ("sphere", "hand", "hexagon")
 DIMENSIONS = {"hexagon": 2}  # the others are bodies in 3D

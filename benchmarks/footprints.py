@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.distance import cdist
 
-from anisomap.evaluation.neighbourhood import median_spacing
+from anisomap.evaluation.scoring import median_spacing
 
 Floats = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ from anisomap.mapping import dissimilarities
 from anisomap.methods import DEFAULT_METHOD, METHODS
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from anisomap.scaling import Configuration
+from anisomap.scaling import Configuration, refine_components
 
 FRAMES_FOR_HALVES = 1000
 """Shorter recordings are not halved: their halves hold too few contacts for a map."""

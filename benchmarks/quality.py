@@ -21,9 +21,8 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 import anisomap
-from anisomap.cli import comparison_tables
-from anisomap.comparison import COMPARED, Comparison, compare_methods
-from anisomap.evaluation.rivals import RIVALS
+from anisomap.cli.commands import comparison as comparison_tables
+from anisomap.comparison import COMPARED, RIVALS, Comparison, compare_methods
 from anisomap.methods import DEFAULT_METHOD, METHODS
 from benchmarks import quality_figure, quality_tables
 from benchmarks.quality_tables import FRAMES, SCENARIOS, Result

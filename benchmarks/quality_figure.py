@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from anisomap.evaluation.rivals import RIVALS
+from anisomap.comparison import RIVALS
 from benchmarks.quality_tables import FRAMES, SCENARIOS, Result
 
 # Okabe & Ito (2008), distinct for all kinds of colour vision.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisomap.evaluation.rivals import RIVALS
+from anisomap.comparison import RIVALS
 from anisomap.methods import DEFAULT_METHOD
 
 SCENARIOS = (

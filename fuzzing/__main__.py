@@ -20,9 +20,19 @@ from fuzzing.workers import BATCH, Tally, run_cases, warm_up
 
 _LOADED = (
     *("h5py", "pyarrow.parquet", "pyarrow.feather", "rosbags.rosbag1", "rosbags.rosbag2", "mujoco"),
-    *("trimesh", "PIL.Image", "scipy.io", "defusedxml.ElementTree", "anisomap.cli.commands.info"),
-    *("anisomap.cli.commands.map", "anisomap.cli.commands.convert", "anisomap.cli.commands.score"),
-    "anisomap.cli.commands.simulate",
+    *(
+        "trimesh",
+        "PIL.Image",
+        "scipy.io",
+        "defusedxml.ElementTree",
+        "anisomap.cli.commands.recording",
+    ),
+    *(
+        "anisomap.cli.commands.recording",
+        "anisomap.cli.commands.maps",
+        "anisomap.cli.commands.comparison",
+    ),
+    "anisomap.cli.commands.simulation",
 )
 """Modules that are loaded once, before processes are forked."""
 

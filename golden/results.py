@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import anisomap
-from anisomap.evaluation.neighbourhood import median_spacing
+from anisomap.evaluation.scoring import median_spacing
 from anisomap.reconstruction import reconstruct_with_stages
 from golden.cases import FOLDER, Case
 

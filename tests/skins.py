@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import Recording, SensorMap, score
+from anisomap.evidence import compare
 from anisomap.mapping import dissimilarities
 from anisomap.methods import find_method
 from anisomap.options import MethodOptions
-from anisomap.evidence import compare
 
 
 def lattice(rows: int = 6, columns: int = 7) -> NDArray[np.float64]:

@@ -10,10 +10,16 @@ from sklearn.decomposition import PCA
 from sklearn.manifold import Isomap
 
 import anisomap
-from anisomap.comparison import COMPARED, compare_methods, spanned_dimensions, touched
+from anisomap.comparison import (
+    COMPARED,
+    RIVALS,
+    compare_methods,
+    map_by_rival,
+    spanned_dimensions,
+    touched,
+)
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.evaluation import mantel
-from anisomap.evaluation.rivals import RIVALS, map_by_rival
 from skins import flat_skin, lattice, rubbed
 
 NAMES = [

@@ -13,10 +13,9 @@ import anisomap
 from anisomap import reconstruct
 from anisomap.diagnosis import Evidence, judge
 from anisomap.diagnosis.diagnostics import collect_evidence
-from anisomap.diagnosis.doubts import extent_in_spacings, systematic_doubts
-from anisomap.diagnosis.judgement import TYPICAL
-from anisomap.diagnosis.other_maps import compare_with_other_maps
-from anisomap.evaluation.neighbourhood import spacing_variation
+from anisomap.diagnosis.doubts import compare_with_other_maps, extent_in_spacings, systematic_doubts
+from anisomap.diagnosis.verdict import TYPICAL
+from anisomap.evaluation.scoring import spacing_variation
 from anisomap.health import Finding
 from anisomap.numerics.reliability.blending import blended_correlation
 from skins import flat_skin, lattice

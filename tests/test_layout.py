@@ -8,8 +8,8 @@ import pytest
 import anisomap
 from anisomap import InputError, Recording, SensorMap, check_layout
 from anisomap.layout import KINDS, module_members
+from anisomap.numerics.layout.chance import reading_statistics
 from anisomap.numerics.layout.congruence import symmetries
-from anisomap.numerics.layout.statistics import reading_statistics
 from anisomap.placement import modules_by_name, modules_by_size
 from skins import rubbed, triangles
 

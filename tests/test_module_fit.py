@@ -11,7 +11,7 @@ from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement import Anchors, modules_by_size, place, suggest_anchors
-from anisomap.placement.rigid_fit import fit_modules
+from anisomap.placement.modules import fit_modules
 
 PADS = np.array([[0.0, 0], [6, 0], [3, 5], [9, 5], [6, 10]])
 seeds = st.integers(0, 1000)

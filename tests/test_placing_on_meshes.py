@@ -9,7 +9,7 @@ from scipy.stats import special_ortho_group
 
 from anisomap import SensorMap, align
 from anisomap.errors import InputError
-from anisomap.numerics.triangles import TriangleSearch
+from anisomap.numerics.surfaces import TriangleSearch
 from anisomap.placement import Anchors, place
 from anisomap.scene import Mesh
 from anisomap.simulation import find_body

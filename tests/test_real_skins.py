@@ -11,9 +11,9 @@ from anisomap import io, reconstruct, reconstruct_from
 from anisomap.comparison import compare_methods
 from anisomap.errors import AnisomapWarning
 from anisomap.evaluation import mantel
-from anisomap.options import MethodOptions
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import pearson
+from anisomap.options import MethodOptions
 from skins import mantel_r, stages
 
 PLAIN = ("covariogram", "r-anisomap", "isomap-on-r")

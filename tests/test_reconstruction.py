@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from anisomap.stages.contact_average import refine_by_contacts
+from anisomap.stages.refinement import Refined, RefinementFacts
 
 import anisomap
 from anisomap import Recording, diagnose, reconstruct, score
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.evidence import SIMILARITIES, PairStatistics
 from anisomap.methods import METHODS, PAPER_METHODS
-from anisomap.options import MethodOptions
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.options import MethodOptions
 from anisomap.placement import median_spacing
-from anisomap.stages.contact_average import refine_by_contacts
-from anisomap.evidence import SIMILARITIES, PairStatistics
-from anisomap.stages.refinement import Refined, RefinementFacts
 from skins import flat_skin, lattice, mantel_r, rubbed, seeing_patch
 
 QUICK = MethodOptions(contacts=ContactOptions(max_readings=6000))

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from anisomap.stages.contact_average import average_with_contacts
+from anisomap.stages.refinement import Refined, RefinementFacts, refine_by_covariogram
 
 import anisomap
 from anisomap import MethodOptions, Recording, diagnose, reconstruct, reconstruct_from
@@ -13,8 +15,6 @@ from anisomap.methods import METHODS
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.simulation import find_body
-from anisomap.stages.contact_average import average_with_contacts
-from anisomap.stages.refinement import Refined, RefinementFacts, refine_by_covariogram
 from skins import flat_skin, lattice, mantel_r, seeing_patch, stages, swept
 
 EVEN = MethodOptions(even_spacing=True)

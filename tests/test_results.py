@@ -21,10 +21,11 @@ from benchmarks import (
     updating,
 )
 
-from anisomap.cli import comparison_tables
+from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.comparison import COMPARED
-from anisomap.paper import claims
-from anisomap.paper.experiments import accuracy, dimensionality, shape_distortion
+from anisomap.paper import accuracy, claims
+from anisomap.paper import bodies as shape_distortion
+from anisomap.paper.experiments import dimensionality
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 

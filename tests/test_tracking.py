@@ -12,11 +12,11 @@ import anisomap
 from anisomap import Recording, SensorMap
 from anisomap.errors import InputError
 from anisomap.evaluation import compare_maps, score
+from anisomap.evidence import SIMILARITIES
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.placement import Anchors, place
-from anisomap.tracking.pair_sums import PairSums
-from anisomap.evidence import SIMILARITIES
 from anisomap.tracking import gather_evidence, map_evidence, update_map
+from anisomap.tracking.pair_sums import PairSums
 from skins import flat_skin, lattice, rubbed
 
 seeds = st.integers(0, 10_000)

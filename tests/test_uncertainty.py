@@ -12,12 +12,7 @@ import anisomap
 from anisomap import SensorMap, diagnose, reconstruct
 from anisomap.covariance_ellipses import ellipses, radius
 from anisomap.diagnosis.diagnostics import estimate_uncertainty
-from anisomap.diagnosis.uncertainty import (
-    INFLATION,
-    aligned_to_mean,
-    covariances,
-    error_in_spacings,
-)
+from anisomap.diagnosis.resampling import INFLATION, aligned_to_mean, covariances, error_in_spacings
 from anisomap.drawing.view import drawn_components, outlines
 from anisomap.errors import InputError
 from anisomap.evaluation import align

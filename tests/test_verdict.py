@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import anisomap
 from anisomap import Recording, diagnose, reconstruct, reconstruct_from
 from anisomap.diagnosis import LEVELS, UNKNOWN, Doubt, Evidence, Verdict, judge
-from anisomap.diagnosis.halves import repeatability_of_halves
-from anisomap.diagnosis.judgement import expected_mantel_r
+from anisomap.diagnosis.parts import repeatability_of_halves
+from anisomap.diagnosis.verdict import expected_mantel_r
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
 from anisomap.options import MethodOptions

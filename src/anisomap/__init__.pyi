@@ -36,7 +36,7 @@ from .options import MethodOptions as MethodOptions
 from .reconstruction import reconstruct as reconstruct
 from .reconstruction import reconstruct_from as reconstruct_from
 from .recording import Recording as Recording
-from .runs import join_runs as join_runs
+from .recording import join_runs as join_runs
 from .sensor_map import SensorMap as SensorMap
 from .simulation import simulate as simulate
 from .tracking import gather_evidence as gather_evidence

@@ -1,7 +1,14 @@
 """Exceptions and warnings.
 
 Every message states the problem, its place (file, line, sensor or frame) and what is expected.
+
+Import of optional libraries, on first use.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
 
 from anisomap.wording import shortened
 
@@ -48,3 +55,31 @@ class MissingExtraError(AnisomapError, ImportError):
 
 class AnisomapWarning(UserWarning):
     """A result is less reliable than it appears; the message gives the reason."""
+
+
+def import_extra(module: str, purpose: str, extra: str) -> Any:
+    """Import a library that an extra installs.
+
+    Parameters
+    ----------
+    module : str
+        Full name of the module, such as ``"matplotlib.figure"``.
+    purpose : str
+        Subject of the error message, such as ``"reading HDF5"``.
+    extra : str
+        Name of the extra.
+
+    Returns
+    -------
+    module
+        Typed as Any, because the libraries may be absent where types are checked.
+
+    Raises
+    ------
+    MissingExtraError
+        If the library is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(purpose, extra) from error

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.budget import Budget
-from anisomap.errors import FileError
-from anisomap.extras import import_extra
+from anisomap.errors import FileError, import_extra
 from anisomap.files import open_regular, without_log
+from anisomap.memory import Budget
 
 # Names of objects, groups and materials: trimesh takes quadratic time to divide a mesh by them.
 _OBJ_GROUPS = re.compile(rb"^[ \t]*+(?:usemtl|mtllib|o|g|s)\b[^\r\n]*+", re.MULTILINE)

@@ -49,8 +49,16 @@ from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.metric import check_semi_metric
 from anisomap.options import MethodOptions
 from anisomap.precomputed import checked_noise, checked_start, checked_weights, only_stage
-from anisomap.recording import Recording, Scalar, check_names, default_names, sensor_mask
-from anisomap.runs import as_runs, join_runs, select_sensors
+from anisomap.recording import (
+    Recording,
+    Scalar,
+    as_runs,
+    check_names,
+    default_names,
+    join_runs,
+    select_sensors,
+    sensor_mask,
+)
 from anisomap.scaling import Configuration, configure
 from anisomap.sensor_map import UNPLACED, SensorMap
 

@@ -166,7 +166,7 @@ print(*sorted(set(sys.modules) - before))
     assert found.split() == ["anisomap", "anisomap.cli"]
 
 
-@pytest.mark.parametrize("module", ["anisomap.cli.process", "cyclopts", "numpy", "rich.console"])
+@pytest.mark.parametrize("module", ["anisomap.cli.app", "cyclopts", "numpy", "rich.console"])
 def test_interruption_of_an_import(folder, module):
     assert at_event(folder, ["formats"], signal.SIGINT, rf"\d+ import {module}") == (
         130,

@@ -12,8 +12,8 @@ import pytest
 
 import anisomap
 from anisomap.cli.app import app
-from anisomap.methods import METHODS
 from anisomap.evidence import SIMILARITIES
+from anisomap.methods import METHODS
 from command_line import write_layout
 from skins import flat_skin
 

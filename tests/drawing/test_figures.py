@@ -12,16 +12,18 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from anisomap.drawing.colours import VIEWS, place_colours, view_axes
 from anisomap.drawing.figures import KINDS, figure_bytes, map_figure, save_figure
 from anisomap.drawing.figures.panels import MAX_VECTOR_DOTS
 from anisomap.drawing.figures.touches import touch_figure
 from anisomap.drawing.view import (
     MAX_JOINED,
+    VIEWS,
     best_view,
     drawn_components,
     neighbour_pairs,
+    place_colours,
     printable,
+    view_axes,
 )
 from anisomap.errors import InputError
 from anisomap.evaluation import score

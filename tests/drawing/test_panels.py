@@ -7,12 +7,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from anisomap.drawing import figures as fig
-from anisomap.drawing.figures import charts, coverage, gallery, scenes
+from anisomap.drawing.figures import charts, scenes
+from anisomap.drawing.figures import charts as coverage
+from anisomap.drawing.figures import panels as gallery
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.evaluation import ShiftTest, compare_maps, score, shepard, stress_per_point
 from anisomap.health import SensorHealth, touch_coverage
 from anisomap.layout import LayoutCheck
-from anisomap.layout.findings import LayoutFinding
+from anisomap.layout.checking import LayoutFinding
 from anisomap.placement import Anchors, place
 from anisomap.recording import Recording
 from anisomap.scene import Mesh

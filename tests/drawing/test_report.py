@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.drawing.report import Touches, check_writable, render_report
+from anisomap.drawing.report.contents import MAX_ROWS, UNKNOWN, number
 from anisomap.drawing.report.interactive import MAX_DOTS
-from anisomap.drawing.report.report_text import MAX_ROWS, UNKNOWN, number
 from anisomap.errors import MissingExtraError
 from anisomap.evaluation import score
 from anisomap.health import STATUSES

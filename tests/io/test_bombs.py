@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisomap import budget, io
+from anisomap import io
+from anisomap import memory as budget
 from anisomap.errors import FileError
 from anisomap.io.maps import xml_files
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from anisomap.io.parsing.libraries import DamagedError
+from anisomap.io.parsing.source import DamagedError
 from anisomap.io.recordings.parquet_pages import column_chunks
 
 arrow = pytest.importorskip("pyarrow")

@@ -7,7 +7,7 @@ import pytest
 
 from anisomap import Recording, io
 from anisomap.errors import InputError
-from anisomap.io.recordings.presets import apply_preset
+from anisomap.io.presets import apply_preset
 
 
 def skin(n_boards: int = 2, *, rest: float = 0.0, source: str = "") -> Recording:

@@ -301,8 +301,8 @@ def test_decompression_bombs_in_chunks(
     for i in range(20):
         bag.add("/skin", bag.array(np.zeros(20_000)), i)
     path = bag.write(tmp_path / f"run.{kind}", packed)
-    monkeypatch.setattr("anisomap.budget.FREE_BYTES", 1 << 18)
-    monkeypatch.setattr("anisomap.budget.MAX_RATIO", 20)
+    monkeypatch.setattr("anisomap.memory.FREE_BYTES", 1 << 18)
+    monkeypatch.setattr("anisomap.memory.MAX_RATIO", 20)
     if kind == "mcap":
         assert io.read(path).n_frames == 20, "uncompressed chunks are not bombs"
         return

@@ -6,10 +6,11 @@ import pytest
 import anisomap
 from anisomap import Recording, mantel, reconstruct
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.health import Matches, behaviour
+from anisomap.health import Matches
+from anisomap.health import sensors as behaviour
 from anisomap.large import reconstruct_approximately
 from anisomap.large.approximation import build_similarity_graph
-from anisomap.large.landmarks.options import ApproximateOptions
+from anisomap.large.sketch import ApproximateOptions
 from skins import lattice, rubbed
 
 PLACES = lattice(15, 16)

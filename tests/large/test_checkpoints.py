@@ -17,8 +17,8 @@ from anisomap.errors import FileError
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.map_reduce import map_reduce
 from anisomap.large.streaming import stream_similarity
-from anisomap.options import MethodOptions
 from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.options import MethodOptions
 from dying import PowerCutError, failing
 from skins import flat_skin
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from anisomap.errors import InputError
-from anisomap.large import dask_workers
+from anisomap.large import map_reduce as dask_workers
 from anisomap.large.map_reduce import WorkerPool, map_reduce
 from anisomap.numerics.similarity.accumulators import Moments
 from dying import Killing

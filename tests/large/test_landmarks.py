@@ -8,19 +8,29 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
-from anisomap.large.landmarks import landmark_kernels
-from anisomap.large.landmarks.correlations import SensorPairs, correlations, pairs_of
-from anisomap.large.landmarks.landmark_mds import paths_from, place_component, triangulate
-from anisomap.large.landmarks.landmark_stress import Targets, refine, stress_of
-from anisomap.large.landmarks.options import ApproximateOptions
-from anisomap.large.landmarks.sensor_graph import (
+from anisomap.large import landmark_kernels
+from anisomap.large.landmark_mds import (
+    Targets,
+    paths_from,
+    place_component,
+    refine,
+    stress_of,
+    triangulate,
+)
+from anisomap.large.sensor_graph import (
     adjacency_matrix,
     bridge_components,
     build_graph,
     component_labels,
     edge_lengths,
 )
-from anisomap.large.landmarks.sketch import compute_sketch
+from anisomap.large.sketch import (
+    ApproximateOptions,
+    SensorPairs,
+    compute_sketch,
+    correlations,
+    pairs_of,
+)
 from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 from anisomap.numerics.similarity import search

@@ -5,11 +5,10 @@ import pytest
 
 import anisomap
 from anisomap import io
-from anisomap.live import ExaminationOptions, LiveSession
+from anisomap.live import ExaminationOptions, LiveSession, examination
 from anisomap.live.batches import Batch
-from anisomap.live.journal import JournalWriter
-from anisomap.live.maps import examination
-from anisomap.live.maps.examination import examine
+from anisomap.live.examination import examine
+from anisomap.live.recorder import JournalWriter
 from live_processes import Given, wait_for_maps
 from skins import lattice, rubbed
 

@@ -8,10 +8,15 @@ from hypothesis import strategies as st
 from anisomap import reconstruct
 from anisomap.evaluation import align
 from anisomap.health import SensorHealth
-from anisomap.health.contact_counts import count_contacts, count_joint_contacts
-from anisomap.live.maps.coach import advise, confirmed_faults
-from anisomap.live.maps.quick_map import QuickMapper, turned_onto, warm_start
-from anisomap.live.maps.statistics import SAMPLE_FRAMES, TouchStatistics
+from anisomap.health.activity import count_contacts, count_joint_contacts
+from anisomap.live.coach import advise, confirmed_faults
+from anisomap.live.quick_map import (
+    SAMPLE_FRAMES,
+    QuickMapper,
+    TouchStatistics,
+    turned_onto,
+    warm_start,
+)
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.numerics.similarity.rest import estimate_rest

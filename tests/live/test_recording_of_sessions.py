@@ -11,8 +11,7 @@ from hypothesis.extra import numpy as arrays
 import anisomap
 from anisomap.errors import FileError
 from anisomap.live.batches import Batch
-from anisomap.live.journal import JournalTail, JournalWriter
-from anisomap.live.recorder import MAX_WIDTH, Recorder
+from anisomap.live.recorder import MAX_WIDTH, JournalTail, JournalWriter, Recorder
 
 READINGS = arrays.arrays(
     float, st.tuples(st.integers(1, 30), st.integers(2, 5)), elements=st.floats(width=64)

@@ -17,7 +17,7 @@ import anisomap
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.live.batches import Batch, Names, Notice
 from anisomap.live.sources import SOURCES, open_source
-from anisomap.live.sources.simulated import BOUT_FRAMES, SimulatedHand
+from anisomap.live.sources.replay import BOUT_FRAMES, SimulatedHand
 from anisomap.simulation import find_body
 from live_processes import LONGEST_S
 

@@ -10,16 +10,17 @@ from scipy.spatial.distance import pdist
 from anisomap import align
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
-from anisomap.numerics.contacts.bundle_adjustment import ReducedSystem
 from anisomap.numerics.contacts.contact_fit import refit_contacts
-from anisomap.numerics.contacts.detection import Contacts, find_contacts
-from anisomap.numerics.contacts.levels import assign_levels
-from anisomap.numerics.contacts.localisation import evaluate, leave_one_out, locate
-from anisomap.numerics.contacts.profile import (
+from anisomap.numerics.contacts.detection import Contacts, assign_levels, find_contacts
+from anisomap.numerics.contacts.likelihood import (
     Profile,
     ReadingsByLevel,
+    ReducedSystem,
+    evaluate,
     fit_profile,
+    leave_one_out,
     level_log_likelihood,
+    locate,
     negative_log_likelihood,
 )
 from anisomap.numerics.reliability.blending import blended_correlation

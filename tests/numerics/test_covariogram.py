@@ -12,8 +12,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
 from anisomap.numerics.covariogram import objective
-from anisomap.numerics.covariogram.blocks import overlapping_blocks
-from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram
+from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram, overlapping_blocks
 from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity

@@ -5,9 +5,8 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist, pdist
 
-from anisomap.numerics.covariogram.blocks import overlapping_blocks
-from anisomap.numerics.covariogram.curvature import gauss_newton_matrix
-from anisomap.numerics.covariogram.minimisation import minimise
+from anisomap.numerics.covariogram.covariogram_fit import overlapping_blocks
+from anisomap.numerics.covariogram.minimisation import gauss_newton_matrix, minimise
 from anisomap.numerics.covariogram.objective import (
     Block,
     CovariogramOptions,

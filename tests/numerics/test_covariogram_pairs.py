@@ -7,12 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from anisomap.numerics.compiled.parallel import load_loops
-from anisomap.numerics.covariogram.pairs import (
-    CompiledPairs,
-    Pairs,
-    Weights,
-    pack,
-)
+from anisomap.numerics.covariogram.objective import CompiledPairs, Pairs, Weights, pack
 
 
 def constants(n_points, seed, dtype=np.float32, unknown=0.2):

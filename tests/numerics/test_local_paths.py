@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.distance import cdist
 from sklearn.manifold import Isomap
 
-from anisomap.numerics.covariogram.misfit import unexplained_share
+from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.local_paths import local_path_lengths
 
 

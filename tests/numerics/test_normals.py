@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from anisomap.errors import InputError
-from anisomap.numerics.normals import estimate_normals
+from anisomap.numerics.surfaces import estimate_normals
 
 
 def sphere(n_points: int) -> np.ndarray:

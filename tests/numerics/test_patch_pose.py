@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import special_ortho_group
 
 from anisomap.errors import InputError
-from anisomap.numerics.patch_pose import fit_patch_pose
+from anisomap.numerics.procrustes import fit_patch_pose
 
 
 def touched(seed, count=30):

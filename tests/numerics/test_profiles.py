@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from anisomap.numerics.reliability.profiles import profile_agreement
+from anisomap.numerics.reliability.split_half import profile_agreement
 
 
 @given(st.integers(0, 10_000))

@@ -4,8 +4,7 @@ import pytest
 
 from anisomap.paper import Table
 from anisomap.paper.cases import CASES, METHODS, PATCH_RUNS
-from anisomap.paper.claim_checks import NOT_REPRODUCED, REPRODUCED, ClaimCheck
-from anisomap.paper.claims import CLAIMS
+from anisomap.paper.claims import CLAIMS, NOT_REPRODUCED, REPRODUCED, ClaimCheck
 
 
 def rows_of(score):

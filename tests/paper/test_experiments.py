@@ -14,8 +14,7 @@ from anisomap import io
 from anisomap.cli.app import main
 from anisomap.paper import EXPERIMENTS, Settings, reproduce, results
 from anisomap.paper.cases import patch_run
-from anisomap.paper.claim_checks import NOT_REPRODUCED, PARTLY, REPRODUCED
-from anisomap.paper.claims import CLAIMS
+from anisomap.paper.claims import CLAIMS, NOT_REPRODUCED, PARTLY, REPRODUCED
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")

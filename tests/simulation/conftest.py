@@ -8,7 +8,7 @@ import pytest
 
 from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bodies.lattice import sphere
-from anisomap.simulation.physics.bombardment import BombardmentOptions, Flight, simulate_flight
+from anisomap.simulation.bombardment import BombardmentOptions, Flight, simulate_flight
 from anisomap.simulation.sensing import read_balls
 
 

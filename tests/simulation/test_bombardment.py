@@ -12,19 +12,13 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from anisomap.errors import AnisomapWarning
-from anisomap.simulation import simulate
+from anisomap.simulation import simulate, solids
 from anisomap.simulation.bodies import Body
 from anisomap.simulation.bodies.lattice import sphere
 from anisomap.simulation.bodies.poisson_disc import holed_plate
-from anisomap.simulation.geometry import solids
+from anisomap.simulation.bombardment import BombardmentOptions, Flight, bombardment, simulate_flight
+from anisomap.simulation.engine import ElasticContact, add_fixed_solids
 from anisomap.simulation.options import options_for
-from anisomap.simulation.physics.bombardment import (
-    BombardmentOptions,
-    Flight,
-    bombardment,
-    simulate_flight,
-)
-from anisomap.simulation.physics.elastic import ElasticContact, add_fixed_solids
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 

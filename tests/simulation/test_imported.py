@@ -7,12 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.simulation import simulate
+from anisomap.simulation import simulate, solids
 from anisomap.simulation.bodies import body_from_mesh, body_from_points, load_body
-from anisomap.simulation.bodies.geodesics import surface_distances
+from anisomap.simulation.bodies.body import surface_distances
 from anisomap.simulation.bodies.lattice import sphere
 from anisomap.simulation.bodies.poisson_disc import hand
-from anisomap.simulation.geometry import solids
 
 trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")

@@ -15,20 +15,18 @@ from anisomap.scene import Prop
 from anisomap.simulation import SCENARIOS, simulate
 from anisomap.simulation.bodies.body import Body
 from anisomap.simulation.bodies.lattice import cylinder, plane, sphere, y_shape
-from anisomap.simulation.kinematic.paths import sample_skin
-from anisomap.simulation.kinematic.pressing import PressingOptions, draw_presses
-from anisomap.simulation.kinematic.pulses import PulsesOptions, draw_pulses, read_pulses
-from anisomap.simulation.kinematic.rubbing import RubbingOptions, move_hand, rubbing
-from anisomap.simulation.kinematic.self_touch import (
+from anisomap.simulation.options import ScenarioResult, options_for
+from anisomap.simulation.pressing import PressingOptions, draw_presses
+from anisomap.simulation.pulses import PulsesOptions, draw_pulses, read_pulses
+from anisomap.simulation.rubbing import RubbingOptions, move_hand, rubbing
+from anisomap.simulation.self_touch import (
     SelfTouchOptions,
     fingertip_directions,
     move_fingertip,
     with_fingertip,
 )
-from anisomap.simulation.kinematic.settling import support
-from anisomap.simulation.options import options_for
-from anisomap.simulation.result import ScenarioResult
 from anisomap.simulation.sensing import read_balls, read_capsules, read_half_spaces
+from anisomap.simulation.strokes import sample_skin, support
 
 KINEMATIC = ("rubbing", "roller", "pressing", "self-touch", "pulses")
 CONTACT = KINEMATIC[:4]

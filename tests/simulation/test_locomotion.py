@@ -11,9 +11,8 @@ import pytest
 from anisomap.errors import AnisomapWarning
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.bodies.lattice import cylinder, sphere
+from anisomap.simulation.locomotion import Journey, LocomotionOptions, locomotion, simulate_journey
 from anisomap.simulation.options import options_for
-from anisomap.simulation.physics.driving import LocomotionOptions
-from anisomap.simulation.physics.locomotion import Journey, locomotion, simulate_journey
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 

@@ -12,15 +12,17 @@ from scipy.spatial.transform import Rotation
 
 from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bodies.lattice import plane, sphere, y_shape
-from anisomap.simulation.kinematic.paths import (
+from anisomap.simulation.options import options_for
+from anisomap.simulation.strokes import (
+    Cluster,
     StrokeOptions,
     StrokePath,
     draw_strokes,
     sample_skin,
+    settle,
     smooth_random,
+    support,
 )
-from anisomap.simulation.kinematic.settling import Cluster, settle, support
-from anisomap.simulation.options import options_for
 
 seeds = st.integers(0, 2**32 - 1)
 

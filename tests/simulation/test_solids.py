@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from anisomap.errors import InputError
-from anisomap.numerics.triangles import TriangleSearch, nearest_on_triangles
+from anisomap.numerics.surfaces import TriangleSearch, nearest_on_triangles
 from anisomap.scene import Mesh
-from anisomap.simulation.geometry import solids
-from anisomap.simulation.geometry.solids import Solid
+from anisomap.simulation import solids
+from anisomap.simulation.solids import Solid
 
 seeds = st.integers(0, 2**32 - 1)
 PRIMITIVES: dict[str, Callable[[], Solid]] = {

@@ -9,12 +9,12 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
+from anisomap.simulation import solids
 from anisomap.simulation.bodies import Body
-from anisomap.simulation.bodies.geodesics import surface_distances
+from anisomap.simulation.bodies.body import surface_distances
 from anisomap.simulation.bodies.lattice import cylinder, great_circles, sphere
 from anisomap.simulation.bodies.poisson_disc import MAX_DENSITY, covered, uneven_sphere
-from anisomap.simulation.geometry import solids
-from anisomap.simulation.geometry.spreading import sample_surface, spread
+from anisomap.simulation.solids import sample_surface, spread
 
 
 def test_points_are_uniform_on_the_exposed_surface() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisomap.simulation.physics.terrain import Terrain, bumpy_terrain
+from anisomap.simulation.locomotion import Terrain, bumpy_terrain
 
 
 def ground(seed: int = 0, roughness: float = 0.3) -> Terrain:

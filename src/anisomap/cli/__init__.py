@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     gc.set_threshold(_NEW_OBJECTS)
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", _BUSY_TICKS)
-    from anisomap.cli.process import run_process  # noqa: PLC0415
+    from anisomap.cli.app import run_process  # noqa: PLC0415
 
     run_process(arguments)
 

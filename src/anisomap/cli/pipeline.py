@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import io
-from anisomap.cli import printing, touches
+from anisomap.cli import printing
+from anisomap.cli import printing as touches
 from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnosis.diagnostics import diagnose
@@ -32,8 +33,7 @@ from anisomap.large.streaming import StreamedSimilarity, map_streamed_similarity
 from anisomap.memory import check_pair_memory
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
-from anisomap.recording import MissingPolicy, Recording
-from anisomap.runs import as_runs, join_runs
+from anisomap.recording import MissingPolicy, Recording, as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 from anisomap.wording import as_text

@@ -21,11 +21,11 @@ from anisomap.cli.parameters import sensors
 from anisomap.cli.pipeline import Examined
 from anisomap.errors import InputError
 from anisomap.health import summarise
-from anisomap.io.parsing.grids import with_grid
+from anisomap.io.presets import with_grid
 from anisomap.large.approximation import APPROXIMATED, SimilarityGraph, build_similarity_graph
 from anisomap.large.chunks import chunk_frames, complete_chunks
-from anisomap.large.landmarks.options import ApproximateOptions
 from anisomap.large.map_reduce import WorkerPool
+from anisomap.large.sketch import ApproximateOptions
 from anisomap.large.streaming import StreamedSimilarity, stream_similarity
 from anisomap.methods import DEFAULT_METHOD, check_even_spacing
 from anisomap.options import MethodOptions

@@ -16,18 +16,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.diagnosis import Evidence, judge
 from anisomap.diagnosis.doubts import extent_in_spacings, systematic_doubts
-from anisomap.diagnosis.halves import MIN_FRAMES, MIN_SENSORS
-from anisomap.diagnosis.map_parts import MapParts
-from anisomap.diagnosis.resampling import MAX_SENSORS, STEP, resampled_maps
-from anisomap.diagnosis.uncertainty import covariances, departure_in_spacings, error_in_spacings
+from anisomap.diagnosis.parts import MIN_FRAMES, MIN_SENSORS, MapParts
+from anisomap.diagnosis.resampling import (
+    MAX_SENSORS,
+    STEP,
+    covariances,
+    departure_in_spacings,
+    error_in_spacings,
+    resampled_maps,
+)
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.mapping import Stages
 from anisomap.methods import METHODS
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.options import MethodOptions
-from anisomap.recording import Recording
-from anisomap.runs import as_runs, join_runs
+from anisomap.recording import Recording, as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 
@@ -156,7 +160,7 @@ def estimate_uncertainty(
 
     Notes
     -----
-    Blocks of frames are resampled (`anisomap.numerics.reliability.block_bootstrap`), and each
+    Blocks of frames are resampled (`anisomap.numerics.reliability.sampling_noise`), and each
     resample is mapped by a few iterations of the covariogram fit, starting from the map. If the
     map departs from that fit, because lengths were taken from the heights of contacts, halves of
     the recording are mapped from the beginning, and the covariances are scaled to their

@@ -1,17 +1,25 @@
 """Comparison of maps with true positions: Mantel r, alignment and neighbourhoods."""
 
-from anisomap.evaluation.alignment import Alignment, align
 from anisomap.evaluation.difference import Difference, compare_maps
-from anisomap.evaluation.mantel_r import PERMUTATIONS, Mantel, mantel, partial_mantel
-from anisomap.evaluation.mds_diagnostics import (
+from anisomap.evaluation.mantel_r import (
+    PERMUTATIONS,
+    Mantel,
     Shepard,
     ShiftTest,
+    mantel,
+    partial_mantel,
     shepard,
     shift_test,
     stress_per_point,
 )
-from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreement
-from anisomap.evaluation.scoring import Score, score
+from anisomap.evaluation.scoring import (
+    Alignment,
+    Score,
+    align,
+    median_spacing,
+    neighbour_agreement,
+    score,
+)
 
 __all__ = [
     "PERMUTATIONS",

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from scipy.special import ndtr, ndtri
 
 from anisomap.errors import InputError
-from anisomap.evaluation.neighbourhood import check_distances, median_spacing
+from anisomap.evaluation.scoring import check_distances, median_spacing
 from anisomap.numerics.procrustes import Similarity, fit_similarity_robustly
 from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
 

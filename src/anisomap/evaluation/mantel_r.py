@@ -1,4 +1,7 @@
-"""Mantel r: the correlation of two distance matrices, and its null distribution."""
+"""Mantel r: the correlation of two distance matrices, and its null distribution.
+
+Diagnostics of multidimensional scaling: stress per point, Shepard diagram, test by shifts.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import pdist, squareform
+from scipy.spatial.distance import cdist, pdist, squareform
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.sensor_map import SensorMap
 
 PERMUTATIONS = 10_000
@@ -223,3 +227,236 @@ def _standardised(distances: NDArray[np.float64]) -> NDArray[np.float64]:
     if norm <= 1e-12 * np.linalg.norm(pairs):
         raise InputError("all distances are equal, so a correlation is undefined")
     return np.asarray(squareform(centred / norm))
+
+
+N_SHIFTS = 99
+"""Default size of the null distribution of `shift_test`: p is at least 0.01."""
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Shepard:
+    """Shepard diagram of P pairs of points with known dissimilarities, which increase.
+
+    Attributes
+    ----------
+    dissimilarities : ndarray of shape (P,)
+        In increasing order.
+    distances : ndarray of shape (P,)
+        Distances of the same pairs in the configuration.
+    disparities : ndarray of shape (P,)
+        Non-decreasing function of the dissimilarities that is nearest to the distances.
+    pairs : ndarray of int, shape (P, 2)
+    """
+
+    dissimilarities: Matrix
+    distances: Matrix
+    disparities: Matrix
+    pairs: NDArray[np.intp]
+
+    @property
+    def nonmetric_stress(self) -> float:
+        """Kruskal's Stress-1 of the disparities; 0 if distances have the order of dissimilarities.
+
+        Kruskal (1964), Psychometrika 29: 1-27.
+        """
+        residual = np.sum((self.distances - self.disparities) ** 2)
+        return float(np.sqrt(residual / np.sum(self.distances**2)))
+
+    @property
+    def nonmetric_fit(self) -> float:
+        """R squared of the non-metric fit in vegan's stressplot: ``1 - nonmetric_stress ** 2``."""
+        return 1 - self.nonmetric_stress**2
+
+    @property
+    def linear_fit(self) -> float:
+        """Squared correlation of distances and disparities, as in vegan's stressplot."""
+        return float(np.corrcoef(self.distances, self.disparities)[0, 1] ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class ShiftTest:
+    """A statistic of a recording, and of recordings in which sensors are unrelated.
+
+    Attributes
+    ----------
+    observed : float
+    null : ndarray of shape (n_shifts,)
+    p_value : float
+        Share of the null, the observed value included, that is at least as extreme.
+    """
+
+    observed: float
+    null: Matrix
+    p_value: float
+
+
+def stress_per_point(
+    dissimilarities: ArrayLike, positions: ArrayLike, *, weights: ArrayLike | None = None
+) -> Matrix:
+    """Compute the share of each point in the raw stress of a configuration.
+
+    Parameters
+    ----------
+    dissimilarities : array_like of shape (N, N)
+        Symmetric; infinite where unknown.
+    positions : array_like of shape (N, k)
+        In the unit of the dissimilarities.
+    weights : array_like of shape (N, N), optional
+        Weights of the pairs, symmetric; 1 by default.
+
+    Returns
+    -------
+    ndarray of shape (N,)
+        Shares that sum to 1; equal if the fit is perfect. 100 times these are ``spp`` in R's
+        package smacof.
+
+    Raises
+    ------
+    InputError
+        If shapes disagree or a matrix is not symmetric.
+
+    Notes
+    -----
+    Mair, Groenen & de Leeuw (2022), Journal of Statistical Software 102(10),
+    doi:10.18637/jss.v102.i10: half of ``w_ij (d_ij - D_ij)^2`` belongs to each point of a pair.
+    """
+    wanted, actual = _compared(dissimilarities, positions)
+    known = np.isfinite(wanted)
+    squares = np.where(known, actual - np.where(known, wanted, 0), 0) ** 2
+    if weights is not None:
+        squares = squares * _matrix(weights, "weights", len(wanted))
+    np.fill_diagonal(squares, 0)
+    shares = squares.sum(axis=1)
+    total = shares.sum()
+    return np.asarray(shares / total if total > 0 else np.full(len(shares), 1 / len(shares)))
+
+
+def shepard(dissimilarities: ArrayLike, positions: ArrayLike) -> Shepard:
+    """Compare the distances of a configuration with the dissimilarities that it represents.
+
+    Parameters
+    ----------
+    dissimilarities : array_like of shape (N, N)
+        Symmetric; infinite where unknown.
+    positions : array_like of shape (N, k)
+
+    Returns
+    -------
+    Shepard
+
+    Raises
+    ------
+    InputError
+        If shapes disagree, the matrix is not symmetric, or fewer than 2 pairs are known.
+
+    Notes
+    -----
+    Ties of dissimilarity may have different distances (Kruskal's primary approach): they are
+    ordered by distance.
+    """
+    from scipy.optimize import isotonic_regression  # noqa: PLC0415, slow to import
+
+    wanted, actual = _compared(dissimilarities, positions)
+    pairs = np.argwhere(np.triu(np.isfinite(wanted), k=1))
+    if len(pairs) < 2:
+        raise InputError(f"a Shepard diagram requires at least 2 known pairs, got {len(pairs)}")
+    first, second = pairs.T
+    order = np.lexsort((actual[first, second], wanted[first, second]))
+    pairs = pairs[order]
+    first, second = pairs.T
+    distances = actual[first, second]
+    found = Shepard(
+        wanted[first, second], distances, np.asarray(isotonic_regression(distances).x), pairs
+    )
+    for array in (found.dissimilarities, found.distances, found.disparities, found.pairs):
+        array.setflags(write=False)
+    return found
+
+
+def shift_test(
+    readings: ArrayLike,
+    statistic: Callable[[Matrix], float],
+    *,
+    n_shifts: int = N_SHIFTS,
+    greater: bool = False,
+    rng: np.random.Generator | int | None = None,
+) -> ShiftTest:
+    """Test a statistic of a recording against recordings in which sensors are unrelated.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, N)
+        Finite readings, T >= 2.
+    statistic : callable
+        ``statistic(readings)`` returns a number, such as the stress of a map.
+    n_shifts : int
+        Size of the null distribution.
+    greater : bool
+        Whether great values are evidence of relations, as of a correlation; by default small ones
+        are, as of stress.
+    rng : numpy.random.Generator or int, optional
+        Generator of the shifts, or its seed; seed 0 by default.
+
+    Returns
+    -------
+    ShiftTest
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 2 frames.
+
+    Notes
+    -----
+    The readings of each sensor are shifted in time by a random number of frames, circularly. This
+    keeps their distribution and autocorrelation and removes their relations. Permutations of
+    dissimilarities, as in smacof's ``permtest``, or of frames would be too different from any
+    recording, and nearly every map significant.
+
+    Examples
+    --------
+    The stress of a map of related sensors is lower than chance makes it:
+
+    >>> import numpy as np
+    >>> from anisomap import reconstruct
+    >>> places, touches = np.arange(12), np.random.default_rng(0).uniform(0, 11, (500, 1))
+    >>> readings = np.maximum(0, 2 - abs(touches - places))
+    >>> found = shift_test(
+    ...     readings, lambda x: reconstruct(x, "r-anisomap", 1).stress, n_shifts=19
+    ... )
+    >>> float(found.p_value)
+    0.05
+    """
+    values = np.asarray(readings, dtype=np.float64)
+    if values.ndim != 2 or len(values) < 2:
+        raise InputError(
+            f"a test by shifts requires readings of shape (T, N) with T >= 2, got {values.shape}"
+        )
+    generator = np.random.default_rng(0 if rng is None else rng)
+    n_frames, n_sensors = values.shape
+    observed = float(statistic(values))
+    null = np.empty(n_shifts)
+    for i in range(n_shifts):
+        starts = generator.integers(n_frames, size=n_sensors)
+        frames = (np.arange(n_frames)[:, None] + starts) % n_frames
+        null[i] = statistic(np.take_along_axis(values, frames, axis=0))
+    extreme = np.count_nonzero(null >= observed if greater else null <= observed)
+    null.setflags(write=False)
+    return ShiftTest(observed, null, (extreme + 1) / (n_shifts + 1))
+
+
+def _compared(dissimilarities: ArrayLike, positions: ArrayLike) -> tuple[Matrix, Matrix]:
+    """Return dissimilarities, and distances of the positions."""
+    points = np.asarray(positions, dtype=np.float64)
+    if points.ndim != 2 or not np.isfinite(points).all():
+        raise InputError("positions must be finite and of shape (N, k)")
+    return _matrix(dissimilarities, "dissimilarities", len(points)), cdist(points, points)
+
+
+def _matrix(values: ArrayLike, name: str, n_points: int) -> Matrix:
+    found = np.asarray(as_symmetric(values, name), dtype=np.float64)
+    if len(found) != n_points:
+        raise InputError(f"{name} must be of shape ({n_points}, {n_points}), got {found.shape}")
+    return found

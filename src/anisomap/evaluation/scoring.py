@@ -1,4 +1,9 @@
-"""The score of a map against the truth."""
+"""Alignment of a map with the truth: Procrustes analysis with scaling and reflection.
+
+Nearest neighbours on the map and in the truth.
+
+The score of a map against the truth.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +13,268 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
 
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation.alignment import Alignment, align
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, PERMUTATIONS, Mantel, mantel
-from anisomap.evaluation.neighbourhood import median_spacing, neighbour_agreement
+from anisomap.numerics.procrustes import Similarity, fit_similarity
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """The similarity transform that best aligns a configuration with the truth.
+
+    ``aligned = scale * positions @ rotation.T + translation``, in the units of the truth. If
+    dimensions differ, the smaller configuration is padded with zeros.
+
+    Attributes
+    ----------
+    rotation : ndarray of shape (k, k)
+        Orthogonal; its determinant is -1 if `reflected`.
+    scale : float
+        Units of the truth per unit of the map.
+    translation : ndarray of shape (k,)
+        In units of the truth.
+    reflected : bool
+        Whether a mirror image fits better. Readings do not determine handedness.
+    aligned : ndarray of shape (N, k)
+        The map in the frame of the truth.
+    errors : ndarray of shape (N,)
+        Distance of each sensor from its true position.
+    """
+
+    rotation: NDArray[np.float64]
+    scale: float
+    translation: NDArray[np.float64]
+    reflected: bool
+    aligned: NDArray[np.float64]
+    errors: NDArray[np.float64]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of `errors`, in units of the truth."""
+        return float(np.sqrt(np.mean(self.errors**2)))
+
+    def apply(self, positions: ArrayLike) -> NDArray[np.float64]:
+        """Transform other points of the map, such as sensors without a true position.
+
+        Parameters
+        ----------
+        positions : array_like of shape (n, k) or fewer columns
+            In the frame and units of the map; padded with zeros as the map was.
+
+        Returns
+        -------
+        ndarray of shape (n, k)
+            In the frame and units of the truth; NaN where `positions` are NaN.
+
+        Raises
+        ------
+        InputError
+            If the points have more dimensions than the alignment.
+        """
+        points = np.array(positions, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] > len(self.translation):
+            raise InputError(
+                f"positions must have shape (n, k) with k at most {len(self.translation)}, got "
+                f"{points.shape}"
+            )
+        fit = Similarity(self.rotation, self.scale, self.translation)
+        return fit.apply(_padded(points, len(self.translation)))
+
+
+def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
+    """Align a configuration with the truth by rotation, scaling, translation and reflection.
+
+    Parameters
+    ----------
+    positions, truth : array_like of shape (N, k), (N, l)
+        The same sensors in the same order.
+
+    Returns
+    -------
+    Alignment
+        The least-squares optimum (ordinary Procrustes analysis with scaling and reflection).
+
+    Raises
+    ------
+    InputError
+        If the numbers of sensors differ, or a configuration is a single point.
+
+    Notes
+    -----
+    Schoenemann & Carroll (1970), Psychometrika 35: 245-255. A flat configuration in space equals
+    its mirror image and is never reported as reflected.
+    """
+    x, y = np.array(positions, dtype=np.float64), np.array(truth, dtype=np.float64)
+    if x.ndim != 2 or y.ndim != 2 or len(x) != len(y):
+        raise InputError(
+            f"positions and truth must have the same number of rows, got {x.shape} and {y.shape}"
+        )
+    dimensions = max(x.shape[1], y.shape[1])
+    x, y = _padded(x, dimensions), _padded(y, dimensions)
+    if (x == x[0]).all() or (y == y[0]).all():
+        raise InputError("all positions coincide, so an alignment is undefined")
+    fit = fit_similarity(x, y)
+    aligned = fit.apply(x)
+    return Alignment(
+        rotation=fit.rotation,
+        scale=fit.scale,
+        translation=fit.translation,
+        reflected=fit.reflected,
+        aligned=aligned,
+        errors=np.linalg.norm(aligned - y, axis=1),
+    )
+
+
+def _padded(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
+    return np.pad(points, ((0, 0), (0, dimensions - points.shape[1])))
+
+
+NEIGHBOURS = 6
+"""Number of neighbours of a sensor on a triangular lattice, the densest packing in the plane."""
+
+TIE = 1e-3
+"""Relative difference below which two distances are equal.
+
+Files store positions as float32 or with four to six digits, so that equal distances of a lattice
+differ by up to about 1e-4; the errors of maps are far larger.
+"""
+
+_SHELLS = 16  # neighbours that are looked for around a tie, per neighbour asked for
+
+
+def median_spacing(positions: ArrayLike) -> float:
+    """Median distance from a sensor to its nearest neighbour, in the units of `positions`."""
+    return float(np.median(_nearest_distances(positions)))
+
+
+def spacing_variation(positions: ArrayLike) -> float:
+    """Variation of the distances from sensors to their nearest neighbours.
+
+    Parameters
+    ----------
+    positions : array_like of shape (N, k)
+
+    Returns
+    -------
+    float
+        Standard deviation divided by the mean: 0 if all sensors are equally far from their nearest
+        neighbour, about .5 if sensors lie at random on a surface. 0 if all coincide.
+    """
+    nearest = _nearest_distances(positions)
+    mean = float(nearest.mean())
+    return float(nearest.std()) / mean if mean > 0 else 0.0
+
+
+def _nearest_distances(positions: ArrayLike) -> NDArray[np.float64]:
+    """Return the distance from each sensor to its nearest neighbour."""
+    points = np.asarray(positions, dtype=np.float64)
+    return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
+
+
+def check_distances(positions: NDArray[np.float64], what: str) -> None:
+    """Check that positions differ, and that the squares of their distances are finite.
+
+    Parameters
+    ----------
+    positions : ndarray of shape (N, k)
+        Sensors without a position are ignored.
+    what : str
+        The positions, for messages.
+
+    Raises
+    ------
+    InputError
+        If all positions are the same, or so far apart that distances cannot be computed.
+    """
+    placed = positions[np.isfinite(positions).all(axis=1)]
+    with np.errstate(over="ignore", under="ignore"):
+        square = float(((placed.max(axis=0) - placed.min(axis=0)) ** 2).sum()) if len(placed) else 0
+    if square == 0:
+        raise InputError(f"all sensors of {what} have the same position; there is no distance")
+    if not np.isfinite(square):
+        raise InputError(
+            f"the distances of {what} are out of the range of floating-point numbers; "
+            "check its units"
+        )
+
+
+def neighbour_agreement(
+    positions: ArrayLike, truth: ArrayLike, *, n_neighbours: int = NEIGHBOURS
+) -> float:
+    """Share of the nearest neighbours on the map that are nearest neighbours in the truth.
+
+    Parameters
+    ----------
+    positions, truth : array_like of shape (N, k), (N, l)
+        The same sensors in the same order.
+    n_neighbours : int
+        Number of nearest neighbours; at most N - 1 are used.
+
+    Returns
+    -------
+    float
+        In [0, 1]; about ``n_neighbours / (N - 1)`` by chance, and more by the share of ties.
+
+    Notes
+    -----
+    Distances that differ by less than 0.1 % are ties. In the truth, all sensors tied with the last
+    neighbour count as neighbours. On the map, the sensors tied with the last neighbour share the
+    remaining places equally, so that a map on which sensors coincide gains nothing. Ties are
+    looked for among the ``16 * n_neighbours`` nearest sensors.
+    """
+    x, y = np.asarray(positions, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    count = min(n_neighbours, len(x) - 1)
+    reach = (1 + TIE) * _nearest(y, count)[0][:, -1]
+    distances, neighbours = _nearest(x, count + 1)
+    found = _share(distances, _near(y, neighbours, reach), count)
+    tied = distances[:, -1] <= (1 + TIE) * distances[:, count - 1]
+    if tied.any() and count < len(x) - 1:
+        distances, neighbours = _nearest(x, _SHELLS * count, np.flatnonzero(tied))
+        found[tied] = _share(distances, _near(y, neighbours, reach, tied), count)
+    return float(found.mean())
+
+
+def _share(
+    distances: NDArray[np.float64], right: NDArray[np.bool_], count: int
+) -> NDArray[np.float64]:
+    """Share of true neighbours among the `count` nearest of each row, in any order of its ties."""
+    last = distances[:, count - 1, None]
+    certain, within = distances < (1 - TIE) * last, distances <= (1 + TIE) * last
+    tied = within & ~certain
+    places = (count - certain.sum(axis=1)) / tied.sum(axis=1)
+    return np.asarray(((certain & right).sum(axis=1) + places * (tied & right).sum(axis=1)) / count)
+
+
+def _near(
+    points: NDArray[np.float64],
+    neighbours: NDArray[np.intp],
+    reach: NDArray[np.float64],
+    rows: NDArray[np.bool_] | slice = slice(None),
+) -> NDArray[np.bool_]:
+    """Tell which of the listed neighbours of each point lie within its reach."""
+    apart = np.linalg.norm(points[rows, None] - points[neighbours], axis=2)
+    return np.asarray(apart <= reach[rows, None])
+
+
+def _nearest(
+    points: NDArray[np.float64], count: int, rows: NDArray[np.intp] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Find the nearest neighbours of points, all by default, and their distances, nearest first.
+
+    A point is no neighbour of itself, even if others coincide with it.
+    """
+    rows = np.arange(len(points)) if rows is None else rows
+    count = min(count, len(points) - 1)
+    distances, found = KDTree(points).query(points[rows], k=count + 1)
+    itself = found == rows[:, None]
+    itself[~itself.any(axis=1), -1] = True  # crowded out by coincident points: drop the last
+    shape = (len(rows), count)
+    return np.asarray(distances)[~itself].reshape(shape), np.asarray(found)[~itself].reshape(shape)
+
 
 MAX_ALL_PAIRS = 4000
 """Maximum number of sensors for which Mantel r uses all pairs."""

@@ -1,10 +1,17 @@
 """Summary of a recording, the health of its sensors, and the faults of the whole."""
 
-from anisomap.health.assessment import STATUSES, SensorHealth, assess
-from anisomap.health.behaviour import Matches
-from anisomap.health.findings import Finding
-from anisomap.health.recording_check import CHECKS, Repair, find_faults, repair
-from anisomap.health.summary import RecordingSummary, spoiling, summarise, weaknesses
+from anisomap.health.checks import Finding
+from anisomap.health.faults import (
+    CHECKS,
+    RecordingSummary,
+    Repair,
+    find_faults,
+    repair,
+    spoiling,
+    summarise,
+    weaknesses,
+)
+from anisomap.health.sensors import STATUSES, Matches, SensorHealth, assess
 from anisomap.health.touch_coverage import Place, TouchCoverage, next_places, touch_coverage
 
 __all__ = [

@@ -11,10 +11,9 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.health.contact_counts import count_contacts, count_joint_contacts
+from anisomap.health.activity import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
-from anisomap.recording import Recording
-from anisomap.runs import as_runs
+from anisomap.recording import Recording, as_runs
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
 

@@ -6,23 +6,23 @@ format, `events` the lists of contacts and spikes, and `parsing` the code they s
 is one module with its readers and writers, and one line in `registry.FORMATS`.
 """
 
-from anisomap.io.choice import ChoiceError as ChoiceError
-from anisomap.io.choice import Content as Content
-from anisomap.io.format import Format as Format
-from anisomap.io.maps.modules import read_modules as read_modules
-from anisomap.io.recordings.presets import apply_preset as apply_preset
-from anisomap.io.recordings.presets import numbering as numbering
+from anisomap.io.maps.csv import read_modules as read_modules
+from anisomap.io.maps.urdf import read_robot as read_robot
+from anisomap.io.presets import apply_preset as apply_preset
+from anisomap.io.presets import numbering as numbering
 from anisomap.io.registry import FORMATS as FORMATS
+from anisomap.io.registry import Format as Format
 from anisomap.io.registry import attach_positions as attach_positions
 from anisomap.io.registry import contents as contents
 from anisomap.io.registry import open_stream as open_stream
 from anisomap.io.registry import read as read
 from anisomap.io.registry import read_map as read_map
-from anisomap.io.robots import read_robot as read_robot
 from anisomap.io.statistics_files import read_statistics as read_statistics
 from anisomap.io.statistics_files import statistics_beside as statistics_beside
 from anisomap.io.statistics_files import write_statistics as write_statistics
 from anisomap.io.stream import Block as Block
+from anisomap.io.stream import ChoiceError as ChoiceError
+from anisomap.io.stream import Content as Content
 from anisomap.io.stream import ReadOptions as ReadOptions
 from anisomap.io.stream import Stream as Stream
 from anisomap.io.writing import check_writable as check_writable

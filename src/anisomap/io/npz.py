@@ -1,4 +1,10 @@
-"""NumPy archives: recordings and maps.
+"""The arrays of an NPZ file, validated before they are read.
+
+Pickled objects are never loaded, and members with impossible sizes are not decompressed.
+
+Contacts and spikes in NumPy archives: one array of times, one of the sensors at them.
+
+NumPy archives: recordings and maps.
 
 A recording has ``readings`` (T, N), and may have ``positions``, ``normals``,
 ``surface_distances``, ``names``, ``times``, ``rate_hz``, ``units``, ``source``. Scalars of other
@@ -11,27 +17,342 @@ from __future__ import annotations
 
 import json
 import math
+import sys
+import warnings
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.io.events.archived_events import holds_events, stream_archived
-from anisomap.io.parsing.archive import NUMBERS, SUFFIX, Archive, open_archive
-from anisomap.io.parsing.comments import to_python_scalar
-from anisomap.io.parsing.frames import increasing_times
-from anisomap.io.parsing.map_facts import from_provenance, to_provenance
+from anisomap.io.parsing.facts import from_provenance, to_provenance, to_python_scalar
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream
+from anisomap.io.recordings.events import Events, stream_events
+from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, increasing_times
+from anisomap.memory import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import ERRORS, Verdict
+from anisomap.wording import join_items
+
+SUFFIX = ".npy"
+NUMBERS, WHOLE, TEXT = "biuf", "biu", "US"
+"""Accepted values of `numpy.dtype.kind`."""
+_DESCRIPTIONS = {NUMBERS: "numbers", WHOLE: "integers"}
+
+_MAX_SCALAR_BYTES = 1 << 16
+_MAX_TEXT_BYTES = 1 << 24
+"""Of one text; numpy stores all texts of an array at the length of the longest."""
+_BLOCK_BYTES = 1 << 22
+
+
+@contextmanager
+def open_archive(path: Path) -> Iterator[Archive]:
+    """Open an NPZ file.
+
+    Raises
+    ------
+    FileError
+        In the block, if the file is damaged.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            yield Archive(path, archive, Budget(path))
+    except zipfile.BadZipFile as error:
+        raise FileError(f"{path} is damaged or not a NumPy archive: {error}") from error
+    except (zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+        raise FileError(f"{path} is damaged: {error}") from error
+
+
+def _whole(
+    member: IO[bytes], shape: tuple[int, ...], fortran_order: bool, dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    # Reading to the end makes zipfile verify the checksum.
+    values = np.frombuffer(member.read(), dtype)
+    return values.reshape(shape, order="F" if fortran_order else "C")
+
+
+def _contents(member: IO[bytes], n_bytes: int) -> Iterator[bytes]:
+    """Yield blocks; the final read, which returns nothing, makes zipfile verify the checksum."""
+    while content := member.read(n_bytes):
+        yield content
+
+
+@dataclass(frozen=True)
+class Archive:
+    """An open NPZ file."""
+
+    path: Path
+    zip: zipfile.ZipFile
+    budget: Budget
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all arrays."""
+        members = self.zip.namelist()
+        return [name.removesuffix(SUFFIX) for name in members if name.endswith(SUFFIX)]
+
+    def require(self, name: str, what: str) -> None:
+        """Raise FileError if an array is missing; `what` describes it in the message."""
+        if name not in self.names:
+            found = f"arrays: {join_items(self.names)}" if self.names else "it has no array"
+            raise FileError(f"{self.path} holds no {what}: array {name!r} is missing ({found})")
+
+    def required(self, name: str, kinds: str) -> NDArray[Any]:
+        """Read an existing array, which must be of one of `kinds`."""
+        with self._member(name, kinds) as (member, shape, fortran_order, dtype):
+            # Numbers other than readings are converted to float64.
+            item_bytes = max(dtype.itemsize, np.dtype(np.float64).itemsize)
+            self.budget.spend(math.prod(shape) * item_bytes, f"array {name}")
+            return _whole(member, shape, fortran_order, dtype)
+
+    def shape(self, name: str, kinds: str) -> tuple[int, ...]:
+        """Return the shape of an existing array of readings."""
+        with self._member(name, kinds) as (_, shape, _, dtype):
+            self.budget.check(math.prod(shape) * bytes_kept(dtype), f"array {name}")
+            return shape
+
+    def rows(self, name: str, kinds: str, n_bytes: int) -> Iterator[NDArray[Any]]:
+        """Yield the rows of a 2-D array in blocks of about `n_bytes`.
+
+        An array in Fortran order is read as a whole.
+        """
+        with self._member(name, kinds) as (member, shape, fortran_order, dtype):
+            row_bytes = shape[1] * dtype.itemsize
+            if fortran_order:
+                yield _whole(member, shape, fortran_order, dtype)
+                return
+            n_rows = max(1, n_bytes // max(row_bytes, 1))
+            for content in _contents(member, n_rows * row_bytes):
+                yield np.frombuffer(content, dtype).reshape(-1, shape[1])
+
+    @contextmanager
+    def _member(
+        self, name: str, kinds: str
+    ) -> Iterator[tuple[IO[bytes], tuple[int, ...], bool, np.dtype[Any]]]:
+        """Open an array at its first value, after validating its header."""
+        info = self.zip.getinfo(name + SUFFIX)
+        self._check_size(info)
+        with self.zip.open(info) as member:
+            shape, fortran_order, dtype = self._header(member, name)
+            if dtype.kind not in kinds:
+                expected = _DESCRIPTIONS.get(kinds, "text")
+                kind = "pickled objects" if dtype.hasobject else f"of type {dtype}"
+                raise FileError(f"{self.path}: {name} is {kind}; it must be {expected}")
+            if dtype.kind in TEXT and dtype.itemsize > _MAX_TEXT_BYTES:
+                raise FileError(
+                    f"{self.path}: the texts in {name} have up to {dtype.itemsize} bytes; at most "
+                    f"{_MAX_TEXT_BYTES} are supported"
+                )
+            n_bytes = math.prod(shape) * dtype.itemsize
+            held = info.file_size - member.tell()
+            if n_bytes != held or min(shape, default=0) < 0 or not dtype.itemsize:
+                raise FileError(
+                    f"{self.path}: {name} is damaged: "
+                    f"shape {shape} needs {n_bytes} bytes, but the array has {held}"
+                )
+            yield member, shape, fortran_order, dtype
+
+    def array(self, name: str, kinds: str) -> NDArray[Any] | None:
+        """Read an array, or return None if it is missing."""
+        return self.required(name, kinds) if name in self.names else None
+
+    def integers(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
+        """Read a 1-D array of integers; empty if it is missing."""
+        values = self.array(name, WHOLE)
+        if values is None:
+            return np.empty(0, dtype)
+        self._check_list(name, values)
+        return values.astype(dtype)
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """Read a 1-D array of strings; empty if it is missing."""
+        if name not in self.names:
+            return ()
+        with self._member(name, TEXT + WHOLE) as (member, shape, _, dtype):
+            if len(shape) != 1:
+                raise FileError(f"{self.path}: {name} has shape {shape}; it must be 1-D")
+            found: list[str] = []
+            # In blocks, because numpy stores short texts at the length of the longest.
+            n_bytes = max(1, _BLOCK_BYTES // dtype.itemsize) * dtype.itemsize
+            for content in _contents(member, n_bytes):
+                more = [str(value) for value in self._python(name, np.frombuffer(content, dtype))]
+                self.budget.spend(sum(map(sys.getsizeof, more)), f"array {name}")
+                found += more
+        return tuple(found)
+
+    def text(self, name: str, default: str = "") -> str:
+        """Read a single string."""
+        values = self.array(name, TEXT)
+        return default if values is None else str(self._single(name, values))
+
+    def number(self, name: str) -> float | None:
+        """Read a single number, or return None if it is missing."""
+        values = self.array(name, NUMBERS)
+        return None if values is None else float(self._single(name, values))
+
+    def mapping(self, name: str) -> dict[str, Scalar]:
+        """Read a mapping stored as JSON; other text becomes the value of the key `name`."""
+        packed = self.text(name)
+        try:
+            mapping = json.loads(packed) if packed else {}
+        except (ValueError, RecursionError):
+            mapping = None
+        if not isinstance(mapping, dict):
+            return {name: packed}
+        return {key: value for key, value in mapping.items() if isinstance(value, Scalar)}
+
+    def scalars(self, exclude: set[str]) -> dict[str, Scalar]:
+        """Read all scalar arrays except those named in `exclude`; objects are skipped."""
+        found = {}
+        for name in dict.fromkeys(self.names):
+            info = self.zip.getinfo(name + SUFFIX)
+            if name in exclude or info.file_size > _MAX_SCALAR_BYTES:
+                continue
+            self._check_size(info)
+            with self.zip.open(info) as member:
+                shape, _, dtype = self._header(member, name)
+            if shape == () and dtype.kind in NUMBERS + TEXT:
+                found[name] = self._single(name, self.required(name, NUMBERS + TEXT))
+        return found
+
+    def _check_list(self, name: str, values: NDArray[Any]) -> None:
+        if values.ndim != 1:
+            raise FileError(f"{self.path}: {name} has shape {values.shape}; it must be 1-D")
+
+    def _single(self, name: str, values: NDArray[Any]) -> Any:
+        if values.size != 1:
+            raise FileError(f"{self.path}: {name} has shape {values.shape}; it must be one value")
+        return self._python(name, values.reshape(1))[0]
+
+    def _python(self, name: str, values: NDArray[Any]) -> list[Any]:
+        """Convert an array to a list of Python strings or numbers."""
+        if values.dtype.kind == "f":
+            values = values.astype(np.float64)
+        if values.dtype.kind == "S":
+            return [text.decode("utf-8", "replace") for text in values.tolist()]
+        if values.dtype.kind == "U":
+            # numpy accepts code points beyond Unicode, on which Python fails later.
+            characters = values.view(np.dtype(np.uint32).newbyteorder(values.dtype.byteorder))
+            if characters.max(initial=0) > sys.maxunicode:
+                raise FileError(f"{self.path}: {name} holds invalid Unicode characters")
+        found: list[Any] = values.tolist()
+        return found
+
+    def _header(self, member: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                version = np.lib.format.read_magic(member)
+                read = np.lib.format.read_array_header_1_0
+                if version != (1, 0):
+                    read = np.lib.format.read_array_header_2_0
+                shape, fortran_order, dtype = read(member)
+                # numpy accepts True for 1.
+                return tuple(int(length) for length in shape), fortran_order, dtype
+        except zipfile.BadZipFile:
+            raise
+        except Exception as error:  # numpy evaluates the header as a literal; any error may result
+            raise FileError(f"{self.path}: the header of the array {name} is damaged") from error
+
+    def _check_size(self, info: zipfile.ZipInfo) -> None:
+        """Reject an array with a declared size that its compressed bytes cannot reach."""
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise FileError(
+                f"{self.path}: {info.filename} uses a compression method that NumPy never writes"
+            )
+        ratio = 1 if info.compress_type == zipfile.ZIP_STORED else DEFLATE_RATIO
+        packed = min(info.compress_size, self.budget.size)
+        self.budget.check(info.file_size, info.filename, reachable=ratio * packed)
+
+
+_TIMES, _NUMBERED = ("times", "time", "spike_times"), ("events", "event")
+_SENSORS = {
+    **dict.fromkeys(("ids", "taxels", "contacts"), "taxel"),
+    **dict.fromkeys(("sensors", "sensor"), "sensor"),
+    **dict.fromkeys(("channels", "channel"), "channel"),
+    **dict.fromkeys(("electrodes", "electrode"), "electrode"),
+    **dict.fromkeys(("units", "unit", "spike_clusters"), "unit"),
+}
+
+
+def _first(archive: Archive, names: tuple[str, ...]) -> str:
+    return next((name for name in names if name in archive.names), "")
+
+
+def holds_events(archive: Archive) -> bool:
+    """Return whether an archive has an array of times or numbers, and one of sensors."""
+    return bool(_first(archive, (*_TIMES, *_NUMBERED)) and _sensors_of(archive))
+
+
+def _sensors_of(archive: Archive) -> str:
+    # The unit of the positions has the name of an array of units.
+    return _first(
+        archive,
+        tuple(name for name in _SENSORS if name != "units" or "positions" not in archive.names),
+    )
+
+
+def stream_archived(archive: Archive, bin_s: float | None) -> Stream:
+    """Create a stream of the events in an archive.
+
+    Parameters
+    ----------
+    archive : Archive
+        With ``times`` in seconds, or ``events``, and ``taxels``, ``sensors``, ``channels`` or the
+        like, of shape (E,). ``names`` and ``positions``, one per sensor, make the numbers of
+        sensors indices, and tell which sensors were silent.
+    bin_s : float or None
+        Width of bins.
+
+    Returns
+    -------
+    Stream
+
+    Raises
+    ------
+    FileError
+        If shapes differ, or a number is not the index of a sensor.
+    """
+    path = archive.path
+    at, which = _first(archive, (*_TIMES, *_NUMBERED)), _sensors_of(archive)
+    moments = archive.required(at, NUMBERS).astype(np.float64)
+    sensors = archive.required(which, WHOLE).astype(np.int64)
+    if moments.ndim != 1 or moments.shape != sensors.shape:
+        raise FileError(
+            f"{path}: {at} and {which} must be lists of equal length, got shapes {moments.shape} "
+            f"and {sensors.shape}"
+        )
+    if sensors.min(initial=0) < 0:
+        raise FileError(f"{path}: {which} must be numbers of sensors from 0")
+    names = distinct_names(path, archive.texts("names"))
+    positions: NDArray[np.float64] | None = archive.array("positions", NUMBERS)
+    noun = _SENSORS[which]
+    n_known = len(names) or (0 if positions is None else len(positions))
+    if n_known:
+        if sensors.max(initial=0) >= n_known:
+            raise FileError(
+                f"{path}: {which} holds {sensors.max()}, but there are {n_known} sensors"
+            )
+        names = names or tuple(f"{noun}{i}" for i in range(n_known))
+    else:
+        numbers, sensors = np.unique(sensors, return_inverse=True)
+        names = tuple(f"{noun}{number}" for number in numbers.tolist())
+    return stream_events(
+        path,
+        Events(moments, sensors.astype(np.intp), names, timed=at in _TIMES),
+        bin_s=bin_s,
+        spikes=noun in ("channel", "electrode", "unit") and at in _TIMES,
+        positions=positions,
+        metadata={"format": "NumPy archive of events"},
+    )
+
 
 _MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
 _RECORDING_KEYS = {

@@ -1,19 +1,23 @@
-"""The registry of formats, and the functions that read files with it."""
+"""Description of a file format: how it is recognised, and its readers and writers.
+
+True positions from a file of their own, for the sensors of a recording.
+
+The registry of formats, and the functions that read files with it.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from anisomap.budget import SENSOR_BYTES, Budget, bytes_kept
+import numpy as np
+from numpy.typing import NDArray
+
 from anisomap.errors import FileError, InputError
 from anisomap.io import npz
-from anisomap.io.choice import Content
-from anisomap.io.events import contact_json, contact_text
-from anisomap.io.format import Format
 from anisomap.io.maps import (
     csv,
     cyskin_calibration,
@@ -26,11 +30,13 @@ from anisomap.io.maps import (
     urdf,
     xml_files,
 )
-from anisomap.io.parsing.grids import with_grid
-from anisomap.io.parsing.naming import distinct_names
+from anisomap.io.parsing.naming import distinct_names, match_names
 from anisomap.io.parsing.source import file_errors, read_head
+from anisomap.io.presets import apply_preset, with_grid
 from anisomap.io.recordings import (
     arrow,
+    contact_json,
+    contact_text,
     cyskin,
     delimited_text,
     hdf5,
@@ -40,20 +46,142 @@ from anisomap.io.recordings import (
     pressure_mats,
     yarp,
 )
-from anisomap.io.recordings.presets import apply_preset
-from anisomap.io.ros import bags, compression
+from anisomap.io.ros import bags
+from anisomap.io.ros import repair as compression
 from anisomap.io.stream import (
     BLOCK_FRAMES,
     Block,
+    Content,
     ReadOptions,
     Stream,
     assemble,
     rechunk,
 )
-from anisomap.io.truth import with_positions, with_recorded_positions
-from anisomap.recording import Recording
+from anisomap.memory import SENSOR_BYTES, Budget, bytes_kept
+from anisomap.recording import Recording, default_names
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import as_text, join_items
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format with its readers and writers.
+
+    Readers raise FileError for damaged files and files without the requested content, and
+    MissingExtraError if a required library is not installed. Writers raise InputError for things
+    that the format cannot represent.
+
+    Parameters
+    ----------
+    name : str
+        Unique identifier.
+    suffixes : tuple of str
+        In lower case, with the dot. They select the writer, and the reader of files that no
+        format recognises by content.
+    summary : str
+        One-line description for listings.
+    recognises : callable
+        ``recognises(path, head)`` returns whether the content is of this format. `head` holds the
+        first bytes of the file, decompressed, and is empty for a folder. It must not raise.
+    open_recording : callable, optional
+        ``open_recording(path, options)`` is a context manager that yields a `Stream`.
+    read_map : callable, optional
+        ``read_map(path)`` returns a `SensorMap`.
+    write_map, write_recording : callable, optional
+        ``write_map(sensor_map, path)`` and ``write_recording(recording, path)``. Equal input
+        gives equal bytes.
+    contents : callable, optional
+        ``contents(path, options)`` lists the possible recordings in a file.
+    extra : str
+        Extra that installs the required library; empty if none is required.
+    in_metres : bool
+        Whether the format stores metres, so that a map needs a scale.
+    signature : bytes
+        First bytes of the files that anisomap writes, if no other format's files start with them.
+        They decide before `recognises`, since names and notes may contain the marks of others.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    summary: str
+    recognises: Callable[[Path, bytes], bool]
+    open_recording: Callable[[Path, ReadOptions], AbstractContextManager[Stream]] | None = None
+    read_map: Callable[[Path], SensorMap] | None = None
+    write_map: Callable[[SensorMap, Path], None] | None = None
+    write_recording: Callable[[Recording, Path], None] | None = None
+    contents: Callable[[Path, ReadOptions], tuple[Content, ...]] | None = None
+    extra: str = ""
+    in_metres: bool = False
+    signature: bytes = b""
+
+
+def with_positions(stream: Stream, truth: SensorMap, file: Path) -> Stream:
+    """Give the sensors of a stream their true positions.
+
+    Parameters
+    ----------
+    stream : Stream
+        If it lists events, the sensors that have a position and no event are added: they read 0.
+    truth : SensorMap
+        Positions by sensor name; see `anisomap.io.parsing.naming.match_names`.
+    file : pathlib.Path
+        The file of the positions, for messages.
+
+    Returns
+    -------
+    Stream
+        Positions are NaN for sensors that `truth` lacks.
+
+    Raises
+    ------
+    FileError
+        If no sensor has a position.
+    """
+    names = stream.names or default_names(stream.n_sensors)
+    rows = _rows(names, truth, stream.path, file)
+    positions = _positions(truth, rows)
+    if not stream.silent_are_zero:
+        return replace(stream, positions=positions, units=truth.units)
+    known = set(rows)
+    silent = [i for i in range(truth.n_sensors) if i not in known and truth.placed[i]]
+    taken = set(names)
+    silent = [i for i in silent if truth.names[i] not in taken]
+    return replace(
+        stream,
+        n_sensors=len(names) + len(silent),
+        blocks=_with_silent(stream.blocks, len(silent)),
+        names=(*names, *(truth.names[i] for i in silent)),
+        positions=np.vstack([positions, truth.positions[silent]]),
+        units=truth.units,
+    )
+
+
+def with_recorded_positions(recording: Recording, truth: SensorMap, file: Path) -> Recording:
+    """Give the sensors of a recording their true positions; see `with_positions`."""
+    rows = _rows(recording.names, truth, Path(recording.source), file)
+    return replace(recording, positions=_positions(truth, rows), units=truth.units)
+
+
+def _rows(names: Sequence[str], truth: SensorMap, path: Path, file: Path) -> list[int | None]:
+    rows = match_names(names, truth.names)
+    if all(row is None or not truth.placed[row] for row in rows):
+        raise FileError(
+            f"{file} has no position for a sensor of {path}: its names are {truth.names[0]} ... "
+            f"{truth.names[-1]}, those of the recording {names[0]} ... {names[-1]}"
+        )
+    return rows
+
+
+def _positions(truth: SensorMap, rows: Sequence[int | None]) -> NDArray[np.float64]:
+    unknown = np.full(truth.dimensions, np.nan)
+    return np.array([unknown if row is None else truth.positions[row] for row in rows])
+
+
+def _with_silent(blocks: Iterator[Block], n_silent: int) -> Iterator[Block]:
+    for block in blocks:
+        zeros = np.zeros((len(block.readings), n_silent), block.readings.dtype)
+        yield replace(block, readings=np.hstack([block.readings, zeros]))
+
 
 _MAX_LISTED = 3
 

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from anisomap.errors import FileError, InputError
 from anisomap.evidence import SIMILARITIES
 from anisomap.files import atomic_write, check_target
-from anisomap.io.npz import to_json, write_arrays
-from anisomap.io.parsing.archive import NUMBERS, Archive, open_archive
-from anisomap.io.parsing.encoding import check_encodable
+from anisomap.io.npz import NUMBERS, Archive, open_archive, to_json, write_arrays
+from anisomap.io.parsing.facts import check_encodable
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import file_errors
 from anisomap.methods import find_method

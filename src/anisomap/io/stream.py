@@ -1,13 +1,19 @@
-"""Recordings as streams of blocks of frames.
+"""Validation of times, and compact storage of readings.
+
+Select the recording in files that hold several datasets, topics or ports.
+
+Recordings as streams of blocks of frames.
 
 A reader returns a `Stream`: the metadata of the recording, and an iterator of blocks. `assemble`
 collects the blocks into a `Recording`; callers with little memory iterate over them.
+
+Join recordings of several parts of one skin that were made at the same time.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,9 +22,138 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError
-from anisomap.io.parsing.frames import increasing_times
-from anisomap.io.parsing.libraries import DamagedError, error_reason
-from anisomap.recording import Recording, Scalar
+from anisomap.io.parsing.source import DamagedError, error_reason
+from anisomap.recording import Recording, Scalar, default_names
+from anisomap.wording import join_items
+
+
+def increasing_times(
+    times: NDArray[np.floating], path: Path, locate: Callable[[int], str] | None = None
+) -> NDArray[np.float64] | None:
+    """Return times if they are finite and strictly increase, else warn and return None.
+
+    Parameters
+    ----------
+    times : ndarray of shape (T,)
+        In any unit.
+    path : pathlib.Path
+        The file, for messages.
+    locate : callable, optional
+        Maps a frame index to its place in the file, such as ``"line 12"``.
+
+    Returns
+    -------
+    ndarray of float64, shape (T,), or None
+
+    Raises
+    ------
+    FileError
+        If `times` is not one-dimensional.
+    """
+    values = np.asarray(times, dtype=np.float64)
+    if values.ndim != 1:
+        raise FileError(f"{path}: times must have shape (T,), got {values.shape}")
+    valid = np.isfinite(values)
+    with np.errstate(invalid="ignore"):
+        valid[1:] &= np.diff(values) > 0
+    if valid.all():
+        return values
+    frame = int(np.argmin(valid))
+    where = f" ({locate(frame)})" if locate else ""
+    after = f" after {float(values[frame - 1])!r}" if frame else ""
+    warnings.warn(
+        f"{path}: times must strictly increase, but frame {frame}{where} is at "
+        f"{float(values[frame])!r}{after}; the times are ignored",
+        AnisomapWarning,
+        stacklevel=2,
+    )
+    return None
+
+
+def to_float32_if_exact(readings: NDArray[np.float64]) -> NDArray[np.floating]:
+    """Convert readings to float32 if that is exact, which halves the memory of most recordings."""
+    with np.errstate(over="ignore"):
+        single = readings.astype(np.float32)
+    return single if np.array_equal(single, readings, equal_nan=True) else readings
+
+
+_MAX_LISTED = 12
+
+
+class ChoiceError(FileError):
+    """The file holds several possible recordings, and none was selected."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """One item in a file: a dataset, column, topic or port.
+
+    Parameters
+    ----------
+    name : str
+        Name to select it by.
+    summary : str
+        Type and size, for display.
+    usable : bool
+        Whether it can be a recording.
+    """
+
+    name: str
+    summary: str
+    usable: bool = True
+
+
+def choose(path: Path, contents: Sequence[Content], select: str, noun: str) -> Content:
+    """Select the recording by name, or the only usable item.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file, for messages.
+    contents : sequence of Content
+        All items in the file.
+    select : str
+        Name of an item, or whole components of its name (``b/c`` of ``a/b/c``); empty for the only
+        usable item.
+    noun : str
+        Noun for an item in messages, such as ``"dataset"``.
+
+    Returns
+    -------
+    Content
+
+    Raises
+    ------
+    ChoiceError
+        If several items are usable and `select` is empty.
+    FileError
+        If no item is usable, or `select` does not match exactly one.
+    """
+    usable = [content for content in contents if content.usable]
+    if select:
+        named = [content for content in contents if content.name == select] or [
+            content for content in usable if f"/{select.strip('/')}/" in f"/{content.name}/"
+        ]
+        if len(named) != 1:
+            problem = f"several {noun}s match" if named else f"there is no {noun}"
+            raise FileError(
+                f"{path}: {problem} {select!r}; the file holds {_listed(named or contents)}"
+            )
+        return named[0]
+    if len(usable) > 1:
+        raise ChoiceError(
+            f"{path} holds {len(usable)} possible recordings ({noun}s): {_listed(usable)}; "
+            "choose one with --select"
+        )
+    if not usable:
+        listing = f"; it holds {_listed(contents)}" if contents else ""
+        raise FileError(f"{path} holds no {noun} that can be a recording{listing}")
+    return usable[0]
+
+
+def _listed(contents: Sequence[Content]) -> str:
+    return join_items([f"{content.name} ({content.summary})" for content in contents], _MAX_LISTED)
+
 
 BLOCK_FRAMES = 8192
 """Default number of frames per block of `open_stream`."""
@@ -46,7 +181,7 @@ class ReadOptions:
     definitions : tuple of pathlib.Path
         Message definitions (``.msg``) for a bag without them.
     preset : str
-        A robot with a known numbering of sensors: see `anisomap.io.recordings.presets`.
+        A robot with a known numbering of sensors: see `anisomap.io.presets`.
     positions : pathlib.Path, optional
         File of true positions of the sensors, in any format of maps. Sensors match by name, or by
         the numbers at the ends of the names.
@@ -282,3 +417,95 @@ def _best_clock(stream: Stream, clocks: list[NDArray[np.float64]]) -> NDArray[np
             if np.isfinite(times).all() and (np.diff(times) > 0).all():
                 return times - times[0] if stream.from_zero else times
     return increasing_times(clocks[0], stream.path, stream.locate)
+
+
+def join_streams(streams: Mapping[str, Stream]) -> Stream:
+    """Join the sensors of several streams, sampled at the times of the first.
+
+    Parameters
+    ----------
+    streams : mapping of str to Stream
+        Streams by name of the part, which becomes a prefix of its sensors' names. All need times
+        from synchronised clocks.
+
+    Returns
+    -------
+    Stream
+        The frames of the first stream, each with the latest earlier frame of the other streams.
+        Frames outside the recording time of any stream are left out.
+
+    Raises
+    ------
+    FileError
+        While iterating, if a stream has no times or no frame, or the streams do not overlap.
+    """
+    (_, leader), *followers = streams.items()
+    names = tuple(
+        f"{part}/{name}"
+        for part, stream in streams.items()
+        for name in stream.names or default_names(stream.n_sensors)
+    )
+    return replace(
+        leader,
+        n_sensors=len(names),
+        blocks=_blocks(leader, [_Follower(name, stream) for name, stream in followers], [*streams]),
+        names=names,
+        positions=None,
+        normals=None,
+        surface_distances=None,
+        locate=None,
+    )
+
+
+def _blocks(leader: Stream, followers: list[_Follower], parts: list[str]) -> Iterator[Block]:
+    overlap = False
+    for block in leader.blocks:
+        if block.times is None:
+            raise FileError(f"{leader.path} has no times; joining recordings requires them")
+        rows, covered = [block.readings], np.ones(len(block.readings), dtype=bool)
+        for follower in followers:
+            readings, known = follower.at(block.times)
+            rows.append(readings)
+            covered &= known
+        if covered.any():
+            overlap = True
+            yield Block(np.hstack(rows)[covered], block.fraction, block.times[covered])
+    if not overlap:
+        raise FileError(f"{leader.path}: the recordings {join_items(parts)} do not overlap in time")
+
+
+class _Follower:
+    """Look up the latest frame of a stream at increasing times, with bounded memory."""
+
+    def __init__(self, name: str, stream: Stream) -> None:
+        self._name, self._stream = name, stream
+        self._times: NDArray[np.float64] = np.empty(0)
+        self._readings = np.empty((0, stream.n_sensors), np.float32)
+        self._ended = False
+
+    def at(self, times: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
+        """Return the latest readings at each time, and whether the stream covers that time."""
+        self._read_until(times.max(initial=-np.inf))
+        if not self._times.size:
+            raise FileError(f"{self._stream.path}: {self._name} has no frame")
+        last = np.searchsorted(self._times, times, side="right") - 1
+        known = (last >= 0) & (times <= self._times[-1])
+        readings = self._readings[last.clip(0)]
+        unused = max(int(last.min(initial=0)), 0)
+        self._times, self._readings = self._times[unused:], self._readings[unused:]
+        return readings, known
+
+    def _read_until(self, time: float) -> None:
+        while not self._ended and not (self._times.size and self._times[-1] >= time):
+            block = next(self._stream.blocks, None)
+            if block is None:
+                self._ended = True
+                return
+            if block.times is None:
+                raise FileError(
+                    f"{self._stream.path}: {self._name} has no times; joining recordings requires "
+                    "them"
+                )
+            # searchsorted needs non-decreasing times, so a clock that steps back is held constant.
+            self._times = np.fmax.accumulate(np.append(self._times, block.times))
+            self._readings = np.concatenate([self._readings, block.readings])

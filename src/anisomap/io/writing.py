@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from anisomap.errors import FileError, InputError
 from anisomap.files import atomic_write, check_distinct, check_target
-from anisomap.io.parsing.encoding import check_encodable, texts_of
+from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.registry import FORMATS
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap

@@ -17,17 +17,22 @@ from anisomap.dimensions import AUTO, Dimensions, check_dimensions, given_dimens
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Matches, SensorHealth, assess, weaknesses
 from anisomap.large.chunks import CHUNK_READINGS, Chunks, Excerpt, complete_chunks, split_array
-from anisomap.large.landmarks.correlations import SensorPairs, correlations, pairs_of
-from anisomap.large.landmarks.landmark_mds import PlacedComponent, place_component
-from anisomap.large.landmarks.options import ApproximateOptions
-from anisomap.large.landmarks.sensor_graph import (
+from anisomap.large.landmark_mds import PlacedComponent, place_component
+from anisomap.large.sensor_graph import (
     SensorGraph,
     adjacency_matrix,
     bridge_components,
     build_graph,
     edge_lengths,
 )
-from anisomap.large.landmarks.sketch import Sketch, compute_sketch
+from anisomap.large.sketch import (
+    ApproximateOptions,
+    SensorPairs,
+    Sketch,
+    compute_sketch,
+    correlations,
+    pairs_of,
+)
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 from anisomap.options import MethodOptions
 from anisomap.recording import MissingPolicy, Recording, Scalar, sensor_mask
@@ -41,7 +46,7 @@ APPROXIMATED = "r-anisomap"
 EXCERPT_READINGS = 1 << 27
 """Number of readings from which sensor health is assessed; many sensors require many."""
 
-_N_NEAREST = 4  # most similar sensors, as in `anisomap.health.behaviour`
+_N_NEAREST = 4  # most similar sensors, as in `anisomap.health.sensors`
 _UNEXAMINED = (
     "approximate maps do not show whether the skin is flat, so the map has 3 dimensions: for a "
     "flat skin, choose 2 (-d 2)"

@@ -21,8 +21,8 @@ from anisomap.large.chunks import SEGMENT_FRAMES, Chunks, Excerpt, complete_chun
 from anisomap.large.map_reduce import SERIAL, WorkerPool, map_reduce
 from anisomap.memory import check_pair_memory, check_worker_memory
 from anisomap.methods import DEFAULT_METHOD, check_even_spacing, find_method
-from anisomap.numerics.geodesic.geodesic_refinement import GeodesicOptions
 from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
+from anisomap.numerics.geodesic.path_lengths import GeodesicOptions
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import MAX_SQUARED, squares_overflow

@@ -12,7 +12,7 @@
 ====================  ============================================================
 """
 
-from anisomap.live.maps.examination import Examination, ExaminationOptions
+from anisomap.live.examination import Examination, ExaminationOptions
 from anisomap.live.session import LiveSession
 from anisomap.live.sources import SOURCES, open_source
 

@@ -9,7 +9,7 @@ from anisomap import io
 from anisomap.dimensions import AUTO
 from anisomap.drawing import figures, report
 from anisomap.errors import InputError
-from anisomap.live.maps.examination import Examination, ExaminationOptions
+from anisomap.live.examination import Examination, ExaminationOptions
 from anisomap.methods import DEFAULT_METHOD
 from anisomap.placement import Anchors, parse_length, place, scaled_to_spacing
 from anisomap.sensor_map import SensorMap

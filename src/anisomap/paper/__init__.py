@@ -1,7 +1,7 @@
 """Reproduction of the experiments, figures, tables and claims of McGregor et al. (2011).
 
 `reproduce` runs the experiments and writes figures, tables and a page to a folder. To add an
-experiment, write a function and add a line to `EXPERIMENTS` (`anisomap.paper.registry`).
+experiment, write a function and add a line to `EXPERIMENTS` (`anisomap.paper.runner`).
 
 References
 ----------
@@ -10,8 +10,7 @@ McGregor, Polani & Dautenhahn (2011), "Generation of Tactile Maps for Artificial
 """
 
 from anisomap.paper.experiment import Document, Experiment, Outcome, Picture, Settings, Table
-from anisomap.paper.registry import EXPERIMENTS
-from anisomap.paper.runner import Status, reproduce
+from anisomap.paper.runner import EXPERIMENTS, Status, reproduce
 
 __all__ = [
     "EXPERIMENTS",

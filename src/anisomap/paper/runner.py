@@ -1,4 +1,7 @@
-"""Running experiments in parallel, each at most once."""
+"""All experiments, in the order of the page: the paper's figures, then additional analyses.
+
+Running experiments in parallel, each at most once.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,44 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 
 from joblib import Parallel, cpu_count, delayed
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import AnisomapWarning, FileError, InputError, MissingExtraError
-from anisomap.paper import results
+from anisomap.paper import accuracy, claims, results, sample_data
+from anisomap.paper import bodies as bodies_and_scenarios
+from anisomap.paper import bodies as bombarded_bodies
+from anisomap.paper import bodies as shape_distortion
+from anisomap.paper import patch as failing_sensor
+from anisomap.paper import patch as hardware_patch
 from anisomap.paper.experiment import Experiment, Settings
-from anisomap.paper.page import write_page
-from anisomap.paper.registry import EXPERIMENTS
+from anisomap.paper.experiments import dimensionality, sensitivity, unlike_responses
+from anisomap.paper.results import write_page
+
+_IN_ORDER = (
+    claims.EXPERIMENT,
+    bombarded_bodies.FIGURE_1,
+    hardware_patch.FIGURE_2,
+    hardware_patch.REAL_SKIN,
+    *accuracy.EXPERIMENTS,
+    shape_distortion.FIGURE_4,
+    *bodies_and_scenarios.EXPERIMENTS,
+    shape_distortion.FIGURE_7,
+    *bombarded_bodies.SUPPLEMENTARY,
+    *hardware_patch.SUPPLEMENTARY,
+    *sample_data.EXPERIMENTS,
+    accuracy.BINS,
+    failing_sensor.EXPERIMENT,
+    *unlike_responses.EXPERIMENTS,
+    *sensitivity.EXPERIMENTS,
+    dimensionality.EXPERIMENT,
+)
+
+EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({one.name: one for one in _IN_ORDER})
+"""By name, which is also the name of the folder of its results."""
+
 
 PAGE = "index.html"
 

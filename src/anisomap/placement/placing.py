@@ -9,14 +9,17 @@ from numpy.typing import NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.placement.anchor_fit import AnchorFit, fit_anchors
-from anisomap.placement.anchors import Anchors
-from anisomap.placement.field_fit import Known
-from anisomap.placement.handedness import DECISIVE, Normals
-from anisomap.placement.modules import NO_MODULE, Modules
-from anisomap.placement.orientation import mirrored, pad_to_3d, surface_normals
-from anisomap.placement.rigid_fit import ModuleFit, fit_modules
-from anisomap.placement.scale import METRES, median_spacing, scaled_to_spacing
+from anisomap.placement.anchors import AnchorFit, Anchors, fit_anchors
+from anisomap.placement.frames import (
+    METRES,
+    median_spacing,
+    mirrored,
+    pad_to_3d,
+    scaled_to_spacing,
+    surface_normals,
+)
+from anisomap.placement.handedness import DECISIVE, Known, Normals
+from anisomap.placement.modules import NO_MODULE, ModuleFit, Modules, fit_modules
 from anisomap.placement.surface import (
     Surface,
     bend_to_surface,

@@ -12,14 +12,18 @@ from scipy.special import fdtri
 
 from anisomap.errors import InputError
 from anisomap.numerics.kinematics import KinematicTree
-from anisomap.numerics.patch_pose import FAR, MIN_PLACES, fit_patch_pose
-from anisomap.numerics.procrustes import fit_similarity, noise_scale
+from anisomap.numerics.procrustes import (
+    FAR,
+    MIN_PLACES,
+    fit_patch_pose,
+    fit_similarity,
+    noise_scale,
+)
 from anisomap.numerics.similarity.rest import estimate_rest
-from anisomap.placement.anchor_fit import COVERAGE, fit_anchors
-from anisomap.placement.field_fit import Known
-from anisomap.placement.orientation import pad_to_3d
+from anisomap.placement.anchors import COVERAGE, fit_anchors
+from anisomap.placement.frames import METRES, median_spacing, pad_to_3d
+from anisomap.placement.handedness import Known
 from anisomap.placement.placing import Placement
-from anisomap.placement.scale import METRES, median_spacing
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 

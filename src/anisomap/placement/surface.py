@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from anisomap.errors import InputError
 from anisomap.numerics.kriging import Kernel
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.triangles import TriangleSearch
+from anisomap.numerics.surfaces import TriangleSearch
 from anisomap.scene import Mesh
 
 # Tuned on rubbed spheres, cylinders, y-shapes, tori, cubes, hands and tubes, seeds 201 and 202.

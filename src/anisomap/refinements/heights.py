@@ -16,7 +16,6 @@ from anisomap.numerics.geodesic.contact_heights import (
     explained_share,
     height_halves,
 )
-from anisomap.numerics.geodesic.geodesic_refinement import refine_by_contact_peaks
 from anisomap.numerics.geodesic.height_map import (
     HeightMap,
     HeightMapOptions,
@@ -25,6 +24,7 @@ from anisomap.numerics.geodesic.height_map import (
     weakest_link,
 )
 from anisomap.numerics.geodesic.neighbours import local_dimension, neighbour_graph
+from anisomap.numerics.geodesic.path_lengths import refine_by_contact_peaks
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.split_half import N_BLOCKS, at_frames
 from anisomap.numerics.similarity.correlation import pearson

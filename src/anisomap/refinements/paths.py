@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.evidence import PairStatistics
-from anisomap.numerics.covariogram.misfit import unexplained_share
+from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.local_paths import local_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from anisomap.evidence import PairStatistics
-from anisomap.numerics.geodesic.geodesic_refinement import refine_by_even_spacing
+from anisomap.numerics.geodesic.path_lengths import refine_by_even_spacing
 from anisomap.numerics.precision import Reals
 from anisomap.options import MethodOptions
 from anisomap.refinements.chain import EXACT, MIN_FRAMES, MIN_SENSORS, Proposal

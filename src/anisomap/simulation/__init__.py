@@ -11,6 +11,7 @@ from anisomap.simulation.bodies import (
     body_from_points,
     load_body,
 )
+from anisomap.simulation.bombardment import BombardmentOptions
 from anisomap.simulation.coverage import CoverageCurve, coverage_curve
 from anisomap.simulation.faults import (
     FAULTS,
@@ -22,13 +23,10 @@ from anisomap.simulation.faults import (
     parse_fault,
 )
 from anisomap.simulation.faults.sensors import dead, noisy, saturating
-from anisomap.simulation.kinematic.pressing import PressingOptions
-from anisomap.simulation.kinematic.pulses import PulsesOptions
-from anisomap.simulation.kinematic.rolling import RollerOptions
-from anisomap.simulation.kinematic.rubbing import RubbingOptions
-from anisomap.simulation.kinematic.self_touch import SelfTouchOptions
-from anisomap.simulation.physics.bombardment import BombardmentOptions
-from anisomap.simulation.physics.driving import LocomotionOptions
+from anisomap.simulation.locomotion import LocomotionOptions
+from anisomap.simulation.pressing import PressingOptions
+from anisomap.simulation.pulses import PulsesOptions
+from anisomap.simulation.rubbing import RollerOptions, RubbingOptions
 from anisomap.simulation.scenarios import (
     SCENARIOS,
     Simulation,
@@ -38,6 +36,7 @@ from anisomap.simulation.scenarios import (
     simulate,
     simulate_runs,
 )
+from anisomap.simulation.self_touch import SelfTouchOptions
 
 __all__ = [
     "BODIES",

@@ -21,19 +21,16 @@ from anisomap.errors import InputError
 from anisomap.recording import Recording, Scalar
 from anisomap.scene import Scene
 from anisomap.simulation.bodies import BODIES, Body
-from anisomap.simulation.bodies.geodesics import surface_distances
+from anisomap.simulation.bodies.body import surface_distances
+from anisomap.simulation.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.checks import check_count
 from anisomap.simulation.engine import load_mujoco
-from anisomap.simulation.kinematic.pressing import PressingOptions, pressing
-from anisomap.simulation.kinematic.pulses import PulsesOptions, pulses
-from anisomap.simulation.kinematic.rolling import RollerOptions, roller
-from anisomap.simulation.kinematic.rubbing import RubbingOptions, rubbing
-from anisomap.simulation.kinematic.self_touch import SelfTouchOptions, self_touch
-from anisomap.simulation.options import options_for
-from anisomap.simulation.physics.bombardment import BombardmentOptions, bombardment
-from anisomap.simulation.physics.driving import LocomotionOptions
-from anisomap.simulation.physics.locomotion import can_roll, locomotion
-from anisomap.simulation.result import Progress, ScenarioResult, no_progress
+from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomotion
+from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
+from anisomap.simulation.pressing import PressingOptions, pressing
+from anisomap.simulation.pulses import PulsesOptions, pulses
+from anisomap.simulation.rubbing import RollerOptions, RubbingOptions, roller, rubbing
+from anisomap.simulation.self_touch import SelfTouchOptions, self_touch
 from anisomap.wording import join_items
 
 Entry = TypeVar("Entry")

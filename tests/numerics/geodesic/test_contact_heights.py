@@ -2,6 +2,10 @@
 
 import numpy as np
 import pytest
+from anisomap.numerics.geodesic.height_refinement import (
+    examined_heights,
+    refine_by_contact_heights,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import maximum_filter1d
@@ -20,10 +24,6 @@ from anisomap.numerics.geodesic.height_map import (
     fit_height_map,
     linear_share,
     weakest_link,
-)
-from anisomap.numerics.geodesic.height_refinement import (
-    examined_heights,
-    refine_by_contact_heights,
 )
 from anisomap.numerics.geodesic.neighbours import local_dimension
 from skins import flat_skin, lattice, swept

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.errors import InputError
-from anisomap.numerics.geodesic.contact_peaks import MIN_PEAKS, contact_peaks, peak_lengths
+from anisomap.numerics.geodesic.contact_heights import MIN_PEAKS, contact_peaks, peak_lengths
 
 PULSE = np.array([0, 1, 3, 6, 3, 1, 0]) / 6
 

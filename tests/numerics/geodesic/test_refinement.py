@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.geodesic.geodesic_refinement import (
+from anisomap.numerics.geodesic.path_lengths import (
     GeodesicOptions,
     fit_path_lengths,
     log_log_slope,

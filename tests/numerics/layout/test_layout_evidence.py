@@ -7,11 +7,15 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.layout.chance import Chance, agreement, agreement_gain, own_agreement
+from anisomap.numerics.layout.chance import (
+    Chance,
+    agreement,
+    agreement_gain,
+    own_agreement,
+    reading_statistics,
+)
 from anisomap.numerics.layout.congruence import blocks_of_size, rigid_repeats, symmetries
-from anisomap.numerics.layout.evidence import Evidence, Move
-from anisomap.numerics.layout.falloff import fit_falloff, neighbour_spacing
-from anisomap.numerics.layout.statistics import reading_statistics
+from anisomap.numerics.layout.evidence import Evidence, Move, fit_falloff, neighbour_spacing
 from skins import rubbed, triangles
 
 TRUTH = triangles(columns=2, rows=1)

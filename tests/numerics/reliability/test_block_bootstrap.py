@@ -9,13 +9,13 @@ from anisomap.numerics.contacts.contact_agreement import (
     contact_agreement,
     resampled_contact_agreement,
 )
-from anisomap.numerics.reliability.block_bootstrap import (
+from anisomap.numerics.reliability.sampling_noise import (
     MAX_BLOCKS,
     MIN_BLOCKS,
     balanced_weights,
     block_edges,
+    thinning,
 )
-from anisomap.numerics.reliability.sampling_noise import thinning
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.resampled import resampled_correlation
 

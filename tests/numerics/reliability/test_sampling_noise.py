@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
 from anisomap.errors import InputError
+from anisomap.evidence import SIMILARITIES
 from anisomap.numerics.reliability.sampling_noise import (
     correlation_time,
     sampling_variance,
     typical_variance,
 )
 from anisomap.numerics.similarity.correlation import pearson
-from anisomap.evidence import SIMILARITIES
 
 
 def autoregressive(n_frames: int, n_sensors: int, memory: float, seed: int) -> np.ndarray:

@@ -12,8 +12,8 @@ from anisomap.evaluation import mantel
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.reliability.shared_neighbours import count_shared_neighbours
 from anisomap.numerics.reliability.significance import (
+    count_shared_neighbours,
     links_with_shared_neighbours,
     remove_insignificant_links,
     significant_links,

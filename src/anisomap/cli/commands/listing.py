@@ -12,7 +12,7 @@ from docstring_parser import parse as parse_docstring
 
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number
-from anisomap.evaluation.rivals import RIVALS
+from anisomap.comparison import RIVALS
 from anisomap.evidence import SIMILARITIES
 from anisomap.io import FORMATS
 from anisomap.methods import METHODS, PAPER_METHODS

@@ -23,12 +23,12 @@ from anisomap.dimensions import AUTO
 from anisomap.drawing import report as reports
 from anisomap.errors import InputError
 from anisomap.files import check_distinct, check_target
-from anisomap.io.recordings.presets import check_preset
+from anisomap.io.presets import check_preset
 from anisomap.live import ExaminationOptions, LiveSession, open_source
 from anisomap.live.batches import Source
 from anisomap.live.page.server import Server
 from anisomap.live.saving import save_map, save_report
-from anisomap.live.sources.simulated import Advised, SimulatedHand
+from anisomap.live.sources.replay import Advised, SimulatedHand
 from anisomap.methods import DEFAULT_METHOD, find_method
 
 _source = Group("Source", sort_key=0)

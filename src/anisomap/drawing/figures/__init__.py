@@ -1,19 +1,16 @@
 """Figures of maps and simulated scenes; matplotlib is imported when the first one is drawn."""
 
+from anisomap.drawing.figures.backend import KINDS, check_writable, figure_bytes, save_figure
+from anisomap.drawing.figures.charts import plot_shepard, plot_shift_test, plot_stress_per_point
 from anisomap.drawing.figures.displacements import (
     difference_figure,
+    layout_figure,
     placement_figure,
     plot_difference,
+    plot_layout,
     plot_placement,
 )
-from anisomap.drawing.figures.layout_check import layout_figure, plot_layout
 from anisomap.drawing.figures.maps import map_figure, plot_distances, plot_map
-from anisomap.drawing.figures.mds_diagnostics import (
-    plot_shepard,
-    plot_shift_test,
-    plot_stress_per_point,
-)
-from anisomap.drawing.figures.saving import KINDS, check_writable, figure_bytes, save_figure
 from anisomap.drawing.figures.touches import (
     plot_series,
     plot_touches,

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.drawing.colours import VIEWS, View, view_axes
 from anisomap.drawing.figures.backend import (
     INK,
     Axes,
@@ -26,12 +25,15 @@ from anisomap.drawing.figures.backend import (
 from anisomap.drawing.figures.panels import Look, draw_configuration, draw_distances
 from anisomap.drawing.view import (
     MAX_JOINED,
+    VIEWS,
     Component,
+    View,
     box_around,
     drawn_components,
     layout_notes,
     outlines,
     printable,
+    view_axes,
 )
 from anisomap.errors import InputError
 from anisomap.evaluation import Score

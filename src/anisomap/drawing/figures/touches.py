@@ -22,7 +22,7 @@ from anisomap.drawing.figures.backend import (
 from anisomap.drawing.view import axis_title, printable
 from anisomap.errors import InputError
 from anisomap.health import SensorHealth, TouchCoverage
-from anisomap.health.assessment import MIN_CONTACTS
+from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.health.touch_coverage import ENOUGH_CONTACTS
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap

@@ -1,13 +1,19 @@
-"""Reports of maps: single HTML files that need no network."""
+"""The HTML page: template, style and scripts combined.
+
+Reports of maps: single HTML files that need no network.
+"""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any
 
-from anisomap.drawing.report import page
-from anisomap.drawing.report.interactive import interactive_views, status_colours
-from anisomap.drawing.report.report_text import (
+from anisomap.drawing.report.contents import (
     Touches,
     alternative_text,
     caveats,
@@ -18,12 +24,100 @@ from anisomap.drawing.report.report_text import (
     sensor_statuses,
     sensor_table,
 )
+from anisomap.drawing.report.interactive import interactive_views, status_colours
 from anisomap.drawing.view import drawn_components, printable
-from anisomap.errors import FileError
+from anisomap.errors import FileError, import_extra
 from anisomap.evaluation import Score
 from anisomap.files import atomic_write, check_target
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.sensor_map import SensorMap
+
+
+def load_libraries() -> tuple[Any, Any]:
+    """Import jinja2 and plotly.
+
+    Raises
+    ------
+    MissingExtraError
+        If one of them is not installed.
+    """
+    jinja2 = import_extra("jinja2", "a report", "report")
+    return jinja2, import_extra("plotly.offline", "a report", "report")
+
+
+def render(
+    *,
+    scene: list[dict[str, Any]],
+    figure_png: bytes | None,
+    touches: Touches | None,
+    **content: Any,
+) -> str:
+    """Fill the template; see `anisomap.drawing.report.render_report` for the arguments."""
+    _, plotly = load_libraries()
+    # A script ends at the first "</script", wherever it occurs. The texts of plotly and of this
+    # package contain none (tested), and tojson escapes the data.
+    own = _text("report.js")
+    scripts = [plotly.get_plotlyjs(), own] if scene else [own]
+    shown = {
+        "picture": figure_png,
+        "touch_picture": None if touches is None else touches.map_png,
+        "series_picture": None if touches is None else touches.series_png,
+    }
+    pictures = {
+        name: None if png is None else base64.b64encode(png).decode("ascii")
+        for name, png in shown.items()
+    }
+    page: str = (
+        _environment()
+        .get_template("report.html")
+        .render(
+            **content,
+            scene=scene,
+            **pictures,
+            touches=None if touches is None else _printable(touches.facts),
+            style=_text("report.css"),
+            scripts=scripts,
+            policy=_policy(scripts),
+        )
+    )
+    return page
+
+
+def _printable(facts: Mapping[str, str]) -> dict[str, str]:
+    return {printable(name): printable(value) for name, value in facts.items()}
+
+
+def _policy(scripts: list[str]) -> str:
+    """Return a content security policy without network access and without foreign scripts.
+
+    plotly compiles its 3D drawing code at run time, which needs 'unsafe-eval'.
+    """
+    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()) for text in scripts]
+    allowed = " ".join(f"'sha256-{digest.decode('ascii')}'" for digest in hashes)
+    return (
+        f"default-src 'none'; script-src {allowed} 'unsafe-eval'; "
+        "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
+
+
+@cache
+def _environment() -> Any:
+    jinja, _ = load_libraries()
+    environment = jinja.Environment(
+        loader=jinja.PackageLoader("anisomap.drawing.report"),
+        autoescape=True,
+        undefined=jinja.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    # JSON has no NaN: fail here rather than in the browser.
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
+    return environment
+
+
+def _text(name: str) -> str:
+    return files("anisomap.drawing.report").joinpath("templates", name).read_text(encoding="utf-8")
+
 
 __all__ = ["SUFFIXES", "TITLE", "Touches", "check_writable", "render_report", "write_report"]
 
@@ -119,7 +213,7 @@ def render_report(
     """
     drawn = drawn_components(sensor_map, score)
     statuses = sensor_statuses(sensor_map, health)
-    return page.render(
+    return render(
         title=printable(title),
         verdict=headlines(sensor_map, score),
         facts=facts(sensor_map, score),
@@ -153,4 +247,4 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     """
     if check_target(path).suffix.lower() not in SUFFIXES:
         raise FileError(f"cannot write a report to {path}; the name must end in .html or .htm")
-    page.load_libraries()
+    load_libraries()

@@ -12,8 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.covariance_ellipses import ellipses
-from anisomap.drawing.colours import View, view_axes
-from anisomap.drawing.view import Component, axis_title, box_around, outlines, printable
+from anisomap.drawing.view import (
+    Component,
+    View,
+    axis_title,
+    box_around,
+    outlines,
+    printable,
+    view_axes,
+)
 from anisomap.evaluation import Score
 from anisomap.sensor_map import UNASSESSED, UNSCALED, SensorMap, is_faulty
 

@@ -12,11 +12,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from anisomap.budget import Budget
 from anisomap.errors import FileError
 from anisomap.io.parsing.json_text import JsonReader, open_json
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import quote, reachable
+from anisomap.memory import Budget
 from anisomap.sensor_map import SensorMap
 
 _KEYS = (b'"skin"', b'"taxels"')

@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from anisomap.budget import SENSOR_BYTES, Budget
 from anisomap.errors import FileError
-from anisomap.io.parsing.comments import to_python_scalar
+from anisomap.io.parsing.facts import from_provenance, to_provenance, to_python_scalar
 from anisomap.io.parsing.json_text import open_json
-from anisomap.io.parsing.map_facts import from_provenance, to_provenance
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import quote, reachable
+from anisomap.memory import SENSOR_BYTES, Budget
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNASSESSED, SensorMap
 from anisomap.usability import ERRORS, UNKNOWN, Verdict

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap.errors import FileError
-from anisomap.io.parsing import comments
+from anisomap.io.parsing import facts as comments
 from anisomap.io.parsing.source import quote, read_lines
 from anisomap.io.parsing.table import LineError, parse_number
 from anisomap.placement import pad_to_3d, surface_normals

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.io.parsing import comments
+from anisomap.io.parsing import facts as comments
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import open_binary, quote
 from anisomap.io.parsing.table import LineError, parse_number

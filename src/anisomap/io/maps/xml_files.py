@@ -12,11 +12,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import FileError
-from anisomap.extras import import_extra
+from anisomap.errors import FileError, import_extra
 from anisomap.files import open_regular
-from anisomap.io.parsing.libraries import library_errors
-from anisomap.io.parsing.source import quote
+from anisomap.io.parsing.source import library_errors, quote
 from anisomap.placement import METRES, Taxels, to_taxels
 from anisomap.sensor_map import SensorMap
 

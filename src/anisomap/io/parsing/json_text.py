@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from anisomap.budget import size_on_disk
 from anisomap.errors import FileError
 from anisomap.io.parsing.source import open_text
+from anisomap.memory import size_on_disk
 
 MAX_ELEMENT = 1 << 20
 """Maximum length of an element of a list in characters: a contact of 100,000 sensors is shorter."""

@@ -18,11 +18,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.budget import Budget, bytes_kept
-from anisomap.errors import FileError
-from anisomap.extras import import_extra
+from anisomap.errors import FileError, import_extra
 from anisomap.files import open_regular
-from anisomap.io.choice import Content, choose
 from anisomap.io.parsing.columns import (
     ROWS_LOOKED_AT,
     is_time,
@@ -30,12 +27,12 @@ from anisomap.io.parsing.columns import (
     units_per_second,
     warn_of_guesses,
 )
-from anisomap.io.parsing.libraries import DamagedError, guarded_iter, library_errors
-from anisomap.io.parsing.source import quote
+from anisomap.io.parsing.source import DamagedError, guarded_iter, library_errors, quote
 from anisomap.io.recordings.arrow_messages import is_last, unpacked_size
 from anisomap.io.recordings.parquet_pages import column_chunks
 from anisomap.io.recordings.parquet_pages import unpacked_size as page_bytes
-from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
+from anisomap.io.stream import BLOCK_BYTES, Block, Content, ReadOptions, Stream, choose, salvage
+from anisomap.memory import Budget, bytes_kept
 from anisomap.recording import Scalar
 
 EXTRA = "parquet"

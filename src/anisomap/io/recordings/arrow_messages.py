@@ -14,7 +14,7 @@ import struct
 from io import BufferedReader
 from pathlib import Path
 
-from anisomap.io.parsing.libraries import DamagedError
+from anisomap.io.parsing.source import DamagedError
 
 _CONTINUATION = 0xFFFFFFFF
 _DICTIONARY, _RECORD_BATCH = 2, 3

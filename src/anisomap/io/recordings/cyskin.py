@@ -28,10 +28,9 @@ from pathlib import Path
 import numpy as np
 
 from anisomap.errors import FileError
-from anisomap.io.parsing.frames import to_float32_if_exact
 from anisomap.io.parsing.source import GZIP_ERRORS, open_text
 from anisomap.io.parsing.table import LineError, Table, first_rows, line_of, read_blocks
-from anisomap.io.stream import Block, ReadOptions, Stream, salvage
+from anisomap.io.stream import Block, ReadOptions, Stream, salvage, to_float32_if_exact
 
 _WHOLE = re.compile(r"\d{1,9}")
 _TIME = re.compile(r"\d{1,15}(?:\.\d{1,15})?(?:e[+-]?\d{1,2})?")

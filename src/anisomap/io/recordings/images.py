@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.budget import DEFLATE_RATIO, Budget, bytes_kept
-from anisomap.errors import FileError
-from anisomap.extras import import_extra
+from anisomap.errors import FileError, import_extra
 from anisomap.files import check_regular, without_log
-from anisomap.io.parsing.grids import grid_names, grid_positions
-from anisomap.io.parsing.libraries import library_errors
+from anisomap.io.parsing.source import library_errors
+from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
+from anisomap.memory import DEFLATE_RATIO, Budget, bytes_kept
 
 EXTRA = "images"
 

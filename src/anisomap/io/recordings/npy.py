@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.files import open_regular
-from anisomap.io.parsing.libraries import DamagedError, library_errors
+from anisomap.io.parsing.source import DamagedError, library_errors
 from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
 
 _MAGIC = b"\x93NUMPY"

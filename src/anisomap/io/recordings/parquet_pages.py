@@ -18,7 +18,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from anisomap.io.parsing.libraries import DamagedError
+from anisomap.io.parsing.source import DamagedError
 
 _UNPACKED, _PACKED = 2, 3  # fields of PageHeader
 _ROW_GROUPS, _COLUMNS, _COLUMN_METADATA = 4, 1, 3  # of FileMetaData, RowGroup and ColumnChunk

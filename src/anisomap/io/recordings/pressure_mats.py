@@ -31,10 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError
-from anisomap.io.parsing.frames import to_float32_if_exact
-from anisomap.io.parsing.grids import UNITS, grid_names, grid_positions
 from anisomap.io.parsing.source import GZIP_ERRORS, Text, open_text_with_progress, quote
-from anisomap.io.stream import Block, ReadOptions, Stream, salvage
+from anisomap.io.presets import UNITS, grid_names, grid_positions
+from anisomap.io.stream import Block, ReadOptions, Stream, salvage, to_float32_if_exact
 
 # Possessive quantifiers keep the time linear in the length of a line.
 _FRAME = re.compile(r'\s*+"?frame"?[\s:,;#]*+"?\d++"?[\s,;]*+(of\s++\d++[\s,;]*+)?$', re.IGNORECASE)

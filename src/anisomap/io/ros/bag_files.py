@@ -10,19 +10,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from anisomap.budget import Budget
-from anisomap.errors import AnisomapWarning, FileError
-from anisomap.extras import import_extra
+from anisomap.errors import AnisomapWarning, FileError, import_extra
 from anisomap.files import open_regular, read_small
-from anisomap.io.parsing.libraries import library_errors
-from anisomap.io.ros.compression import (
+from anisomap.io.parsing.source import library_errors
+from anisomap.io.ros.repair import (
     EXTRA,
+    BagFile,
     check_chunk,
     check_chunks,
     decompress_chunk,
     decompress_file,
+    find_repair,
 )
-from anisomap.io.ros.repair import BagFile, find_repair
+from anisomap.memory import Budget
 
 MAGICS = {b"#ROSBAG V2.0\n": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
 """Magic numbers, and the suffixes that rosbags expects."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.evaluation import median_spacing
-from anisomap.live.maps.examination import Examination
-from anisomap.live.maps.quick_map import QuickMap, turned_onto
+from anisomap.live.examination import Examination
+from anisomap.live.quick_map import QuickMap, turned_onto
 from anisomap.live.session import LiveSession
 from anisomap.numerics.procrustes import fit_similarity
 

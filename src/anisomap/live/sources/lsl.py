@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from anisomap.errors import InputError
-from anisomap.extras import import_extra
+from anisomap.errors import InputError, import_extra
 from anisomap.live.batches import WAIT_S, Batch, Item, Names, Notice
 from anisomap.sensor_map import SensorMap
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.io.ros.messages import kind_of, values_at
+from anisomap.io.ros.bags import kind_of, values_at
 
 _MIN_SENSORS = 2
 _PER_SECOND = 1e9  # nanoseconds

@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from anisomap.errors import InputError
-from anisomap.extras import import_extra
+from anisomap.errors import InputError, import_extra
 from anisomap.live.batches import WAIT_S, Batch, Item, Notice
-from anisomap.live.sources.connections import RETRY_S, stay_connected
+from anisomap.live.sources.lines import RETRY_S, stay_connected
 from anisomap.live.sources.messages import readings_of, time_of
 from anisomap.sensor_map import SensorMap
 

@@ -14,8 +14,7 @@ from threading import Event
 
 from anisomap.errors import InputError
 from anisomap.live.batches import Item
-from anisomap.live.sources.connections import READ_BYTES, chunks_of, stay_connected
-from anisomap.live.sources.text_lines import LineParser
+from anisomap.live.sources.lines import READ_BYTES, LineParser, chunks_of, stay_connected
 from anisomap.sensor_map import SensorMap
 
 _OURS = b"CONNECT anisomap\n"

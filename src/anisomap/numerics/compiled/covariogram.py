@@ -1,6 +1,6 @@
 """Compiled loops over the pairs of the covariogram fit, in float32.
 
-They do as `anisomap.numerics.covariogram.pairs` does. Logarithms and exponentials are series in
+They do as `anisomap.numerics.covariogram.objective` does. Logarithms and exponentials are series in
 plain arithmetic, which compilers vectorise, unlike calls of functions.
 """
 

@@ -1,7 +1,11 @@
-"""Joint fit of a covariogram and of the sensor positions to correlations.
+"""Overlapping blocks of sensors, for fits of too many sensors to use all pairs at once.
+
+Joint fit of a covariogram and of the sensor positions to correlations.
 
 A covariogram is the covariance of two points as a function of their distance (geostatistics). It is
 fitted together with the positions, to correlations with correlated errors.
+
+Share of the correlations that no function of distance explains.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import isotonic_regression
 from scipy.spatial.distance import pdist, squareform
 from threadpoolctl import threadpool_limits
 
@@ -23,17 +28,56 @@ from anisomap.numerics.compiled.parallel import (
     is_parallel,
     parallel_map,
 )
-from anisomap.numerics.covariogram.blocks import overlapping_blocks
 from anisomap.numerics.covariogram.minimisation import SharedCurvature, minimise
 from anisomap.numerics.covariogram.objective import (
     Block,
     CovariogramOptions,
     Problem,
+    pack,
     solve_amplitude_and_offset,
 )
-from anisomap.numerics.covariogram.pairs import pack
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
+
+
+def overlapping_blocks(positions: ArrayLike, max_size: int) -> list[NDArray[np.intp]]:
+    """Assign sensors to blocks such that most near pairs and many far pairs share a block.
+
+    Parameters
+    ----------
+    positions : array_like of shape (N, k)
+    max_size : int
+        Maximum number of sensors per block.
+
+    Returns
+    -------
+    list of ndarray of int
+        Sorted indices: one block if all sensors fit into it. Otherwise blocks of neighbours, blocks
+        of neighbours shifted by half a block, and blocks of every n-th sensor of the whole skin.
+    """
+    points = np.asarray(positions, dtype=np.float64)
+    n_points = len(points)
+    if n_points <= max_size:
+        return [np.arange(n_points)]
+    order = _bisection_order(points, np.arange(n_points))
+    count = -(-n_points // max_size)
+    shifted = np.roll(order, -(n_points // (2 * count)))
+    near = [*np.array_split(order, count), *np.array_split(shifted, count)]
+    return [np.sort(block) for block in [*near, *(order[i::count] for i in range(count))]]
+
+
+def _bisection_order(points: NDArray[np.float64], chosen: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Order points by recursive bisection along their longest axis."""
+    if len(chosen) <= 2:
+        return chosen
+    inside = points[chosen]
+    axis = int(np.ptp(inside, axis=0).argmax())
+    ranked = chosen[np.argsort(inside[:, axis], kind="stable")]
+    half = len(ranked) // 2
+    return np.concatenate(
+        [_bisection_order(points, ranked[:half]), _bisection_order(points, ranked[half:])]
+    )
+
 
 Matrix: TypeAlias = Reals
 
@@ -228,3 +272,62 @@ def _check(
         raise InputError("start and similarity must be finite")
     if not (np.isfinite(noise) and noise > 0):
         raise InputError(f"noise must be finite and positive, got {noise}")
+
+
+_MAX_SENSORS = 1000  # regularly sampled sensors; their 500,000 pairs suffice for one share
+_SIGNIFICANT = 2.0  # standard deviations from which a fitted correlation counts as significant
+_MIN_VARIANCE_FACTOR = 1e-4  # of correlations of nearly 1; bounds rounding errors
+_MIN_PAIRS = 30  # fewer significant pairs determine no share; chosen by hand
+
+
+def unexplained_share(
+    similarity: ArrayLike,
+    positions: ArrayLike,
+    noise: float,
+    *,
+    known: ArrayLike | None = None,
+) -> float:
+    """Estimate the share of the variance of correlations that distances do not explain.
+
+    Parameters
+    ----------
+    similarity : array_like of shape (N, N)
+        Correlations; the diagonal is ignored.
+    positions : array_like of shape (N, k)
+    noise : float
+        Sampling variance of the correlation of unrelated sensors.
+    known : array_like of bool, shape (N, N), optional
+        Mask of the known correlations; all by default.
+
+    Returns
+    -------
+    float
+        At most 1; near or below 0 if one decreasing function of distance explains the correlations
+        within their sampling noise, whatever the length of the recording. 0 for fewer than 30
+        significant pairs.
+
+    Notes
+    -----
+    The function is a monotone regression (Barlow et al. 1972). A correlation c has the sampling
+    variance ``noise (1 - c^2)^2``; it is subtracted from the squared residuals. Only pairs whose
+    fitted correlation exceeds two standard deviations count: residuals of distant pairs are noise.
+    """
+    values, points = np.asarray(similarity), np.asarray(positions)
+    step = -(-len(values) // _MAX_SENSORS)
+    values, points = values[::step, ::step], points[::step]
+    distances = pdist(points)
+    correlations = squareform(values.astype(np.float64), checks=False)
+    if known is not None and not np.all(known):
+        among = squareform(np.asarray(known)[::step, ::step].astype(np.float64), checks=False) > 0
+        distances, correlations = distances[among], correlations[among]
+    order = np.argsort(distances, kind="stable")
+    fitted = np.empty_like(correlations)
+    fitted[order] = isotonic_regression(correlations[order], increasing=False).x
+    significant = fitted > _SIGNIFICANT * np.sqrt(noise)
+    if np.count_nonzero(significant) < _MIN_PAIRS:
+        return 0.0
+    correlations, fitted = correlations[significant], fitted[significant]
+    sampling = noise * np.maximum((1 - fitted**2) ** 2, _MIN_VARIANCE_FACTOR)
+    spread = float(((correlations - correlations.mean()) ** 2).sum())
+    residual = float(((correlations - fitted) ** 2 - sampling).sum())
+    return residual / spread if spread > 0 else 0.0

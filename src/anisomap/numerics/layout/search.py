@@ -12,15 +12,26 @@ from numpy.typing import NDArray
 
 from anisomap.numerics.layout.chance import (
     Chance,
+    ReadingStatistics,
     agreement_gain,
     own_agreement,
 )
-from anisomap.numerics.layout.evidence import Evidence, Move, Proposal
-from anisomap.numerics.layout.falloff import Falloff, fit_falloff
-from anisomap.numerics.layout.permutations import PROPOSERS, ModuleShapes, half_swaps
-from anisomap.numerics.layout.place_fits import MIN_GAIN
-from anisomap.numerics.layout.rigid_moves import is_possible, patch_moves, single_moves
-from anisomap.numerics.layout.statistics import ReadingStatistics
+from anisomap.numerics.layout.evidence import (
+    MIN_GAIN,
+    Evidence,
+    Falloff,
+    Move,
+    Proposal,
+    fit_falloff,
+)
+from anisomap.numerics.layout.moves import (
+    PROPOSERS,
+    ModuleShapes,
+    half_swaps,
+    is_possible,
+    patch_moves,
+    single_moves,
+)
 
 _MAX_ROUNDS = 12
 _OF_PATCHES = ("patches", "sensors")  # searches that do not permute places

@@ -15,7 +15,7 @@ from anisomap.numerics.precision import Reals
 from anisomap.options import MethodOptions
 from anisomap.paper.cases import CASES, METHODS, patch_run
 from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
-from anisomap.paper.shape_statistics import n_dimensions, spectrum
+from anisomap.paper.map_scores import n_dimensions, spectrum
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 

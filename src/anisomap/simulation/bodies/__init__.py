@@ -8,13 +8,13 @@ from types import MappingProxyType
 
 from anisomap.simulation.bodies import lattice, poisson_disc
 from anisomap.simulation.bodies.body import UNITS, Body
-from anisomap.simulation.bodies.hexagonal_patch import hexagon
 from anisomap.simulation.bodies.imported import (
     body_from_mesh,
     body_from_mjcf,
     body_from_points,
     load_body,
 )
+from anisomap.simulation.bodies.lattice import hexagon
 
 __all__ = [
     "BODIES",

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body
 from anisomap.simulation.bodies.lattice import (
     CYLINDER_LENGTH,
@@ -21,9 +22,7 @@ from anisomap.simulation.bodies.lattice import (
     great_circles,
 )
 from anisomap.simulation.checks import check_count
-from anisomap.simulation.geometry import solids
-from anisomap.simulation.geometry.solids import Solid
-from anisomap.simulation.geometry.spreading import Density, spread
+from anisomap.simulation.solids import Density, Solid, spread
 
 TORUS_RADIUS, TORUS_TUBE = 0.75, 0.3
 CUBE_EDGE = 1.4
@@ -126,7 +125,7 @@ def covered(
     parts : sequence of Solid
     n_sensors : int
     density : callable, optional
-        Relative density of sensors, see `anisomap.simulation.geometry.spreading.spread`.
+        Relative density of sensors, see `anisomap.simulation.solids.spread`.
     rng : numpy.random.Generator or int
 
     Returns

@@ -11,7 +11,10 @@ import numpy as np
 
 from anisomap.errors import InputError
 from anisomap.recording import Recording
-from anisomap.simulation.faults import boards, sensors, signals, timing, wiring
+from anisomap.simulation.faults import electronics as boards
+from anisomap.simulation.faults import electronics as wiring
+from anisomap.simulation.faults import sensors, timing
+from anisomap.simulation.faults import sensors as signals
 from anisomap.simulation.faults.log import ALL_SENSORS
 from anisomap.simulation.faults.sensors import Randomness
 

@@ -1,0 +1,332 @@
+"""``anisomap convert``: a map in another format, or in metres.
+
+``anisomap diff``: two maps of one skin compared.
+
+``anisomap update``: a new recording added to a map.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
+
+from anisomap import io
+from anisomap.cli import parameters as options
+from anisomap.cli import pipeline, printing
+from anisomap.cli.console import MAX_SHOWN, Printer, number, progress
+from anisomap.drawing import figures
+from anisomap.errors import InputError
+from anisomap.evaluation import Difference, compare_maps
+from anisomap.evaluation.difference import LEVEL
+from anisomap.files import check_distinct
+from anisomap.placement import METRES, median_spacing
+from anisomap.recording import join_runs
+from anisomap.sensor_map import UNSCALED
+from anisomap.tracking import Update, update_map
+from anisomap.tracking.updating import UPDATE_LEVEL
+from anisomap.wording import join_items
+
+
+def convert(
+    map_file: Annotated[Path, Parameter(help="File of a map.")],
+    output: Annotated[Path, Parameter(help="File to write; its suffix chooses the format.")],
+    /,
+    *,
+    placing: options.Placing = options.DEFAULT_PLACING,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> None:
+    """Write a map in another format: for robot software, a viewer or a spreadsheet.
+
+    `anisomap formats` lists the formats.
+    """
+    check_distinct([output], [map_file])
+    io.check_writable(output)
+    sensor_map = io.read_map(map_file)
+    placing.check([output], sensor_map.units)
+    placed = placing.applied(sensor_map)
+    with reporting.printer() as printer:
+        n_placed = int(placed.placed.sum())
+        facts = {"sensors placed": f"{n_placed} of {placed.n_sensors}"}
+        spacing = None
+        if placed.units in METRES:
+            with suppress(InputError):  # a single sensor has no spacing
+                spacing = median_spacing(placed)
+        written = placing.write(placed, output, [map_file])
+        if spacing is not None:
+            facts["median spacing"] = f"{spacing:.4g} {placed.units}"
+        facts["known up to"] = placed.known_up_to
+        printer.facts(f"Written to {', '.join(map(str, written))}", facts)
+        printer.record(
+            files=written,
+            sensors=placed.n_sensors,
+            placed=n_placed,
+            median_spacing=spacing,
+            units=placed.units,
+            known_up_to=placed.known_up_to,
+        )
+
+
+DIFFERENT = 1
+"""Exit code if the maps differ."""
+
+
+def diff(
+    before_file: Annotated[Path, Parameter(help="File of the first map.")],
+    after_file: Annotated[Path, Parameter(help="File of the second map.")],
+    /,
+    *,
+    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    level: float = LEVEL,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> int:
+    """Compare two maps of one skin: which sensors moved, appeared or were lost.
+
+    The maps may come from two days or two methods, or from before and after a repair. The second
+    map is aligned with the first; sensors that moved do not affect the alignment. The exit code is
+    0 if no difference is found, and 1 otherwise.
+
+    Parameters
+    ----------
+    picture
+        File for a figure: .png, .svg or .pdf.
+    level
+        Probability that chance alone marks any sensor as moved.
+    """
+    if picture:
+        check_distinct([picture], [before_file, after_file])
+        figures.check_writable(picture)
+    before, after = io.read_map(before_file), io.read_map(after_file)
+    found = compare_maps(before, after, level=level)
+    if picture:
+        title = f"{before_file.name} and {after_file.name}"
+        figures.save_figure(figures.difference_figure(found, title), picture)
+    with reporting.printer() as printer:
+        _print(printer, found, f"{after_file.name} compared with {before_file.name}")
+        if picture:
+            printing.print_files(printer, [("picture", picture)])
+    return DIFFERENT if found.found else 0
+
+
+def _print(printer: Printer, found: Difference, title: str) -> None:
+    units = "units of the first map" if found.units in UNSCALED else found.units
+    spacing = found.spacing  # 0 if most sensors have the place of another
+    counts = {
+        "moved": found.moved,
+        "appeared": found.appeared,
+        "lost": found.lost,
+    }
+    printer.facts(
+        title,
+        {
+            "sensors compared": str(np.count_nonzero(found.compared)),
+            **{kind: str(np.count_nonzero(mask)) for kind, mask in counts.items()},
+            "chance": f"explains up to {number(found.chance)} {units}"
+            + (f", or {number(found.chance / spacing, 3)} spacings" if spacing else ""),
+            "scale": f"{number(found.scale)} (second map to first)",
+            "mirrored": "yes" if found.reflected else "no",
+        },
+    )
+    moved = np.flatnonzero(found.moved)
+    moved = moved[np.argsort(-found.distance[moved], kind="stable")]
+    if moved.size:
+        printer.table(
+            "Sensors that moved",
+            ("sensor", f"distance ({units})", "spacings", "p"),
+            [
+                (
+                    found.names[i],
+                    number(found.distance[i]),
+                    number(found.distance[i] / spacing if spacing else np.nan, 3),
+                    number(found.p_values[i], 2),
+                )
+                for i in moved
+            ],
+            max_rows=MAX_SHOWN,
+        )
+    names = {kind: [found.names[i] for i in np.flatnonzero(m)] for kind, m in counts.items()}
+    for kind in ("appeared", "lost"):
+        if names[kind]:
+            printer.line(f"{kind}: {join_items(names[kind], MAX_SHOWN)}")
+    for note in found.notes:
+        printer.line(f"  note: {note}")
+    printer.record(
+        different=found.found,
+        sensors_compared=int(np.count_nonzero(found.compared)),
+        moved=[
+            {
+                "sensor": found.names[i],
+                "distance": found.distance[i],
+                "spacings": found.distance[i] / found.spacing,
+                "p_value": found.p_values[i],
+                "before": found.before[i],
+                "after": found.after[i],
+            }
+            for i in moved
+        ],
+        appeared=names["appeared"],
+        lost=names["lost"],
+        chance=found.chance,
+        median_spacing=found.spacing,
+        scale=found.scale,
+        reflected=found.reflected,
+        units=found.units,
+        notes=found.notes,
+    )
+
+
+def update(
+    map_file: Annotated[Path, Parameter(help="File of the map.")],
+    recordings: Annotated[list[Path], Parameter(help="Files of new recordings of the skin.")],
+    /,
+    *,
+    output: Annotated[
+        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
+    ] = None,
+    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    statistics: Path | None = None,
+    drop: options.Drop = None,
+    missing: options.Missing = "error",
+    level: float = UPDATE_LEVEL,
+    reading: options.Reading = options.DEFAULT_READING,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> None:
+    """Add the evidence of a new recording to a map, and say what changed.
+
+    New sensors are placed in the frame of the map. Sensors that moved, according to the recording,
+    are named, and their positions follow from the new recording. The map must have been made with
+    `anisomap map --keep-statistics`; it may have been placed on the robot since.
+
+    Parameters
+    ----------
+    output
+        File for the map; its suffix chooses the format. May be repeated. Default: NAME.updated.csv
+        in the current folder. The new statistics are written beside the first.
+    picture
+        File for a figure: .png, .svg or .pdf.
+    statistics
+        Statistics of the map. Default: NAME.statistics.npz beside the map.
+    level
+        Probability that chance alone marks any sensor as moved.
+    """
+    outputs = output or [Path(f"{map_file.name.split('.')[0]}.updated.csv")]
+    old_statistics = statistics or io.statistics_beside(map_file)
+    new_statistics = io.statistics_beside(outputs[0])
+    check_distinct(
+        [*outputs, new_statistics, *([picture] if picture else [])],
+        [map_file, old_statistics, *recordings, *reading.inputs],
+    )
+    for path in outputs:
+        io.check_writable(path)
+    if picture:
+        figures.check_writable(picture)
+    how = reading.checked()
+    sensor_map = io.read_map(map_file)
+    if not old_statistics.exists():
+        raise InputError(
+            f"there is no file {old_statistics} with the statistics of the map; make the map with "
+            "anisomap map --keep-statistics, or name the file with --statistics"
+        )
+    _check_scale(outputs, sensor_map.units)
+    evidence = io.read_statistics(old_statistics)
+    runs = pipeline.read_runs(recordings, how, missing)
+    joined = join_runs(runs)
+    dropped = options.sensors(drop, joined.names, joined.metadata)
+    with progress("updating the map"):
+        found = update_map(sensor_map, evidence, runs, drop=dropped, level=level)
+    provenance = {**found.map.provenance, "updated_by": joined.source}
+    updated = replace(found.map, provenance=provenance)
+    files = [("statistics", new_statistics)]
+    io.write_statistics(found.evidence, new_statistics)
+    for path in outputs:
+        io.write(updated, path)
+        files.append(("map", path))
+    if picture:
+        title = f"{map_file.name} and its update"
+        figures.save_figure(figures.difference_figure(found.difference, title), picture)
+        files.append(("picture", picture))
+    with reporting.printer() as printer:
+        _print_update(printer, found, map_file.name)
+        printing.print_files(printer, files)
+
+
+def _check_scale(outputs: list[Path], units: str) -> None:
+    for path in outputs:
+        if io.needs_scale(path) and units in UNSCALED:
+            raise InputError(
+                f"cannot write {path}: its format is in metres, but the map has no scale; place "
+                "the map first with anisomap place"
+            )
+
+
+def _print_update(printer: Printer, found: Update, name: str) -> None:
+    changes, total = found.difference, found.evidence
+    known = changes.distance[changes.compared & ~changes.moved]
+    units = "units of the map" if changes.units in UNSCALED else changes.units
+    facts = {
+        "recordings": f"{len(total.recordings)}, {total.n_frames} frames",
+        "sensors placed": f"{int(found.map.placed.sum())} of {found.map.n_sensors}",
+        "added": str(len(found.added)),
+        "moved": str(len(found.moved)),
+        "not recorded": str(len(found.silent)),
+        "agreement": f"r = {number(found.agreement, 3)} of the old and the new similarity",
+    }
+    if known.size:
+        facts["other shifts"] = (
+            f"{number(float(np.median(known)), 3)} {units} (median), "
+            f"{number(float(known.max()), 3)} at most; the spacing is {number(changes.spacing, 3)}"
+        )
+    printer.facts(f"Update of {name}", facts)
+    tested = found.moves
+    like = {} if tested is None else dict(zip(tested.names, tested.like, strict=True))
+    moved = [changes.names.index(sensor) for sensor in found.moved]
+    if moved:
+        printer.table(
+            "Sensors that moved",
+            ("sensor", "like", f"distance ({units})", "spacings", "p"),
+            [
+                (
+                    changes.names[i],
+                    like[changes.names[i]],
+                    number(changes.distance[i]),
+                    number(changes.distance[i] / changes.spacing, 3),
+                    number(changes.p_values[i], 2),
+                )
+                for i in moved
+            ],
+            max_rows=MAX_SHOWN,
+        )
+    lists = {"added": found.added, "not recorded": found.silent, "not placed": found.unplaced}
+    for kind, names in lists.items():
+        if names:
+            printer.line(f"{kind}: {join_items(names, MAX_SHOWN)}")
+    for note in found.notes:
+        printer.line(f"  note: {note}")
+    printer.record(
+        recordings=len(total.recordings),
+        frames=total.n_frames,
+        sensors=found.map.n_sensors,
+        placed=int(found.map.placed.sum()),
+        units=changes.units,
+        spacing=changes.spacing,
+        agreement=found.agreement,
+        added=found.added,
+        moved=[
+            {
+                "sensor": changes.names[i],
+                "like": like[changes.names[i]],
+                "distance": float(changes.distance[i]),
+                "p": float(changes.p_values[i]),
+            }
+            for i in moved
+        ],
+        not_recorded=found.silent,
+        not_placed=found.unplaced,
+        shifts=dict(zip(changes.names, changes.distance.tolist(), strict=True)),
+        errors=dict(zip(found.map.names, found.map.errors.tolist(), strict=True)),
+        notes=found.notes,
+    )

@@ -1,0 +1,429 @@
+"""Options of ``anisomap place --self-touch``.
+
+``anisomap place``: a map in metres, in the frame of the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from cyclopts import Group, Parameter
+from cyclopts.validators import Number
+
+from anisomap import io
+from anisomap.cli import parameters as options
+from anisomap.cli import printing
+from anisomap.cli.console import MAX_SHOWN, Printer, number
+from anisomap.drawing import figures
+from anisomap.errors import InputError
+from anisomap.files import check_distinct
+from anisomap.mesh_files import read_mesh
+from anisomap.numerics.kinematics import TURNING, KinematicTree
+from anisomap.placement import (
+    METRES,
+    Anchors,
+    Modules,
+    Placement,
+    SelfTouch,
+    TouchPlacement,
+    anchors_from_map,
+    median_spacing,
+    modules_by_size,
+    parse_anchor,
+    parse_length,
+    place,
+    place_by_self_touch,
+    suggest_anchors,
+)
+from anisomap.scene import Mesh
+from anisomap.sensor_map import SensorMap
+from anisomap.wording import join_items
+
+
+@dataclass(frozen=True)
+class SelfTouchOptions:
+    """Contacts of the patch with another patch of the robot, whose positions are known.
+
+    Parameters
+    ----------
+    self_touch
+        Recording of the sensors of both patches, while they touch each other in many postures.
+    urdf
+        Kinematics of the robot.
+    joints
+        Angles of the joints: a file with a column per joint and a row per frame of the recording.
+        In radians, and metres for prismatic joints.
+    degrees
+        Angles are in degrees.
+    link
+        Link of the patch that is placed.
+    other
+        Layout of the other patch, in the frame of its link.
+    other_link
+        Link of the other patch.
+    exact
+        The map holds the positions of the sensors in a frame of their own, with a unit; only its
+        pose is fitted.
+    """
+
+    self_touch: Path | None = None
+    urdf: Path | None = None
+    joints: Path | None = None
+    degrees: Annotated[bool, Parameter(negative=())] = False
+    link: str = ""
+    other: Path | None = None
+    other_link: str = ""
+    exact: Annotated[bool, Parameter(negative=())] = False
+
+    @property
+    def files(self) -> list[Path]:
+        """Files that are read."""
+        given = (self.self_touch, self.urdf, self.joints, self.other)
+        return [path for path in given if path is not None]
+
+    def check(self, *, alone: bool) -> bool:
+        """Return whether a map is to be placed by self-touch.
+
+        Parameters
+        ----------
+        alone : bool
+            Whether nothing else is given that places the map.
+
+        Raises
+        ------
+        InputError
+            If an option is missing, or contradicts another one.
+        """
+        required = {
+            "--self-touch": self.self_touch,
+            "--urdf": self.urdf,
+            "--joints": self.joints,
+            "--link": self.link,
+            "--other": self.other,
+            "--other-link": self.other_link,
+        }
+        missing = [name for name, value in required.items() if not value]
+        if len(missing) == len(required) and not (self.exact or self.degrees):
+            return False
+        if missing:
+            raise InputError(f"to place a map by self-touch, give {', '.join(missing)} as well")
+        if not alone:
+            raise InputError(
+                "a map is placed by self-touch alone; leave out anchors, modules, --mesh and "
+                "--spacing"
+            )
+        return True
+
+    def place(self, sensor_map: SensorMap, handedness: str) -> TouchPlacement:
+        """Read the files and place a map; `check` must have returned True."""
+        recording, robot, joints, other = self.files
+        tree = io.read_robot(robot)
+        touches = SelfTouch(
+            recording=io.read(recording).complete("error"),
+            robot=tree,
+            angles=self._angles(joints, tree),
+            link=self.link,
+            other_link=self.other_link,
+        )
+        return place_by_self_touch(
+            sensor_map, touches, io.read_map(other), exact=self.exact, handedness=handedness
+        )
+
+    def _angles(self, path: Path, robot: KinematicTree) -> dict[str, np.ndarray]:
+        table = io.read(path).complete("error")
+        found = {
+            name: np.asarray(column, dtype=np.float64)
+            for name, column in zip(table.names, table.readings.T, strict=True)
+        }
+        if self.degrees:
+            turning = {joint.name for joint in robot.joints if joint.kind in TURNING}
+            found |= {name: np.radians(found[name]) for name in turning & found.keys()}
+        return found
+
+
+NO_SELF_TOUCH = SelfTouchOptions()
+
+
+anchors_group = Group("Anchors", sort_key=2)
+modules_group = Group("Modules", sort_key=3)
+touch_group = Group("Self-touch", sort_key=4)
+
+_MM = 1e3  # per metre
+
+
+@dataclass(frozen=True)
+class AnchorOptions:
+    """Sensors with a known position.
+
+    Parameters
+    ----------
+    anchor
+        A sensor and its position in metres: s17=0.012,0.040,0.003. May be repeated.
+    anchors
+        File with the positions of some sensors, and optionally normals: any layout that can be
+        read.
+    units
+        Unit of that file, if it states none.
+    """
+
+    anchor: Annotated[list[str], Parameter(negative=())] = field(default_factory=list)
+    anchors: Path | None = None
+    units: str = ""
+
+    def read(self) -> Anchors | None:
+        """Read the anchors; None if there are none."""
+        given = [parse_anchor(text) for text in self.anchor]
+        widths = {len(position) for _, position in given}
+        if len(widths) > 1:
+            raise InputError("all anchors must have two coordinates, or all three")
+        normals = None
+        if self.anchors is not None:
+            found = anchors_from_map(io.read_map(self.anchors), self.units)
+            if found.normals is not None:
+                normals = np.vstack([np.full((len(given), 3), np.nan), found.normals])
+            given += zip(found.names, map(tuple, found.positions.tolist()), strict=True)
+            widths.add(found.positions.shape[1])
+        if not given:
+            return None
+        width = max(widths)
+        rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
+        return Anchors(tuple(name for name, _ in given), np.array(rows), normals)
+
+
+@dataclass(frozen=True)
+class ModuleOptions:
+    """Rigid modules.
+
+    Parameters
+    ----------
+    module
+        File with the positions of the pads on a module, with units: x [mm], y [mm].
+    module_size
+        Numbers per module, pads that do not exist included: sensors are divided by the numbers at
+        the end of their names.
+    module_first
+        Number of the first pad of one module. Default: 0 or 1, whichever gives fewer modules.
+    modules
+        File with the columns sensor, module and optionally pad, instead of --module-size.
+    """
+
+    module: Path | None = None
+    module_size: Annotated[int | None, Parameter(validator=Number(gte=2))] = None
+    module_first: Annotated[int | None, Parameter(validator=Number(gte=0))] = None
+    modules: Path | None = None
+
+    def read(self, sensor_map: SensorMap) -> Modules | None:
+        """Read the modules; None if there are none."""
+        if not self.given:
+            return None
+        if self.module is None or (self.modules is None) == (self.module_size is None):
+            raise InputError(
+                "modules need the positions of their pads, --module FILE, and either --modules "
+                "FILE or --module-size"
+            )
+        if self.modules is not None:
+            divided = io.read_modules(self.modules, sensor_map.names)
+        else:
+            divided = modules_by_size(sensor_map.names, self.module_size or 0, self.module_first)
+        return divided.with_template(io.read_map(self.module))
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is known of modules."""
+        return bool(self.module or self.modules or self.module_size)
+
+    @property
+    def files(self) -> list[Path]:
+        """Files that are read."""
+        return [path for path in (self.module, self.modules) if path is not None]
+
+
+def place_map(
+    map_file: Annotated[Path, Parameter(help="File of a map.")],
+    /,
+    *,
+    output: Annotated[
+        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
+    ] = None,
+    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    frame: Annotated[str, Parameter(group=options.outputs_group)] = "",
+    known: Annotated[AnchorOptions, Parameter(name="*", group=anchors_group)] = AnchorOptions(),
+    rigid: Annotated[ModuleOptions, Parameter(name="*", group=modules_group)] = ModuleOptions(),
+    touching: Annotated[SelfTouchOptions, Parameter(name="*", group=touch_group)] = NO_SELF_TOUCH,
+    mesh: Path | None = None,
+    mesh_units: str = "m",
+    spacing: str = "",
+    handedness: Literal["same", "mirrored"] | None = None,
+    suggest: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> None:
+    """Place a map in the frame of the robot, in metres, with an error for each sensor.
+
+    Anchors, modules and a mesh can be given together. Three or more anchors, sensors with a known
+    position, determine the pose. Rigid modules of known shape determine the scale and make the map
+    more accurate. With --self-touch, contacts with another patch are used instead of all these.
+
+    Parameters
+    ----------
+    output
+        File for the map; its suffix chooses the format. May be repeated. Default: NAME.placed.csv
+        in the current folder.
+    picture
+        File for a figure: .png, .svg or .pdf.
+    frame
+        Name of the frame of the anchors.
+    mesh
+        Mesh of the part, in the frame of the anchors: .stl, .obj, .ply, .off or .glb. Sensors are
+        placed on its surface, with its normals.
+    mesh_units
+        Unit of the mesh.
+    spacing
+        Median distance between neighbouring sensors, such as 6.5mm.
+    handedness
+        Whether the map has the handedness of the skin, if you know: same or mirrored. By default
+        it follows from anchors and modules.
+    suggest
+        Number of sensors of each component to name as worth measuring; nothing is placed.
+    """
+    if suggest:
+        with reporting.printer() as printer:
+            names = suggest_anchors(io.read_map(map_file), suggest)
+            printer.line(f"measure the positions of {join_items(names, len(names))}")
+            printer.record(suggested=names)
+        return
+    outputs = output or [Path(f"{map_file.name.split('.')[0]}.placed.csv")]
+    alone = not (known.anchor or known.anchors or rigid.given or mesh or spacing)
+    by_touch = touching.check(alone=alone)
+    inputs = [map_file, *rigid.files, *touching.files]
+    inputs += [path for path in (known.anchors, mesh) if path]
+    check_distinct([*outputs, *([picture] if picture else [])], inputs)
+    for path in outputs:
+        io.check_writable(path)
+    if picture:
+        figures.check_writable(picture)
+    sensor_map, anchors = io.read_map(map_file), known.read()
+    surface = None if mesh is None else _read_mesh(mesh, mesh_units)
+    touched = touching.place(sensor_map, handedness or "") if by_touch else None
+    if touched is not None:
+        placement = touched.placement
+    else:
+        placement = place(
+            sensor_map,
+            anchors,
+            modules=rigid.read(sensor_map),
+            mesh=surface,
+            spacing=parse_length(spacing) if spacing else None,
+            handedness=handedness or "",
+        )
+    if frame:
+        placement = replace(placement, map=replace(placement.map, frame=frame))
+    files = []
+    for path in outputs:
+        io.write(placement.map, path)
+        files.append(("map", path))
+    if picture:
+        figures.save_figure(figures.placement_figure(placement, anchors, surface), picture)
+        files.append(("picture", picture))
+    with reporting.printer() as printer:
+        _print(printer, placement, map_file.name)
+        if touched is not None:
+            _print_contacts(printer, touched)
+        printing.print_files(printer, files)
+
+
+def _read_mesh(path: Path, units: str) -> Mesh:
+    if units not in METRES:
+        raise InputError(f"--mesh-units must be one of {', '.join(METRES)}, got {units!r}")
+    vertices, faces = read_mesh(path)
+    return Mesh(vertices * METRES[units], faces)
+
+
+def _spacing(placed: SensorMap) -> float:
+    try:
+        return median_spacing(placed)
+    except InputError:
+        return np.nan  # a single sensor, or all at one position
+
+
+def _print(printer: Printer, placement: Placement, name: str) -> None:
+    placed = placement.map
+    errors = placed.errors[np.isfinite(placed.errors)] * _MM
+    spacing = _spacing(placed) * _MM * METRES[placed.units]
+    facts = {
+        "sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}",
+        "median spacing": f"{number(spacing)} mm",
+        **{
+            f"component {label}" if len(placement.methods) > 1 else "placed by": method
+            for label, method in enumerate(placement.methods)
+        },
+        "handedness": "that of the skin" if placed.handed else "unknown",
+    }
+    if errors.size:
+        facts["error (90 %)"] = (
+            f"{number(float(np.median(errors)), 3)} mm (median), "
+            f"{number(float(errors.max()), 3)} mm at most"
+        )
+    facts["known up to"] = placed.known_up_to
+    printer.facts(f"Placement of {name}", facts)
+    if placement.anchors:
+        printer.table(
+            "Anchors",
+            ("sensor", "residual (mm)", "left out (mm)"),
+            [
+                (anchor, number(_MM * residual, 3), number(_MM * left_out, 3))
+                for anchor, residual, left_out in zip(
+                    placement.anchors,
+                    placement.residuals.tolist(),
+                    placement.left_out_errors.tolist(),
+                    strict=True,
+                )
+            ],
+            max_rows=MAX_SHOWN,
+        )
+    if placement.left_out:
+        printer.line(f"left out: {join_items(placement.left_out, MAX_SHOWN)}")
+    for note in placed.notes:
+        printer.line(f"  note: {note}")
+    printer.record(
+        sensors=placed.n_sensors,
+        placed=int(placed.placed.sum()),
+        methods=placement.methods,
+        handed=placed.handed,
+        anchored=placed.anchored,
+        median_spacing=spacing / _MM,
+        units=placed.units,
+        errors=dict(zip(placed.names, placed.errors.tolist(), strict=True)),
+        anchors=[
+            {"sensor": anchor, "residual": residual, "left_out": left_out}
+            for anchor, residual, left_out in zip(
+                placement.anchors,
+                placement.residuals.tolist(),
+                placement.left_out_errors.tolist(),
+                strict=True,
+            )
+        ],
+        left_out=placement.left_out,
+        notes=placed.notes,
+    )
+
+
+def _print_contacts(printer: Printer, touched: TouchPlacement) -> None:
+    median = float(np.median(touched.residuals[touched.used]))
+    printer.line(
+        f"contacts: {int(touched.used.sum())} of {len(touched.used)} agree, "
+        f"{number(_MM * median, 3)} mm apart in the median"
+    )
+    printer.record(
+        contacts=[
+            {"frame": frame, "residual": residual, "used": used}
+            for frame, residual, used in zip(
+                touched.frames.tolist(),
+                touched.residuals.tolist(),
+                touched.used.tolist(),
+                strict=True,
+            )
+        ]
+    )

@@ -1,0 +1,292 @@
+"""``anisomap info``: a summary of a recording.
+
+``anisomap repair``: mend the faults of a recording.
+
+``anisomap map``: a map from a recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from anisomap import io
+from anisomap.cli import parameters as options
+from anisomap.cli import pipeline, printing, streams
+from anisomap.cli import printing as touches
+from anisomap.cli.console import print_warning, progress
+from anisomap.dimensions import AUTO
+from anisomap.errors import InputError
+from anisomap.evaluation import PERMUTATIONS
+from anisomap.files import check_distinct
+from anisomap.health import Finding
+from anisomap.io import ChoiceError
+from anisomap.methods import DEFAULT_METHOD, find_method
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.options import MethodOptions
+from anisomap.tracking import gather_evidence
+
+
+def info(
+    recording: options.RecordingFile,
+    /,
+    *,
+    sensors: Annotated[bool, Parameter(negative=())] = False,
+    reading: options.Reading = options.DEFAULT_READING,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> None:
+    """Summarise a recording, and flag faulty sensors and faults of the read-out.
+
+    Parameters
+    ----------
+    sensors
+        List all sensors, not only faulty ones.
+    """
+    how = reading.checked()
+    with reporting.printer() as printer:
+        printing.print_contents(printer, recording, how)
+        try:
+            found = pipeline.read(recording, how)
+        except ChoiceError as error:
+            print_warning(str(error))  # the contents are listed; the user must select one
+            return
+        examined = pipeline.examine(found)
+        printing.print_recording(printer, examined.recording, examined.summary)
+        printing.print_findings(printer, examined.findings)
+        printing.print_health(printer, examined.health, all_sensors=sensors)
+        touches.print_touches(printer, touches.coverage_without_map(found), found.names)
+        for weakness in examined.summary.warnings:
+            print_warning(weakness)
+        if examined.summary.missing:
+            print_warning(
+                f"{examined.summary.missing} readings are NaN or infinite: "
+                "map them with --missing drop-frames or --missing interpolate"
+            )
+
+
+def repair(
+    recording: options.RecordingFile,
+    /,
+    *,
+    output: Annotated[Path, Parameter(alias="-o")],
+    reading: options.Reading = options.DEFAULT_READING,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> None:
+    """Mend the faults of a recording that can be mended, and write it.
+
+    These are copies of sensors, inverted sensors, lags between boards, leaks into the next channel,
+    noise and hum that sensors share, spikes, drift and gaps. Copies of a sensor are left out.
+
+    Parameters
+    ----------
+    output
+        NPZ file to write.
+    """
+    check_distinct([output], [recording, *reading.inputs])
+    io.check_writable(output)
+    if output.suffix.lower() != ".npz":
+        raise InputError(f"recordings are written as NPZ: {output} must end in .npz")
+    found = pipeline.read(recording, reading.checked())
+    (repaired,), findings = pipeline.repair_runs([found])
+    io.write(repaired, output)
+    with reporting.printer() as printer:
+        printing.print_findings(printer, findings, repaired=True)
+        if not findings:
+            printer.line("No faults were found; the recording is unchanged.")
+        printing.print_files(printer, [("recording", output)])
+
+
+def map_recording(
+    recordings: Annotated[list[Path], Parameter(help="Recording files of one skin.")],
+    /,
+    *,
+    output: Annotated[
+        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
+    ] = None,
+    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    report: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    method: Annotated[
+        str | None,
+        Parameter(alias="-m", group=options.method_group, show_default=DEFAULT_METHOD),
+    ] = None,
+    dimensions: options.MapDimensions = AUTO,
+    drop: options.Drop = None,
+    missing: options.Missing = "error",
+    repair: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
+    mu: Annotated[float, Parameter(group=options.method_group)] = MethodOptions.mu,
+    bins: Annotated[int, Parameter(group=options.method_group)] = DEFAULT_BINS,
+    n_neighbours: Annotated[int | None, Parameter(group=options.method_group)] = None,
+    even_spacing: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
+    tolerance: Annotated[float, Parameter(group=options.method_group)] = SmacofOptions.tolerance,
+    max_iterations: Annotated[
+        int, Parameter(group=options.method_group)
+    ] = SmacofOptions.max_iterations,
+    reading: options.Reading = options.DEFAULT_READING,
+    verdict: Annotated[bool, Parameter(group=options.method_group)] = True,
+    keep_statistics: Annotated[bool, Parameter(group=options.outputs_group, negative=())] = False,
+    min_quality: Annotated[
+        Literal["usable", "usable-locally"] | None, Parameter(group=options.method_group)
+    ] = None,
+    placing: options.Placing = options.DEFAULT_PLACING,
+    truth: options.Truth = None,
+    exclude: options.Exclude = None,
+    permutations: options.Permutations = PERMUTATIONS,
+    seed: options.Seed = 0,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    large: Annotated[
+        streams.LargeOptions, Parameter(name="*", group=streams.large_group)
+    ] = streams.DEFAULT_LARGE,
+) -> int:
+    """Make a map from one or several recordings of a skin.
+
+    Sensors of several recordings are matched by name; recordings may lack some sensors. Recordings
+    above 512 MiB are read in blocks, and must then all have the same sensors; notes on the map list
+    the differences.
+
+    Parameters
+    ----------
+    output
+        File for the map; its suffix chooses the format. May be repeated. Default: NAME.map.csv in
+        the current folder.
+    picture
+        File for a figure: .png, .svg or .pdf.
+    report
+        File for a report: one HTML file that works offline.
+    method
+        Reconstruction method: see `anisomap methods`.
+    dimensions
+        Number of coordinates: 2 for flat skins, 3 for bodies; auto chooses 3 if the third
+        coordinate improves the fit clearly, else 2.
+    repair
+        Mend faults of the recording first: copies, inverted sensors, lags, leaks, noise and hum
+        that sensors share, drift and gaps. `anisomap info` lists those that it finds.
+    mu
+        Regularisation of ANISOMAP's reciprocal; with 0, unrelated components stay separate.
+    bins
+        Bins per sensor for entropies.
+    n_neighbours
+        Neighbours per sensor in ISOMAP's graph. Default: the smallest number that connects all.
+    even_spacing
+        Declare that neighbouring sensors are evenly spaced; recorded as a note on the map.
+    tolerance
+        Stop scaling when an iteration lowers the stress by less than this share.
+    max_iterations
+        Maximum number of iterations of the scaling.
+    verdict
+        Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
+        This takes about as long as the map.
+    keep_statistics
+        Also write NAME.statistics.npz beside the map, from which `anisomap update` adds recordings
+        to it.
+    min_quality
+        Exit with code 1 if the verdict is worse than this, or unknown; all files are written.
+    """
+    if min_quality and not verdict:
+        raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
+    outputs_of_map = tuple(output or [Path(f"{recordings[0].name.split('.')[0]}.map.csv")])
+    outputs = pipeline.Outputs(
+        maps=outputs_of_map,
+        picture=picture,
+        report=report,
+        checkpoint=large.checkpoint,
+        inputs=(*recordings, *reading.inputs, *([truth] if truth else [])),
+        placing=placing,
+        statistics=io.statistics_beside(outputs_of_map[0]) if keep_statistics else None,
+    )
+    outputs.check()
+    placing.check(outputs.maps)
+    how = reading.checked()
+    chosen = MethodOptions(
+        mu=mu,
+        bins=bins,
+        n_neighbours=n_neighbours,
+        even_spacing=even_spacing,
+        smacof=SmacofOptions(tolerance, max_iterations),
+    )
+    by = large.method(method)
+    find_method(by)  # report an unknown method before the recording is read
+    reference = None if truth is None else pipeline.read_reference(truth)
+    streamed = None
+    mended: Sequence[Finding] = ()
+    if large.is_requested or streams.too_large(recordings, how):
+        _check_in_blocks(repair=repair, keep_statistics=keep_statistics)
+        examined, streamed = streams.examine(
+            recordings,
+            how,
+            missing=missing,
+            method=by,
+            options=chosen,
+            large=large,
+            drop=drop,
+            seed=seed,
+        )
+    elif repair:
+        runs, mended = pipeline.repair_runs([pipeline.read(path, how) for path in recordings])
+        runs = [pipeline.complete(run, missing) for run in runs]
+        examined = pipeline.examine(runs, [one for one in mended if not one.mendable])
+    else:
+        examined = pipeline.examine(pipeline.read_runs(recordings, how, missing))
+    names = examined.recording.names
+    left_out = options.sensors(exclude, names)
+    dropped = options.sensors(drop, names, examined.recording.metadata)
+    examined.recording.indices(left_out)  # report unknown names before the map is computed
+    if left_out and examined.recording.positions is None and reference is None:
+        print_warning(
+            "--exclude has no effect: the recording has no true positions to score against"
+        )
+    with reporting.printer() as printer:
+        printing.print_recording(printer, examined.recording, examined.summary)
+        printing.print_findings(printer, mended if repair else examined.findings, repaired=repair)
+        sensor_map = pipeline.make_map(
+            examined,
+            by,
+            dimensions,
+            options=chosen,
+            drop=dropped,
+            with_verdict=verdict,
+            seed=seed,
+            streamed=streamed,
+        )
+        if done := dict.fromkeys(one.kind for one in mended if one.mendable):
+            provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
+            sensor_map = replace(sensor_map, provenance=provenance)
+        written = []
+        if outputs.statistics is not None:
+            with progress("gathering statistics"):
+                evidence = gather_evidence(
+                    examined.runs, by, sensor_map.dimensions, options=chosen, drop=dropped
+                )
+            io.write_statistics(evidence, outputs.statistics)
+            written.append(("statistics", outputs.statistics))
+        pipeline.finish(
+            printer,
+            outputs,
+            placing.applied(sensor_map),
+            examined,
+            permutations=permutations,
+            seed=seed,
+            exclude=left_out,
+            already_written=written,
+            truth=reference,
+        )
+    level = (min_quality or "").replace("-", " ")
+    return 0 if not level or pipeline.reaches(sensor_map.verdict, level) else 1
+
+
+def _check_in_blocks(*, repair: bool, keep_statistics: bool) -> None:
+    """Raise InputError for options that require a recording in memory."""
+    if keep_statistics:
+        raise InputError(
+            "--keep-statistics requires a recording in memory, below 512 MiB and without the "
+            "options for large recordings"
+        )
+    if repair:
+        raise InputError(
+            "--repair requires a recording in memory, below 512 MiB and without the options "
+            "for large recordings; repair parts of it with anisomap repair"
+        )

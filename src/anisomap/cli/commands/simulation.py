@@ -1,0 +1,371 @@
+"""``anisomap simulate``: a recording of a simulated skin with known positions.
+
+``anisomap coverage``: the required length and density of a stimulation.
+
+``anisomap spoil``: inject documented faults into a recording.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from cyclopts import Group, Parameter
+from cyclopts.validators import Number
+
+from anisomap import io
+from anisomap.cli import bodies, pipeline, printing
+from anisomap.cli import parameters as options
+from anisomap.cli.console import Printer, number, percent, print_warning, progress
+from anisomap.drawing import figures
+from anisomap.drawing.figures import scenes
+from anisomap.drawing.figures.charts import coverage_figure
+from anisomap.errors import InputError
+from anisomap.files import atomic_write, check_distinct, check_target
+from anisomap.methods import DEFAULT_METHOD
+from anisomap.scene import Scene
+from anisomap.simulation import (
+    Body,
+    CoverageCurve,
+    Simulation,
+    coverage_curve,
+    inject,
+    injected_faults,
+    mujoco_viewer,
+    parse_fault,
+    run_simulation,
+    simulate_runs,
+)
+from anisomap.simulation.coverage import LENGTHS
+from anisomap.simulation.faults import ALL_SENSORS
+from anisomap.wording import join_items
+
+_looks = Group("Pictures", sort_key=1)
+
+
+def simulate_body(
+    body: str,
+    /,
+    *,
+    scenario: Annotated[str, Parameter(alias="-s")] = "bombardment",
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    seed: Annotated[int, Parameter(validator=Number(gte=0))] = 1,
+    frames: Annotated[int, Parameter(validator=Number(gte=1))] = 2000,
+    sensors: str | None = None,
+    placement: str | None = None,
+    parameter: Annotated[list[str] | None, Parameter(alias="-p", negative=())] = None,
+    runs: Annotated[int, Parameter(validator=Number(gte=1))] = 1,
+    picture: Annotated[Path | None, Parameter(group=_looks)] = None,
+    video: Annotated[Path | None, Parameter(group=_looks)] = None,
+    renderer: Annotated[Literal["drawing", "mujoco"], Parameter(group=_looks)] = "drawing",
+    view: Annotated[bool, Parameter(group=_looks, negative=())] = False,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> None:
+    """Simulate a recording with known sensor positions.
+
+    Parameters
+    ----------
+    body
+        Name from `anisomap bodies`, or a file: a closed mesh, a MuJoCo model (MJCF), or positions
+        of sensors.
+    scenario
+        Scenario: see `anisomap scenarios`.
+    output
+        NPZ file to write. Default: BODY-SCENARIO.npz. With several runs, the seed is appended to
+        its name.
+    seed
+        The same seed gives the same recording.
+    frames
+        Number of frames to record.
+    sensors
+        Number of sensors, or a file with their positions in the frame and unit of the body.
+    placement
+        Places of the sensors of the cylinder: columns (the default), fibonacci or random.
+    parameter
+        NAME=VALUE, a parameter of the scenario; may be repeated. `anisomap scenarios SCENARIO`
+        lists them.
+    runs
+        Number of recordings, with consecutive seeds, simulated in parallel.
+    picture
+        File for a figure of body, sensors, contacts and readings: .png, .svg or .pdf.
+    video
+        File for an animation of the first ten seconds: .gif, or .mp4 if ffmpeg is installed.
+    renderer
+        Renderer of figure and animation: a drawing with axes, or MuJoCo, which needs EGL.
+    view
+        Show the run in MuJoCo's viewer.
+    """
+    skin = bodies.find(body, sensors, **({"placement": placement} if placement else {}))
+    target = output or Path(f"{skin.name}-{scenario}.npz")
+    _check_outputs(target, picture, video, body)
+    settings = {"n_frames": frames, **bodies.parse_parameters(parameter or [])}
+    if runs > 1:
+        if picture or video or view:
+            raise InputError("--picture, --video and --view show one run; leave out --runs")
+        files = _simulate_many(skin, scenario, range(seed, seed + runs), target, settings)
+        with reporting.printer() as printer:
+            printing.print_files(printer, files)
+        return
+    with progress(f"simulating {frames} frames of {scenario} of {skin.name}") as report_progress:
+        simulation = run_simulation(skin, scenario, seed=seed, progress=report_progress, **settings)
+        io.write(simulation.recording, target)
+    files = [("recording", target), *_show(simulation.scene, picture, video, renderer)]
+    with reporting.printer() as printer:
+        _print(printer, simulation, skin)
+        printing.print_files(printer, files)
+        printer.line(f"\nMap it:\n  anisomap map {target} -o map.csv")
+    if view:
+        _view(simulation.scene)
+
+
+def _check_outputs(target: Path, picture: Path | None, video: Path | None, body: str) -> None:
+    check_distinct([path for path in (target, picture, video) if path], [Path(body)])
+    io.check_writable(target)
+    if target.suffix.lower() != ".npz":
+        raise InputError(f"recordings are written as NPZ: {target} must end in .npz")
+    if picture:
+        figures.check_writable(picture)
+    if video:
+        scenes.check_animation(video)
+
+
+def _simulate_many(
+    skin: Body, scenario: str, seeds: range, target: Path, settings: dict[str, Any]
+) -> list[tuple[str, Path]]:
+    with progress(f"simulating {len(seeds)} runs"):
+        runs = simulate_runs(skin, scenario, seeds, **settings)
+        rows = []
+        for seed, recording in zip(seeds, runs, strict=True):
+            path = target.with_stem(f"{target.stem}-{seed}")
+            io.write(recording, path)
+            rows.append((f"recording, seed {seed}", path))
+    return rows
+
+
+def _print(printer: Printer, simulation: Simulation, skin: Body) -> None:
+    recording = simulation.recording
+    readings = recording.readings
+    facts = {
+        "body": f"{skin.name}, {skin.n_sensors} sensors, median spacing "
+        f"{number(skin.spacing, 3)}{skin.units and ' ' + skin.units}",
+        "frames": f"{recording.n_frames} at {number(recording.rate_hz)} Hz",
+        "readings": f"up to {number(float(readings.max()))}, {percent((readings == 0).mean())} "
+        "zeros",
+        "never touched": f"{int((~recording.varying()).sum())} sensors",
+    }
+    shown = {"body", "scenario", "anisomap", "mujoco"}
+    facts |= {
+        name.replace("_", " "): number(value) if isinstance(value, float) else str(value)
+        for name, value in recording.metadata.items()
+        if name not in shown
+    }
+    printer.facts(recording.source, facts)
+    printer.record(
+        body=skin.name,
+        sensors=skin.n_sensors,
+        spacing=skin.spacing,
+        frames=recording.n_frames,
+        rate_hz=recording.rate_hz,
+        never_touched=int((~recording.varying()).sum()),
+        metadata=dict(recording.metadata),
+    )
+
+
+def _show(
+    scene: Scene, picture: Path | None, video: Path | None, renderer: str
+) -> list[tuple[str, Path]]:
+    rendered = renderer == "mujoco" and (picture or video) and _rendered(scene, picture, video)
+    if picture and not rendered:
+        with progress("drawing the scene"):
+            figures.save_figure(scenes.scene_figure(scene), picture)
+    if video and not rendered:
+        with progress("drawing the animation") as report:
+            scenes.save_animation(scene, video, progress=report)
+    named = (("picture", picture), ("video", video))
+    return [(content, path) for content, path in named if path is not None]
+
+
+def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
+    """Render with MuJoCo; return False if there is no display."""
+    frames = range(min(scenes.MAX_ANIMATION_FRAMES, scene.n_frames)) if video else range(0)
+    try:
+        with progress("rendering the scene"):
+            images = mujoco_viewer.render(scene, [scenes.busiest_frame(scene), *frames])
+    except mujoco_viewer.NoScreenError as error:
+        print_warning(f"{error}; using the drawing instead")
+        return False
+    if picture:
+        scenes.save_pixels(picture, images[:1])
+    if video:
+        scenes.save_pixels(video, images[1:])
+    return True
+
+
+def _view(scene: Scene) -> None:
+    try:
+        mujoco_viewer.show(scene)
+    except mujoco_viewer.NoScreenError as error:
+        print_warning(f"{error}; --picture and --video work without one")
+
+
+_COLUMNS = ("frames", "seconds", "sensors touched", "neighbours touched together", "Mantel r")
+
+
+def coverage(
+    body: str = "sphere",
+    /,
+    *,
+    scenario: Annotated[str, Parameter(alias="-s")] = "rubbing",
+    frames: Annotated[list[int] | None, Parameter(negative=(), validator=Number(gte=1))] = None,
+    runs: Annotated[int, Parameter(validator=Number(gte=1))] = 3,
+    seed: Annotated[int, Parameter(validator=Number(gte=0))] = 1,
+    sensors: str | None = None,
+    parameter: Annotated[list[str] | None, Parameter(alias="-p", negative=())] = None,
+    method: Annotated[str, Parameter(alias="-m")] = DEFAULT_METHOD,
+    dimensions: Annotated[int, Parameter(alias="-d", validator=Number(gte=1))] = 3,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    picture: Path | None = None,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> None:
+    """Estimate how long a skin must be stimulated: coverage as a function of recording length.
+
+    Parameters
+    ----------
+    body
+        Name, mesh, model or positions, as for `anisomap simulate`.
+    scenario
+        Scenario: see `anisomap scenarios`.
+    frames
+        Recording length; may be repeated.
+    runs
+        Number of seeds to average over.
+    seed
+        First seed.
+    sensors
+        Number of sensors, or a file with their positions.
+    parameter
+        NAME=VALUE, a parameter of the scenario, such as the density of the stimulation; may be
+        repeated.
+    method
+        Reconstruction method: see `anisomap methods`.
+    dimensions
+        Number of coordinates.
+    output
+        CSV file for the table.
+    picture
+        File for a figure of the curves: .png, .svg or .pdf.
+    """
+    check_distinct([path for path in (output, picture) if path], [])
+    if output:
+        check_target(output)
+    if picture:
+        figures.check_writable(picture)
+    skin = bodies.find(body, sensors)
+    with progress(f"simulating {runs} runs of {scenario} of {skin.name}"):
+        curve = coverage_curve(
+            skin,
+            scenario,
+            frames or LENGTHS,
+            range(seed, seed + runs),
+            method=method,
+            dimensions=dimensions,
+            **bodies.parse_parameters(parameter or []),
+        )
+    rows = _rows(curve)
+    with reporting.printer() as printer:
+        printer.table(f"Coverage of {skin.name} by {scenario}, mean of {runs} runs", _COLUMNS, rows)
+        printer.record(body=skin.name, scenario=scenario, runs=runs, coverage=_values(curve))
+    if output:
+        with atomic_write(output) as aside:
+            lines = [",".join(cells) for cells in (_COLUMNS, *rows)]
+            aside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if picture:
+        shares = {
+            "sensors touched": curve.touched,
+            "neighbours touched together": curve.pairs / max(curve.n_pairs, 1),
+            f"Mantel r of {method}": curve.mantel_r,
+        }
+        title = f"{skin.name}, {scenario}"
+        figure = coverage_figure(title, curve.n_frames, curve.rate_hz, shares)
+        figures.save_figure(figure, picture)
+
+
+def _rows(curve: CoverageCurve) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for i, n_frames in enumerate(curve.n_frames):
+        maps = curve.mantel_r[i][np.isfinite(curve.mantel_r[i])]
+        rows.append(
+            (
+                str(n_frames),
+                number(float(curve.seconds[i])),
+                percent(float(curve.touched[i].mean())),
+                percent(float(curve.pairs[i].mean()) / max(curve.n_pairs, 1)),
+                number(float(maps.mean()), 3) if maps.size else "-",
+            )
+        )
+    return rows
+
+
+def _values(curve: CoverageCurve) -> list[dict[str, object]]:
+    return [
+        {
+            "frames": int(n_frames),
+            "seconds": float(curve.seconds[i]),
+            "sensors_touched": float(curve.touched[i].mean()),
+            "neighbours_touched_together": float(curve.pairs[i].mean()) / max(curve.n_pairs, 1),
+            "mantel_r": curve.mantel_r[i],
+        }
+        for i, n_frames in enumerate(curve.n_frames)
+    ]
+
+
+def spoil(
+    recording: options.RecordingFile,
+    /,
+    *,
+    fault: Annotated[list[str], Parameter(alias="-f", negative=())],
+    output: Annotated[Path, Parameter(alias="-o")],
+    seed: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
+    reporting: options.Reporting = options.DEFAULT_REPORTING,
+) -> None:
+    """Inject documented faults into a recording.
+
+    The NPZ file lists every affected sensor and frame, so that fault detectors can be scored.
+
+    Parameters
+    ----------
+    fault
+        KIND:SENSORS,NAME=VALUE, such as dead:s3,s7 or saturating:10%,level=1 or dropped-frames.
+        May be repeated; faults are applied in order. `anisomap faults` lists them.
+    output
+        NPZ file to write.
+    seed
+        The same seed gives the same faults.
+    """
+    requests = [parse_fault(text) for text in fault]
+    check_distinct([output], [recording])
+    io.check_writable(output)
+    if output.suffix.lower() != ".npz":
+        raise InputError(f"recordings are written as NPZ: {output} must end in .npz")
+    spoilt = inject(pipeline.read(recording), requests, seed)
+    io.write(spoilt, output)
+    sensors: defaultdict[str, list[str]] = defaultdict(list)
+    frames: defaultdict[str, int] = defaultdict(int)
+    for done in injected_faults(spoilt):
+        sensors[done.kind].append({ALL_SENSORS: "all", "": "-"}.get(done.sensor, done.sensor))
+        frames[done.kind] += sum(stop - start for start, stop in done.spans)
+    with reporting.printer() as printer:
+        printer.table(
+            "Injected faults",
+            ("fault", "sensors", "readings or frames"),
+            [(kind, join_items(names), str(frames[kind])) for kind, names in sensors.items()],
+        )
+        printer.record(
+            faults=[
+                {"fault": kind, "sensors": names, "readings_or_frames": frames[kind]}
+                for kind, names in sensors.items()
+            ]
+        )
+        printing.print_files(printer, [("recording", output)])

@@ -1,0 +1,482 @@
+"""Statistics of single sensors, from which sensor health is assessed.
+
+Health of sensors: dead, stuck, saturating, noisy, intermittent or isolated.
+
+Each sensor is compared with the other sensors of the recording, since typical values differ between
+skins. To add a fault, add one function and one line to `_TESTS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.health.activity import Activity, count_runs, join_rests
+from anisomap.numerics.columns import columns
+from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.graph.connectivity import greatest_of_rows
+from anisomap.numerics.similarity.correlation import pearson
+from anisomap.numerics.similarity.rest import Rest
+from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
+from anisomap.recording import Recording, as_runs
+
+MAX_ALL_PAIRS = 4096
+"""Number of sensors above which no matrix of all pairs is computed: 128 MB of float64."""
+
+_N_NEAREST = 4  # most similar sensors that are checked for the same contact; chosen by hand
+_MIN_CLEAR_R = 0.6  # sensors with a higher r are never tested for isolation; chosen by hand
+_ROWS_AT_ONCE = 64  # of a product; single rows would be as slow as some
+_N_SHIFTS = 19  # an unrelated sensor exceeds all of them with probability 1/20
+_MIN_AUTOCORRELATION = 0.05  # at lag 2, for the noise share to use it; chosen by hand
+
+
+@dataclass(frozen=True, eq=False)
+class Behaviour:
+    """Statistics of n varying sensors; arrays of shape (n,).
+
+    Attributes
+    ----------
+    rest : Rest
+        Rest values.
+    distinct : ndarray of int
+        Number of distinct readings.
+    active : ndarray
+        Share of frames beyond rest.
+    contacts : ndarray of int
+        Number of contacts: runs of frames beyond rest.
+    at_ceiling : ndarray
+        Share of active frames at the most extreme reading on the side of contact.
+    unexplained : ndarray
+        Share of active frames in which none of the most similar sensors is active.
+    lag_correlation : ndarray
+        Autocorrelation at a lag of one frame.
+    noise_share : ndarray
+        Share of white noise in the variance.
+    best_match : ndarray
+        Highest Pearson r with another sensor.
+    shifted_match : ndarray
+        Highest Pearson r with another sensor after circular shifts in time; -1 if not computed.
+    n_frames : int
+        Number of frames.
+    """
+
+    rest: Rest
+    distinct: NDArray[np.intp]
+    active: NDArray[np.float64]
+    contacts: NDArray[np.intp]
+    at_ceiling: NDArray[np.float64]
+    unexplained: NDArray[np.float64]
+    lag_correlation: NDArray[np.float64]
+    noise_share: NDArray[np.float64]
+    best_match: NDArray[np.float64]
+    shifted_match: NDArray[np.float64]
+    n_frames: int
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """The most similar sensors of each sensor.
+
+    Attributes
+    ----------
+    nearest : ndarray of int, shape (n, m)
+        Indices of the most similar sensors; -1 where there are fewer.
+    best : ndarray of shape (n,)
+        Highest Pearson r with another sensor; NaN if there is none.
+    """
+
+    nearest: NDArray[np.int64]
+    best: NDArray[np.float64]
+
+    def among(self, chosen: NDArray[np.bool_]) -> Matches:
+        """Return the matches of some sensors, given as a mask, with indices renumbered."""
+        number = np.append(np.where(chosen, np.cumsum(chosen) - 1, NO_SENSOR), NO_SENSOR)
+        return Matches(number[self.nearest[chosen]], self.best[chosen])
+
+
+def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> Behaviour:
+    """Compute the statistics of sensors.
+
+    Parameters
+    ----------
+    readings : ndarray of shape (T, n)
+        Finite readings of sensors that vary.
+    matches : Matches, optional
+        The most similar sensors, if known. Circular shifts are then not computed, and
+        `Behaviour.shifted_match` is -1.
+
+    Returns
+    -------
+    Behaviour
+
+    Notes
+    -----
+    For more than 4096 sensors, no matrix of all pairs is computed, and circular shifts are compared
+    with 4096 evenly chosen sensors.
+    """
+    n_frames, n_sensors = readings.shape
+    series = np.empty((n_sensors, n_frames), dtype=bool)
+    courses = []
+    for column, in_contact in zip(columns(readings), series, strict=True):
+        activity = Activity.of(column)
+        in_contact[:] = activity.frames(column)
+        courses.append(_Course.of(column, activity, in_contact))
+    at_one, at_two = np.array([one.lag_correlations for one in courses]).T
+    found = matches or _find_matches(readings)
+    return Behaviour(
+        rest=join_rests([one.rest for one in courses]),
+        distinct=np.array([one.distinct for one in courses]),
+        active=np.array([one.active for one in courses]),
+        contacts=np.array([one.contacts for one in courses]),
+        at_ceiling=np.array([one.at_ceiling for one in courses]),
+        unexplained=_unexplained(series, found.nearest),
+        lag_correlation=at_one,
+        noise_share=_noise_share(at_one, at_two),
+        best_match=found.best,
+        shifted_match=(
+            np.full(n_sensors, -1.0) if matches else _match_after_shifts(readings, found.best)
+        ),
+        n_frames=n_frames,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """Statistics of one sensor; see `Behaviour`."""
+
+    rest: Rest
+    distinct: int
+    active: float
+    contacts: int
+    at_ceiling: float
+    lag_correlations: tuple[float, float]
+
+    @classmethod
+    def of(
+        cls, column: NDArray[np.floating], activity: Activity, in_contact: NDArray[np.bool_]
+    ) -> _Course:
+        """Compute the statistics of readings of shape (T,)."""
+        # A saturating sensor stays at the end of its range on the side of contact.
+        end = -1 if activity.rest.side[0] > 0 else 0
+        n_highest = int(activity.counts[end]) if activity.active[end] else 0
+        return cls(
+            rest=activity.rest,
+            distinct=activity.values.size,
+            active=activity.n_active / column.size,
+            contacts=count_runs(in_contact),
+            at_ceiling=n_highest / max(1, activity.n_active),
+            lag_correlations=_lag_correlations(column, activity),
+        )
+
+
+def _find_matches(readings: NDArray[np.floating]) -> Matches:
+    n_sensors = readings.shape[1]
+    count = min(_N_NEAREST, n_sensors - 1)
+    if count < 1:
+        return Matches(np.full((n_sensors, 1), NO_SENSOR), np.full(n_sensors, np.nan))
+    if n_sensors > MAX_ALL_PAIRS:
+        found, r = most_similar(_standardised(readings), count)
+        return Matches(found, r[:, 0].astype(np.float64))
+    correlation = pearson(readings)
+    np.fill_diagonal(correlation, -np.inf)
+    nearest = np.nonzero(greatest_of_rows(correlation, count))[1].reshape(n_sensors, count)
+    return Matches(nearest, correlation.max(axis=1))
+
+
+def _unexplained(series: NDArray[np.bool_], nearest: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Compute the share of active frames in which none of the most similar sensors is active."""
+    alone = [
+        np.count_nonzero(mine > series[others[others != NO_SENSOR]].any(axis=0))
+        for mine, others in zip(series, nearest, strict=True)
+    ]
+    counted = np.where((nearest != NO_SENSOR).any(axis=1), alone, 0)
+    return np.asarray(counted / np.maximum(np.count_nonzero(series, axis=1), 1))
+
+
+def _lag_correlations(column: NDArray[np.floating], activity: Activity) -> tuple[float, float]:
+    """Return the autocorrelations of one sensor, shape (T,), at lags of one and two frames."""
+    mean = activity.counts @ activity.values / column.size
+    deviations = activity.values - mean
+    largest = max(deviations[-1], -deviations[0])
+    centred = column - mean
+    centred /= largest
+    sum_of_squares = activity.counts @ (deviations / largest) ** 2
+    return (
+        float(centred[1:] @ centred[:-1] / sum_of_squares),
+        float(centred[2:] @ centred[:-2] / sum_of_squares),
+    )
+
+
+def _noise_share(at_one: NDArray[np.float64], at_two: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Estimate the share of white noise in the variance from lags of one and two frames.
+
+    A signal with autocorrelation a^l and a share c of the variance, plus white noise, has
+    rho_l = c a^l, so c = rho_1^2 / rho_2. Short contacts reduce both lags and do not count as
+    noise. If rho_2 is near 0, c = rho_1.
+    """
+    signal = np.divide(at_one**2, at_two, out=at_one.copy(), where=at_two > _MIN_AUTOCORRELATION)
+    return np.asarray(1 - np.clip(signal, 0, 1))
+
+
+def _match_after_shifts(
+    readings: NDArray[np.floating], best_match: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compute the highest r of a sensor with any other after circular shifts of its frames.
+
+    Circular shifts preserve the autocorrelation, which formulas for independent frames ignore.
+    Sensors with a high r are not shifted, and get -1.
+    """
+    n_frames, n_sensors = readings.shape
+    highest = np.full(n_sensors, -1.0)
+    suspects = np.flatnonzero(best_match < _MIN_CLEAR_R)
+    if not suspects.size or n_frames < 2 * _N_SHIFTS:
+        return highest
+    others = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, MAX_ALL_PAIRS)).astype(int))
+    every = others.size == n_sensors
+    standard = _standardised(readings if every else readings[:, others])
+    shifts = [step * n_frames // (_N_SHIFTS + 1) for step in range(1, _N_SHIFTS + 1)]
+    for start in range(0, suspects.size, MAX_ALL_PAIRS):
+        part = suspects[start : start + MAX_ALL_PAIRS]
+        mine = standard[part] if every else _standardised(readings[:, part])
+        itself = part[:, None] == others
+        n_at_once = max(1, _ROWS_AT_ONCE // part.size)
+        for begin in range(0, _N_SHIFTS, n_at_once):
+            shifted = [np.roll(mine, shift, axis=1) for shift in shifts[begin : begin + n_at_once]]
+            correlation = np.concatenate(shifted) @ standard.T
+            for one in correlation.reshape(-1, *itself.shape):
+                one[itself] = -1
+                highest[part] = np.maximum(highest[part], one.max(axis=1))
+    return highest
+
+
+def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Scale every sensor to mean 0 and norm 1, shape (n, T)."""
+    standard = np.empty(readings.shape[::-1], dtype=np.float32)
+    for column, row in zip(columns(readings), standard, strict=True):
+        # Differences of float32 numbers are rounded relative to themselves.
+        centred = column - column.mean(dtype=np.float64).astype(column.dtype)
+        centred /= max(centred.max(), -centred.min())
+        np.divide(centred, np.sqrt(centred @ centred), out=row, casting="same_kind")
+    return standard
+
+
+STATUSES = ("ok", "dead", "stuck", "saturating", "noisy", "intermittent", "isolated")
+"""All statuses; a sensor with several faults has the first of them."""
+
+MIN_CONTACTS = 5
+"""Contacts below which statistics of a sensor are unreliable; chosen by hand."""
+
+_SILENT = ("dead", "stuck", "isolated")
+# Limits; where no source is given they were chosen by hand: no false alarm on four real recordings.
+_OUTLIER = 5 * 1.4826  # 5 sd of a normal distribution, in median absolute deviations
+_MAX_CEILING_EXCESS = 0.3  # share of active frames at the ceiling, above the median sensor
+_MIN_CEILING_FRAMES = 10  # frames at the ceiling
+_MAX_UNEXPLAINED = 0.5  # share of active frames without a similar sensor
+_MAX_NOISE = 0.15  # share of the variance; the worst healthy real sensor has 0.09
+_STANDARD_ERRORS = 4.0  # of an autocorrelation
+
+
+@dataclass(frozen=True)
+class SensorHealth:
+    """Health and statistics of a sensor.
+
+    Attributes
+    ----------
+    name : str
+    status : str
+        One of `STATUSES`.
+    reason : str
+        Reason for the status; empty if it is ``"ok"``.
+    minimum, maximum : float
+        Range of the readings; NaN if none is finite.
+    distinct : int
+        Number of distinct values.
+    active : float
+        Share of frames beyond rest, in [0, 1].
+    contacts : int
+        Number of contacts: runs of frames beyond rest.
+    lag_correlation : float
+        Autocorrelation at a lag of one frame, in [-1, 1]; NaN for a constant sensor.
+    best_match : float
+        Highest Pearson r with another sensor; NaN if no other sensor varies.
+    """
+
+    name: str
+    status: str
+    reason: str
+    minimum: float
+    maximum: float
+    distinct: int
+    active: float
+    contacts: int
+    lag_correlation: float
+    best_match: float
+
+
+def assess(
+    recording: Recording | Sequence[Recording], *, matches: Matches | None = None
+) -> tuple[SensorHealth, ...]:
+    """Assess every sensor of a recording.
+
+    Parameters
+    ----------
+    recording : Recording or sequence of Recording
+        Missing readings are interpolated first. If some of several recordings of one skin lack
+        sensors, each sensor is assessed in the run with most contacts, preferring runs in which it
+        is not silent or isolated.
+    matches : Matches, optional
+        The most similar sensors, if known from more than this recording. No sensor is then
+        reported as isolated.
+
+    Returns
+    -------
+    tuple of SensorHealth
+        In the order of the sensors.
+
+    Notes
+    -----
+    The paper leaves out sensors that never vary, and keeps one that saturates intermittently
+    (section "Prototyping Issues"). A status other than "ok" is a reason to inspect the sensor, not
+    proof of a fault.
+    """
+    runs = as_runs(recording)
+    with limited_blas(runs[0].n_sensors):
+        return _assess(runs[0], matches) if len(runs) == 1 else _assess_runs(runs)
+
+
+def _assess_runs(runs: Sequence[Recording]) -> tuple[SensorHealth, ...]:
+    best: dict[str, SensorHealth] = {}
+    for run in runs:
+        for sensor in _assess(run, None):
+            known = best.get(sensor.name)
+            if known is None or _informative(sensor) > _informative(known):
+                best[sensor.name] = sensor
+    return tuple(best.values())
+
+
+def _informative(sensor: SensorHealth) -> tuple[bool, int]:
+    return sensor.status not in _SILENT, sensor.contacts
+
+
+def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth, ...]:
+    recording = recording.complete("interpolate")
+    readings = recording.readings
+    varying = recording.varying()
+    behaviour = None
+    if varying.any():
+        nearest = None if matches is None else matches.among(varying)
+        behaviour = observe(readings if varying.all() else readings[:, varying], nearest)
+    faults = _faults_of_constant(recording, varying, behaviour)
+    if behaviour is not None:
+        active = np.flatnonzero(varying)
+        for status, test in reversed(_TESTS.items()):
+            for i, reason in test(behaviour).items():
+                faults[int(active[i])] = (status, reason)
+    position = np.cumsum(varying) - 1
+    lowest, highest = recording.extremes
+    result = []
+    for i, name in enumerate(recording.names):
+        status, reason = faults.get(i, ("ok", ""))
+        known = behaviour if varying[i] else None
+        at = position[i]
+        result.append(
+            SensorHealth(
+                name=name,
+                status=status,
+                reason=reason,
+                minimum=float(lowest[i]),
+                maximum=float(highest[i]),
+                distinct=int(known.distinct[at]) if known else 1,
+                active=float(known.active[at]) if known else 0.0,
+                contacts=int(known.contacts[at]) if known else 0,
+                lag_correlation=float(known.lag_correlation[at]) if known else float("nan"),
+                best_match=float(known.best_match[at]) if known else float("nan"),
+            )
+        )
+    return tuple(result)
+
+
+def _faults_of_constant(
+    recording: Recording, varying: NDArray[np.bool_], behaviour: Behaviour | None
+) -> dict[int, tuple[str, str]]:
+    """Return the status and the reason of each constant sensor."""
+    rests = behaviour.rest.value if behaviour is not None else np.zeros(1)
+    low, high = rests.min(), rests.max()
+    lowest, highest = recording.extremes
+    slack = 0.05 * (float(highest.max()) - float(lowest.min()))
+    faults = {}
+    for i in np.flatnonzero(~varying):
+        value = lowest[i]
+        if low - slack <= value <= high + slack:
+            faults[int(i)] = (
+                "dead",
+                f"constant at {value:g}, a rest value: never touched, or dead",
+            )
+        else:
+            faults[int(i)] = (
+                "stuck",
+                f"constant at {value:g}, which is not a rest value of other sensors",
+            )
+    return faults
+
+
+def _testable(b: Behaviour) -> NDArray[np.bool_]:
+    """Select sensors with enough contacts to be tested."""
+    return np.asarray(b.contacts >= MIN_CONTACTS)
+
+
+def _saturating(b: Behaviour) -> dict[int, str]:
+    typical = float(np.median(b.at_ceiling))
+    often = b.at_ceiling * b.active * b.n_frames >= _MIN_CEILING_FRAMES
+    suspects = often & (b.at_ceiling > typical + _MAX_CEILING_EXCESS)
+    return {
+        int(i): f"at its extreme value in {b.at_ceiling[i]:.0%} of its active frames "
+        f"(typical: {typical:.0%})"
+        for i in np.flatnonzero(suspects)
+    }
+
+
+def _noisy(b: Behaviour) -> dict[int, str]:
+    typical = float(np.median(b.noise_share))
+    slack = max(_OUTLIER * _spread(b.noise_share), _STANDARD_ERRORS / np.sqrt(b.n_frames))
+    suspects = _testable(b) & (b.noise_share > max(_MAX_NOISE, typical + slack))
+    return {
+        int(i): f"{b.noise_share[i]:.0%} of the variance is white noise (typical: {typical:.0%})"
+        for i in np.flatnonzero(suspects)
+    }
+
+
+def _intermittent(b: Behaviour) -> dict[int, str]:
+    typical = float(np.median(b.unexplained))
+    limit = max(_MAX_UNEXPLAINED, typical + _OUTLIER * _spread(b.unexplained))
+    suspects = _testable(b) & (b.unexplained > limit)
+    return {
+        int(i): f"no similar sensor is active in {b.unexplained[i]:.0%} of its active frames "
+        f"(typical: {typical:.0%})"
+        for i in np.flatnonzero(suspects)
+    }
+
+
+def _isolated(b: Behaviour) -> dict[int, str]:
+    return {
+        int(
+            i
+        ): f"no significant correlation with any sensor: its highest r is {b.best_match[i]:.2f}, "
+        f"and after circular shifts {b.shifted_match[i]:.2f}"
+        for i in np.flatnonzero(b.best_match <= b.shifted_match)
+    }
+
+
+_TESTS: dict[str, Callable[[Behaviour], dict[int, str]]] = {
+    "saturating": _saturating,
+    "noisy": _noisy,
+    "intermittent": _intermittent,
+    "isolated": _isolated,
+}
+
+
+def _spread(values: NDArray[np.float64]) -> float:
+    return float(np.median(np.abs(values - np.median(values))))

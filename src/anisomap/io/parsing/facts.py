@@ -1,0 +1,205 @@
+"""Text that files can hold: checked before anything is written.
+
+Metadata in ``# key: value`` lines at the top of a text file, read back equal.
+
+Conversion between the typed fields of a map and the provenance that files store.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anisomap.errors import FileError, InputError
+from anisomap.io.parsing.source import quote
+from anisomap.recording import Scalar
+from anisomap.sensor_map import DEFAULT_FRAME, SensorMap
+
+
+def texts_of(mapping: Mapping[str, Scalar]) -> Iterator[str]:
+    """Yield all keys, and all values that are text, of metadata or provenance."""
+    yield from mapping
+    yield from (value for value in mapping.values() if isinstance(value, str))
+
+
+def check_encodable(words: Iterable[str], file: Path) -> None:
+    """Reject null characters and unpaired surrogates.
+
+    Raises
+    ------
+    FileError
+        If a word contains one.
+    """
+    for word in words:
+        if "\0" in word or any("\ud800" <= character <= "\udfff" for character in word):
+            raise FileError(
+                f"cannot write {file}: {quote(word)} contains a character that is not valid text"
+            )
+
+
+# Spreadsheets pad comment lines with empty cells when they save a file.
+_PADDING = ",;\t "
+# Spreadsheets split comment lines at delimiters and run cells that start like this.
+_FORMULA = re.compile(r"(?<=[,;])[=+\-@]")
+
+
+def write_comments(
+    title: str, entries: Iterable[tuple[str, Scalar]], section: str, mapping: Mapping[str, Scalar]
+) -> str:
+    """Format a title, entries, and a mapping in a separate section.
+
+    Parameters
+    ----------
+    title : str
+        First line.
+    entries : iterable of (str, scalar)
+        Keys may repeat.
+    section : str
+        Heading of the mapping; omitted if the mapping is empty.
+    mapping : mapping of str to scalar
+
+    Returns
+    -------
+    str
+        Lines that start with ``#`` and end with a newline.
+    """
+    lines = [title, *(f"{_format_key(key)}: {format_value(value)}" for key, value in entries)]
+    if mapping:
+        lines.append(f"{section}:")
+    lines += [f"{_format_key(key)}: {format_value(value)}" for key, value in mapping.items()]
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def read_comments(
+    lines: Iterable[str], section: str
+) -> tuple[list[tuple[str, Scalar]], dict[str, Scalar]]:
+    """Parse the output of `write_comments`; lines without a colon are skipped.
+
+    Parameters
+    ----------
+    lines : iterable of str
+        The comment lines, including the title.
+    section : str
+        Heading of the mapping.
+
+    Returns
+    -------
+    entries : list of (str, scalar)
+        Entries before the section.
+    mapping : dict of str to scalar
+        Entries in the section.
+    """
+    entries: list[tuple[str, Scalar]] = []
+    mapping: dict[str, Scalar] = {}
+    inside = False
+    for line in lines:
+        key, separator, value = _split_entry(line.strip().removeprefix("#").strip())
+        if not separator:
+            continue
+        text = value.strip().rstrip(_PADDING)
+        if not text and key == section and not inside:
+            inside = True
+        elif inside:
+            mapping[key] = _parse_value(text)
+        else:
+            entries.append((key, _parse_value(text)))
+    return entries, mapping
+
+
+def format_value(value: Scalar) -> str:
+    """Format a value as JSON, or text verbatim if it reads back as the same text."""
+    if isinstance(value, str):
+        plain = value and value.isprintable() and value == value.strip(_PADDING)
+        plain = plain and not _FORMULA.search(value)
+        return value if plain and _parse_value(value) == value else _quoted(value)
+    return json.dumps(to_python_scalar(value))
+
+
+def to_python_scalar(value: object) -> Scalar:
+    """Convert a numpy scalar to a Python scalar.
+
+    Raises
+    ------
+    InputError
+        If `value` is not a scalar.
+    """
+    scalar = value.item() if isinstance(value, np.generic) else value
+    if not isinstance(scalar, Scalar):
+        raise InputError(
+            "values of provenance and metadata must be str, int, float or bool, "
+            f"got {type(value).__name__}"
+        )
+    return scalar
+
+
+def _format_key(key: str) -> str:
+    plain = key and key.isprintable() and key == key.strip() and key[0] not in '"#'
+    plain = plain and ":" not in key and not _FORMULA.search(key)
+    return key if plain else _quoted(key)
+
+
+def _quoted(text: str) -> str:
+    return _FORMULA.sub(lambda match: f"\\u{ord(match[0]):04x}", json.dumps(text))
+
+
+def _split_entry(line: str) -> tuple[str, str, str]:
+    if not line.startswith('"'):
+        key, separator, value = line.partition(":")
+        return key.strip(), separator, value
+    try:
+        key, end = json.JSONDecoder().raw_decode(line)
+    except ValueError:
+        return "", "", ""
+    separator, value = line[end : end + 1], line[end + 1 :]
+    return (key, separator, value) if separator == ":" else ("", "", "")
+
+
+def _parse_value(text: str) -> Scalar:
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+    return value if isinstance(value, (str, int, float, bool)) else text
+
+
+_FLAGS = ("approximate", "uneven", "mirrored", "handed", "anchored")
+_FIELDS = (*_FLAGS, "frame")
+
+_ESCAPE = "~"
+"""Precedes a key of the provenance that is also the name of a field."""
+
+
+def to_provenance(sensor_map: SensorMap) -> dict[str, Scalar]:
+    """Return the provenance of a map, extended by its frame and the flags that are set."""
+    flags: dict[str, Scalar] = {name: True for name in _FLAGS if getattr(sensor_map, name)}
+    frame = {} if sensor_map.frame == DEFAULT_FRAME else {"frame": sensor_map.frame}
+    provenance = {
+        f"{_ESCAPE}{key}" if key.lstrip(_ESCAPE) in _FIELDS else key: value
+        for key, value in sensor_map.provenance.items()
+    }
+    return {**provenance, **flags, **frame}
+
+
+def from_provenance(stored: Mapping[str, Scalar]) -> dict[str, Any]:
+    """Split stored provenance into arguments of `SensorMap`."""
+    facts: dict[str, Any] = {name: stored[name] is True for name in _FLAGS if name in stored}
+    if "frame" in stored:
+        facts["frame"] = str(stored["frame"])
+    if "precomputed" not in stored:
+        facts["similarity"] = str(stored.get("similarity", ""))
+    iterations = stored.get("iterations")
+    if isinstance(iterations, int):
+        facts["n_iterations"] = int(iterations)
+    return {
+        **facts,
+        "provenance": {
+            key.removeprefix(_ESCAPE) if key.lstrip(_ESCAPE) in _FIELDS else key: value
+            for key, value in stored.items()
+            if key not in _FIELDS
+        },
+    }

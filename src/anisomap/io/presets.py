@@ -1,0 +1,294 @@
+"""Names and positions of the sensors of rectangular arrays.
+
+Robots with a known numbering of sensors: name the sensors, and drop other values.
+
+A new robot is one function that returns the index and name of each sensor in a recording, and one
+line in `PRESETS`.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.io.parsing.naming import cells_of
+from anisomap.recording import Recording, default_names
+
+UNITS = "spacings"
+"""Unit of grid positions if the physical spacing is unknown."""
+
+
+def grid_positions(rows: int, columns: int) -> NDArray[np.float64]:
+    """Return the positions of a rectangular array in row-major order.
+
+    Parameters
+    ----------
+    rows, columns : int
+
+    Returns
+    -------
+    ndarray of shape (rows * columns, 2)
+        x is the column and y the row; spacing 1.
+    """
+    y, x = np.mgrid[:rows, :columns].astype(np.float64)
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def grid_names(rows: int, columns: int) -> tuple[str, ...]:
+    """Return the names ``r0c0, r0c1, ...`` of a rectangular array in row-major order."""
+    return tuple(f"r{row}c{column}" for row in range(rows) for column in range(columns))
+
+
+def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
+    """Set the positions of a recording to those of a rectangular array in row-major order.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of all cells in order. A recording of some cells needs names that give them, such as
+        ``r3c5`` or ``cell50``.
+    grid : (int, int) or None
+        Rows and columns; None returns the recording unchanged.
+
+    Returns
+    -------
+    Recording
+        Sensors with default names are renamed by row and column. Cells without any finite reading
+        read 0, so that they are assessed as dead.
+
+    Raises
+    ------
+    InputError
+        If the recording has more sensors than cells, or its names do not give their cells.
+    """
+    if grid is None:
+        return recording
+    rows, columns = grid
+    recording = _without_empty_cells(recording)
+    unnamed = recording.names == default_names(recording.n_sensors)
+    if rows * columns != recording.n_sensors:
+        cells = None if unnamed else cells_of(recording.names, rows, columns)
+        if cells is None:
+            raise InputError(
+                f"a {rows} x {columns} grid has {rows * columns} sensors, "
+                f"but the recording has {recording.n_sensors}, and their names do not give the "
+                "cells, as r3c5 or cell50 do"
+            )
+        return replace(recording, positions=grid_positions(rows, columns)[cells], units=UNITS)
+    return replace(
+        recording,
+        positions=grid_positions(rows, columns),
+        units=UNITS,
+        names=grid_names(rows, columns) if unnamed else recording.names,
+    )
+
+
+def _without_empty_cells(recording: Recording) -> Recording:
+    empty = ~np.isfinite(recording.readings).any(axis=0)
+    if not empty.any() or empty.all():
+        return recording
+    warnings.warn(
+        f"{recording.source}: {np.count_nonzero(empty)} of {recording.n_sensors} cells of the grid "
+        "have no reading; they are taken as dead",
+        AnisomapWarning,
+        stacklevel=2,
+    )
+    return replace(recording, readings=np.where(empty, 0, recording.readings))
+
+
+Numbering: TypeAlias = Callable[[Recording], dict[int, str]]
+"""Function from a recording to the index and name of each value that is a sensor."""
+
+_BOARD, _TRIANGLE = 192, 12
+_THERMAL = (6, 10)
+_FINGERS = ("index", "middle", "ring", "little", "thumb")
+_PALM, _PALM_PADS = 96, 48
+_NO_PALM_PADS = (11, 23, 35, 43)
+_RAW_REST = 128  # readings at rest are near 240 for raw and 0 for compensated skin
+
+
+def apply_preset(recording: Recording, preset: str) -> Recording:
+    """Name the sensors of a known robot, and drop values that are not sensors.
+
+    Parameters
+    ----------
+    recording : Recording
+        All values of the robot's port in their original order. Joined ports are numbered
+        separately.
+    preset : str
+        A name in `PRESETS`; empty for none.
+
+    Returns
+    -------
+    Recording
+        Its metadata include the preset, and whether the skin is raw or compensated.
+
+    Raises
+    ------
+    InputError
+        If the preset is unknown, or does not fit the recording.
+    """
+    if not preset:
+        return recording
+    kept = numbering(recording, preset)
+    chosen = recording.select(list(kept))
+    rest = float(np.nanmedian(chosen.readings[0]))
+    state = "raw, falls when pressed" if rest > _RAW_REST else "compensated, rests at 0"
+    return replace(
+        chosen,
+        names=tuple(kept.values()),
+        metadata={**recording.metadata, "preset": preset, "skin": state},
+    )
+
+
+def check_preset(preset: str) -> None:
+    """Check that a preset exists.
+
+    Raises
+    ------
+    InputError
+        If the preset is unknown.
+    """
+    if preset not in PRESETS:
+        raise InputError(f"unknown preset {preset!r}; known presets: {', '.join(PRESETS)}")
+
+
+def numbering(recording: Recording, preset: str) -> dict[int, str]:
+    """Return the index and name of each sensor in a robot's recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        As for `apply_preset`. Only whether each value varies matters.
+    preset : str
+        A name in `PRESETS`.
+
+    Returns
+    -------
+    dict of int to str
+        In the order of `apply_preset`.
+
+    Raises
+    ------
+    InputError
+        As `apply_preset`.
+    """
+    check_preset(preset)
+    kept = {
+        index: name
+        for port, indices in _ports(recording).items()
+        for index, name in _numbered(recording, port, indices, PRESETS[preset])
+    }
+    if not kept:
+        raise InputError(f"no sensor of preset {preset} varies in this recording")
+    return kept
+
+
+def _ports(recording: Recording) -> dict[str, list[int]]:
+    """Group the values by port, which is the part of their names before the last ``/``."""
+    found: dict[str, list[int]] = {}
+    for index, name in enumerate(recording.names):
+        found.setdefault(name.rpartition("/")[0], []).append(index)
+    return found
+
+
+def _numbered(
+    recording: Recording, port: str, indices: list[int], known: Numbering
+) -> list[tuple[int, str]]:
+    if not port:
+        return list(known(recording).items())
+    part = replace(recording.select(indices), source=port, metadata={})
+    return [(indices[i], f"{port}/{name}") for i, name in known(part).items()]
+
+
+def icub(recording: Recording) -> dict[int, str]:
+    """Name the pads of an iCub: index = 192 * board + 12 * triangle + k, without thermal pads.
+
+    Pads 6 and 10 of a triangle measure temperature. Absent triangles have constant readings. Ports
+    of hands are passed to `icub_hand`.
+
+    Parameters
+    ----------
+    recording : Recording
+        With a multiple of 12 values.
+
+    Returns
+    -------
+    dict of int to str
+        ``b0.t3.k11`` is pad 11 of triangle 3 of board 0.
+
+    Raises
+    ------
+    InputError
+        If the number of values is not a multiple of 12.
+
+    Notes
+    -----
+    Schmitz et al. (2011), IEEE Transactions on Robotics 27(3): 389-400,
+    doi:10.1109/TRO.2011.2132930.
+    """
+    if _is_hand(recording):
+        return icub_hand(recording)
+    if recording.n_sensors % _TRIANGLE:
+        raise InputError(
+            f"the number of values of an iCub port must be a multiple of {_TRIANGLE} (a "
+            f"triangle), got {recording.n_sensors}"
+        )
+    varying = recording.varying().reshape(-1, _TRIANGLE)
+    present = np.asarray(varying.any(axis=1))
+    return {
+        index: f"b{index // _BOARD}.t{index % _BOARD // _TRIANGLE}.k{index % _TRIANGLE}"
+        for index in range(recording.n_sensors)
+        if present[index // _TRIANGLE] and index % _TRIANGLE not in _THERMAL
+    }
+
+
+def icub_hand(recording: Recording) -> dict[int, str]:
+    """Name the pads of an iCub hand: five fingertips of 12 pads, and the palm from value 96.
+
+    The palm has 48 values, of which 11, 23, 35 and 43 are not pads.
+
+    Parameters
+    ----------
+    recording : Recording
+        With the 192 values of a hand.
+
+    Returns
+    -------
+    dict of int to str
+        Names such as ``thumb.0`` and ``palm.47``. Parts with constant readings are absent from the
+        robot and left out.
+
+    Raises
+    ------
+    InputError
+        If there are not 192 values.
+    """
+    if recording.n_sensors != _BOARD:
+        raise InputError(f"an iCub hand has {_BOARD} values, got {recording.n_sensors}")
+    parts = {name: range(12 * i, 12 * i + 12) for i, name in enumerate(_FINGERS)}
+    parts["palm"] = range(_PALM, _PALM + _PALM_PADS)
+    varying = recording.varying()
+    return {
+        index: f"{part}.{index - indices.start}"
+        for part, indices in parts.items()
+        if varying[indices].any()
+        for index in indices
+        if part != "palm" or index - _PALM not in _NO_PALM_PADS
+    }
+
+
+def _is_hand(recording: Recording) -> bool:
+    named = f"{recording.source} {recording.metadata.get('port', '')}"
+    return recording.n_sensors == _BOARD and bool(re.search(r"hand(_comp)?\b", named))
+
+
+PRESETS: Mapping[str, Numbering] = MappingProxyType({"icub": icub, "icub-hand": icub_hand})

@@ -1,0 +1,374 @@
+"""Find the moment, the sensors and the values of events by the names of columns or keys.
+
+Turn events into frames: one frame per moment, or counts in bins of equal width.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from array import array
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.io.parsing.columns import is_time
+from anisomap.io.parsing.naming import numbers_of
+from anisomap.io.stream import BLOCK_BYTES, Block, Stream
+from anisomap.memory import Budget
+from anisomap.recording import Scalar
+
+_NOUNS = {
+    **dict.fromkeys(("id", "ids", "taxel", "taxels", "contacts", "active", "touched"), "taxel"),
+    **dict.fromkeys(("sensor", "sensors"), "sensor"),
+    **dict.fromkeys(("channel", "channels"), "channel"),
+    **dict.fromkeys(("electrode", "electrodes"), "electrode"),
+    **dict.fromkeys(("unit", "units"), "unit"),
+    **dict.fromkeys(("neuron", "neurons"), "neuron"),
+}
+_BESIDE_NOUNS = {"index", "indices", "list", "activated", "contact", "number", "no"}
+_MOMENTS = {"event", "events", "contact", "touch", "frame", "sample", "index", "no", "number"}
+_VALUES = {"value", "values", "pressure", "force", "amplitude", "reading", "weight"}
+
+
+@dataclass(frozen=True)
+class EventColumns:
+    """Columns of a list of events, by index from 0.
+
+    Parameters
+    ----------
+    moment : int
+        Column of times, or of numbers of events.
+    sensor : int
+        Column of sensors.
+    value : int
+        Column of values; -1 without one.
+    """
+
+    moment: int
+    sensor: int
+    value: int = -1
+
+
+def find_columns(names: Sequence[str]) -> EventColumns | None:
+    """Find the columns of events.
+
+    Parameters
+    ----------
+    names : sequence of str
+
+    Returns
+    -------
+    EventColumns or None
+        None unless exactly one name denotes a moment, one sensors, and at most one values.
+    """
+    words = [_words(name) for name in names]
+    moments = [
+        i
+        for i, name in enumerate(names)
+        if is_time(name, i) or (words[i] and _MOMENTS.issuperset(words[i]))
+    ]
+    sensors = [i for i, each in enumerate(words) if _is_sensor(each)]
+    values = [i for i, each in enumerate(words) if each and _VALUES.issuperset(each)]
+    if (len(moments), len(sensors)) != (1, 1) or moments == sensors or len(values) > 1:
+        return None
+    return EventColumns(moments[0], sensors[0], (values or [-1])[0])
+
+
+def noun_of(name: str) -> str:
+    """Return what precedes the numbers of sensors in a column: ``channel`` for ``channel_ids``."""
+    return next((_NOUNS[word] for word in reversed(_words(name)) if _is_specific(word)), "taxel")
+
+
+def _is_specific(word: str) -> bool:
+    return word in _NOUNS and word not in ("id", "ids")
+
+
+def _is_sensor(words: Sequence[str]) -> bool:
+    known = all(word in _NOUNS or word in _BESIDE_NOUNS for word in words)
+    return known and any(word in _NOUNS for word in words)
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[^\W\d_]+", name.lower())
+
+
+DEFAULT_BIN_S = 1.0
+"""Width of bins in seconds if none is given.
+
+The reader of the retinal wave repository counts in intervals of this length by default (Eglen et
+al. 2014, GigaScience 3:3, doi:10.1186/2047-217X-3-3).
+"""
+
+_Key = TypeVar("_Key", bound=Hashable)
+
+_EVENT_BYTES = 64
+"""Memory per event: moment, sensor and value (24), and the arrays that sort them by moment."""
+
+# Chosen by hand: a recording in which fewer than one bin in a thousand holds an event has a wrong
+# time or bin width. Short recordings may have more empty bins.
+_MAX_BINS_PER_EVENT, _MIN_REFUSED_BINS = 1000, 1 << 16
+# Decimal times on the edge of a bin are not exact in binary; in widths of a bin.
+_EDGE_DECIMALS = 6
+# Chosen by hand: contacts of a skin touch several sensors, spikes of neurons rarely coincide.
+_MAX_SHARE_ALONE = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Events:
+    """Sensors that were active, and when; an entry is one sensor at one moment.
+
+    Parameters
+    ----------
+    moments : ndarray of float64, shape (E,)
+        Times in seconds, or numbers of events.
+    sensors : ndarray of int, shape (E,)
+        Index in `names`; -1 for a moment without an active sensor.
+    names : tuple of str
+        Names of the sensors.
+    values : ndarray of float64, shape (E,), optional
+        Readings; 1 by default.
+    timed : bool
+        Whether `moments` are times.
+    """
+
+    moments: NDArray[np.float64]
+    sensors: NDArray[np.intp]
+    names: tuple[str, ...]
+    values: NDArray[np.float64] | None = None
+    timed: bool = True
+
+    def __post_init__(self) -> None:
+        order = np.argsort(self.moments, kind="stable")
+        if not (order[1:] > order[:-1]).all():
+            for field, array in vars(self).copy().items():
+                if isinstance(array, np.ndarray):
+                    object.__setattr__(self, field, array[order])
+
+
+class EventList(Generic[_Key]):
+    """Events while they are read, within the budget of their file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+
+    Attributes
+    ----------
+    moments, values : array of float
+        One entry per event; `values` is a second number of each.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.moments, self.values = array("d"), array("d")
+        self._numbers = array("q")
+        self._seen: dict[_Key, int] = {}
+        self._budget = Budget(path)
+
+    @property
+    def sensors(self) -> list[_Key]:
+        """All sensors, in the order of their first event."""
+        return list(self._seen)
+
+    def add(self, moment: float, active: Sequence[_Key], value: float = 1.0) -> None:
+        """Add the active sensors of a moment; none is an event without a sensor.
+
+        Raises
+        ------
+        FileError
+            If the events would take far more memory than the file.
+        """
+        count = max(1, len(active))
+        self._budget.spend(_EVENT_BYTES * count, "its list of contacts")
+        self.moments.extend([moment] * count)
+        self.values.extend([value] * count)
+        seen = self._seen
+        self._numbers.extend([seen.setdefault(key, len(seen)) for key in active] or [-1])
+
+    def indices(self, index: Mapping[_Key, int]) -> NDArray[np.intp]:
+        """Return the index of the sensor of each event, -1 for none."""
+        places = np.array([*(index[key] for key in self._seen), -1], dtype=np.intp)
+        return places[np.asarray(self._numbers, dtype=np.intp)]
+
+
+def name_sensors(ids: Sequence[str], noun: str) -> tuple[tuple[str, ...], dict[str, int]]:
+    """Name the sensors of events, in the order of their numbers, else of appearance.
+
+    Parameters
+    ----------
+    ids : sequence of str
+        As in the file, possibly repeated.
+    noun : str
+        Precedes ids that are numbers: ``taxel`` gives ``taxel17``.
+
+    Returns
+    -------
+    tuple of str
+        One name per sensor.
+    dict of str to int
+        The index of the sensor of each id.
+    """
+    found = list(dict.fromkeys(ids))
+    if all(text.isascii() and text.isdecimal() for text in found) and numbers_of(found):
+        found.sort(key=int)
+        return tuple(f"{noun}{text}" for text in found), {text: i for i, text in enumerate(found)}
+    return tuple(found), {text: i for i, text in enumerate(found)}
+
+
+def stream_events(
+    path: Path,
+    events: Events,
+    *,
+    bin_s: float | None = None,
+    span: tuple[float, float] | None = None,
+    spikes: bool = False,
+    contacts: bool = False,
+    positions: NDArray[np.float64] | None = None,
+    metadata: Mapping[str, Scalar] | None = None,
+) -> Stream:
+    """Create a stream of frames from events.
+
+    Without bins, a frame is one moment, in order of time; a reading is 1 if the sensor was active,
+    or its value. With bins, a reading is the number of events in the bin, or the last value.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file, for messages.
+    events : Events
+    bin_s : float, optional
+        Width of the bins in seconds.
+    span : (float, float), optional
+        Start and end of the recording, if the file gives them.
+    spikes : bool
+        Whether the events are spikes, which need bins: `DEFAULT_BIN_S` if `bin_s` is None. Other
+        events do if nearly all of their times belong to a single sensor.
+    contacts : bool
+        Whether the events are contacts, which need no bins however few sensors they touch.
+    positions : ndarray of shape (N, 2) or (N, 3), optional
+    metadata : mapping of str to scalar, optional
+
+    Returns
+    -------
+    Stream
+        Its sensors without events read 0.
+
+    Raises
+    ------
+    FileError
+        If there is no event, a time is not finite, or nearly all bins would be empty.
+
+    Warns
+    -----
+    AnisomapWarning
+        If the default width of bins is used.
+    """
+    if not (events.sensors >= 0).any():
+        raise FileError(f"{path} holds no event")
+    if not np.isfinite(events.moments).all():
+        raise FileError(f"{path}: the time of an event is not finite")
+    if bin_s is not None and not 0 < bin_s < math.inf:
+        raise InputError(f"bin_s must be a positive number of seconds, got {bin_s}")
+    if bin_s is not None and not events.timed:
+        raise FileError(f"{path} numbers its events without times, so bins do not apply to it")
+    needs_bins = spikes or (events.timed and not contacts and _alone(events))
+    if bin_s is None and needs_bins:
+        bin_s = DEFAULT_BIN_S
+        warnings.warn(
+            f"{path}: events are counted in bins of {bin_s:g} s, the default width; choose another "
+            "with --bin (bin_s in Python)",
+            AnisomapWarning,
+            stacklevel=2,
+        )
+    facts: dict[str, Scalar] = dict(metadata or {})
+    times: NDArray[np.float64] | None = None
+    if bin_s is None:
+        moments, frames = np.unique(events.moments, return_inverse=True)
+        facts["frames"] = "one per time" if events.timed else "one per event"
+        if events.timed:
+            times = np.asarray(moments, dtype=np.float64)
+    else:
+        frames, n_bins = _bins(path, events.moments, bin_s, span)
+        facts["bin_s"] = bin_s
+        times = np.asarray(np.arange(n_bins) * bin_s, dtype=np.float64)
+    n_frames = len(times) if times is not None else int(frames.max()) + 1
+    n_sensors = len(events.names)
+    budget = Budget(path)
+    budget.check_readings(
+        n_frames, n_sensors, 4, f"a recording of {n_frames} frames and {n_sensors} sensors"
+    )
+    return Stream(
+        path,
+        n_sensors,
+        _blocks(events, frames, n_frames, times, counted=bin_s is not None),
+        names=events.names,
+        rate_hz=None if bin_s is None else 1 / bin_s,
+        positions=positions,
+        source=path.name,
+        metadata=facts,
+        from_zero=True,
+        silent_are_zero=True,
+    )
+
+
+def _alone(events: Events) -> bool:
+    """Return whether nearly all times with an event belong to a single sensor."""
+    known = events.sensors >= 0
+    _, counts = np.unique(events.moments[known], return_counts=True)
+    return bool(np.mean(counts == 1) > _MAX_SHARE_ALONE)
+
+
+def _bins(
+    path: Path,
+    moments: NDArray[np.float64],
+    width: float,
+    span: tuple[float, float] | None,
+) -> tuple[NDArray[np.intp], int]:
+    """Return the bin of each event, and the number of bins."""
+    start, end = float(moments[0]), float(moments[-1])
+    if span is not None:
+        start, end = min(start, span[0]), max(end, span[1])
+    places = np.round((moments - start) / width, _EDGE_DECIMALS)
+    n_bins = math.floor(places[-1]) + 1
+    if span is not None:
+        n_bins = max(n_bins, math.ceil(round((end - start) / width, _EDGE_DECIMALS)))
+    if n_bins > max(_MIN_REFUSED_BINS, _MAX_BINS_PER_EVENT * len(moments)):
+        raise FileError(
+            f"{path}: {len(moments)} events from {start:g} to {end:g} s would fill {n_bins} bins "
+            f"of {width:g} s; choose wider bins with --bin, or correct the times"
+        )
+    return np.floor(places).astype(np.intp), n_bins
+
+
+def _blocks(
+    events: Events,
+    frames: NDArray[np.intp],
+    n_frames: int,
+    times: NDArray[np.float64] | None,
+    *,
+    counted: bool,
+) -> Iterator[Block]:
+    step = max(1, BLOCK_BYTES // (4 * len(events.names)))
+    for first in range(0, n_frames, step):
+        last = min(first + step, n_frames)
+        inside = slice(*np.searchsorted(frames, [first, last]))
+        rows, columns = frames[inside] - first, events.sensors[inside]
+        active = columns >= 0
+        where = rows[active], columns[active]
+        readings: NDArray[np.floating]
+        if events.values is not None:
+            readings = np.zeros((last - first, len(events.names)))
+            readings[where] = events.values[inside][active]
+        else:
+            readings = np.zeros((last - first, len(events.names)), np.float32)
+            if counted:
+                np.add.at(readings, where, 1)
+            else:
+                readings[where] = 1
+        yield Block(readings, last / n_frames, None if times is None else times[first:last])

@@ -1,0 +1,297 @@
+"""Spike trains in files of named arrays (HDF5, MATLAB 7.3).
+
+Three layouts are known: the times of all units in one vector, beside the number of spikes of each
+unit (``spikes``, ``sCount``: the retinal wave repository, Eglen et al. 2014, GigaScience 3:3,
+doi:10.1186/2047-217X-3-3), or beside the end of each unit in the vector (``spike_times``,
+``spike_times_index``: Neurodata Without Borders), or a group with one vector of times per unit,
+whose names hold numbers.
+
+Spike times in delimited text, one line or one column of times per channel.
+
+For example, with and without names, times in seconds::
+
+    A1,0.012,0.85,2.33          A1,A2
+    A2,0.020                    0.012,0.020
+    A3,0.015,0.86               0.85,
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import FileError
+from anisomap.io.parsing import delimited
+from anisomap.io.parsing.source import read_lines
+from anisomap.io.parsing.table import is_number, parse_number
+from anisomap.io.recordings.events import Events, stream_events
+from anisomap.io.stream import Stream
+
+_NUMBERS = "iuf"
+_MIN_UNITS = 2
+_DIGIT = re.compile(r"\d")
+
+
+class NamedArray(Protocol):
+    """An array in a file: see `anisomap.io.recordings.hdf5.Dataset`."""
+
+    @property
+    def name(self) -> str:
+        """Name with groups."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Size of each axis."""
+
+    @property
+    def kind(self) -> str:
+        """As `numpy.dtype.kind`."""
+
+    @property
+    def key(self) -> str:
+        """Name without groups, in lower case."""
+
+    @property
+    def group(self) -> str:
+        """Groups that hold the array."""
+
+    def whole(self) -> NDArray[Any]:
+        """Read the array."""
+
+
+@dataclass(frozen=True)
+class SpikeTrains:
+    """The arrays that hold the spike times of several units.
+
+    Parameters
+    ----------
+    name : str
+        Name to select them by.
+    times : tuple of NamedArray
+        Times of all units, or one array per unit.
+    counts, ends : NamedArray, optional
+        Number of spikes per unit, or the index after its last one.
+    """
+
+    name: str
+    times: tuple[NamedArray, ...]
+    counts: NamedArray | None = None
+    ends: NamedArray | None = None
+
+    @property
+    def index(self) -> NamedArray | None:
+        """The array that divides the times among the units; None for one array per unit."""
+        return self.counts or self.ends
+
+    @property
+    def n_units(self) -> int:
+        """Number of units."""
+        return math.prod(self.index.shape) if self.index else len(self.times)
+
+    @property
+    def members(self) -> set[str]:
+        """Names of all arrays."""
+        return {each.name for each in (*self.times, self.counts, self.ends) if each}
+
+
+def find_spike_trains(arrays: Sequence[NamedArray]) -> tuple[SpikeTrains, ...]:
+    """Find the spike trains of each group.
+
+    Parameters
+    ----------
+    arrays : sequence of NamedArray
+        All arrays of a file.
+
+    Returns
+    -------
+    tuple of SpikeTrains
+    """
+    groups: dict[str, list[NamedArray]] = {}
+    for each in arrays:
+        groups.setdefault(each.group, []).append(each)
+    return tuple(found for group, members in groups.items() if (found := _in_group(group, members)))
+
+
+def _in_group(group: str, members: Sequence[NamedArray]) -> SpikeTrains | None:
+    vectors = {each.key: each for each in members if _is_vector(each)}
+    for times, counts, ends in (("spikes", "scount", ""), ("spike_times", "", "spike_times_index")):
+        if times in vectors and (counts or ends) in vectors:
+            name, first = vectors[times].name, (vectors[times],)
+            return SpikeTrains(name, first, vectors.get(counts), vectors.get(ends))
+    one_each = group and len(vectors) == len(members) >= _MIN_UNITS
+    numbered = all(each.kind == "f" and _DIGIT.search(key) for key, each in vectors.items())
+    lengths = {math.prod(each.shape) for each in vectors.values()}
+    # Vectors of equal length are readings or properties of sensors.
+    if one_each and numbered and len(lengths) > 1:
+        return SpikeTrains(group, tuple(members))
+    return None
+
+
+def _is_vector(array: NamedArray) -> bool:
+    """Return whether an array is a vector of numbers, which MATLAB stores as a matrix."""
+    return array.kind in _NUMBERS and sum(size != 1 for size in array.shape) <= 1
+
+
+def stream_spikes(
+    path: Path,
+    trains: SpikeTrains,
+    bin_s: float | None,
+    *,
+    names: tuple[str, ...] = (),
+    positions: NDArray[np.float64] | None = None,
+    span: tuple[float, float] | None = None,
+) -> Stream:
+    """Create a stream of spike counts.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    trains : SpikeTrains
+        Times in seconds.
+    bin_s : float or None
+        Width of the bins; None for the default, with a warning.
+    names : tuple of str
+        One per unit; by default those of the arrays, or ``e0, e1, ...``.
+    positions : ndarray of shape (N, 2) or (N, 3), optional
+    span : (float, float), optional
+        Start and end of the recording.
+
+    Returns
+    -------
+    Stream
+
+    Raises
+    ------
+    FileError
+        If numbers of spikes and times do not agree, or there is no spike.
+    """
+    vectors = [each.whole().astype(np.float64).ravel() for each in trains.times]
+    times = np.concatenate(vectors)
+    if trains.index is None:
+        counts = np.array([len(vector) for vector in vectors])
+        names = names or tuple(each.name.rpartition("/")[2] for each in trains.times)
+    else:
+        counts = _counts(path, trains, trains.index, len(times))
+    units = np.repeat(np.arange(len(counts)), counts)
+    names = names or tuple(f"e{i}" for i in range(len(counts)))
+    return stream_events(
+        path,
+        Events(times, units, names),
+        bin_s=bin_s,
+        span=span,
+        spikes=True,
+        positions=positions,
+        metadata={"format": "spike trains"},
+    )
+
+
+def _counts(path: Path, trains: SpikeTrains, index: NamedArray, n_spikes: int) -> NDArray[np.intp]:
+    """Return the number of spikes of each unit."""
+    values = index.whole().astype(np.float64).ravel()
+    counts = values if trains.counts else np.diff(values, prepend=0)
+    whole = bool(np.isfinite(counts).all() and (counts == np.floor(counts)).all())
+    if not whole or counts.min(initial=0) < 0 or counts.sum() != n_spikes:
+        raise FileError(
+            f"{path}: {index.name} must divide the {n_spikes} times of {trains.name} among the "
+            f"units, but it gives {counts.sum():g}"
+        )
+    return counts.astype(np.intp)
+
+
+Trains = list[tuple[str, list[float]]]
+
+
+def stream_table(path: Path, bin_s: float) -> Stream:
+    """Create a stream of the counts of spikes whose times are in lines or columns.
+
+    Times increase along each channel and have fractions, so that readings are not taken for times.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    bin_s : float
+        Width of the bins in seconds.
+
+    Returns
+    -------
+    Stream
+
+    Raises
+    ------
+    FileError
+        If the numbers do not increase along all lines or all columns.
+    """
+    lines = read_lines(path)
+    delimiter = delimited.find_delimiter(lines[:1000])
+    try:
+        rows = [fields for _, fields in delimited.records(lines, delimiter)]
+    except csv.Error as error:
+        raise FileError(f"{path}: unbalanced quotation marks ({error})") from error
+    trains = _by_line(rows) or _by_column(rows)
+    if not trains:
+        raise FileError(
+            f"{path} (delimited text) holds readings, not events: its numbers do not increase "
+            "along all lines or all columns, as the times of spikes do; leave out --bin"
+        )
+    lengths = [len(times) for _, times in trains]
+    return stream_events(
+        path,
+        Events(
+            np.array([time for _, times in trains for time in times], dtype=np.float64),
+            np.repeat(np.arange(len(trains)), lengths),
+            tuple(name for name, _ in trains),
+        ),
+        bin_s=bin_s,
+        spikes=True,
+        metadata={"format": "spike trains"},
+    )
+
+
+def _by_line(rows: Sequence[Sequence[str]]) -> Trains | None:
+    """Return one train per line; each begins with a name, or none does."""
+    named = [bool(row) and not is_number(row[0], ",") for row in rows]
+    if not rows or len(set(named)) > 1 or len(set(map(len, rows))) < 2:
+        return None
+    start = int(named[0])
+    names = (
+        [row[0].strip() for row in rows] if start else [f"channel{i + 1}" for i in range(len(rows))]
+    )
+    return _trains(names, [row[start:] for row in rows])
+
+
+def _by_column(rows: Sequence[Sequence[str]]) -> Trains | None:
+    """Return one train per column; names are in a header, if there is one."""
+    if not rows:
+        return None
+    header = not all(is_number(field, ",") for field in rows[0])
+    width = max(map(len, rows))
+    names = [field.strip() for field in rows[0]] if header else []
+    names += [f"channel{i + 1}" for i in range(len(names), width)]
+    body = rows[1:] if header else rows
+    return _trains(names, list(itertools.zip_longest(*body, fillvalue="")))
+
+
+def _trains(names: Sequence[str], columns: Sequence[Sequence[str]]) -> Trains | None:
+    trains: Trains = []
+    fractions = False
+    for name, fields in zip(names, columns, strict=False):
+        try:
+            times = [parse_number(field) for field in fields]
+        except ValueError:
+            return None
+        known = [time for time in times if not np.isnan(time)]
+        # Gaps inside a train are missing readings of a table.
+        if any(not np.isnan(time) for time in times[len(known) :]) or known != sorted(known):
+            return None
+        fractions = fractions or any(time % 1 for time in known)
+        trains.append((name, known))
+    return trains if fractions and any(times for _, times in trains) else None

@@ -1,0 +1,280 @@
+"""Raw stress of the paths from landmarks and of the edges, and its minimisation.
+
+Landmark MDS of a connected graph, followed by a joint refinement of all sensors.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from anisomap.large.sketch import loops
+from anisomap.numerics.compiled.parallel import parallel_map
+from anisomap.numerics.scaling.lbfgs import SolverResult, minimise_lbfgs
+from anisomap.numerics.scaling.stress import Floats
+from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
+
+N_TASKS = 32
+"""Number of parallel tasks; fixed, so that sums are the same on every machine."""
+
+
+class Targets(NamedTuple):
+    """Distances that the positions should reproduce.
+
+    Attributes
+    ----------
+    landmarks : ndarray of int, shape (L,)
+    rows : ndarray of float32, shape (N, L)
+        Distance of each sensor from each landmark.
+    edges : csr_array of shape (N, N)
+        Distances of adjacent sensors.
+    """
+
+    landmarks: NDArray[np.int64]
+    rows: NDArray[np.float32]
+    edges: csr_array[Any, tuple[int, int]]
+
+    @property
+    def share(self) -> float:
+        """Share of a sensor's pairs that involve landmarks: the weight of an edge."""
+        return len(self.landmarks) / len(self.rows)
+
+
+def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: int) -> SolverResult:
+    """Minimise the raw stress of the pairs with landmarks and of the edges.
+
+    Parameters
+    ----------
+    targets : Targets
+    start : ndarray of shape (N, k)
+    tolerance, max_iterations
+        See `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
+
+    Returns
+    -------
+    SolverResult
+        The stress never increases.
+
+    Notes
+    -----
+    The exact map minimises the stress over all pairs. Here the L pairs of each sensor with
+    landmarks represent its N - 1 pairs, so their weight is N / L, and that of an edge is 1 (both
+    times L / N).
+    """
+    n_points, n_landmarks = targets.rows.shape
+    degrees = np.diff(targets.edges.indptr)
+    weight = n_landmarks + targets.share * degrees
+    weight[targets.landmarks] += n_points
+    with parallel_map(n_points) as map_tasks:
+
+        def stress(positions: Floats) -> tuple[float, Floats]:
+            return _stress(targets, positions, map_tasks)
+
+        blocks = np.array_split(targets.rows, N_TASKS)
+        squares = sum(float(np.square(rows, dtype=np.float64).sum()) for rows in blocks)
+        return minimise_lbfgs(
+            stress,
+            start,
+            2 * weight[:, None],
+            squares=squares,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+        )
+
+
+def stress_of(targets: Targets, positions: Floats) -> tuple[float, float]:
+    """Return the raw stress of the pairs with landmarks, and the sum of their squared distances."""
+    raw = squared_sum = 0.0
+    anchors = positions[targets.landmarks]
+    for begin in range(0, len(positions), 1024):
+        part = positions[begin : begin + 1024]
+        squares = ((part[:, None] - anchors) ** 2).sum(axis=2)
+        squared_sum += float(squares.sum())
+        raw += float(((np.sqrt(squares) - targets.rows[begin : begin + 1024]) ** 2).sum())
+    return raw, squared_sum
+
+
+def _stress(targets: Targets, positions: Floats, map_tasks: Any) -> tuple[float, Floats]:
+    n_points, dimensions = positions.shape
+    middle = positions.mean(axis=0)
+    exact = np.ascontiguousarray((positions - middle).T)
+    points = exact.astype(np.float32)
+    anchors = np.ascontiguousarray(points[:, targets.landmarks])
+    slopes = np.zeros((dimensions, n_points))
+    anchor_slopes = np.zeros((N_TASKS, *anchors.shape))
+    cuts = np.linspace(0, n_points, N_TASKS + 1).astype(int).tolist()
+    edges = targets.edges.indptr.astype(np.int64), targets.edges.indices, targets.edges.data
+
+    def add(task: int) -> float:
+        rows = cuts[task], cuts[task + 1]
+        near = loops().add_edges_stress(exact, edges, targets.share, slopes, rows)
+        both = slopes, anchor_slopes[task]
+        far = loops().add_rows_stress(points, anchors, targets.rows, rows, both)
+        return float(near + far)
+
+    raw = sum(map_tasks(add, range(N_TASKS)))
+    slopes[:, targets.landmarks] += anchor_slopes.sum(axis=0)
+    return raw, np.ascontiguousarray(2 * slopes.T)
+
+
+logger = logging.getLogger(__name__)
+
+MIN_TOLERANCE = 1e-7
+"""Smallest tolerance of the refinement: path lengths are stored in float32."""
+
+SOURCES_PER_TASK = 64
+"""Number of landmarks from which paths are computed together; chosen by hand."""
+
+ROWS_PER_BLOCK = 4096
+"""Sensors that are triangulated together; bounds the memory of float64 copies."""
+
+
+class PlacedComponent(NamedTuple):
+    """Positions of the sensors of one connected component.
+
+    Attributes
+    ----------
+    positions : ndarray of shape (n, k)
+        Centred on the origin.
+    raw_stress, spread : float
+        Sums of (d - D)^2 and of d^2 over the pairs of each sensor with each landmark.
+    converged : bool
+    iterations : int
+    """
+
+    positions: NDArray[np.float64]
+    raw_stress: float
+    spread: float
+    converged: bool
+    iterations: int
+
+
+def place_component(
+    graph: csr_array[Any, tuple[int, int]],
+    dimensions: int,
+    *,
+    n_landmarks: int,
+    options: SmacofOptions,
+    rng: np.random.Generator,
+) -> PlacedComponent:
+    """Compute the positions of the sensors of a connected graph.
+
+    Parameters
+    ----------
+    graph : csr_array of shape (n, n)
+        Lengths of edges, above 0; symmetric and connected.
+    dimensions : int
+        Number of coordinates, k.
+    n_landmarks : int
+        Number of sensors drawn as landmarks; all if there are no more.
+    options : SmacofOptions
+    rng : numpy.random.Generator
+        Generator of the choice of landmarks.
+
+    Returns
+    -------
+    PlacedComponent
+
+    Notes
+    -----
+    Random landmarks are about as dense as the sensors; de Silva & Tenenbaum (2004) found them as
+    good as optimised ones if they are many more than the dimensions.
+    """
+    n_sensors = graph.shape[0]
+    if n_sensors == 1:
+        return PlacedComponent(np.zeros((1, dimensions)), 0.0, 0.0, converged=True, iterations=0)
+    chosen = np.sort(rng.choice(n_sensors, min(n_landmarks, n_sensors), replace=False))
+    logger.info("finding shortest paths from %d landmarks", len(chosen))
+    rows = paths_from(chosen, graph)
+    lengths = rows[chosen].astype(np.float64)
+    anchors = smacof(np.minimum(lengths, lengths.T), dimensions=dimensions, options=options)
+    positions = triangulate(rows, anchors.positions)
+    positions[chosen] = anchors.positions
+    targets = Targets(chosen, rows, graph)
+    logger.info("refining %d sensors in %d dimensions", n_sensors, dimensions)
+    tolerance = max(options.tolerance, MIN_TOLERANCE)
+    found = refine(targets, positions, tolerance, options.max_iterations)
+    return PlacedComponent(
+        found.positions - found.positions.mean(axis=0),
+        *stress_of(targets, found.positions),
+        converged=found.converged and anchors.converged,
+        iterations=len(found.trace) - 1,
+    )
+
+
+def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> NDArray[np.float32]:
+    """Compute the lengths of the shortest paths from landmarks to all sensors.
+
+    Parameters
+    ----------
+    landmarks : array_like of int, shape (L,)
+        Indices of sensors.
+    graph : csr_array of shape (N, N)
+        Lengths of edges, above 0; symmetric.
+
+    Returns
+    -------
+    ndarray of float32, shape (N, L)
+        Infinite where there is no path. The relative rounding error of h edges is about h 1e-7.
+    """
+    sources = np.asarray(landmarks, dtype=np.int64)
+    order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
+    edges = (
+        graph.indptr.astype(np.int64),
+        graph.indices.astype(np.int64),
+        graph.data.astype(np.float32),
+    )
+    found = np.empty((graph.shape[0], len(sources)), dtype=np.float32)
+    # Landmarks that are adjacent in this order are close, so their sweeps converge together.
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    ranked = np.argsort(rank[sources], kind="stable")
+
+    def relax(begin: int) -> None:
+        chosen = ranked[begin : begin + SOURCES_PER_TASK]
+        tile = np.empty((len(found), len(chosen)), dtype=np.float32)
+        loops().relax_from(tile, sources[chosen], order, edges)
+        found[:, chosen] = tile
+
+    with parallel_map(len(found)) as map_tasks:
+        map_tasks(relax, range(0, len(sources), SOURCES_PER_TASK))
+    return found
+
+
+def triangulate(rows: NDArray[np.float32], landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute positions from distances to landmarks.
+
+    Parameters
+    ----------
+    rows : ndarray of shape (N, L)
+        Distance of each sensor from each landmark.
+    landmarks : ndarray of shape (L, k)
+        Positions of the landmarks.
+
+    Returns
+    -------
+    ndarray of shape (N, k)
+        In the coordinate frame of the landmarks. Exact if the distances are those of points in k
+        dimensions that the landmarks span.
+
+    Notes
+    -----
+    De Silva & Tenenbaum (2004), "Sparse multidimensional scaling using landmark points", section
+    3.2: ``y = -1/2 X^+ (d^2 - |x|^2)`` with centred landmarks X. Squared distances
+    ``d^2 = |x|^2 - 2 x y + |y|^2`` are linear in y except for |y|^2, which is the same for all
+    landmarks and cancels.
+    """
+    centre = landmarks.mean(axis=0)
+    centred = landmarks - centre
+    inverse = np.linalg.pinv(centred, rcond=1e-7)
+    squares = (centred**2).sum(axis=1)
+    positions = np.empty((len(rows), landmarks.shape[1]))
+    for begin in range(0, len(rows), ROWS_PER_BLOCK):
+        part = rows[begin : begin + ROWS_PER_BLOCK].astype(np.float64)
+        positions[begin : begin + ROWS_PER_BLOCK] = (squares - part**2) @ inverse.T / 2
+    return np.asarray(positions + centre)

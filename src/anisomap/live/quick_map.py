@@ -1,0 +1,365 @@
+"""Statistics of a skin that are accumulated while it is touched, in memory of constant size.
+
+The quick map of a live session: r-ANISOMAP from accumulated correlations, warm-started.
+
+It takes milliseconds for tens of sensors and a third of a second for a thousand, so that it can
+follow the session. The default method takes ten times as long; it makes the checked map.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.drawing.view import MAX_JOINED, neighbour_pairs
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.live.coach import Advice, advise
+from anisomap.numerics.procrustes import fit_similarity
+from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.rest import Rest, estimate_rest
+from anisomap.reconstruction import reconstruct_from
+
+SAMPLE_FRAMES = 4096
+"""Number of frames from which the rest of the sensors is estimated, spread over the session."""
+
+_SAMPLE_READINGS = 1 << 22  # of many sensors, fewer frames: 16 MiB
+_MIN_SAMPLE = 256
+_PART_FRAMES = 128  # added at once, so that no frame leaves the sample before it is counted
+_REESTIMATED = 1.5  # growth of the number of frames after which the rest is estimated again
+
+
+class TouchStatistics:
+    """Moments of the readings, and numbers of contacts of sensors and of pairs of sensors.
+
+    A missing reading counts as the last one that the sensor sent.
+
+    Parameters
+    ----------
+    n_sensors : int
+
+    Attributes
+    ----------
+    n_frames : int
+        Number of frames so far.
+    contacts : ndarray of int, shape (N,)
+        Number of separate contacts of each sensor.
+    together : ndarray of float32, shape (N, N)
+        Number of separate contacts of both sensors at the same time.
+    lowest, highest : ndarray of shape (N,)
+        Range of the readings; infinite before the first.
+    """
+
+    def __init__(self, n_sensors: int) -> None:
+        self.n_frames = 0
+        self.lowest = np.full(n_sensors, np.inf)
+        self.highest = np.full(n_sensors, -np.inf)
+        self.contacts = np.zeros(n_sensors, dtype=np.intp)
+        self.together = np.zeros((n_sensors, n_sensors), dtype=np.float32)
+        self._origin = np.zeros(n_sensors)
+        self._last = np.full(n_sensors, np.nan)
+        self._sum = np.zeros(n_sensors)
+        self._products = np.zeros((n_sensors, n_sensors))
+        max_sample = max(_MIN_SAMPLE, min(SAMPLE_FRAMES, _SAMPLE_READINGS // n_sensors))
+        self._sampled = np.empty((max_sample, n_sensors), dtype=np.float32)
+        self._n_sampled = 0
+        self._stride = 1
+        self._rest: Rest | None = None
+        self._rest_frames = 0
+        self._was_active = np.zeros(n_sensors, dtype=bool)
+
+    @property
+    def n_sensors(self) -> int:
+        """Number of sensors, N."""
+        return len(self.contacts)
+
+    @property
+    def rest(self) -> Rest:
+        """Rest of the sensors, estimated from a sample of all frames so far.
+
+        It is estimated anew when the number of frames has grown by half, and all contacts are then
+        counted again while the sample holds all frames.
+        """
+        if self._rest is None:
+            self._rest = estimate_rest(self._sample)
+        return self._rest
+
+    def add(self, readings: NDArray[np.float64]) -> None:
+        """Add frames.
+
+        Parameters
+        ----------
+        readings : ndarray of shape (t, N)
+        """
+        for at in range(0, len(readings), _PART_FRAMES):
+            self._add(self._without_gaps(readings[at : at + _PART_FRAMES]))
+
+    def _add(self, readings: NDArray[np.float64]) -> None:
+        if not self.n_frames:
+            self._origin = readings[0].copy()
+        np.minimum(self.lowest, readings.min(axis=0), out=self.lowest)
+        np.maximum(self.highest, readings.max(axis=0), out=self.highest)
+        # Products about a reading at rest: sums about zero would lose small deviations.
+        deviations = readings - self._origin
+        self._sum += deviations.sum(axis=0)
+        self._products += deviations.T @ deviations
+        self._keep_sample(readings)
+        self.n_frames += len(readings)
+        if self._rest is not None:
+            self._count(readings)
+        if self.n_frames >= _REESTIMATED * self._rest_frames:
+            self.estimate()
+
+    def moments(self) -> Moments:
+        """Return the moments of all frames so far, at least one."""
+        mean = self._sum / self.n_frames
+        comoment = self._products - np.outer(mean, self._sum)
+        constant = self.highest <= self.lowest
+        comoment[constant] = 0
+        comoment[:, constant] = 0
+        diagonal = np.diag(comoment).copy()
+        np.fill_diagonal(comoment, np.maximum(diagonal, 0))
+        return Moments(self.n_frames, self._origin + mean, comoment)
+
+    def _without_gaps(self, readings: NDArray[np.float64]) -> NDArray[np.float64]:
+        known = np.isfinite(readings)
+        if not known.all() or not np.isfinite(self._last).all():
+            with_last = np.vstack([np.nan_to_num(self._last, nan=0.0), readings])
+            known = np.vstack([np.ones(self.n_sensors, dtype=bool), known])
+            if not self.n_frames:  # a sensor whose first readings are missing starts with its first
+                first = np.argmax(known[1:], axis=0)
+                start = readings[first, np.arange(self.n_sensors)]
+                with_last[0] = np.nan_to_num(start, nan=0.0, posinf=0.0, neginf=0.0)
+            source = np.where(known, np.arange(len(known))[:, None], 0)
+            np.maximum.accumulate(source, axis=0, out=source)
+            readings = np.take_along_axis(with_last, source, axis=0)[1:]
+        self._last = readings[-1]
+        return readings
+
+    @property
+    def _sample(self) -> NDArray[np.float32]:
+        """Every `_stride`-th frame so far."""
+        return self._sampled[: self._n_sampled]
+
+    def _keep_sample(self, readings: NDArray[np.float64]) -> None:
+        for i in range(-self.n_frames % self._stride, len(readings), self._stride):
+            if self._n_sampled == len(self._sampled):
+                self._n_sampled = (self._n_sampled + 1) // 2
+                self._sampled[: self._n_sampled] = self._sampled[::2].copy()
+                self._stride *= 2
+            if (self.n_frames + i) % self._stride == 0:
+                self._sampled[self._n_sampled] = readings[i]
+                self._n_sampled += 1
+
+    def estimate(self) -> None:
+        """Estimate the rest now, and count contacts again if the sample holds all frames."""
+        self._rest, self._rest_frames = estimate_rest(self._sample), self.n_frames
+        if self._stride == 1:
+            self.contacts[:] = 0
+            self.together[:] = 0
+            self._was_active[:] = False
+            self._count(self._sample)
+
+    def _count(self, readings: NDArray[np.generic]) -> None:
+        active = self.rest.active(readings)
+        lasting = active & np.vstack([self._was_active, active[:-1]])
+        self.contacts += np.count_nonzero(active & ~lasting, axis=0)
+        self._was_active = active[-1].copy()
+        # A contact of two sensors begins in frames in which both are active, less those in which
+        # both were so before.
+        for frames, sign in ((active, 1), (lasting, -1)):
+            some = frames[frames.any(axis=1)].astype(np.float32)
+            if len(some):
+                self.together += sign * (some.T @ some)
+
+
+QUICK_METHOD = "r-anisomap"
+"""The method of the quick map; it needs nothing but Pearson's r."""
+
+MAX_SENSORS = 4000
+"""Above this number of sensors there is no map before the end of the session: r-ANISOMAP would take
+more than ten seconds."""
+
+
+@dataclass(frozen=True, eq=False)
+class QuickMap:
+    """A map of the frames so far, and the statistics that belong to it.
+
+    Attributes
+    ----------
+    positions : ndarray of shape (N, k)
+        Centred, with an RMS radius of 1, turned onto the map before; NaN for sensors without one.
+    n_frames : int
+        Number of frames in the map.
+    seconds : float
+        Time that the map took to compute.
+    contacts : ndarray of int, shape (N,)
+        Number of separate contacts of each sensor.
+    pairs : ndarray of int, shape (P, 2)
+        Neighbours, which the page joins by lines.
+    advice : Advice
+        Where to touch next.
+    rest : Rest
+    highest_depth : ndarray of shape (N,)
+        Largest excess over rest so far.
+    names : tuple of str
+        Names of the sensors.
+    left_out : tuple of int
+        Sensors that were dropped, and channels that are no sensors.
+    reason : str
+        Why there is no map; empty if there is one.
+    """
+
+    positions: NDArray[np.float64]
+    n_frames: int
+    seconds: float
+    contacts: NDArray[np.intp]
+    pairs: NDArray[np.intp]
+    advice: Advice
+    rest: Rest
+    highest_depth: NDArray[np.float64]
+    names: tuple[str, ...]
+    left_out: tuple[int, ...]
+    reason: str = ""
+
+
+@dataclass
+class QuickMapper:
+    """Makes one map after another, each from the one before.
+
+    Parameters
+    ----------
+    names : sequence of str
+    dimensions : int
+        Number of coordinates; may change between maps.
+    drop : set of int
+        Sensors to leave out.
+    """
+
+    names: Sequence[str]
+    dimensions: int
+    drop: set[int] = field(default_factory=set)
+    _before: NDArray[np.float64] | None = None
+
+    def make(self, statistics: TouchStatistics) -> QuickMap:
+        """Make a map of all frames so far, of which there must be at least one."""
+        begun = time.monotonic()
+        rest, reason = statistics.rest, ""
+        positions = np.full((statistics.n_sensors, self.dimensions), np.nan)
+        if statistics.n_sensors > MAX_SENSORS:
+            reason = f"a map of more than {MAX_SENSORS} sensors is made at the end of the session"
+        else:
+            try:
+                positions = self._positions(statistics)
+            except InputError as error:
+                reason = str(error)
+        side_of_contact = np.where(rest.side > 0, statistics.highest, statistics.lowest)
+        return QuickMap(
+            positions=positions,
+            n_frames=statistics.n_frames,
+            seconds=time.monotonic() - begun,
+            contacts=statistics.contacts.copy(),
+            pairs=neighbour_lines(positions),
+            advice=advise(
+                positions, statistics.contacts, statistics.together, self.names, self.drop
+            ),
+            rest=rest,
+            highest_depth=rest.depth(side_of_contact[None])[0],
+            names=tuple(self.names),
+            left_out=tuple(sorted(self.drop)),
+            reason=reason,
+        )
+
+    def _positions(self, statistics: TouchStatistics) -> NDArray[np.float64]:
+        moments = statistics.moments()
+        correlation = moments.correlation()
+        varying = moments.varying()
+        left_out = sorted(self.drop | set(np.flatnonzero(~varying).tolist()))
+        start = None
+        if self._before is not None and self._before.shape[1] != self.dimensions:
+            self._before = None  # the number of dimensions has changed
+        if self._before is not None:
+            start = warm_start(self._before, correlation)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AnisomapWarning)
+            made = reconstruct_from(
+                similarity=correlation,
+                method=QUICK_METHOD,
+                dimensions=self.dimensions,
+                names=self.names,
+                drop=left_out,
+                start=start,
+                statistic="pearson",
+            )
+        self._before = turned_onto(made.positions, self._before)
+        return self._before
+
+
+def neighbour_lines(positions: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return pairs of neighbours to join by lines; none above `MAX_JOINED` sensors."""
+    placed = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    if not 2 < placed.size <= MAX_JOINED:
+        return np.empty((0, 2), dtype=np.intp)
+    return np.asarray(placed[neighbour_pairs(positions[placed])])
+
+
+def warm_start(
+    before: NDArray[np.float64], similarity: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Return a start for the scaling: known positions, and guesses for the other sensors.
+
+    Parameters
+    ----------
+    before : ndarray of shape (N, k)
+        Positions of the last map; NaN for sensors without one.
+    similarity : ndarray of shape (N, N)
+
+    Returns
+    -------
+    ndarray of shape (N, k)
+        A sensor without a position starts beside the most similar sensor that has one.
+    """
+    start = before.copy()
+    placed = np.isfinite(before).all(axis=1)
+    fresh = np.flatnonzero(~placed)
+    if fresh.size:
+        best = np.flatnonzero(placed)[np.argmax(similarity[np.ix_(fresh, placed)], axis=1)]
+        # Coincident points have no direction in which to part; the offsets are below a spacing.
+        offsets = np.random.default_rng(0).normal(0, 1e-2, (fresh.size, before.shape[1]))
+        start[fresh] = before[best] + offsets
+    return start
+
+
+def turned_onto(
+    positions: NDArray[np.float64], before: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
+    """Turn a map onto the map before, with the handedness of that map.
+
+    Parameters
+    ----------
+    positions : ndarray of shape (N, k)
+        NaN for sensors without a position.
+    before : ndarray of shape (N, k), optional
+        By default the map is turned to its principal axes, the longest first.
+
+    Returns
+    -------
+    ndarray of shape (N, k)
+        Centred, with an RMS radius of 1.
+    """
+    placed = np.isfinite(positions).all(axis=1)
+    centred = positions - positions[placed].mean(axis=0)
+    radius = np.sqrt(np.mean(np.sum(centred[placed] ** 2, axis=1)))
+    centred /= radius if radius > 0 else 1.0
+    if before is None:
+        axes = np.linalg.svd(centred[placed], full_matrices=False)[2]
+        return np.asarray(centred @ axes.T)
+    shared = placed & np.isfinite(before).all(axis=1)
+    if np.count_nonzero(shared) <= positions.shape[1]:
+        return np.asarray(centred)
+    fit = fit_similarity(centred[shared], before[shared], scaling=False)
+    return np.asarray(centred @ fit.rotation.T)

@@ -1,0 +1,318 @@
+"""What happened in a session so far: notices, verdicts, and when frames arrived.
+
+The maps of a session: when they are made, and what they show so far.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+
+from anisomap.diagnosis.parts import MIN_FRAMES
+from anisomap.dimensions import AUTO
+from anisomap.health import SensorHealth
+from anisomap.live.coach import confirmed_faults
+from anisomap.live.examination import Examination, ExaminationOptions
+from anisomap.live.quick_map import QuickMap
+from anisomap.live.recorder import Segment
+from anisomap.live.workers import Changed, Examine, Failed, Ready, Worker
+from anisomap.usability import UNKNOWN
+
+MAX_CURVE = 500
+"""Points of a curve over time; when there are more, every other one is left out."""
+
+_STEP_S = 0.02  # between two entries of the arrivals
+_RATE_S, _RATE_ENTRIES = 3.0, 200  # over which the rate is measured
+
+
+_Point = TypeVar("_Point")
+
+
+def thinned(curve: Sequence[_Point]) -> list[_Point]:
+    """Return the points of a curve, every other one if there are `MAX_CURVE` or more."""
+    return list(curve[::2] if len(curve) >= MAX_CURVE else curve)
+
+
+@dataclass(frozen=True)
+class Note:
+    """A sentence for the user.
+
+    Attributes
+    ----------
+    seconds : float
+        Time since the start of the session.
+    text : str
+    """
+
+    seconds: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of the curves over time.
+
+    Attributes
+    ----------
+    seconds : float
+        Time since the start of the session.
+    n_frames : int
+    expected_error, error_against_truth : float
+        In spacings; NaN if unknown.
+    level : str
+    """
+
+    seconds: float
+    n_frames: int
+    expected_error: float
+    error_against_truth: float
+    level: str
+
+
+@dataclass
+class Arrivals:
+    """When frames arrived, to tell the age of a map from its number of frames."""
+
+    counts: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=20_000))
+
+    def add(self, n_frames: int, now: float) -> None:
+        """Note that there are `n_frames` frames at a time."""
+        if not self.counts or now - self.counts[-1][1] >= _STEP_S:
+            self.counts.append((n_frames, now))
+        else:
+            self.counts[-1] = (n_frames, self.counts[-1][1])
+
+    def rate(self, now: float) -> float:
+        """Return the number of frames per second in the last seconds."""
+        recent = [entry for entry in list(self.counts)[-_RATE_ENTRIES:] if now - entry[1] < _RATE_S]
+        if len(recent) < 2 or recent[-1][1] <= recent[0][1]:
+            return 0.0
+        return (recent[-1][0] - recent[0][0]) / (recent[-1][1] - recent[0][1])
+
+    def time_of(self, n_frames: int) -> float | None:
+        """Return when the first frame arrived that is not among the first `n_frames`."""
+        for count, moment in list(self.counts):
+            if count > n_frames:
+                return moment
+        return None
+
+
+_GROWTH = 1.15  # of the number of frames between two checked maps
+_NEARLY_ALL = 0.9  # of the sensors touched, for one checked map to suffice; chosen by hand
+_REASONS = {2: "the skin looks flat", 3: "the skin does not look flat"}
+_SHARE_S = 1.0  # between two points of the share of sensors touched
+
+
+class SessionMaps:
+    """Quick and checked maps of a recording that grows, made by two processes.
+
+    Parameters
+    ----------
+    options : ExaminationOptions
+    notify : callable
+        Receives sentences for the user.
+    announce : callable
+        Called when there is a new map.
+    clock : callable
+        Returns the time since the start of the session in seconds.
+
+    Attributes
+    ----------
+    options : ExaminationOptions
+    quick : QuickMap or None
+        The last quick map.
+    checked : Examination or None
+        The last checked map.
+    curve : list of Point
+        Errors of the checked maps over time.
+    touched : list of (float, float)
+        Share of the sensors touched over time in seconds.
+    examining : bool
+        Whether a checked map is being made.
+    ready : threading.Event
+        Set when the process of quick maps has started.
+    """
+
+    def __init__(
+        self,
+        options: ExaminationOptions,
+        notify: Callable[[str], None],
+        announce: Callable[[], None],
+        clock: Callable[[], float],
+    ) -> None:
+        self.options = options
+        self.quick: QuickMap | None = None
+        self.checked: Examination | None = None
+        self._previous: Examination | None = None
+        self.curve: list[Point] = []
+        self.touched: list[tuple[float, float]] = []
+        self.examining = False
+        self.ready = threading.Event()
+        self._notify, self._announce, self._clock = notify, announce, clock
+        self._segment: Segment | None = None
+        self._chosen = 0  # dimensions of the last checked map
+        self._has_changed = False
+        self._final: Examination | None = None
+        self._finished = threading.Event()
+        self._examined_frames = 0
+        self._examined_at = 0.0
+
+    def start(self) -> None:
+        """Start the processes."""
+        self._quick = Worker("quick", self._receive_quick)
+        self._examiner = Worker("checked", self._receive_checked)
+        for worker in (self._quick, self._examiner):
+            worker.send(Changed(options=self.options))
+
+    def close(self) -> None:
+        """End the processes."""
+        self._finished.set()
+        self._quick.close()
+        self._examiner.close()
+
+    @property
+    def level(self) -> str:
+        """Level of the checked map."""
+        return UNKNOWN if self.checked is None else self.checked.verdict.level
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sensors; empty before the first frame."""
+        if self.quick is not None:
+            return self.quick.names
+        return () if self._segment is None else self._segment.names
+
+    @property
+    def n_sensors(self) -> int:
+        """Number of sensors that maps are to place."""
+        return len(self.names) - (0 if self.quick is None else len(self.quick.left_out))
+
+    @property
+    def share_touched(self) -> float:
+        """Share of the sensors that were touched at least once, in [0, 1]."""
+        if self.quick is None:
+            return 0.0
+        wanted = np.ones(len(self.quick.contacts), dtype=bool)
+        wanted[list(self.quick.left_out)] = False
+        return float((self.quick.contacts[wanted] > 0).mean()) if wanted.any() else 0.0
+
+    @property
+    def faults(self) -> tuple[SensorHealth, ...]:
+        """The sensors that are faulty; those that were hardly touched so far are left out."""
+        quick = self.quick
+        if self.checked is None or quick is None:
+            return ()
+        untouched = {quick.names[i] for i in quick.advice.untouched}
+        kept = [one for one in self.checked.health if one.name not in self.options.drop]
+        return confirmed_faults(kept, untouched, self.share_touched)
+
+    def reached(self, level: str) -> bool:
+        """Return whether the last two checked maps have a level, or a better one.
+
+        Verdicts on few frames vary from one checked map to the next.
+        """
+        last = (self._previous, self.checked)
+        return all(found is not None and found.verdict.is_at_least(level) for found in last)
+
+    def begin(self, segment: Segment) -> None:
+        """Map a new recording from now on."""
+        self._segment = segment
+        self.quick = self.checked = self._previous = None
+        self._chosen = 0
+        self._examined_frames = 0
+        self._quick.send(Changed(segment=segment))
+
+    def change(self, options: ExaminationOptions) -> None:
+        """Make maps with other options from now on."""
+        self.options = options
+        for worker in (self._quick, self._examiner):
+            worker.send(Changed(options=options))
+        self._examined_frames = 0
+
+    def follow(self, n_frames: int) -> None:
+        """Ask for a checked map if it is time for one, and note the share of sensors touched."""
+        now = self._clock()
+        if not self.touched or now - self.touched[-1][0] >= _SHARE_S:
+            self.touched = [*thinned(self.touched), (now, self.share_touched)]
+        if self.examining or self._segment is None:
+            return
+        if n_frames < max(MIN_FRAMES, _GROWTH * self._examined_frames):
+            return
+        # Half of the time is left to other processes.
+        took = 0.0 if self.checked is None else self.checked.seconds
+        if time.monotonic() - self._examined_at < took:
+            return
+        self.examining, self._examined_frames = True, n_frames
+        self._examiner.send(Examine(self._segment, n_frames, final=False))
+
+    def finish(self, n_frames: int, timeout_s: float | None) -> Examination | None:
+        """Make the map of all frames; see `LiveSession.finish`."""
+        if self._segment is None:
+            return None
+        self._finished.clear()
+        self._examiner.send(Examine(self._segment, n_frames, final=True))
+        if not self._examiner.gone:
+            self._finished.wait(timeout_s)
+        return self._final
+
+    def _receive_quick(self, answer: Any) -> None:
+        self.ready.set()
+        if isinstance(answer, Failed):
+            self._notify(answer.text)
+        elif not isinstance(answer, Ready) and self._is_current(answer[0]):
+            self.quick = answer[1]
+            self._announce()
+
+    def _receive_checked(self, answer: Any) -> None:
+        if isinstance(answer, Ready):
+            return
+        self.examining, self._examined_at = False, time.monotonic()
+        if isinstance(answer, Failed):
+            self._notify(answer.text)
+            if answer.final:
+                self._finished.set()
+        elif self._is_current(answer[0]):
+            self._show(answer[1])
+
+    def _show(self, found: Examination) -> None:
+        self._previous, self.checked = self.checked, found
+        self.curve = [
+            *thinned(self.curve),
+            Point(
+                self._clock(),
+                found.n_frames,
+                found.verdict.expected_error,
+                found.error_against_truth,
+                found.verdict.level,
+            ),
+        ]
+        if self.options.dimensions == AUTO and found.sensor_map is not None:
+            self._choose(found.sensor_map.dimensions)
+        self._announce()
+        if found.final:
+            self._final = found
+            self._finished.set()
+
+    def _choose(self, dimensions: int) -> None:
+        """Show quick maps in the number of dimensions that checked maps choose.
+
+        It is changed when two checked maps in a row agree; the first time, one suffices if nearly
+        all sensors were touched.
+        """
+        agree, self._chosen = dimensions == self._chosen, dimensions
+        first = not self._has_changed and self.share_touched >= _NEARLY_ALL
+        if self.quick is None or dimensions == self.quick.positions.shape[1]:
+            return
+        if agree or first:
+            self._has_changed = True
+            self._notify(f"{_REASONS[dimensions]}: maps have {dimensions} dimensions from now on")
+            self._quick.send(Changed(dimensions=dimensions))
+
+    def _is_current(self, number: int) -> bool:
+        return self._segment is not None and number == self._segment.number

@@ -1,0 +1,282 @@
+"""Surface normals estimated from points.
+
+Exact signed distances from triangle meshes, and the nearest points on them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.spatial import KDTree
+
+from anisomap.errors import InputError
+from anisomap.scene import Mesh
+
+NEIGHBOURS = 8
+"""Neighbours used for the tangent plane at a point; a point of a square lattice has 8."""
+
+_MIN_ASPECT = 0.05  # width / length of a neighbourhood with a defined plane; chosen by hand
+_MIN_COST = 1e-3  # cost of an edge between parallel normals: sparse graphs drop edges of cost 0
+
+
+def estimate_normals(positions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Estimate the normals of a surface at points on it.
+
+    Parameters
+    ----------
+    positions : array_like of shape (N, 2) or (N, 3)
+
+    Returns
+    -------
+    normals : ndarray of shape (N, 3)
+        Unit vectors. In 2D the z axis. In 3D perpendicular to the plane fitted to each point and
+        its `NEIGHBOURS` nearest points. Neighbouring normals are oriented consistently, and the
+        outermost normal of each connected component points away from the component's centroid
+        (Hoppe et al. 1992, doi:10.1145/133994.134011).
+    reliable : ndarray of bool, shape (N,)
+        False where the neighbours are collinear or fewer than 2, so that no plane is defined. The
+        normal then points away from the centroid of all points.
+
+    Raises
+    ------
+    InputError
+        If the points are not finite, or not 2D or 3D.
+    """
+    points = np.asarray(positions, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():
+        raise InputError(
+            f"positions have shape {points.shape}; normals need finite points, (N, 2) or (N, 3)"
+        )
+    n_points = len(points)
+    if points.shape[1] == 2:
+        return np.tile([0.0, 0.0, 1.0], (n_points, 1)), np.ones(n_points, dtype=bool)
+    # Normals do not depend on scale; without scaling, products of large coordinates overflow.
+    points = points / (np.abs(points).max(initial=0.0) or 1.0)
+    outward = points - points.mean(axis=0)
+    if n_points < 3:
+        return _unit(outward), np.zeros(n_points, dtype=bool)
+    count = min(NEIGHBOURS, n_points - 1)
+    nearest = np.asarray(KDTree(points).query(points, k=count + 1)[1])
+    patches = points[nearest] - points[nearest].mean(axis=1, keepdims=True)
+    _, widths, axes = np.linalg.svd(patches, full_matrices=False)
+    normals = axes[:, -1] if axes.shape[1] == 3 else np.cross(axes[:, 0], axes[:, 1])
+    reliable = widths[:, 1] > _MIN_ASPECT * np.maximum(widths[:, 0], 1e-300)
+    normals = np.where(reliable[:, None], normals, _unit(outward))
+    return _orient(normals, nearest, outward), reliable
+
+
+def _orient(
+    normals: NDArray[np.float64], nearest: NDArray[np.intp], outward: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Flip normals for consistency along a minimum spanning tree of ``1 - |n_i n_j|``."""
+    n_points, count = nearest.shape
+    start, end = np.repeat(np.arange(n_points), count), nearest.ravel()
+    cost = 1 + _MIN_COST - np.abs(np.einsum("ed,ed->e", normals[start], normals[end]))
+    graph = coo_array((cost, (start, end)), shape=(n_points, n_points)).tocsr()
+    tree = minimum_spanning_tree(graph)
+    oriented = normals.copy()
+    labels = connected_components(tree, directed=False)[1]
+    for label in range(labels.max() + 1):
+        members = np.flatnonzero(labels == label)
+        away = outward[members] - outward[members].mean(axis=0)
+        root = int(members[np.argmax(np.einsum("nd,nd->n", away, away))])
+        direction = away[members == root][0]
+        if not direction.any():
+            direction = outward[root]
+        oriented[root] *= 1.0 if oriented[root] @ direction >= 0 else -1.0
+        order, parent = breadth_first_order(tree, root, directed=False)
+        for i in order[1:]:
+            if oriented[i] @ oriented[parent[i]] < 0:
+                oriented[i] *= -1
+    return oriented
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normalise vectors; zero vectors become the z axis."""
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    upright = np.tile([0.0, 0.0, 1.0], (len(vectors), 1))
+    return np.where(lengths > 0, vectors / np.maximum(lengths, 1e-300), upright)
+
+
+Points = NDArray[np.float64]
+
+_ROUNDING = 1e-9  # relative, far above the rounding errors of distances
+_MAX_PAIRS = 2_000_000  # of a point and a triangle at once; limits memory
+_MAX_EDGE = 2.5  # x square root of twice the mean area; triangles with longer edges are split
+_MAX_SPLITS = 50  # edges are not split below this fraction of the extent of the mesh
+
+
+class TriangleSearch:
+    """Exact search for the nearest of many triangles.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        With at least one triangle.
+
+    Notes
+    -----
+    Each triangle lies in a ball about its centroid. A triangle whose centroid is further than the
+    nearest vertex plus the largest such radius cannot be the nearest. Large triangles, which would
+    weaken this bound, are split.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._corners = _split_large(mesh.vertices[mesh.faces])
+        centroids = self._corners.mean(axis=1)
+        self._largest = float(np.linalg.norm(self._corners - centroids[:, None], axis=2).max())
+        self._centroids, self._vertices = KDTree(centroids), KDTree(self._corners.reshape(-1, 3))
+        cross = np.cross(
+            self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0]
+        )
+        # A triangle without area has no normal; its neighbours determine the sign.
+        self._normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+
+    def signed_distance(self, points: Points) -> Points:
+        """Compute the signed distance of points from the nearest triangle.
+
+        Parameters
+        ----------
+        points : ndarray of shape (n, 3)
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Negative on the inner side of triangles, which are counter-clockwise from outside.
+
+        Notes
+        -----
+        Triangles that share a nearest edge or corner can differ in the sign. The one with the
+        largest distance along its normal determines it.
+        """
+        # The margin, far above rounding errors, keeps at least one candidate for every point.
+        bound = (np.asarray(self._vertices.query(points)[0]) + self._largest) * (1 + _ROUNDING)
+        found = np.empty(len(points))
+        counts = np.asarray(self._centroids.query_ball_point(points, bound, return_length=True))
+        blocks = np.cumsum(counts) // _MAX_PAIRS
+        for block in np.unique(blocks):
+            chosen = np.flatnonzero(blocks == block)
+            found[chosen] = self._distance_in_block(points[chosen], bound[chosen])
+        return found
+
+    def nearest(self, points: Points) -> tuple[Points, Points]:
+        """Find the nearest point on the mesh, and the normal there.
+
+        Parameters
+        ----------
+        points : ndarray of shape (n, 3)
+
+        Returns
+        -------
+        nearest : ndarray of shape (n, 3)
+        normals : ndarray of shape (n, 3)
+            Of the triangle that it is on; outward if triangles are counter-clockwise from outside.
+        """
+        bound = (np.asarray(self._vertices.query(points)[0]) + self._largest) * (1 + _ROUNDING)
+        counts = np.asarray(self._centroids.query_ball_point(points, bound, return_length=True))
+        blocks = np.cumsum(counts) // _MAX_PAIRS
+        found, normals = np.empty_like(points), np.empty_like(points)
+        for block in np.unique(blocks):
+            chosen = np.flatnonzero(blocks == block)
+            index, triangle, feet = self._feet(points[chosen], bound[chosen])
+            offset = points[chosen][index] - feet
+            # Sorted by point, then by distance: the first of each point is the nearest.
+            order = np.lexsort((np.einsum("pd,pd->p", offset, offset), index))
+            best = order[np.searchsorted(index[order], np.arange(len(chosen)))]
+            found[chosen], normals[chosen] = feet[best], self._normals[triangle[best]]
+        return found, normals
+
+    def _feet(
+        self, points: Points, bound: NDArray[np.float64]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], Points]:
+        """Return pairs of a point and a triangle within its bound, and the nearest points on it."""
+        candidates = self._centroids.query_ball_point(points, bound)
+        counts = np.array([len(near) for near in candidates])
+        triangle = np.concatenate(candidates).astype(np.intp)
+        index = np.repeat(np.arange(len(points)), counts)
+        return index, triangle, nearest_on_triangles(points[index], self._corners[triangle])
+
+    def _distance_in_block(self, points: Points, bound: NDArray[np.float64]) -> Points:
+        index, triangle, feet = self._feet(points, bound)
+        offset = points[index] - feet
+        squared = np.einsum("pd,pd->p", offset, offset)
+        first = np.searchsorted(index, np.arange(len(points)))
+        least = np.minimum.reduceat(squared, first)
+        # Triangles with a common nearest point tie, up to rounding.
+        tied = squared <= least[index] * (1 + _ROUNDING) + 1e-300
+        above = np.where(tied, np.einsum("pd,pd->p", offset, self._normals[triangle]), 0.0)
+        highest, lowest = np.maximum.reduceat(above, first), np.minimum.reduceat(above, first)
+        return np.asarray(np.where(highest >= -lowest, 1.0, -1.0) * np.sqrt(least))
+
+
+def _split_large(corners: Points) -> Points:
+    """Halve triangles with long edges; corners of shape (n, 3, 3)."""
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    typical = np.sqrt(np.linalg.norm(doubled, axis=1).mean())
+    extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
+    longest = max(_MAX_EDGE * typical, extent / _MAX_SPLITS)
+    done = []
+    while len(corners):
+        lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+        fits = lengths.max(axis=1) <= longest
+        done.append(corners[fits])
+        corners, first = corners[~fits], lengths[~fits].argmax(axis=1)
+        turned = np.take_along_axis(corners, (first[:, None] + np.arange(3))[..., None] % 3, axis=1)
+        middle = turned[:, :1] / 2 + turned[:, 1:2] / 2
+        a, b, c = np.split(turned, 3, axis=1)
+        corners = np.concatenate([np.hstack([a, middle, c]), np.hstack([middle, b, c])])
+    return np.concatenate(done)
+
+
+def nearest_on_triangles(points: Points, corners: NDArray[np.float64]) -> Points:
+    """Find the nearest point on each of n triangles to one point each.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, 3)
+    corners : ndarray of shape (n, 3, 3)
+        Corners of the triangles.
+
+    Returns
+    -------
+    ndarray of shape (n, 3)
+        The projection onto the plane if it lies in the triangle, otherwise the nearest point on
+        the three edges.
+    """
+    origin, edge_one, edge_two = (
+        corners[:, 0],
+        corners[:, 1] - corners[:, 0],
+        corners[:, 2] - corners[:, 0],
+    )
+    one_one, one_two, two_two = (
+        _dot(edge_one, edge_one),
+        _dot(edge_one, edge_two),
+        _dot(edge_two, edge_two),
+    )
+    along_one, along_two = _dot(points - origin, edge_one), _dot(points - origin, edge_two)
+    area = one_one * two_two - one_two**2
+    flat = area <= 1e-24 * one_one * two_two
+    safe = np.where(flat, 1.0, area)
+    first = (two_two * along_one - one_two * along_two) / safe
+    second = (one_one * along_two - one_two * along_one) / safe
+    inside = ~flat & (first >= 0) & (second >= 0) & (first + second <= 1)
+    foot = origin + first[:, None] * edge_one + second[:, None] * edge_two
+    on_edges = np.stack(
+        [_nearest_on_segments(points, corners[:, i], corners[:, (i + 1) % 3]) for i in range(3)]
+    )
+    squared = np.einsum("epd,epd->ep", on_edges - points, on_edges - points)
+    edge = np.take_along_axis(on_edges, squared.argmin(axis=0)[None, :, None], axis=0)[0]
+    return np.asarray(np.where(inside[:, None], foot, edge))
+
+
+def _nearest_on_segments(points: Points, start: Points, end: Points) -> Points:
+    direction = end - start
+    length = np.maximum(_dot(direction, direction), 1e-300)
+    share = np.clip(_dot(points - start, direction) / length, 0, 1)
+    return np.asarray(start + share[:, None] * direction)
+
+
+def _dot(a: Points, b: Points) -> NDArray[np.float64]:
+    return np.asarray(np.einsum("nd,nd->n", a, b))

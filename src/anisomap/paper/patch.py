@@ -1,0 +1,311 @@
+"""Figures 2 and S5 to S10: the hexagonal patch, simulated, and real if a recording is given.
+
+Isolation of the failing sensor as a function of how often it saturates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from anisomap import io
+from anisomap.drawing.figures.charts import CurvePanel, curves_figure
+from anisomap.drawing.figures.panels import Panel, gallery_figure, map_panel, truth_panel
+from anisomap.paper.cases import (
+    FAILING,
+    FIRST_FAILED_RUN,
+    METHODS,
+    PATCH_FRAMES,
+    PATCH_RUNS,
+    SILENT,
+    patch_run,
+    patch_seed,
+    true_positions,
+)
+from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
+from anisomap.paper.map_scores import SCORE_COLUMNS, ScoredMap, isolation, map_and_score, score_rows
+from anisomap.recording import Recording
+
+REAL_RECORDING = "icub_hexagon.npz"
+
+_COLUMNS = {
+    "run": "number of the run",
+    "frames": "frames of the run",
+    "seed": "seed of the run",
+    "method": "method",
+    "dimensions": "dimensions of the map",
+    "mantel_r": "Mantel r without the failing sensor",
+    "isolation": "distance of the failing sensor to its nearest neighbour on the map, divided by "
+    "the median of that distance over all other sensors; about 1 for a sensor among others",
+}
+_NOTE = (
+    "Six triangles of ten pads each, rubbed by a hand; one triangle (rings) is silent in all runs. "
+    f"Sensor 30 ({FAILING}, square) saturates intermittently from run 4 on. It is included in the "
+    "maps and excluded from the scores."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PatchMap:
+    """A map of the patch with its Mantel r and the isolation of the failing sensor."""
+
+    scored: ScoredMap
+    mantel_r: float
+    isolation: float
+
+    def panel(self, recording: Recording, title: str = "") -> Panel:
+        """Draw the map, titled by its method or `title`."""
+        return map_panel(
+            f"{title}, r = {self.mantel_r:.3f}" if title else self.scored.title,
+            self.scored.sensor_map,
+            self.scored.score,
+            true_positions(recording, self.scored.sensor_map.dimensions),
+            labels=_label_30(recording),
+        )
+
+
+def map_patch(recording: Recording, method: str, dimensions: int) -> PatchMap:
+    """Map a run of the patch."""
+    scored = map_and_score(recording, method, dimensions, exclude=[FAILING])
+    placed = np.flatnonzero(scored.sensor_map.placed)
+    row = int(np.searchsorted(placed, recording.names.index(FAILING)))
+    alone = isolation(scored.sensor_map.positions[placed], row)
+    return PatchMap(scored, scored.score.mantel.r, alone)
+
+
+def figure_2(settings: Settings, _: Tables) -> Outcome:
+    """Draw the maps of all runs by r-ANISOMAP."""
+    runs = {number: patch_run(settings, number) for number in PATCH_RUNS}
+    panels = [_truth_panel(runs[1], 2, "actual configuration")]
+    rows: list[Row] = []
+    for number, run in runs.items():
+        for method in METHODS:
+            for k in (2, 3):
+                patch_map = map_patch(run, method, k)
+                rows.append(_row(number, patch_seed(settings, number), run, patch_map))
+                if method == "r-anisomap" and k == 2:
+                    panels.append(patch_map.panel(run, f"run {number}"))
+    figure = gallery_figure("Figure 2. Maps of the simulated patch by r-ANISOMAP", panels, 3, _NOTE)
+    seeds = f"{patch_seed(settings, PATCH_RUNS[0])} to {patch_seed(settings, PATCH_RUNS[-1])}"
+    caption = f"r-ANISOMAP in 2D on the simulated patch, runs 1 to 5 (seeds {seeds})."
+    table = Table("figure-2", "Isolation of sensor 30.", _COLUMNS, tuple(rows), shown=False)
+    return Outcome((Picture("figure-2", caption, figure),), (table,))
+
+
+def supplementary_figure(number: int, settings: Settings, _: Tables) -> Outcome:
+    """Draw the maps of one run by all methods, in 2D and 3D."""
+    recording, seed = patch_run(settings, number), patch_seed(settings, number)
+    panels, rows = [], []
+    for k in (2, 3):
+        panels.append(_truth_panel(recording, k))
+        for method in METHODS:
+            patch_map = map_patch(recording, method, k)
+            panels.append(patch_map.panel(recording))
+            rows.append(_row(number, seed, recording, patch_map))
+    name = f"figure-s{4 + number}"
+    title = f"Figure S{4 + number}. Simulated patch, run {number}: {recording.n_frames} frames"
+    figure = gallery_figure(title, panels, 5, _NOTE)
+    caption = f"All methods on run {number} (seed {seed}), in 2D and 3D."
+    table = Table(name, caption, _COLUMNS, tuple(rows), shown=False)
+    return Outcome((Picture(name, caption, figure),), (table,))
+
+
+def figure_s10(settings: Settings, _: Tables) -> Outcome:
+    """Draw the patch with the numbers of its sensors."""
+    recording = patch_run(settings, 1)
+    names = recording.names
+    positions = true_positions(recording, 2)
+    rows = tuple(
+        (i, name, "silent" if name in SILENT else "failing" if name == FAILING else "working", x, y)
+        for i, (name, (x, y)) in enumerate(zip(names, positions.tolist(), strict=True))
+    )
+    panel = truth_panel(
+        "sensor numbers",
+        positions,
+        units="mm",
+        on_maps=recording.varying(),
+        excluded=[name == FAILING for name in names],
+        labels={i: str(i) for i in range(len(names))},
+    )
+    figure = gallery_figure("Figure S10. The patch", [panel], 1, _NOTE, size=6.5)
+    columns = {
+        "sensor": "number, from 0",
+        "name": "t and number of the triangle, p and number of its pad; pads 6 and 10 measure "
+        "temperature",
+        "state": "silent in all runs, failing from run 4 on, or working",
+        "x_mm": "true position, mm",
+        "y_mm": "true position, mm",
+    }
+    table = Table("figure-s10", "Sensors of the patch.", columns, rows, shown=False)
+    caption = (
+        "Schematic of the patch: six IIT triangles around a vertex. Rings: the silent triangle."
+    )
+    return Outcome((Picture("figure-s10", caption, figure),), (table,))
+
+
+def real_patch(settings: Settings, _: Tables) -> Outcome:
+    """Map a real patch of the same triangles by all methods, in 2D and 3D."""
+    recording = io.read((settings.recordings or Path()) / REAL_RECORDING)
+    panels = []
+    for k in (2, 3):
+        truth = np.pad(true_positions(recording, 2), ((0, 0), (0, k - 2)))
+        panels.append(
+            truth_panel("true positions", truth, units=recording.units, on_maps=recording.varying())
+        )
+        for method in METHODS:
+            scored = map_and_score(recording, method, k)
+            panels.append(map_panel(scored.title, scored.sensor_map, scored.score, truth))
+    figure = gallery_figure(
+        f"Real skin: {recording.n_sensors} sensors of an iCub, {recording.n_frames} frames",
+        panels,
+        5,
+        "Binary readings (0 or 1) of a thumb sweeping over the skin; positions from CAD.",
+    )
+    rows = tuple(score_rows("real", recording, 0, (2, 3), settings))
+    table = Table("real-skin", "Scores of the maps of real skin.", SCORE_COLUMNS, rows)
+    caption = "Real IIT skin, six triangles around a vertex, by all methods in 2D and 3D."
+    return Outcome((Picture("real-skin", caption, figure),), (table,))
+
+
+def _truth_panel(recording: Recording, dimensions: int, title: str = "true positions") -> Panel:
+    return truth_panel(
+        title,
+        true_positions(recording, dimensions),
+        units=recording.units,
+        on_maps=recording.varying(),
+        excluded=np.array([name == FAILING for name in recording.names]),
+        labels=_label_30(recording),
+    )
+
+
+def _label_30(recording: Recording) -> dict[int, str]:
+    return {recording.names.index(FAILING): "30"}
+
+
+def _row(number: int, seed: int, recording: Recording, patch_map: PatchMap) -> Row:
+    found = patch_map.scored.sensor_map
+    run = (number, recording.n_frames, seed)
+    return (*run, found.method, found.dimensions, patch_map.mantel_r, patch_map.isolation)
+
+
+FIGURE_2 = Experiment(
+    "figure-2",
+    "Figure 2: the hardware experiment (simulated)",
+    "The paper's hexagonal patch of prototype skin was rubbed by hand in five runs of "
+    f"{', '.join(map(str, PATCH_FRAMES[:-1]))} and {PATCH_FRAMES[-1]} frames. One of its six "
+    "triangles did not respond. Sensor 30 failed between runs 3 and 4: it saturated "
+    "intermittently, whether touched or not. According to the paper, r-ANISOMAP isolates it.\n\n"
+    "Here the patch is simulated with the same triangles, numbers of frames and failures. (The "
+    "paper counts 12 sensors per triangle; two of the 12 pads of a triangle measure temperature, "
+    "so that 10 are simulated, and 50 of 60 respond.)",
+    figure_2,
+    cost=12,
+)
+REAL_SKIN = Experiment(
+    "real-skin",
+    "Figure 2 from real skin",
+    "The same figure from a recording of real skin of the same kind: six triangles around a "
+    "vertex on the torso of an iCub, touched by hand (binary readings).",
+    real_patch,
+    files=(REAL_RECORDING,),
+    absent=(
+        f"The recording {REAL_RECORDING} was not given. It can be made from the public repository "
+        "matejhof/robotic-homunculus-supporting-materials (GPL-3.0; MATLAB files), which anisomap "
+        "does not contain. From its recordings of touch on the torso, keep taxels 3169 to 3240 "
+        "(six triangles of twelve) without the 7th and 11th of each triangle, which measure "
+        "temperature, and keep the frames in which at least one of them is touched. Write the "
+        "readings (frames x 60, 0 or 1) and positions (60 x 2, in mm) with "
+        'anisomap.write(anisomap.Recording(readings, positions=positions, units="mm"), '
+        f'"{REAL_RECORDING}"), and run anisomap paper --recordings FOLDER.'
+    ),
+    cost=8,
+)
+SUPPLEMENTARY = (
+    *(
+        Experiment(
+            f"figure-s{4 + number}",
+            f"Figure S{4 + number}: simulated patch, run {number}",
+            f"All reconstructions of hardware run {number}.",
+            partial(supplementary_figure, number),
+            cost=10,
+        )
+        for number in PATCH_RUNS
+    ),
+    Experiment(
+        "figure-s10",
+        "Figure S10: the patch",
+        "Numbers and states of the sensors of the patch.",
+        figure_s10,
+    ),
+)
+
+
+_GAP = 100.0  # mean number of frames between failures
+_SPANS = (5.0, 11.0, 25.0, 50.0, 100.0, 200.0)  # mean number of frames of a failure
+_QUICK_SPANS = (20.0, 100.0)
+
+_COLUMNS_FAILING_SENSOR = {
+    "run": "number of the run",
+    "saturated": "share of frames in which the failing sensor is saturated",
+    "method": "method",
+    "dimensions": "dimensions of the map",
+    "mantel_r": "Mantel r without the failing sensor",
+    "isolation": "distance of the failing sensor to its nearest neighbour on the map, divided by "
+    "the median of that distance over all other sensors",
+}
+
+
+def isolation_by_saturation(settings: Settings, _: Tables) -> Outcome:
+    """Measure the isolation of the failing sensor for several durations of its failures."""
+    spans = _QUICK_SPANS if settings.quick else _SPANS
+    numbers = [number for number in PATCH_RUNS if number >= FIRST_FAILED_RUN]
+    rows: list[Row] = []
+    panels = []
+    for k in (2, 3):
+        curves = {method: np.empty((len(spans), len(numbers))) for method in METHODS}
+        shares = np.empty((len(spans), len(numbers)))
+        for i, span in enumerate(spans):
+            for j, number in enumerate(numbers):
+                recording = patch_run(settings, number, mean_gap=_GAP, mean_span=span)
+                failing = recording.readings[:, recording.names.index(FAILING)]
+                shares[i, j] = np.mean(failing == recording.readings.max())
+                for method in METHODS:
+                    patch_map = map_patch(recording, method, k)
+                    curves[method][i, j] = patch_map.isolation
+                    scores = (patch_map.mantel_r, patch_map.isolation)
+                    rows.append((number, float(shares[i, j]), method, k, *scores))
+        x = np.round(shares.mean(axis=1), 2)
+        panels.append(CurvePanel(f"{k}D", x, curves))
+    figure = curves_figure(
+        "Isolation of the failing sensor",
+        panels,
+        x_label="share of frames in which it is saturated",
+        y_label="isolation",
+        columns=2,
+    )
+    caption = (
+        "Distance of sensor 30 to its nearest neighbour on the map, divided by the median of that "
+        "distance over all other sensors, in runs 4 and 5 (dots: runs, lines: means). At about 1 "
+        "it lies among the others. In Figure 2 it is saturated in a sixth of the frames."
+    )
+    table = Table(
+        "failing-sensor",
+        "Isolation of sensor 30.",
+        _COLUMNS_FAILING_SENSOR,
+        tuple(rows),
+        shown=False,
+    )
+    return Outcome((Picture("failing-sensor", caption, figure),), (table,))
+
+
+EXPERIMENT = Experiment(
+    "failing-sensor",
+    "Isolation of the failing sensor",
+    "In the paper's Figure 2, sensor 30 lies apart from all others. The paper does not state how "
+    "often it was saturated; the isolation depends on it.",
+    isolation_by_saturation,
+    cost=10,
+)

@@ -1,0 +1,310 @@
+"""Lengths with units, and the scale of a map from the spacing of its sensors.
+
+Mirror image and surface normals of a map.
+
+Sensor poses in metres, as robot software represents them.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from anisomap.errors import InputError
+from anisomap.numerics.surfaces import estimate_normals
+from anisomap.sensor_map import SensorMap
+
+METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "in": 0.0254}
+"""Length of each supported unit in metres."""
+
+_MIN_LENGTH, _MAX_LENGTH = 1e-150, 1e150  # their squares are normal floating-point numbers
+_LENGTH = re.compile(r"\s*+([0-9.eE+-]++)\s*+([a-z\u00b5]++)\s*+")
+
+
+def parse_length(text: str) -> tuple[float, str]:
+    """Parse a length such as ``6.5mm``.
+
+    Parameters
+    ----------
+    text : str
+        A positive number and a unit.
+
+    Returns
+    -------
+    value : float
+    unit : str
+        A key of `METRES`.
+
+    Raises
+    ------
+    InputError
+        If `text` is not a positive number followed by a unit.
+    """
+    match = _LENGTH.fullmatch(text)
+    try:
+        value, unit = (float(match[1]), match[2]) if match else (0.0, "")
+    except ValueError:
+        value, unit = 0.0, ""
+    if not (np.isfinite(value) and value > 0 and unit in METRES):
+        raise InputError(
+            f"{text!r} is not a length; write a positive number and a unit, such as 6.5mm "
+            f"(units: {', '.join(METRES)})"
+        )
+    return value, unit
+
+
+def median_spacing(sensor_map: SensorMap) -> float:
+    """Compute the median distance from a placed sensor to its nearest neighbour.
+
+    Neighbours are searched within each connected component.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+
+    Returns
+    -------
+    float
+        Positive, in the unit of the map.
+
+    Raises
+    ------
+    InputError
+        If no component has two placed sensors, or most placed sensors coincide.
+    """
+    nearest: list[float] = []
+    for component in sensor_map.split():
+        if component.n_sensors > 1:
+            distances = KDTree(component.positions).query(component.positions, k=[2])[0]
+            nearest += np.asarray(distances).ravel().tolist()
+    spacing = float(np.median(nearest)) if nearest else 0.0
+    if not spacing > 0:
+        raise InputError(
+            "the spacing of the map is undefined: it needs two placed sensors at different "
+            "positions in one connected component"
+        )
+    return spacing
+
+
+def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> SensorMap:
+    """Scale a map so that neighbouring sensors have a given spacing.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+    spacing : float
+        Median distance from a sensor to its nearest neighbour on the skin.
+    units : str
+        Unit of `spacing`.
+
+    Returns
+    -------
+    SensorMap
+        The map in `units`, with the scale factor in its provenance. An error of the map in the
+        nearest-neighbour distances becomes an error of the scale.
+
+    Raises
+    ------
+    InputError
+        If the map has no spacing (see `median_spacing`) or is in the frame of the robot, or
+        `spacing` is not positive or is out of the range of floating-point numbers.
+    """
+    if not (np.isfinite(spacing) and spacing > 0):
+        raise InputError(f"spacing must be a positive number, got {spacing:g}")
+    if sensor_map.anchored:
+        raise InputError("the map is in the frame of the robot, so it must not be scaled")
+    factor = spacing / median_spacing(sensor_map)
+    largest = float(np.nanmax(np.abs(sensor_map.positions))) * factor
+    # Distances are computed from squares, which must neither underflow nor overflow.
+    if not (spacing > _MIN_LENGTH and factor > 0 and largest < _MAX_LENGTH):
+        raise InputError(
+            f"a spacing of {spacing:g} {units} takes the positions out of the range of "
+            "floating-point numbers; check its unit"
+        )
+    return replace(
+        sensor_map,
+        positions=factor * sensor_map.positions,
+        errors=factor * sensor_map.errors,
+        covariances=None if sensor_map.covariances is None else factor**2 * sensor_map.covariances,
+        units=units,
+        provenance={**sensor_map.provenance, "spacing": spacing, "scale": factor},
+    )
+
+
+def mirrored(sensor_map: SensorMap) -> SensorMap:
+    """Reflect a map.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+
+    Returns
+    -------
+    SensorMap
+        With the first coordinate negated, and `SensorMap.mirrored` toggled.
+
+    Raises
+    ------
+    InputError
+        If the map is in the frame of the robot.
+    """
+    if sensor_map.anchored:
+        raise InputError("the map is in the frame of the robot, so it must not be reflected")
+    flip = np.ones(sensor_map.dimensions)
+    flip[0] = -1.0
+    normals = sensor_map.normals
+    return replace(
+        sensor_map,
+        positions=flip * sensor_map.positions,
+        covariances=None
+        if sensor_map.covariances is None
+        else np.outer(flip, flip) * sensor_map.covariances,
+        normals=None if normals is None else normals * [-1.0, 1.0, 1.0],
+        mirrored=not sensor_map.mirrored,
+    )
+
+
+def surface_normals(sensor_map: SensorMap) -> NDArray[np.float64]:
+    """Return the surface normal at each sensor.
+
+    Normals that the map lacks are estimated, separately for each connected component.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        Of at most three dimensions.
+
+    Returns
+    -------
+    ndarray of shape (N, 3)
+        Unit vectors, NaN for unplaced sensors. See `anisomap.numerics.surfaces.estimate_normals`.
+
+    Raises
+    ------
+    InputError
+        If the map has more than three dimensions.
+    """
+    normals = np.full((sensor_map.n_sensors, 3), np.nan)
+    for label in range(len(sensor_map.component_sizes)):
+        members = sensor_map.component == label
+        normals[members] = estimate_normals(pad_to_3d(sensor_map.positions[members]))[0]
+    if sensor_map.normals is not None:
+        known = np.isfinite(sensor_map.normals).all(axis=1) & sensor_map.placed
+        normals[known] = sensor_map.normals[known]
+    return normals
+
+
+def pad_to_3d(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Append zero coordinates to points of fewer than three dimensions.
+
+    Parameters
+    ----------
+    positions : ndarray of shape (N, k)
+
+    Returns
+    -------
+    ndarray of shape (N, 3)
+
+    Raises
+    ------
+    InputError
+        If k is greater than 3.
+    """
+    missing = 3 - positions.shape[1]
+    if missing < 0:
+        raise InputError(f"the map must have at most 3 dimensions, got {positions.shape[1]}")
+    return np.pad(positions, ((0, 0), (0, missing)))
+
+
+@dataclass(frozen=True, eq=False)
+class Taxels:
+    """Poses of the placed sensors of a map.
+
+    Attributes
+    ----------
+    frame : str
+        Name of the right-handed reference frame.
+    names : tuple of str
+    indices : ndarray of int, shape (n,)
+        Indices of the sensors in the map.
+    positions : ndarray of shape (n, 3)
+        In metres.
+    normals : ndarray of shape (n, 3)
+        Outward unit normals: those of the map, or estimated from the positions.
+    errors : ndarray of shape (n,)
+        Distance within which a sensor is with a probability of 90 %, in metres; NaN if unknown.
+    """
+
+    frame: str
+    names: tuple[str, ...]
+    indices: NDArray[np.intp]
+    positions: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    errors: NDArray[np.float64]
+
+    @property
+    def rotations(self) -> Rotation:
+        """Orientation of each sensor's frame; its z axis is the normal, x and y are arbitrary."""
+        helper = np.eye(3)[np.abs(self.normals).argmin(axis=1)]
+        x = np.cross(helper, self.normals)
+        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        y = np.cross(self.normals, x)
+        return Rotation.from_matrix(np.stack([x, y, self.normals], axis=-1))
+
+    @property
+    def roll_pitch_yaw(self) -> NDArray[np.float64]:
+        """Rotations about the fixed x, y and z axes in radians, shape (n, 3)."""
+        with warnings.catch_warnings():
+            # If the normal is along x, only the sum of two angles is determined; any pair is valid.
+            warnings.filterwarnings("ignore", message="Gimbal lock")
+            return np.asarray(self.rotations.as_euler("xyz"))
+
+
+def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
+    """Convert the placed sensors of a map to poses in metres.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        With a unit of length, one connected component, and at most three dimensions.
+    purpose : str
+        Start of error messages, such as ``"URDF"``.
+
+    Returns
+    -------
+    Taxels
+
+    Raises
+    ------
+    InputError
+        If the map has no scale, several components, no placed sensor, or more than three
+        dimensions.
+    """
+    if sensor_map.units not in METRES:
+        raise InputError(
+            f"{purpose} needs positions in metres, but the unit of the map is "
+            f"{sensor_map.units or 'unknown'!r}; scale the map by its sensor spacing first"
+        )
+    n_components = len(sensor_map.component_sizes)
+    if n_components != 1:
+        raise InputError(
+            f"{purpose} needs one connected component, but the map has {n_components}, and their "
+            "relative poses are unknown; write each to a file of its own "
+            "(anisomap.io.write_components)"
+        )
+    indices = np.flatnonzero(sensor_map.placed)
+    positions = pad_to_3d(sensor_map.positions[indices]) * METRES[sensor_map.units]
+    return Taxels(
+        frame=sensor_map.frame,
+        names=tuple(sensor_map.names[i] for i in indices),
+        indices=indices,
+        positions=positions,
+        normals=surface_normals(sensor_map)[indices],
+        errors=sensor_map.errors[indices] * METRES[sensor_map.units],
+    )

@@ -1,1 +1,0 @@
-"""Solids, triangle meshes, and points spread over their surfaces."""

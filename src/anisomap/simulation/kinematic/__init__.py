@@ -1,1 +1,0 @@
-"""Scenarios with prescribed motion of the stimulus."""

@@ -1,0 +1,579 @@
+"""Uneven ground: a height field with MuJoCo's triangulation.
+
+Options of locomotion, and the driver that rolls the body.
+
+Locomotion: a sphere or cylinder rolls over uneven ground under gravity.
+
+McGregor et al. (2011), section "Scenarios". The paper's parameters were in its Text S1, which is no
+longer available; defaults here were chosen for the reasons given. Lengths are in m, and the paper's
+sphere has a radius of 1 m.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
+
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.numerics.surfaces import Points, TriangleSearch
+from anisomap.scene import Mesh, Prop, frozen
+from anisomap.simulation.bodies.body import Body
+from anisomap.simulation.engine import geom_shape, load_mujoco
+from anisomap.simulation.options import (
+    REACH,
+    SPACING,
+    Progress,
+    ScenarioOptions,
+    ScenarioResult,
+    no_progress,
+    positive,
+    steps_per_frame,
+)
+
+_TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """Solid ground with heights on a square grid.
+
+    Parameters
+    ----------
+    heights : array_like of shape (n, n)
+        Rows go along y, columns along x. The middle of the grid is above the origin.
+    cell : float
+        Grid spacing.
+    """
+
+    heights: NDArray[np.float64]
+    cell: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "heights", frozen(self.heights))
+
+    @property
+    def half_width(self) -> float:
+        """Distance from the middle to each edge."""
+        return self.cell * (len(self.heights) - 1) / 2
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """Triangles of the ground, two per cell.
+
+        As in MuJoCo (checked by ``mj_ray``), the diagonal of the cell at row r and column c goes
+        from (r, c) to (r + 1, c + 1).
+        """
+        n = len(self.heights)
+        across = self.cell * np.arange(n) - self.half_width
+        x, y = np.meshgrid(across, across)
+        index = np.arange(n * n).reshape(n, n)
+        here, right, up, beyond = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+        faces = [
+            np.stack(part, axis=-1).reshape(-1, 3)
+            for part in ((here, right, beyond), (here, beyond, up))
+        ]
+        vertices = np.column_stack([x.ravel(), y.ravel(), self.heights.ravel()])
+        return Mesh(vertices, np.vstack(faces))
+
+    def height(self, places: ArrayLike) -> NDArray[np.float64]:
+        """Interpolate the height at places (n, 2); constant beyond the edges."""
+        scaled = (np.asarray(places, dtype=np.float64)[:, :2] + self.half_width) / self.cell
+        last = len(self.heights) - 1
+        scaled = np.clip(scaled, 0, last)
+        column, row = np.minimum(scaled.astype(np.intp), last - 1).T
+        right, up = scaled[:, 0] - column, scaled[:, 1] - row
+        corner, beyond = self.heights[row, column], self.heights[row + 1, column + 1]
+        third = np.where(right >= up, self.heights[row, column + 1], self.heights[row + 1, column])
+        most, least = np.maximum(right, up), np.minimum(right, up)
+        return np.asarray(corner + most * (third - corner) + least * (beyond - third))
+
+    def distance(self, points: ArrayLike) -> Points:
+        """Compute the exact distance of points from the surface.
+
+        Parameters
+        ----------
+        points : array_like of shape (n, 3)
+            Above or below the grid, not beside it.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Distance from the nearest triangle, negative below the ground.
+        """
+        return self._search.signed_distance(np.asarray(points, dtype=np.float64))
+
+    def readings(self, points: ArrayLike, detection_radius: float) -> NDArray[np.float32]:
+        """Read the ground with short-range proximity sensors.
+
+        Parameters
+        ----------
+        points : array_like of shape (n, 3)
+            Sensor positions.
+        detection_radius : float
+
+        Returns
+        -------
+        ndarray of float32, shape (n,)
+            Penetration depth of the ground into the detection sphere,
+            ``max(0, detection_radius - distance)``.
+        """
+        places = np.asarray(points, dtype=np.float64)
+        found = np.zeros(len(places), dtype=np.float32)
+        # The height above the highest peak is a lower bound of the distance.
+        near = places[:, 2] - self.heights.max() < detection_radius
+        found[near] = np.maximum(detection_radius - self.distance(places[near]), 0)
+        return found
+
+    @cached_property
+    def _search(self) -> TriangleSearch:
+        return TriangleSearch(self.mesh)
+
+
+def bumpy_terrain(
+    half_width: float, cell: float, roughness: float, correlation: float, rng: np.random.Generator
+) -> Terrain:
+    """Generate ground with smooth random bumps: white noise with a Gaussian filter.
+
+    Parameters
+    ----------
+    half_width : float
+        Minimum distance from the middle to each edge.
+    cell : float
+        Grid spacing.
+    roughness : float
+        Root mean square height; the mean height is 0.
+    correlation : float
+        Distance at which the correlation of heights is ``exp(-1/4)``. Bumps are about two to three
+        times as wide.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    Terrain
+    """
+    n = 2 * int(np.ceil(half_width / cell)) + 1
+    noise = rng.standard_normal((n, n))
+    smooth = gaussian_filter(noise, correlation / cell, mode="reflect", truncate=_TRUNCATION)
+    smooth -= smooth.mean()
+    spread = float(np.sqrt(np.mean(smooth**2)))
+    return Terrain(roughness / spread * smooth, cell)
+
+
+_ARRIVAL_DISTANCE = 1.5  # reaches from a goal
+_GOAL_TIMEOUT = 10.0  # s
+_MAX_TIMESTEP = 0.006  # s, for a body with a reach of 1 m at a gravity of 9.81 m/s2
+_MAX_STEEPNESS = 0.35  # roughness / correlation length; on steeper ground the body stalls
+_ROUNDING = 1e-9  # relative error of scaled lengths
+
+
+@dataclass(frozen=True)
+class LocomotionOptions(ScenarioOptions):
+    """Options of locomotion. Defaults are for the paper's sphere.
+
+    They scale with the body, see `anisomap.simulation.options`.
+
+    Parameters
+    ----------
+    half_width : float
+        Distance from the middle of the ground to each edge, in m. 8: several turns of the body.
+    roughness : float
+        Root mean square height of the ground, in m. 0.1: a tenth of the body, so that it is touched
+        in several places at once and does not stall.
+    correlation : float
+        Correlation length of the ground, in m, see
+        `anisomap.simulation.locomotion.bumpy_terrain`. 0.5: half of the body, so that the two
+        ends of a cylinder can be at different heights.
+    cell : float
+        Grid spacing of the ground, in m. 0.2: less than half of `correlation`, so that bumps are
+        smooth; smaller cells cost time.
+    speed : float
+        Target speed, in m/s. 2: a sphere makes 32 turns in 2,000 frames.
+    turning : float
+        Largest angular speed about the vertical of a cylinder, in rad/s. 0.3: slow enough not to
+        skid.
+    gravity : float
+        Gravitational acceleration, in m/s2. 9.81: for a body of 1 m; it scales with the body, so
+        that bodies of all sizes move alike.
+    friction : float
+        Coefficient of sliding friction. 1: rubber on a dry floor, so that the body rolls instead of
+        sliding.
+    detection_radius : float
+        Detection radius of the sensors, in m. 0.44: the sensor spacing of the sphere, with which it
+        scales.
+    frame_interval : float
+        Time between frames, in s. 0.05: the body moves by a tenth of its radius.
+    timestep : float
+        Longest step of the physics, in s. It is shortened to divide a frame into equal steps.
+        0.005: a quarter of the time constant of contacts with the ground, 0.02 s.
+
+    Raises
+    ------
+    InputError
+        If an option is not positive, the step is too long, the cells are too large for the bumps,
+        or the ground is too steep.
+    """
+
+    half_width: float = positive(8.0, "m", REACH)
+    roughness: float = positive(0.1, "m", REACH)
+    correlation: float = positive(0.5, "m", REACH)
+    cell: float = positive(0.2, "m", REACH)
+    speed: float = positive(2.0, "m/s", REACH)
+    turning: float = positive(0.3, "rad/s")
+    gravity: float = positive(9.81, "m/s2", REACH)
+    friction: float = positive(1.0)
+    detection_radius: float = positive(0.44, "m", SPACING)
+    frame_interval: float = positive(0.05, "s")
+    timestep: float = positive(0.005, "s")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.timestep > _MAX_TIMESTEP:
+            raise InputError(
+                f"timestep must be at most {_MAX_TIMESTEP:g} s for stable contacts with the "
+                f"ground, got {self.timestep:g} s"
+            )
+        if self.cell > self.correlation / 2 * (1 + _ROUNDING):
+            raise InputError(
+                f"cell must be at most half of correlation ({self.correlation / 2:g} m), "
+                f"got {self.cell:g} m"
+            )
+        steepest = _MAX_STEEPNESS * self.correlation
+        if self.roughness > steepest * (1 + _ROUNDING):
+            raise InputError(
+                f"roughness must be at most {_MAX_STEEPNESS:g} x correlation ({steepest:g} m), "
+                f"got {self.roughness:g} m; the body would stall"
+            )
+
+    @property
+    def steps_per_frame(self) -> int:
+        """Number of physics steps per frame."""
+        return steps_per_frame(self.frame_interval, self.timestep)
+
+    @property
+    def step(self) -> float:
+        """Effective step of the physics, in s."""
+        return self.frame_interval / self.steps_per_frame
+
+
+class Driver:
+    """Torque controller that rolls a body towards random goals at a set speed.
+
+    A sphere rolls in any direction. A cylinder rolls perpendicular to its axis, forwards or
+    backwards, and turns slowly about the vertical at the same time.
+    """
+
+    def __init__(
+        self,
+        mujoco: ModuleType,
+        body: Body,
+        terrain: Terrain,
+        options: LocomotionOptions,
+        rng: np.random.Generator,
+    ) -> None:
+        self._mujoco, self._options, self._rng = mujoco, options, rng
+        solid = body.solids[0]
+        self._is_cylinder, self._radius = solid.kind == "cylinder", solid.size[0]
+        self._model = _build_model(mujoco, body, terrain, options)
+        self._data = mujoco.MjData(self._model)
+        self._data.qpos[2] = _height_below(terrain, body.reach) + self._radius
+        if self._is_cylinder:
+            lying = Rotation.from_euler("y", 90, degrees=True)
+            self._data.qpos[3:7] = lying.as_quat(scalar_first=True)
+        # The torque reaches the set speed within a few frames.
+        mass, inertia = float(self._model.body_mass[1]), float(self._model.body_inertia[1].max())
+        self._gain = (inertia + mass * self._radius**2) / (2 * options.frame_interval)
+        mujoco.mj_forward(self._model, self._data)
+        self._goal_limit = options.half_width - 2 * _ARRIVAL_DISTANCE
+        self._set_goal(self._draw_goal())
+
+    def step(self) -> None:
+        """Apply the torque and advance the physics by one step."""
+        data, options = self._data, self._options
+        self._elapsed += options.step
+        to_goal = self._goal - data.qpos[:2]
+        if self._is_leaving():
+            self._set_goal(np.zeros(2))
+        elif (
+            np.hypot(*to_goal) < _ARRIVAL_DISTANCE
+            or self._has_passed(to_goal)
+            or self._elapsed > _GOAL_TIMEOUT
+        ):
+            self._set_goal(self._draw_goal())
+        to_goal = self._goal - data.qpos[:2]
+        spin = np.array(data.cvel[1, :3])
+        torque = self._gain * (self._target_spin(to_goal / np.hypot(*to_goal)) - spin)
+        if self._is_cylinder:
+            # Drive along the axis and steer about the vertical; the ground determines the rest.
+            axis = data.xmat[1].reshape(3, 3)[:, 2]
+            torque = axis * (axis @ torque) + np.array([0, 0, torque[2]])
+        data.xfrc_applied[1, 3:] = torque
+        self._mujoco.mj_step(self._model, data)
+
+    def measure(self) -> tuple[Any, ...]:
+        """Measure the state of the body.
+
+        Returns
+        -------
+        tuple
+            Centre (3,), rotation (3, 3), slip (speed of the surface at the contact as a share of
+            the set speed; NaN without contact), speed of the centre, and depth in the ground.
+        """
+        data = self._data
+        self._mujoco.mj_forward(self._model, data)
+        centre = np.array(data.xpos[1])
+        spin, velocity = np.array(data.cvel[1, :3]), np.array(data.qvel[:3])
+        slip = math.nan
+        if data.ncon:
+            arms = np.array(data.contact.pos) - centre
+            depths = -np.array(data.contact.dist)
+            slides = velocity + np.cross(spin, arms)
+            normals = np.array(data.contact.frame)[:, :3]
+            slides -= np.einsum("cd,cd->c", slides, normals)[:, None] * normals
+            # The deepest contact carries the load.
+            slip = float(np.linalg.norm(slides[depths.argmax()])) / self._options.speed
+        overlap = max(0.0, -float(data.contact.dist.min(initial=0.0)))
+        rotation = np.array(data.xmat[1]).reshape(3, 3)
+        return centre, rotation, slip, float(np.linalg.norm(velocity)), overlap
+
+    def _draw_goal(self) -> NDArray[np.float64]:
+        return self._rng.uniform(-self._goal_limit, self._goal_limit, size=2)
+
+    def _set_goal(self, goal: NDArray[np.float64]) -> None:
+        self._goal = goal
+        self._elapsed = 0.0
+        # A cylinder keeps rolling forwards or backwards until it has reached or passed its goal.
+        to_goal = self._goal - self._data.qpos[:2]
+        self._sense = 1.0 if self._ahead() @ to_goal >= 0 else -1.0
+
+    def _has_passed(self, to_goal: NDArray[np.float64]) -> bool:
+        """Return whether a cylinder has passed its goal."""
+        return self._is_cylinder and bool(self._sense * (self._ahead() @ to_goal) < 0)
+
+    def _is_leaving(self) -> bool:
+        """Return whether a cylinder, which turns slowly, is near the edge and moving outwards."""
+        place = self._data.qpos[:2]
+        outward = self._sense * self._ahead() * np.sign(place) > 0
+        beyond = np.abs(place) > self._goal_limit
+        return self._is_cylinder and bool((outward & beyond).any())
+
+    def _ahead(self) -> NDArray[np.float64]:
+        """Return the direction in which the body rolls when it spins about its own axis."""
+        # A body with spin a on the ground rolls along the cross product of a and the vertical.
+        axis = self._data.xmat[1].reshape(3, 3)[:, 2]
+        return np.array([axis[1], -axis[0]]) / max(float(np.hypot(axis[0], axis[1])), 1e-9)
+
+    def _target_spin(self, direction: NDArray[np.float64]) -> NDArray[np.float64]:
+        rate = self._options.speed / self._radius
+        if not self._is_cylinder:
+            return rate * np.array([-direction[1], direction[0], 0])
+        axis = self._data.xmat[1].reshape(3, 3)[:, 2]
+        heading = self._sense * self._ahead()
+        off = math.atan2(heading[0] * direction[1] - heading[1] * direction[0], heading @ direction)
+        turning = min(max(off, -self._options.turning), self._options.turning)
+        return np.asarray(self._sense * rate * axis + np.array([0, 0, turning]))
+
+
+def _height_below(terrain: Terrain, reach: float) -> float:
+    """Return the height of the highest ground below a body in the middle."""
+    middle, cells = len(terrain.heights) // 2, math.ceil(reach / terrain.cell)
+    below = slice(middle - cells, middle + cells + 1)
+    return float(terrain.heights[below, below].max())
+
+
+def _build_model(
+    mujoco: ModuleType, body: Body, terrain: Terrain, options: LocomotionOptions
+) -> Any:
+    spec = mujoco.MjSpec()
+    spec.option.gravity = [0, 0, -options.gravity]
+    spec.option.timestep = options.step
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    lowest, highest = float(terrain.heights.min()), float(terrain.heights.max())
+    n = len(terrain.heights)
+    half = terrain.half_width
+    spec.add_hfield(
+        name="ground",
+        nrow=n,
+        ncol=n,
+        size=[half, half, highest - lowest, 1.0],
+        userdata=((terrain.heights - lowest) / (highest - lowest)).ravel(),
+    )
+    # Torsional and rolling friction are MuJoCo's defaults.
+    surface = {"friction": [options.friction, 0.005, 0.0001], "condim": 3}
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", pos=[0, 0, lowest], **surface
+    )
+    rolling = spec.worldbody.add_body()
+    rolling.add_freejoint()
+    rolling.add_geom(**geom_shape(mujoco, body.solids[0]), mass=1, **surface)
+    return spec.compile()
+
+
+ROLLING = ("sphere", "cylinder")
+"""Kinds of solid that can roll."""
+
+# Limits beyond which a run is returned with a warning.
+MAX_MEDIAN_SLIP = 0.1
+MIN_SHARE_MOVING = 0.9  # not 1: a cylinder stops briefly to reverse
+MIN_SHARE_TOUCHED = 1.0
+
+_SETTLING_TIME = 1.0  # s
+_MOVING_SPEED = 0.1  # x set speed
+_MIN_HALF_WIDTH = 4.0  # x reach
+
+
+@dataclass(frozen=True, eq=False)
+class Journey:
+    """Motion of a rolling body.
+
+    Attributes
+    ----------
+    terrain : Terrain
+    centres : ndarray of shape (T, 3)
+        Centre of the body in each frame.
+    rotations : ndarray of shape (T, 3, 3)
+    slips : ndarray of shape (T,)
+        Speed of the body's surface at the contact, as a share of the set speed; NaN without
+        contact.
+    speeds : ndarray of shape (T,)
+        Speed of the centre.
+    overlaps : ndarray of shape (T,)
+        Depth of the body in the ground.
+    """
+
+    terrain: Terrain
+    centres: NDArray[np.float64]
+    rotations: NDArray[np.float64]
+    slips: NDArray[np.float64]
+    speeds: NDArray[np.float64]
+    overlaps: NDArray[np.float64]
+
+    def sensors(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sensor positions in each frame, shape (T, N, 3)."""
+        rotated = np.einsum("tij,nj->tni", self.rotations, positions)
+        return np.asarray(rotated + self.centres[:, None])
+
+
+def can_roll(body: Body) -> bool:
+    """Return whether a body is a single sphere or cylinder centred at the origin."""
+    first = body.solids[0]
+    return len(body.solids) == 1 and first.kind in ROLLING and not first.centre.any()
+
+
+def locomotion(
+    body: Body,
+    n_frames: int,
+    options: LocomotionOptions,
+    rng: np.random.Generator,
+    progress: Progress = no_progress,
+) -> ScenarioResult:
+    """Simulate a sphere or cylinder that rolls over uneven ground.
+
+    Returns
+    -------
+    ScenarioResult
+        Its facts are ``median_slip`` (as a share of the speed), ``share_moving`` of the frames,
+        ``share_touched`` of the sensors, and ``deepest_overlap`` with the ground.
+
+    Raises
+    ------
+    InputError
+        If the body cannot roll, or rolled off the ground.
+    MissingExtraError
+        If MuJoCo is not installed.
+
+    Warns
+    -----
+    AnisomapWarning
+        If the body slid or stopped too often, or some sensors never touched the ground.
+    """
+    reach = body.reach
+    scaled = options.scaled(1 / reach)
+    unit = body.scaled(1 / reach)
+    journey = simulate_journey(unit, n_frames, scaled, rng, progress)
+    sensors = journey.sensors(unit.positions)
+    readings = journey.terrain.readings(sensors.reshape(-1, 3), scaled.detection_radius)
+    readings = reach * readings.reshape(n_frames, body.n_sensors)
+    measured = {
+        "median_slip": float(np.nanmedian(journey.slips)),
+        "share_moving": float(np.mean(journey.speeds > _MOVING_SPEED * scaled.speed)),
+        "share_touched": float(np.mean((readings > 0).any(axis=0))),
+        "deepest_overlap": reach * float(journey.overlaps.max()),
+    }
+    _warn_about(measured)
+    if np.abs(journey.centres[:, :2]).max() > scaled.half_width:
+        raise InputError("the body rolled off the ground; use a lower speed or a larger half_width")
+    ground = journey.terrain.mesh
+    ground = replace(ground, vertices=reach * ground.vertices)
+    centres, rotations = reach * journey.centres[:, None], journey.rotations[:, None]
+    return ScenarioResult(
+        readings,
+        (
+            Prop("ground", ground, np.zeros((1, 1, 3))),
+            *(Prop("body", solid.outline, centres, rotations) for solid in body.solids),
+        ),
+        facts={"timestep": options.step} | measured,
+        sensors=reach * sensors,
+    )
+
+
+def simulate_journey(
+    body: Body,
+    n_frames: int,
+    options: LocomotionOptions,
+    rng: np.random.Generator,
+    progress: Progress = no_progress,
+) -> Journey:
+    """Simulate the motion of the body; see `locomotion`."""
+    if not can_roll(body):
+        raise InputError(
+            f"the body {body.name} does not roll; locomotion needs a sphere or a cylinder"
+        )
+    least = _MIN_HALF_WIDTH * body.reach
+    if options.half_width < least:
+        raise InputError(
+            f"half_width must be at least {_MIN_HALF_WIDTH:g} times the reach of the body, got "
+            f"{options.half_width / body.reach:g} times"
+        )
+    mujoco = load_mujoco()
+    terrain = bumpy_terrain(
+        options.half_width, options.cell, options.roughness, options.correlation, rng
+    )
+    driver = Driver(mujoco, body, terrain, options, rng)
+    for _ in range(math.ceil(_SETTLING_TIME / options.step)):
+        driver.step()
+    states = [driver.measure()]
+    report_interval = max(1, n_frames // 100)
+    for frame in range(1, n_frames):
+        for _ in range(options.steps_per_frame):
+            driver.step()
+        states.append(driver.measure())
+        if frame % report_interval == 0:
+            progress(frame / n_frames)
+    return Journey(terrain, *(np.array(column) for column in zip(*states, strict=True)))
+
+
+def _warn_about(measured: dict[str, float]) -> None:
+    problems = []
+    if measured["median_slip"] > MAX_MEDIAN_SLIP:
+        problems.append(f"it slid at {measured['median_slip']:.0%} of its speed: increase friction")
+    if measured["share_moving"] < MIN_SHARE_MOVING:
+        problems.append(
+            f"it stood still in {1 - measured['share_moving']:.0%} of the frames: reduce roughness"
+        )
+    if measured["share_touched"] < MIN_SHARE_TOUCHED:
+        problems.append(
+            f"only {measured['share_touched']:.0%} of the sensors touched the ground: "
+            "increase the number of frames"
+        )
+    if problems:
+        warnings.warn(f"the body did not roll well: {'; '.join(problems)}", AnisomapWarning, 3)

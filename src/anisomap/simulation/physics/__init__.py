@@ -1,1 +1,0 @@
-"""Scenarios simulated with MuJoCo."""

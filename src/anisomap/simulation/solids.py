@@ -1,0 +1,446 @@
+"""Solids with exact signed distances: primitives in closed form, and closed triangle meshes.
+
+Distances are positive outside and negative inside.
+
+Random and evenly spread points on the surface of solids.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anisomap.errors import InputError, import_extra
+from anisomap.numerics.surfaces import TriangleSearch
+from anisomap.scene import Mesh, frozen
+
+Points: TypeAlias = NDArray[np.float64]
+
+MAX_LENGTH = 1e10
+"""Maximum of coordinates and sizes: trimesh merges vertices on a grid of 1e-8, counted in int64."""
+
+_CIRCLE_VERTICES = 48
+_COARSE_VERTICES = 16
+_GRADIENT_STEP = 1e-5  # x reach
+_N_PROJECTIONS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A solid, made by `ball`, `capsule`, `cylinder`, `box` or `mesh`.
+
+    Parameters
+    ----------
+    kind : str
+        Type of geom in MuJoCo: ``"sphere"``, ``"capsule"``, ``"cylinder"``, ``"box"`` or
+        ``"mesh"``.
+    size : tuple of float
+        Size as in MuJoCo: (radius,); (radius, half length of the axis); or the half edges.
+    centre : ndarray of shape (3,)
+    rotation : ndarray of shape (3, 3)
+        Columns are the local x, y and z axes; capsules and cylinders lie along z.
+    shape : Mesh, optional
+        Triangles of a mesh, in local coordinates.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    centre: Points = field(default_factory=lambda: frozen(np.zeros(3)))
+    rotation: Points = field(default_factory=lambda: frozen(np.eye(3)))
+    shape: Mesh | None = None
+
+    def __post_init__(self) -> None:
+        lengths = np.abs([*self.size, *np.ravel(self.centre)])
+        if not (lengths <= MAX_LENGTH).all():
+            raise InputError(
+                f"a {self.kind} must have a size and centre of at most {MAX_LENGTH:g}, "
+                f"got up to {lengths.max():g}"
+            )
+
+    def distance(self, points: ArrayLike) -> Points:
+        """Compute the exact signed distance of points from the surface.
+
+        Parameters
+        ----------
+        points : array_like of shape (n, 3)
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Negative inside.
+        """
+        local = self.to_local(points)
+        if self.kind == "mesh":
+            return self._search.signed_distance(local)
+        return _DISTANCES[self.kind](local, self.size)
+
+    def to_local(self, points: ArrayLike) -> Points:
+        """Transform points (n, 3) to local coordinates."""
+        return np.asarray((np.asarray(points, dtype=np.float64) - self.centre) @ self.rotation)
+
+    def moved(self, rotation: ArrayLike, centre: ArrayLike) -> Solid:
+        """Rotate the solid about the origin, then translate it."""
+        turn = np.asarray(rotation, dtype=np.float64)
+        return replace(
+            self,
+            centre=frozen(turn @ self.centre + np.asarray(centre)),
+            rotation=frozen(turn @ self.rotation),
+        )
+
+    def scaled(self, factor: float) -> Solid:
+        """Scale the solid by `factor` about the origin."""
+        shape = self.shape and Mesh(factor * self.shape.vertices, self.shape.faces)
+        size = tuple(factor * length for length in self.size)
+        return replace(self, size=size, centre=frozen(factor * self.centre), shape=shape)
+
+    @cached_property
+    def outline(self) -> Mesh:
+        """Surface as triangles, which approximate round solids."""
+        local = self.shape or _tessellated(self.kind, self.size)
+        return Mesh(local.vertices @ self.rotation.T + self.centre, local.faces)
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether `outline` is exact."""
+        return self.kind in ("box", "mesh")
+
+    @property
+    def reach(self) -> float:
+        """Radius of the bounding ball about the origin."""
+        if self.kind == "sphere":
+            return float(np.linalg.norm(self.centre)) + self.size[0]
+        if self.kind == "capsule":
+            half_axis = self.size[1] * self.rotation[:, 2]
+            ends = np.linalg.norm([self.centre - half_axis, self.centre + half_axis], axis=1)
+            return float(ends.max()) + self.size[0]
+        return float(np.linalg.norm(self.outline.vertices, axis=1).max())
+
+    @cached_property
+    def _search(self) -> TriangleSearch:
+        if self.shape is None:
+            raise InputError(f"a solid of kind {self.kind!r} must have a shape")
+        return TriangleSearch(self.shape)
+
+
+def ball(radius: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
+    """Make a ball."""
+    return Solid("sphere", (float(radius),), frozen(centre))
+
+
+def coarse_ball() -> Mesh:
+    """Make a mesh of a unit ball with few triangles, for drawing many balls."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, _COARSE_VERTICES // 2 + 1)
+    return revolved(np.column_stack([np.cos(angle), np.sin(angle)]), _COARSE_VERTICES)
+
+
+def capsule(radius: float, start: ArrayLike, end: ArrayLike) -> Solid:
+    """Make a capsule: all points within `radius` of the segment from `start` to `end`."""
+    first, last = frozen(start), frozen(end)
+    length = float(np.linalg.norm(last - first))
+    rotation = frozen(rotation_to((last - first) / length))
+    return Solid("capsule", (float(radius), length / 2), frozen((first + last) / 2), rotation)
+
+
+def cylinder(radius: float, half_length: float) -> Solid:
+    """Make a cylinder along the z axis, centred at the origin."""
+    return Solid("cylinder", (float(radius), float(half_length)))
+
+
+def box(half_edges: Sequence[float], centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
+    """Make a box aligned with the axes."""
+    x, y, z = half_edges
+    return Solid("box", (float(x), float(y), float(z)), frozen(centre))
+
+
+def mesh(vertices: ArrayLike, faces: ArrayLike) -> Solid:
+    """Make a solid from a closed triangle mesh.
+
+    Raises
+    ------
+    InputError
+        If the mesh is not closed, has no area, or has coordinates beyond `MAX_LENGTH`.
+    MissingExtraError
+        If trimesh is not installed.
+    """
+    if not np.abs(np.asarray(vertices)).max(initial=0) < MAX_LENGTH:
+        raise InputError(f"coordinates of the mesh must be finite and below {MAX_LENGTH:g}")
+    trimesh = import_extra("trimesh", "simulating a mesh", "simulation")
+    surface = trimesh.Trimesh(vertices, faces, process=True)
+    if not (len(surface.faces) and np.isfinite(surface.area) and surface.area > 0):
+        raise InputError("the mesh has no area; it must consist of triangles that enclose a body")
+    if not surface.is_watertight:
+        edges, counts = np.unique(surface.edges_sorted, axis=0, return_counts=True)
+        raise InputError(
+            f"the mesh is not closed: {int((counts != 2).sum())} of its {len(edges)} edges do not "
+            "belong to exactly two triangles; fill its holes, or give sensor positions without a "
+            "mesh"
+        )
+    surface.fix_normals(multibody=True)
+    return Solid("mesh", (), shape=Mesh(surface.vertices, surface.faces))
+
+
+def union_distance(solids: Sequence[Solid], points: ArrayLike) -> Points:
+    """Compute the signed distance of points from a union of solids.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Exact outside. Inside overlapping solids, a lower bound of the depth.
+    """
+    return np.asarray(np.min([solid.distance(points) for solid in solids], axis=0))
+
+
+def surface_normals(solids: Sequence[Solid], points: ArrayLike) -> Points:
+    """Compute the normalised gradient of the distance: the outward normal on the surface.
+
+    Parameters
+    ----------
+    solids : sequence of Solid
+    points : array_like of shape (n, 3)
+
+    Returns
+    -------
+    ndarray of shape (n, 3)
+        Unit vectors, by central differences.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    step = _GRADIENT_STEP * max(solid.reach for solid in solids)
+    shifted = np.stack([points + s * axis for axis in np.eye(3) for s in (step, -step)])
+    distances = union_distance(solids, shifted.reshape(-1, 3)).reshape(3, 2, -1)
+    gradient = (distances[:, 0] - distances[:, 1]).T
+    # The gradient can vanish on the medial axis, where any direction is valid.
+    gradient[~gradient.any(axis=1)] = [0, 0, 1]
+    return np.asarray(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
+
+
+def project(solids: Sequence[Solid], points: ArrayLike) -> Points:
+    """Project points along the normals onto the surface, shape (n, 3)."""
+    moved = np.array(points, dtype=np.float64)
+    for _ in range(_N_PROJECTIONS):
+        moved -= union_distance(solids, moved)[:, None] * surface_normals(solids, moved)
+    return moved
+
+
+def _ball_distance(points: Points, size: tuple[float, ...]) -> Points:
+    return np.asarray(np.linalg.norm(points, axis=1) - size[0])
+
+
+def _capsule_distance(points: Points, size: tuple[float, ...]) -> Points:
+    along = np.clip(points[:, 2], -size[1], size[1])
+    axis = np.column_stack([np.zeros((len(points), 2)), along])
+    return np.asarray(np.linalg.norm(points - axis, axis=1) - size[0])
+
+
+def _cylinder_distance(points: Points, size: tuple[float, ...]) -> Points:
+    beyond = np.column_stack(
+        [np.linalg.norm(points[:, :2], axis=1) - size[0], np.abs(points[:, 2]) - size[1]]
+    )
+    return _from_slabs(beyond)
+
+
+def _box_distance(points: Points, size: tuple[float, ...]) -> Points:
+    return _from_slabs(np.abs(points) - size)
+
+
+def _from_slabs(beyond: Points) -> Points:
+    """Combine the distances beyond faces that meet at right angles, shape (n, faces)."""
+    outside = np.linalg.norm(np.maximum(beyond, 0), axis=1)
+    return np.asarray(outside + np.minimum(beyond.max(axis=1), 0))
+
+
+_DISTANCES: Mapping[str, Callable[[Points, tuple[float, ...]], Points]] = MappingProxyType(
+    {
+        "sphere": _ball_distance,
+        "capsule": _capsule_distance,
+        "cylinder": _cylinder_distance,
+        "box": _box_distance,
+    }
+)
+
+
+def rotation_to(axis: Points) -> Points:
+    """Return a rotation matrix that maps z to a unit vector."""
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(helper, axis)
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(axis, first), axis])
+
+
+def _tessellated(kind: str, size: tuple[float, ...]) -> Mesh:
+    if kind == "box":
+        corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, 8).T
+        quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+        faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+        return Mesh(corners * np.array(size), np.array(faces))
+    return revolved(_profile(kind, size))
+
+
+def _profile(kind: str, size: tuple[float, ...]) -> Points:
+    """Return the outline (radius, height) of a solid of revolution, from the lower pole up."""
+    radius = size[0]
+    if kind == "cylinder":
+        return np.array([(0, -size[1]), (radius, -size[1]), (radius, size[1]), (0, size[1])])
+    quarter = np.linspace(-np.pi / 2, 0, _CIRCLE_VERTICES // 4 + 1)
+    lower = radius * np.column_stack([np.cos(quarter), np.sin(quarter)])
+    half_axis = size[1] if kind == "capsule" else 0.0
+    upper = lower[::-1] * [1, -1]
+    # The equator of a ball belongs to both halves; a capsule has two equators.
+    return np.vstack([lower - [0, half_axis], (upper if half_axis else upper[1:]) + [0, half_axis]])
+
+
+def revolved(profile: ArrayLike, n_around: int = _CIRCLE_VERTICES) -> Mesh:
+    """Revolve an outline about the z axis into a closed mesh.
+
+    Parameters
+    ----------
+    profile : array_like of shape (P, 2)
+        Radius and height. Only the first and the last point lie on the axis.
+    n_around : int
+        Vertices per circle.
+    """
+    outline = np.asarray(profile, dtype=np.float64)
+    angle = 2 * np.pi * np.arange(n_around) / n_around
+    circles = np.stack(
+        np.broadcast_arrays(
+            outline[1:-1, :1] * np.cos(angle), outline[1:-1, :1] * np.sin(angle), outline[1:-1, 1:]
+        ),
+        axis=-1,
+    )
+    n_circles = len(circles)
+    index = np.arange(n_circles * n_around).reshape(n_circles, n_around)
+    after = np.roll(index, -1, axis=1)
+    south, north = index.size, index.size + 1
+    faces = [
+        np.stack([np.full(n_around, south), after[0], index[0]], axis=1),
+        np.stack([index[:-1], after[:-1], after[1:]], axis=-1).reshape(-1, 3),
+        np.stack([index[:-1], after[1:], index[1:]], axis=-1).reshape(-1, 3),
+        np.stack([np.full(n_around, north), index[-1], after[-1]], axis=1),
+    ]
+    poles = [[0, 0, outline[0, 1]], [0, 0, outline[-1, 1]]]
+    return Mesh(np.vstack([circles.reshape(-1, 3), poles]), np.vstack(faces))
+
+
+Density = Callable[[Points], NDArray[np.float64] | NDArray[np.bool_]]
+
+_CANDIDATES_PER_SENSOR = 100  # more candidates barely make the spacing more even
+_MAX_ROUNDS = 50  # of rejection sampling
+_ROUNDING = 1e-9  # x reach
+
+
+def sample_surface(
+    solids: Sequence[Solid], n_points: int, rng: np.random.Generator
+) -> tuple[Points, Points]:
+    """Draw points uniformly from the surface of a union of solids.
+
+    Parameters
+    ----------
+    solids : sequence of Solid
+    n_points : int
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    points, normals : ndarray of shape (n_points, 3)
+        Points on the surface and outside all other solids, and unit normals there.
+
+    Raises
+    ------
+    InputError
+        If nearly all of the surface is inside other solids.
+    """
+    areas = np.array([_doubled_areas(solid.outline)[0].sum() for solid in solids])
+    inside = -_ROUNDING * max(solid.reach for solid in solids)
+    found: list[tuple[Points, Points]] = []
+    n_found = 0
+    for _ in range(_MAX_ROUNDS):
+        counts = rng.multinomial(n_points, areas / areas.sum())
+        drawn = [
+            _sample_solid(solid, int(count), rng)
+            for solid, count in zip(solids, counts, strict=True)
+            if count
+        ]
+        points, normals = (np.vstack(parts) for parts in zip(*drawn, strict=True))
+        if len(solids) > 1:
+            exposed = union_distance(solids, points) >= inside
+            points, normals = points[exposed], normals[exposed]
+        found.append((points, normals))
+        n_found += len(points)
+        if n_found >= n_points:
+            points, normals = (np.vstack(parts) for parts in zip(*found, strict=True))
+            chosen = rng.permutation(n_found)[:n_points]
+            return points[chosen], normals[chosen]
+    raise InputError(
+        "the solids have no exposed surface for sensors, since each lies inside another"
+    )
+
+
+def _sample_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tuple[Points, Points]:
+    """Draw points and normals from the surface of one solid."""
+    doubled, cross = _doubled_areas(solid.outline)
+    corners = solid.outline.vertices[solid.outline.faces]
+    chosen = rng.choice(len(corners), size=n_points, p=doubled / doubled.sum())
+    # The root makes points uniform on a triangle (Osada et al. 2002, doi:10.1145/571647.571648).
+    first, second = np.sqrt(rng.random(n_points)), rng.random(n_points)
+    weights = np.column_stack([1 - first, first * (1 - second), first * second])
+    points = np.einsum("nc,ncd->nd", weights, corners[chosen])
+    if solid.is_flat:
+        return points, cross[chosen] / doubled[chosen, None]
+    points = project([solid], points)
+    return points, surface_normals([solid], points)
+
+
+def _doubled_areas(mesh: Mesh) -> tuple[NDArray[np.float64], Points]:
+    """Return twice the area of each triangle, and its outward normal with that length."""
+    corners = mesh.vertices[mesh.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.linalg.norm(cross, axis=1), np.asarray(cross)
+
+
+def spread(
+    solids: Sequence[Solid],
+    n_sensors: int,
+    rng: np.random.Generator,
+    density: Density | None = None,
+) -> tuple[Points, Points]:
+    """Spread sensors evenly over the surface of solids: a maximal Poisson-disc sample.
+
+    Parameters
+    ----------
+    solids : sequence of Solid
+    n_sensors : int
+    rng : numpy.random.Generator
+    density : callable, optional
+        Function of points (n, 3) that returns the relative density of sensors (n,), at least 0; no
+        sensors are placed where it is 0 or False. Default: uniform.
+
+    Returns
+    -------
+    points, normals : ndarray of shape (n_sensors, 3)
+        Chosen from random candidates by farthest-point sampling (Gonzalez 1985,
+        doi:10.1016/0304-3975(85)90224-5), so that no two are closer than the covering radius.
+
+    Raises
+    ------
+    InputError
+        If there is no surface, or hardly any, with positive density.
+    """
+    points, normals = sample_surface(solids, _CANDIDATES_PER_SENSOR * n_sensors, rng)
+    weight = np.ones(len(points)) if density is None else density(points)
+    stretch = np.sqrt(np.asarray(weight, dtype=np.float64))
+    points, normals, stretch = points[stretch > 0], normals[stretch > 0], stretch[stretch > 0]
+    if len(points) < n_sensors:
+        raise InputError(f"the surface with positive density is too small for {n_sensors} sensors")
+    chosen = np.empty(n_sensors, dtype=np.intp)
+    nearest = np.full(len(points), np.inf)
+    chosen[0] = 0
+    for i in range(1, n_sensors):
+        distances = np.linalg.norm(points - points[chosen[i - 1]], axis=1)
+        np.minimum(nearest, distances, out=nearest)
+        chosen[i] = np.argmax(stretch * nearest)
+    return points[chosen], normals[chosen]

@@ -1,0 +1,496 @@
+"""Paths of strokes over the skin: lines and circles in changing directions.
+
+All stimuli guided by hand (a palm, a roller, a fingertip) follow such a path. Pressure varies
+slowly, and some strokes end with the stimulus lifted off and set down elsewhere. Parameters without
+a source were chosen by hand.
+
+Placement of a stimulus in contact with a body.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anisomap.errors import InputError
+from anisomap.simulation.bodies.body import ON_SURFACE, Body, nearest_neighbours
+from anisomap.simulation.options import REACH, ScenarioOptions, between, positive
+from anisomap.simulation.solids import Points, Solid, sample_surface
+
+_N_SAMPLES = 4000
+_MIN_FACING = 0.5  # cosine between the normals of a surface point and of its nearest sensor
+_MAX_HOLE = 4.0  # x median gap between surface points: larger than any gap of a random sample
+_MAX_STEP = 0.02  # x reach
+_MIN_TARGET_DISTANCE = 0.2  # x stroke length
+_AIM_SPREAD = 0.3  # standard deviation of the direction of a stroke, in rad
+_MAX_FAILURES = 3  # strokes in a row that leave the skin at once
+_MIN_SLOPE = 0.1  # sine of the angle between heading and normal; smaller at steep walls
+_LINE_LENGTH = (0.5, 1.5)  # x stroke length
+_CIRCLE_RADIUS = (0.15, 0.35)  # x stroke length
+_CIRCLE_TURNS = (1.0, 2.0)
+_PRESSURE_PERIOD = 0.5  # seconds between independent pressures
+_LIFT_PROFILE = np.array([1, 2, 3]) / 3
+
+
+@dataclass(frozen=True)
+class StrokeOptions(ScenarioOptions):
+    """Options of strokes. Defaults are for the paper's sphere.
+
+    They scale with the body, see `anisomap.simulation.options`.
+
+    Parameters
+    ----------
+    speed : float
+        Speed along the skin, in m/s. 2: once around the sphere in 3 s, as a hand that rubs a ball
+        or a patch of its own size.
+    stroke_length : float
+        Mean length of a stroke, in m; lengths vary from 0.5 to 1.5 times the mean. 1.2: about
+        three sensor spacings of the sphere, or most of the width of a patch.
+    circle_share : float
+        Share of strokes that are circles, from 0 to 1. 0.4: the paper's experimenters made lines
+        and circles.
+    lift_share : float
+        Share of strokes after which the stimulus is set down elsewhere, from 0 to 1. 0.25: so that
+        parts of the skin that no stroke leads to are reached.
+    press_depth : float
+        Largest depth to which the stimulus presses into the skin, in m. Depth varies between 0 and
+        this within half a second. 0.1: as for silicone a few millimetres thick on a patch of a few
+        centimetres.
+    frame_interval : float
+        Time between frames, in s. 0.05: the stimulus moves by a quarter of the sensor spacing of
+        the sphere.
+
+    Raises
+    ------
+    InputError
+        If a length, the speed or the interval is not positive, a share is not in [0, 1], or a
+        stroke is shorter than a frame.
+    """
+
+    speed: float = positive(2.0, "m/s", REACH)
+    stroke_length: float = positive(1.2, "m", REACH)
+    circle_share: float = between(0.4, 0, 1)
+    lift_share: float = between(0.25, 0, 1)
+    press_depth: float = positive(0.1, "m", REACH)
+    frame_interval: float = positive(0.05, "s")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        fastest = self.stroke_length / self.frame_interval
+        if self.speed * self.frame_interval > self.stroke_length:
+            raise InputError(
+                f"speed must be at most stroke_length / frame_interval ({fastest:g} m/s), "
+                f"got {self.speed:g} m/s"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSample:
+    """Dense sample of the surface of a body.
+
+    Attributes
+    ----------
+    points, normals : ndarray of shape (P, 3)
+        The sensors, then points of the whole surface.
+    skin : ndarray of int, shape (Q,)
+        Indices of the points that belong to the skin: no further from their nearest sensor than
+        its neighbours are, and with a similar normal.
+    """
+
+    points: Points
+    normals: Points
+    skin: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class StrokePath:
+    """A path over the skin.
+
+    Attributes
+    ----------
+    points, normals, headings : ndarray of shape (T, 3)
+        Position on the surface in each frame, the unit normal there, and the unit direction of
+        motion.
+    lifts : ndarray of shape (T,)
+        Height above the skin, from 0 (in contact) to 1. At 1, the position jumps between frames.
+    presses : ndarray of shape (T,)
+        Pressure from 0 to 1, continuous in time.
+    n_strokes : int
+    """
+
+    points: Points
+    normals: Points
+    headings: Points
+    lifts: NDArray[np.float64]
+    presses: NDArray[np.float64]
+    n_strokes: int
+
+    def orientations(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return orientations that do not follow the headings of strokes.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (T,)
+            Rotation about the normal, in rad.
+
+        Returns
+        -------
+        ndarray of shape (T, 3, 3)
+            Columns are x, y and z axes. z is the normal; x is carried along the path by parallel
+            transport and rotated by `angles`.
+        """
+        x_axes = np.empty_like(self.points)
+        carried = self.headings[0]
+        for t, normal in enumerate(self.normals):
+            x_axes[t] = carried = tangent(carried, normal)
+        x_axes = rotate_about(x_axes, self.normals, angles[:, None])
+        return np.stack([x_axes, np.cross(self.normals, x_axes), self.normals], axis=-1)
+
+
+def sample_skin(body: Body, rng: np.random.Generator) -> SurfaceSample:
+    """Sample the surface of a body and find the part that is covered by sensors."""
+    drawn, outward = sample_surface(body.solids, _N_SAMPLES, rng)
+    points, normals = np.vstack([body.positions, drawn]), np.vstack([body.normals, outward])
+    distance, sensor = map(np.asarray, KDTree(body.positions).query(points))
+    radius = np.full(body.n_sensors, body.spacing)
+    if body.n_sensors > 1:
+        radius = np.maximum(radius, nearest_neighbours(body.positions, 1)[0][:, 0])
+    facing = np.einsum("pd,pd->p", normals, body.normals[sensor])
+    skin = np.flatnonzero((distance <= radius[sensor]) & (facing > _MIN_FACING))
+    return SurfaceSample(points, normals, skin)
+
+
+def draw_strokes(
+    body: Body,
+    sample: SurfaceSample,
+    n_frames: int,
+    options: StrokeOptions,
+    rng: np.random.Generator,
+    *,
+    visits: NDArray[np.float64] | None = None,
+) -> StrokePath:
+    """Draw strokes over the skin of a body, towards the least visited sensors.
+
+    Parameters
+    ----------
+    body : Body
+    sample : SurfaceSample
+        Of the same body.
+    n_frames : int
+    options : StrokeOptions
+    rng : numpy.random.Generator
+    visits : ndarray of shape (N,), optional
+        Visits of each sensor before; 0 by default.
+
+    Returns
+    -------
+    StrokePath
+    """
+    walk = _Walk(body, sample, options)
+    if visits is not None:
+        walk.visits += visits
+    state = _set_down(walk, rng)
+    frames: list[Points] = []
+    lifts: list[NDArray[np.float64]] = []
+    n_done = n_strokes = failures = 0
+    while n_done < n_frames:
+        stroke = _draw_stroke(walk, state, n_frames - n_done, rng)
+        n_strokes += bool(len(stroke))
+        failures = 0 if len(stroke) else failures + 1
+        parts, heights = [stroke], [np.zeros(len(stroke))]
+        if len(stroke):
+            state = stroke[-1]
+            walk.count_visits(stroke[:, 0])
+        if failures == _MAX_FAILURES or rng.random() < options.lift_share:
+            landing = _set_down(walk, rng)
+            parts += [np.repeat(end[None], len(_LIFT_PROFILE), axis=0) for end in (state, landing)]
+            heights += [_LIFT_PROFILE, _LIFT_PROFILE[::-1]]
+            state, failures = landing, 0
+        frames += parts
+        lifts += heights
+        n_done += sum(len(part) for part in parts)
+    return _project_path(
+        body,
+        np.concatenate(frames)[:n_frames],
+        np.concatenate(lifts)[:n_frames],
+        smooth_random(n_frames, _PRESSURE_PERIOD / options.frame_interval, rng),
+        n_strokes,
+    )
+
+
+def smooth_random(n_frames: int, period: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw uniform values in [0, 1], one per `period` frames, with cosine interpolation; (T,)."""
+    time = np.arange(n_frames) / period
+    drawn = rng.random(int(time[-1]) + 2)
+    before = time.astype(np.intp)
+    share = (1 - np.cos(np.pi * (time - before))) / 2
+    return np.asarray(drawn[before] * (1 - share) + drawn[before + 1] * share)
+
+
+class _Walk:
+    """Skin and visit counts of a walk. Its state is (point, heading, normal), shape (3, 3)."""
+
+    def __init__(self, body: Body, sample: SurfaceSample, options: StrokeOptions) -> None:
+        self.options = options
+        self.stride = options.speed * options.frame_interval
+        self.n_steps = max(1, math.ceil(self.stride / (_MAX_STEP * body.reach)))
+        self.sensors, self.sensor_normals = body.positions, body.normals
+        self.visits = np.zeros(body.n_sensors)
+        self._sensor_tree = KDTree(body.positions)
+        self._points, self._normals = sample.points[sample.skin], sample.normals[sample.skin]
+        self._point_tree = KDTree(self._points)
+        gaps = nearest_neighbours(self._points, 1)[0] if len(self._points) > 1 else [[body.reach]]
+        self._max_distance = _MAX_HOLE * float(np.median(gaps)) + self.stride / self.n_steps
+
+    def count_visits(self, points: Points) -> None:
+        """Count a visit of the sensor nearest to each point."""
+        nearest = np.asarray(self._sensor_tree.query(points)[1])
+        self.visits += np.bincount(nearest, minlength=len(self.visits))
+
+    def step(self, state: Points, turn: float) -> Points | None:
+        """Take one step; return None if it leaves the skin."""
+        point, heading, normal = state
+        if turn:
+            heading = rotate_about(heading, normal, turn)
+        point = point + self.stride / self.n_steps * heading
+        distance, nearest = self._point_tree.query(point)
+        if distance > self._max_distance:
+            return None
+        normal = self._normals[nearest]
+        across = heading - (heading @ normal) * normal
+        length = math.sqrt(across @ across)
+        if length < _MIN_SLOPE:
+            return None
+        height = (point - self._points[nearest]) @ normal
+        return np.array([point - height * normal, across / length, normal])
+
+
+def _set_down(walk: _Walk, rng: np.random.Generator) -> Points:
+    """Start at the least visited sensor, in a random direction."""
+    sensor = int(np.argmin(walk.visits + rng.random(len(walk.visits))))
+    normal = walk.sensor_normals[sensor]
+    return np.array([walk.sensors[sensor], tangent(rng.standard_normal(3), normal), normal])
+
+
+def _draw_stroke(walk: _Walk, state: Points, max_frames: int, rng: np.random.Generator) -> Points:
+    """Draw one stroke, which ends early if it leaves the skin; (<= max_frames, 3, 3)."""
+    length, stride = walk.options.stroke_length, walk.stride
+    if rng.random() < walk.options.circle_share:
+        radius = length * rng.uniform(*_CIRCLE_RADIUS)
+        n_frames = math.ceil(2 * np.pi * radius * rng.uniform(*_CIRCLE_TURNS) / stride)
+        turn = rng.choice([-1, 1]) * stride / radius / walk.n_steps
+    else:
+        n_frames, turn = math.ceil(length * rng.uniform(*_LINE_LENGTH) / stride), 0.0
+        state = np.array([state[0], _aim(walk, state, rng), state[2]])
+    frames: list[Points] = []
+    for _ in range(min(n_frames, max_frames)):
+        for _ in range(walk.n_steps):
+            following = walk.step(state, turn)
+            if following is None:
+                return np.array(frames).reshape(-1, 3, 3)
+            state = following
+        frames.append(state)
+    return np.array(frames)
+
+
+def _aim(walk: _Walk, state: Points, rng: np.random.Generator) -> Points:
+    """Draw a direction, roughly towards the least visited sensor within a stroke; (3,)."""
+    point, _, normal = state
+    length = walk.options.stroke_length
+    distance = np.linalg.norm(walk.sensors - point, axis=1)
+    candidates = np.flatnonzero(
+        (distance > _MIN_TARGET_DISTANCE * length) & (distance < _LINE_LENGTH[1] * length)
+    )
+    if not candidates.size:
+        return tangent(rng.standard_normal(3), normal)
+    chosen = candidates[np.argmin(walk.visits[candidates] + rng.random(candidates.size))]
+    aimed = tangent(walk.sensors[chosen] - point, normal)
+    return rotate_about(aimed, normal, _AIM_SPREAD * rng.standard_normal())
+
+
+def tangent(directions: Points, normals: Points) -> Points:
+    """Project directions onto tangent planes and normalise them; both of shape (..., 3)."""
+    across = directions - np.sum(directions * normals, axis=-1, keepdims=True) * normals
+    length = np.linalg.norm(across, axis=-1, keepdims=True)
+    # Directions along the normal have no projection; any tangent is valid.
+    fallback = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=-1)])
+    fallback = fallback / np.linalg.norm(fallback, axis=-1, keepdims=True)
+    return np.asarray(np.where(length > 1e-9, across / np.maximum(length, 1e-9), fallback))
+
+
+def rotate_about(
+    tangents: Points, normals: Points, angle: float | NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Rotate tangents about normals, both of shape (..., 3), by angles in rad."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.asarray(cosine * tangents + sine * np.cross(normals, tangents))
+
+
+def _project_path(
+    body: Body,
+    frames: Points,
+    lifts: NDArray[np.float64],
+    presses: NDArray[np.float64],
+    n_strokes: int,
+) -> StrokePath:
+    """Move a path from the sampled points to the exact surface."""
+    # One step along the gradient of the distance is exact, except near edges between solids.
+    points = frames[:, 0]
+    normals = body.normals_at(points)
+    points = points - body.distance(points)[:, None] * normals
+    off = np.abs(body.distance(points)) > ON_SURFACE * body.reach
+    if off.any():
+        points[off] = body.project(points[off])
+        normals[off] = body.normals_at(points[off])
+    headings = tangent(frames[:, 1], normals)
+    return StrokePath(points, normals, headings, lifts, presses, n_strokes)
+
+
+_TOLERANCE = 1e-9  # x radius
+_N_AXIS_POINTS = 9
+
+LIFT_HEIGHT = 1.5
+"""Height of a lifted stimulus, x detection radius: out of range of all sensors."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cluster:
+    """Balls or capsules that move together.
+
+    Attributes
+    ----------
+    offsets : ndarray of shape (T, B, 3)
+        Position of each ball or capsule relative to the middle of the cluster, in each frame.
+    radii : ndarray of shape (B,)
+    axes : ndarray of shape (T, B, 3), optional
+        From the middle of each capsule to one end of its segment, perpendicular to the normals of
+        the path. None for balls.
+    """
+
+    offsets: Points
+    radii: NDArray[np.float64]
+    axes: Points | None = None
+
+    def placed(self, path: StrokePath, heights: NDArray[np.float64]) -> Points:
+        """Return the middle of each ball or capsule at heights (T,) above a path; (T, B, 3)."""
+        middle = path.points + heights[:, None] * path.normals
+        return np.asarray(middle[:, None] + self.offsets)
+
+
+def settle(
+    body: Body,
+    sample: SurfaceSample,
+    path: StrokePath,
+    cluster: Cluster,
+    depths: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Lower a cluster along the normals of a path until it is in contact with the body.
+
+    Parameters
+    ----------
+    body : Body
+    sample : SurfaceSample
+        Of the same body.
+    path : StrokePath
+        On the same body.
+    cluster : Cluster
+    depths : ndarray of shape (T,)
+        Depth of the deepest ball or capsule in the body, less than each radius.
+
+    Returns
+    -------
+    ndarray of shape (T,)
+        Height of the middle of the cluster above the path, along the normal: the lowest at which
+        nothing is deeper in the body than `depths`. Contact is found with the sampled surface of
+        the whole body, then corrected by exact distances (for capsules, at points along the axis).
+    """
+    surface = KDTree(sample.points)
+    extents = np.linalg.norm(cluster.offsets, axis=2)
+    if cluster.axes is not None:
+        extents += np.linalg.norm(cluster.axes, axis=2)
+    extents = (extents + cluster.radii).max(axis=1)
+    lowest = (cluster.radii - np.einsum("tbd,td->tb", cluster.offsets, path.normals)).min(axis=1)
+    heights = np.asarray(lowest - depths, dtype=np.float64)
+    for t, (point, normal) in enumerate(zip(path.points, path.normals, strict=True)):
+        rise, may_sink = np.inf, True
+        while may_sink or rise > _TOLERANCE * extents[t]:
+            middle = point + heights[t] * normal
+            near = surface.query_ball_point(middle, extents[t])
+            around = np.vstack([sample.points[near], point]) - middle
+            rise = _required_rise(cluster, t, around, normal, depths[t])
+            heights[t] += rise if may_sink else max(rise, 0.0)
+            may_sink = False
+    return heights + _excess_depth(body, path, cluster, heights, depths)
+
+
+def _excess_depth(
+    body: Body,
+    path: StrokePath,
+    cluster: Cluster,
+    heights: NDArray[np.float64],
+    depths: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the depth beyond `depths` by exact distances; shape (T,)."""
+    points = cluster.placed(path, heights)[:, :, None]
+    if cluster.axes is not None:
+        points = points + np.linspace(-1, 1, _N_AXIS_POINTS)[:, None] * cluster.axes[:, :, None]
+    clear = body.distance(points.reshape(-1, 3)).reshape(points.shape[:3]).min(axis=2)
+    return np.asarray(np.maximum((cluster.radii - clear).max(axis=1) - depths, 0))
+
+
+def _required_rise(
+    cluster: Cluster, frame: int, points: Points, normal: Points, depth: float
+) -> float:
+    """Return the rise at which a cluster rests on points given relative to its middle."""
+    from_middle = points[:, None] - cluster.offsets[frame]
+    up = from_middle @ normal
+    across = from_middle - up[..., None] * normal
+    if cluster.axes is not None:
+        across -= _nearest_on_axes(across, cluster.axes[frame])
+    squared = (cluster.radii - depth) ** 2 - np.einsum("sbd,sbd->sb", across, across)
+    half = np.sqrt(np.maximum(squared, 0))
+    tops = (up + half)[up < half - _TOLERANCE * cluster.radii]
+    return float(tops.max()) if tops.size else 0.0
+
+
+def _nearest_on_axes(points: Points, axes: Points) -> Points:
+    along = np.einsum("sbd,bd->sb", points, axes) / np.einsum("bd,bd->b", axes, axes)
+    return np.asarray(np.clip(along, -1, 1)[..., None] * axes)
+
+
+def support(solids: Sequence[Solid], directions: Points) -> NDArray[np.float64]:
+    """Evaluate the support function of a union of solids.
+
+    Parameters
+    ----------
+    solids : sequence of Solid
+    directions : ndarray of shape (T, 3)
+        Unit vectors.
+
+    Returns
+    -------
+    ndarray of shape (T,)
+        Maximum of ``x @ direction`` over all points ``x`` of the solids; exact for all kinds.
+    """
+    return np.asarray(np.max([_support_of_one(solid, directions) for solid in solids], axis=0))
+
+
+def _support_of_one(solid: Solid, directions: Points) -> NDArray[np.float64]:
+    middle = directions @ solid.centre
+    local = directions @ solid.rotation
+    size = solid.size
+    if solid.kind == "mesh":
+        return np.asarray((directions @ solid.outline.vertices.T).max(axis=1))
+    if solid.kind == "box":
+        return np.asarray(middle + np.abs(local) @ np.array(size))
+    if solid.kind == "sphere":
+        return np.asarray(middle + size[0])
+    ends = middle + size[1] * np.abs(local[:, 2])
+    if solid.kind == "capsule":
+        return np.asarray(ends + size[0])
+    return np.asarray(ends + size[0] * np.hypot(local[:, 0], local[:, 1]))
