@@ -282,15 +282,7 @@ class Comparison:
 
 
 def check_methods(methods: Sequence[str]) -> None:
-    """Check that methods exist and are installed.
-
-    Raises
-    ------
-    InputError
-        If a method is unknown; the message lists all names.
-    MissingExtraError
-        If the library of a stock method is not installed.
-    """
+    """Check that methods exist and are installed."""
     for name in methods:
         if name not in METHODS and name not in RIVALS:
             raise InputError(

@@ -45,14 +45,8 @@ _LINE = "the sensors appear to lie along a line: to map them along it, choose 1 
 class DimensionPlan:
     """The number of dimensions of a map, and why.
 
-    Attributes
-    ----------
-    dimensions : int
-    requested : int or "auto"
-    choice : DimensionChoice, optional
-        What the metric shows, if it was examined.
-    elongated : bool
-        Whether contacts appear elongated, so that the metric does not show the dimensions.
+    choice: What the metric shows, if it was examined.
+    elongated: Whether contacts appear elongated, so that the metric does not show the dimensions.
     """
 
     dimensions: int
@@ -113,19 +107,7 @@ def plan_dimensions(
 ) -> DimensionPlan:
     """Choose the number of dimensions of a map, or examine the given number.
 
-    Parameters
-    ----------
-    dimensions : int or "auto"
-    metric : ndarray of shape (n, n), optional
-        Infinite between components. Without it, the number of dimensions is not clear.
-    weights : ndarray of shape (n, n), optional
-        Weights of the distances; 0 marks an unknown pair.
-    examine : bool
-        Whether to examine three dimensions that are given: flat skins curl in them.
-
-    Returns
-    -------
-    DimensionPlan
+    metric (n, n), weights (n, n).
     """
     if dimensions == AUTO:
         choice = DimensionChoice() if metric is None else choose_dimensions(metric, weights)
@@ -137,13 +119,7 @@ def plan_dimensions(
 
 
 def check_dimensions(dimensions: Dimensions) -> None:
-    """Check a number of dimensions.
-
-    Raises
-    ------
-    InputError
-        If it is neither ``"auto"`` nor a whole number of at least 1.
-    """
+    """Check a number of dimensions."""
     if isinstance(dimensions, str) and dimensions == AUTO:
         return
     if not isinstance(dimensions, int | np.integer) or dimensions < 1:

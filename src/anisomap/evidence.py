@@ -46,16 +46,10 @@ _ROUNDING = 1e-6  # by which a computed correlation may exceed 1
 class Similarity:
     """A pairwise statistic.
 
-    Attributes
-    ----------
-    summary : str
-    compute : callable
-        ``compute(readings, bins)`` returns the similarity, shape (n, n).
-    scores : callable, optional
-        ``scores(readings)`` returns the values, shape (T, n), whose linear correlation the
+    compute: ``compute(readings, bins)`` returns the similarity, shape (n, n).
+    scores: ``scores(readings)`` returns the values, shape (T, n), whose linear correlation the
         similarity is; its sampling variance is theirs. The readings by default.
-    blend : callable, optional
-        ``blend(readings)`` returns the similarity, its sampling variance and what it was blended
+    blend: ``blend(readings)`` returns the similarity, its sampling variance and what it was blended
         from, if it is not the correlation of any scores.
     """
 
@@ -307,24 +301,7 @@ class PairStatistics:
 def compare(
     runs: Sequence[Recording], similarity: str, *, bins: int, with_noise: bool
 ) -> PairStatistics:
-    """Compute the similarity S of all pairs of sensors.
-
-    Parameters
-    ----------
-    runs : sequence of Recording
-        Complete recordings of the sensors to compare. If some lack sensors, each pair is compared
-        over the runs that contain both of its sensors; sensors are then in order of appearance.
-    similarity : str
-        A key of `SIMILARITIES`.
-    bins : int
-        Bins per sensor, for entropies.
-    with_noise : bool
-        Whether to estimate the sampling variance, for correlations; otherwise it is NaN or 1.
-
-    Returns
-    -------
-    PairStatistics
-    """
+    """Compute the similarity S of all pairs of sensors."""
     logger.info("comparing all pairs of sensors (%s)", similarity)
     statistic = SIMILARITIES[similarity]
 

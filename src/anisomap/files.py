@@ -23,35 +23,12 @@ def check_regular(path: str | os.PathLike[str]) -> None:
     """Check that a path that a library opens is a regular file.
 
     Opening a pipe waits for its writer, and some devices never end.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Raises
-    ------
-    FileError
-        If `path` is anything else, or does not exist.
     """
     open_regular(path).close()
 
 
 def open_regular(path: str | os.PathLike[str]) -> io.BufferedReader:
-    """Open a regular file as bytes, without waiting for pipes.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    io.BufferedReader
-
-    Raises
-    ------
-    FileError
-        If `path` is a folder, a pipe, a device or a socket, or cannot be opened.
-    """
+    """Open a regular file as bytes, without waiting for pipes."""
     # Flags that not all systems have: do not wait for the writer of a pipe; keep line ends.
     flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
@@ -71,25 +48,7 @@ def open_regular(path: str | os.PathLike[str]) -> io.BufferedReader:
 
 
 def read_small(path: str | os.PathLike[str], limit: int, what: str) -> str:
-    """Read a small text file.
-
-    Parameters
-    ----------
-    path : path-like
-    limit : int
-        Maximum size in bytes.
-    what : str
-        The content, for messages, such as ``"a message definition"``.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read, is larger than `limit`, or is not UTF-8.
-    """
+    """Read a small text file."""
     try:
         with open_regular(path) as stream:
             content = stream.read(limit + 1)
@@ -104,23 +63,7 @@ def read_small(path: str | os.PathLike[str], limit: int, what: str) -> str:
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:
-    """Check that a file could be written at a path.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    pathlib.Path
-        The same path.
-
-    Raises
-    ------
-    FileError
-        If `path` is a folder, a pipe or a device, which a new file would replace, or its parent
-        folder is missing.
-    """
+    """Check that a file could be written at a path."""
     target = Path(path)
     try:
         if target.is_dir():
@@ -137,17 +80,7 @@ def check_target(path: str | os.PathLike[str]) -> Path:
 def check_distinct(
     outputs: Iterable[str | os.PathLike[str]], inputs: Iterable[str | os.PathLike[str]]
 ) -> None:
-    """Check that no output would overwrite an input or another output.
-
-    Parameters
-    ----------
-    outputs, inputs : iterable of path-like
-
-    Raises
-    ------
-    FileError
-        If a file is written twice, or both read and written.
-    """
+    """Check that no output would overwrite an input or another output."""
     read = {_real(path) for path in inputs}
     written: set[Path] = set()
     for path in outputs:
@@ -169,24 +102,7 @@ def _real(path: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Provide a temporary file that replaces `path` if the block ends without an error.
-
-    Parameters
-    ----------
-    path : path-like
-        Final path of the file, in an existing folder. A link is followed.
-
-    Yields
-    ------
-    pathlib.Path
-        A temporary file in the same folder with the same suffix, since some writers choose the
-        format by the suffix.
-
-    Raises
-    ------
-    FileError
-        If the folder is missing, `path` is a folder, or the file cannot be written.
-    """
+    """Provide a temporary file that replaces `path` if the block ends without an error."""
     target = check_target(path)
     # Named before it is created, so that an interruption in between leaves nothing.
     mark = os.urandom(_MARK_BYTES).hex()
@@ -207,11 +123,6 @@ def without_log(name: str) -> Iterator[None]:
     """Keep the messages of a library from stderr, where logging prints them without a handler.
 
     Handlers that an application has set up receive them all the same.
-
-    Parameters
-    ----------
-    name : str
-        Name of the logger, such as ``"PIL"``.
     """
     handler = logging.NullHandler()
     logger = logging.getLogger(name)

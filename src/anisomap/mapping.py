@@ -27,12 +27,7 @@ from anisomap.scaling import Configuration, configure
 class Stages:
     """The stages of a map.
 
-    Attributes
-    ----------
-    pairs : PairStatistics
-        Of the n mapped sensors.
-    configuration : Configuration
-    plan : DimensionPlan
+    pairs: Of the n mapped sensors.
     """
 
     pairs: PairStatistics
@@ -43,20 +38,7 @@ class Stages:
 def compute_stages(
     runs: Sequence[Recording], recipe: Method, dimensions: Dimensions, options: MethodOptions
 ) -> Stages:
-    """Compute the configuration of all sensors of some recordings.
-
-    Parameters
-    ----------
-    runs : sequence of Recording
-        Complete; every sensor varies.
-    recipe : Method
-    dimensions : int or "auto"
-    options : MethodOptions
-
-    Returns
-    -------
-    Stages
-    """
+    """Compute the configuration of all sensors of some recordings."""
     refined = bool(recipe.refinements)
     with limited_blas(max(run.n_sensors for run in runs)):
         pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=refined)
@@ -74,20 +56,7 @@ def compute_stages(
 def configure_pairs(
     pairs: PairStatistics, recipe: Method, dimensions: int, options: MethodOptions
 ) -> Configuration:
-    """Compute the configuration of sensors of which all pairs were compared.
-
-    Parameters
-    ----------
-    pairs : PairStatistics
-    recipe : Method
-    dimensions : int
-        It is not examined whether the readings show another number.
-    options : MethodOptions
-
-    Returns
-    -------
-    Configuration
-    """
+    """Compute the configuration of sensors of which all pairs were compared."""
     with limited_blas(len(pairs.similarity)):
         metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
         plan = plan_dimensions(dimensions, None)

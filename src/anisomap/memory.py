@@ -35,19 +35,7 @@ def physical_memory() -> int | None:
 
 
 def check_pair_memory(n_sensors: int, *, refined: bool) -> None:
-    """Check that the matrices of all pairs of sensors fit into memory.
-
-    Parameters
-    ----------
-    n_sensors : int
-    refined : bool
-        Whether the method refines the map after scaling.
-
-    Raises
-    ------
-    InputError
-        If a map takes more memory than the machine has.
-    """
+    """Check that the matrices of all pairs of sensors fit into memory."""
     matrices = MATRICES_OF_REFINED if refined else MATRICES
     needed = matrices * n_sensors**2 * np.dtype(float_type(n_sensors)).itemsize
     check_memory(
@@ -58,18 +46,7 @@ def check_pair_memory(n_sensors: int, *, refined: bool) -> None:
 
 
 def check_worker_memory(n_sensors: int, n_workers: int) -> None:
-    """Check that the unmerged results of parallel workers fit into memory.
-
-    Parameters
-    ----------
-    n_sensors : int
-    n_workers : int
-
-    Raises
-    ------
-    InputError
-        If the results take more memory than the machine has.
-    """
+    """Check that the unmerged results of parallel workers fit into memory."""
     if n_workers > 1:
         # In float64: two results per worker, and the total, the next result and their sum.
         check_memory(
@@ -80,22 +57,7 @@ def check_worker_memory(n_sensors: int, n_workers: int) -> None:
 
 
 def check_memory(needed: float, purpose: str, remedy: str) -> None:
-    """Check that a computation fits into memory.
-
-    Parameters
-    ----------
-    needed : float
-        Bytes needed.
-    purpose : str
-        Subject of the message, such as ``"a map of 9 sensors"``.
-    remedy : str
-        End of the message, such as ``"use fewer workers"``.
-
-    Raises
-    ------
-    InputError
-        If the machine has less.
-    """
+    """Check that a computation fits into memory."""
     available = physical_memory()
     if available is not None and needed > available:
         raise InputError(
@@ -131,10 +93,7 @@ _READING_BYTES = np.dtype(np.float32).itemsize
 class Budget:
     """The bytes that a file, or all files of a folder, may unpack to.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file or folder, whose size on disk determines the limit.
+    path: The file or folder, whose size on disk determines the limit.
     """
 
     def __init__(self, path: Path) -> None:
@@ -145,22 +104,7 @@ class Budget:
         self._spent = 0
 
     def check(self, n_bytes: float, what: str, *, reachable: float = np.inf) -> None:
-        """Reject content before it is unpacked.
-
-        Parameters
-        ----------
-        n_bytes : int
-            Declared size.
-        what : str
-            The content, for messages.
-        reachable : float
-            Largest size that its compressed bytes can unpack to.
-
-        Raises
-        ------
-        FileError
-            If the size exceeds the limit, or what is reachable.
-        """
+        """Reject content before it is unpacked."""
         if n_bytes > min(self.limit, reachable):
             shown = min(n_bytes, _MOST_SHOWN)
             raise FileError(
@@ -170,31 +114,11 @@ class Budget:
             )
 
     def check_readings(self, n_frames: int, n_sensors: int, n_bytes: int, what: str) -> None:
-        """Reject readings that would take too much memory, with names and positions of sensors.
-
-        Parameters
-        ----------
-        n_frames, n_sensors : int
-        n_bytes : int
-            Bytes per reading in memory: see `bytes_kept`.
-        what : str
-            The content, for messages.
-
-        Raises
-        ------
-        FileError
-            See `check`.
-        """
+        """Reject readings that would take too much memory, with names and positions of sensors."""
         self.check(n_sensors * (n_frames * n_bytes + SENSOR_BYTES), what)
 
     def spend(self, n_bytes: int, what: str) -> None:
-        """Count unpacked bytes that are kept.
-
-        Raises
-        ------
-        FileError
-            If all bytes counted so far exceed the limit.
-        """
+        """Count unpacked bytes that are kept."""
         self._spent += n_bytes
         self.check(self._spent, what)
 

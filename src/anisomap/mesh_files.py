@@ -24,22 +24,7 @@ _ITEM_BYTES = 64  # largest item of an accessor: 16 floating-point numbers
 def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Read a mesh without its materials, which may be in other files.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The suffix determines the format.
-
-    Returns
-    -------
-    vertices : ndarray of shape (V, 3)
-    faces : ndarray of int, shape (F, 3)
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read, or is not such a mesh.
-    MissingExtraError
-        If trimesh is not installed.
+    Returns vertices (V, 3), faces.
     """
     trimesh = import_extra("trimesh", "reading a mesh", "simulation")
     suffix = path.suffix.lower()

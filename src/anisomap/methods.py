@@ -196,20 +196,7 @@ def examined_metric(
 ) -> Reals | None:
     """Return the metric from which the number of dimensions can be chosen.
 
-    Parameters
-    ----------
-    recipe : Method
-    pairs : PairStatistics, optional
-        The similarity, if the map starts from one.
-    metric : ndarray of shape (n, n)
-        That of the method.
-    options : MethodOptions
-
-    Returns
-    -------
-    ndarray of shape (n, n), optional
-        The metric of the default method, for which the choice was tuned, where the similarity of
-        the method is a correlation; the given one without a similarity; otherwise None.
+    metric (n, n) -> (n, n).
     """
     default = METHODS[DEFAULT_METHOD]
     if pairs is None or recipe.dissimilarity == default.dissimilarity:
@@ -223,21 +210,7 @@ def examined_metric(
 
 
 def check_even_spacing(method: str, options: MethodOptions, *, readings: bool) -> None:
-    """Check that declared even spacing can be used.
-
-    Parameters
-    ----------
-    method : str
-        A key of `METHODS`.
-    options : MethodOptions
-    readings : bool
-        Whether there are readings of all sensors in every frame.
-
-    Raises
-    ------
-    InputError
-        If even spacing was declared for a method that cannot use it, or without readings.
-    """
+    """Check that declared even spacing can be used."""
     if not options.even_spacing:
         return
     if not find_method(method).takes_even_spacing:

@@ -15,13 +15,7 @@ _MAX_SINGLE = 1e15  # squares of numbers up to this, and down to its inverse, fi
 
 
 def only_stage(given: Mapping[str, ArrayLike | None]) -> tuple[str, Reals]:
-    """Return the name and the matrix, shape (N, N), of the only stage that is given.
-
-    Raises
-    ------
-    InputError
-        If none or several are given, or the given one is not a square matrix of real numbers.
-    """
+    """Return the name and the matrix, shape (N, N), of the only stage that is given."""
     stages = [name for name, matrix in given.items() if matrix is not None]
     if len(stages) != 1:
         raise InputError(
@@ -82,13 +76,7 @@ def checked_weights(weights: ArrayLike, n_sensors: int) -> Reals:
 
 
 def checked_noise(noise: ArrayLike, n_sensors: int) -> Reals:
-    """Return a sampling variance, shape (N, N).
-
-    Raises
-    ------
-    InputError
-        Unless it is finite, above 0 off the diagonal, and symmetric.
-    """
+    """Return a sampling variance, shape (N, N)."""
     values = _square(noise, "noise", n_sensors)
     n_positive = np.count_nonzero(values > 0) - np.count_nonzero(np.diag(values) > 0)
     if not np.isfinite(values).all() or n_positive < n_sensors * (n_sensors - 1):

@@ -146,24 +146,7 @@ def reconstruct_with_stages(
     recipe: Method | None = None,
     stack_level: int = 2,
 ) -> tuple[SensorMap, Stages]:
-    """Reconstruct positions, and return the stages that `anisomap.diagnose` can use again.
-
-    Parameters
-    ----------
-    recording, method, dimensions, options, drop
-        See `reconstruct`.
-    recipe : Method, optional
-        Functions of the stages, in place of those of the method.
-    stack_level : int
-        Number of calls from the warning about a note to the code that it is attributed to.
-
-    Returns
-    -------
-    sensor_map : SensorMap
-        That of `reconstruct`.
-    stages : Stages
-        They hold several matrices of all pairs, and as many numbers as there are readings.
-    """
+    """Reconstruct positions, and return the stages that `anisomap.diagnose` can use again."""
     named, options = find_method(method), options or MethodOptions()
     recipe = recipe or named
     runs = as_runs(recording)

@@ -279,13 +279,7 @@ def default_names(n_sensors: int) -> tuple[str, ...]:
 
 
 def check_names(names: Sequence[str], n_sensors: int) -> None:
-    """Check that there is one unique name per sensor.
-
-    Raises
-    ------
-    InputError
-        If there are not `n_sensors` names, or a name is repeated.
-    """
+    """Check that there is one unique name per sensor."""
     if len(names) != n_sensors:
         raise InputError(f"{n_sensors} sensors need {n_sensors} names, got {len(names)}")
     repeated = [name for name, count in Counter(names).items() if count > 1]
@@ -380,20 +374,7 @@ _MAX_RUNS = 62  # membership of a sensor in runs is one bit of an int64
 def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Recording, ...]:
     """Convert the `recording` argument of public functions to recordings of one skin.
 
-    Parameters
-    ----------
-    recording : Recording, array_like of shape (T, N), or sequence of Recording
-        Columns of a DataFrame give the names of the sensors.
-
-    Returns
-    -------
-    tuple of Recording
-        One recording; several only if some lack sensors that others have.
-
-    Raises
-    ------
-    InputError
-        If `recording` has another type or shape, or sensors cannot be matched between recordings.
+    recording (T, N).
     """
     if isinstance(recording, Recording):
         return (recording,)

@@ -25,20 +25,12 @@ logger = logging.getLogger(__name__)
 class Configuration:
     """Positions of n sensors in one or several connected components.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (n, k)
-        In the unit of the metric; components share no frame of reference.
-    component : ndarray of int, shape (n,)
-        The component of each sensor; 0 is the largest.
-    stress : float
-        Stress-1 of all pairs within components.
-    converged : bool
-        Whether the scaling of every component converged.
-    n_iterations : int
-        Number of SMACOF iterations, the maximum over components.
-    refinements : tuple of RefinedMap or None
-        How each component was refined, before it was rescaled; empty if none was.
+    positions (n, k): In the unit of the metric; components share no frame of reference.
+    component: The component of each sensor; 0 is the largest.
+    stress: Stress-1 of all pairs within components.
+    converged: Whether the scaling of every component converged.
+    n_iterations: Number of SMACOF iterations, the maximum over components.
+    refinements: How each component was refined, before it was rescaled; empty if none was.
     """
 
     positions: NDArray[np.float64]
@@ -70,24 +62,8 @@ def scale(
 ) -> Configuration:
     """Scale each connected component of a metric by SMACOF.
 
-    Parameters
-    ----------
-    metric : ndarray of shape (n, n)
-        Infinite between components.
-    dimensions : int
-        Number of coordinates, k.
-    start : ndarray of shape (n, k), optional
-        Initial positions; Torgerson's classical scaling by default.
-    weights : ndarray of shape (n, n), optional
-        Weights of the distances; 0 marks an unknown distance.
-    options : SmacofOptions, optional
+    metric (n, n), start (n, k), weights (n, n).
 
-    Returns
-    -------
-    Configuration
-
-    Notes
-    -----
     McGregor et al. (2011), section "ANISOMAP", step 3, doi:10.1371/journal.pone.0026561.
     """
     labels = components(metric if weights is None else np.where(weights > 0, metric, np.inf))
@@ -178,17 +154,7 @@ def _among(matrix: Reals, sensors: NDArray[np.bool_]) -> Reals:
 
 
 def _best_scale(positions: NDArray[np.float64], lengths: Reals) -> tuple[float, float, float]:
-    """Find the least-squares scale of positions to given distances.
-
-    Returns
-    -------
-    scale : float
-        0 if the positions coincide.
-    missed : float
-        Sum of squared residuals at that scale, over ordered pairs.
-    size : float
-        Sum of squared distances between the positions, over ordered pairs.
-    """
+    """Find the least-squares scale of positions to given distances."""
     size = product = missed = 0.0
     for rows in row_blocks(len(positions)):
         distances = cdist(positions[rows], positions)

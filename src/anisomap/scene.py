@@ -12,11 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 class Mesh:
     """A triangle mesh.
 
-    Parameters
-    ----------
-    vertices : array_like of shape (V, 3)
-    faces : array_like of int, shape (F, 3)
-        Vertices of each triangle, counter-clockwise as seen from outside.
+    vertices (V, 3)
+    faces: Vertices of each triangle, counter-clockwise as seen from outside.
     """
 
     vertices: NDArray[np.float64]
@@ -33,18 +30,12 @@ class Mesh:
 class Prop:
     """Objects of one shape in a scene, static or moving.
 
-    Parameters
-    ----------
-    role : {"body", "stimulus", "ground", "room"}
-        Determines the style of drawing; only the edges of a room are drawn.
-    mesh : Mesh
-        Surface in local coordinates.
-    centres : array_like of shape (T, B, 3)
-        Positions of the local origins of B objects in each frame; T = 1 for static objects.
-    rotations : array_like of shape (T, B, 3, 3), optional
-        Rotation matrix of each object in each frame. Default: identity.
-    scales : array_like of shape (B,), optional
-        Size of each object relative to the mesh. Default: 1.
+    role: Determines the style of drawing; only the edges of a room are drawn.
+    mesh: Surface in local coordinates.
+    centres (T, B, 3): Positions of the local origins of B objects in each frame; T = 1 for static
+        objects.
+    rotations (T, B, 3, 3): Rotation matrix of each object in each frame. Default: identity.
+    scales (B,): Size of each object relative to the mesh. Default: 1.
     """
 
     role: str
@@ -74,17 +65,10 @@ class Prop:
 class Scene:
     """Objects, sensors and readings of a simulated run.
 
-    Parameters
-    ----------
-    title : str
-    props : tuple of Prop
-    sensors : array_like of shape (T, N, 3)
-        Sensor positions in each frame; T = 1 for static sensors.
-    readings : array_like of shape (T, N)
-    times : array_like of shape (T,)
-        In seconds.
-    units : str
-        Unit of lengths.
+    sensors (T, N, 3): Sensor positions in each frame; T = 1 for static sensors.
+    readings (T, N)
+    times (T,): In seconds.
+    units: Unit of lengths.
     """
 
     title: str

@@ -10,18 +10,7 @@ _CUT = " ... "
 
 
 def join_items(items: Sequence[object], max_items: int = 8) -> str:
-    """Join items with commas, abbreviating long lists: ``a, b and 3 more``.
-
-    Parameters
-    ----------
-    items : sequence
-    max_items : int
-        Number of items to write out.
-
-    Returns
-    -------
-    str
-    """
+    """Join items with commas, abbreviating long lists: ``a, b and 3 more``."""
     more = f" and {len(items) - max_items} more" if len(items) > max_items else ""
     return ", ".join(map(str, items[:max_items])) + more
 

@@ -26,11 +26,6 @@ def main(arguments: list[str] | None = None) -> None:
     If the process is interrupted or terminated, temporary files are removed before it ends. The
     process should end with this call, which sets how often it collects garbage and how its threads
     wait: from Python, use the functions of `anisomap` instead.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        By default those of the process.
     """
     try:
         if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:

@@ -86,50 +86,19 @@ app.register_install_completion_command(
 
 
 def describe(name: str) -> None:
-    """Show the docstring of a command on its help page, instead of its line in `COMMANDS`.
-
-    Parameters
-    ----------
-    name : str
-        Key of `COMMANDS`; the command is imported.
-    """
+    """Show the docstring of a command on its help page, instead of its line in `COMMANDS`."""
     command = app[name]
     text = (getdoc(command.default_command) or "").partition("\n\nParameters\n")[0]
     command.help = "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
 
 
 def main(arguments: Iterable[str] | None = None) -> None:
-    """Run a command; report any error as one sentence and an exit code.
-
-    Parameters
-    ----------
-    arguments : iterable of str, optional
-        Command line; by default that of the process.
-
-    Raises
-    ------
-    SystemExit
-        Always: 0 on success, 1 if a comparison finds a difference or a map does not reach
-        `--min-quality`, 2 for bad input, 70 for a defect in anisomap, 130 if interrupted.
-    """
+    """Run a command; report any error as one sentence and an exit code."""
     sys.exit(run(None if arguments is None else list(arguments)))
 
 
 def run(arguments: list[str] | None, received: Sequence[int] = ()) -> int:
-    """Run a command, report any error as one sentence, and return the exit code of `main`.
-
-    Parameters
-    ----------
-    arguments : list of str or None
-        None for those of the process.
-    received : sequence of int
-        Signals that ask the process to end, filled as they arrive. Libraries replace the exceptions
-        that signals raise by others; any exception after a signal is reported as the signal.
-
-    Returns
-    -------
-    int
-    """
+    """Run a command, report any error as one sentence, and return the exit code of `main`."""
     prepare_streams()
     try:
         return _run(arguments)
@@ -186,18 +155,7 @@ _EXTENSIONS, _CALLBACK = "ExtensionFileLoader.", "_get_module_lock.<locals>.cb" 
 
 
 def run_process(arguments: list[str] | None) -> None:
-    """Run a command, and end the process with its exit code.
-
-    Parameters
-    ----------
-    arguments : list of str or None
-        None for those of the process.
-
-    Raises
-    ------
-    SystemExit
-        Always.
-    """
+    """Run a command, and end the process with its exit code."""
     signals = _Signals()
     is_main = current_thread() is main_thread()
     if is_main:

@@ -13,26 +13,7 @@ from anisomap.simulation.bodies.imported import MESH_SUFFIXES, MODEL_SUFFIXES
 
 
 def find(body: str, sensors: str | None, **options: Any) -> Body:
-    """Make a body from its name or file.
-
-    Parameters
-    ----------
-    body : str
-        Name of a body, or path of a mesh, a MuJoCo model or a file of positions.
-    sensors : str or None
-        Number of sensors, or path of a file with their positions.
-    **options
-        Options of a named body, see `anisomap.simulation.find_body`.
-
-    Returns
-    -------
-    Body
-
-    Raises
-    ------
-    InputError
-        If there is no such body, or the sensors do not fit it.
-    """
+    """Make a body from its name or file."""
     given = _parse_sensors(sensors)
     if body in BODIES:
         if given is None or isinstance(given, int):
@@ -84,13 +65,7 @@ def _positions(path: Path) -> SensorMap:
 
 
 def parse_parameters(parameters: list[str]) -> dict[str, Any]:
-    """Read ``NAME=VALUE`` pairs.
-
-    Raises
-    ------
-    InputError
-        If a text is not such a pair, or its value is not a number.
-    """
+    """Read ``NAME=VALUE`` pairs."""
     parsed: dict[str, Any] = {}
     for text in parameters:
         name, equals, value = text.partition("=")

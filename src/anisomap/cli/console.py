@@ -99,12 +99,8 @@ def _lines(text: str) -> str:
 class Printer:
     """Printer of the results of a command: as text, as one JSON object, or not at all.
 
-    Parameters
-    ----------
-    quiet : bool
-        Print nothing. Warnings and errors still appear on stderr.
-    as_json : bool
-        Print the recorded values as one JSON object at the end, and no text.
+    quiet: Print nothing. Warnings and errors still appear on stderr.
+    as_json: Print the recorded values as one JSON object at the end, and no text.
     """
 
     quiet: bool = False
@@ -171,13 +167,7 @@ class Printer:
             self._emit(console.out, json.dumps(plain(values)))
 
     def finish(self) -> None:
-        """Print the JSON object if `as_json`.
-
-        Raises
-        ------
-        FileError
-            If any output could not be printed; files have been written before.
-        """
+        """Print the JSON object if `as_json`."""
         if self.as_json and not self.quiet:
             values = plain(self.values)
             text = json.dumps(values, indent=2, ensure_ascii=False)
@@ -226,18 +216,7 @@ def plain(value: Any) -> Any:
 
 @contextmanager
 def progress(task: str) -> Iterator[Callable[[float], None]]:
-    """Show progress and the remaining time on stderr, if it is a terminal.
-
-    Parameters
-    ----------
-    task : str
-        Description. Log messages of the library at level INFO replace it.
-
-    Yields
-    ------
-    callable
-        Takes the completed share, from 0 to 1. Until it is called, only elapsed time is shown.
-    """
+    """Show progress and the remaining time on stderr, if it is a terminal."""
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False),

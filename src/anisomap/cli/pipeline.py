@@ -65,16 +65,7 @@ class Outputs:
     placing: PlacingOptions = DEFAULT_PLACING
 
     def check(self) -> None:
-        """Check, before the map is computed, that all files can be written.
-
-        Raises
-        ------
-        FileError
-            If a folder is missing, no format matches a suffix, a map has the suffix of a picture or
-            report, or a file would overwrite an input or another output.
-        MissingExtraError
-            If a picture or report needs a library that is not installed.
-        """
+        """Check, before the map is computed, that all files can be written."""
         others = (self.picture, self.report, self.checkpoint, self.statistics)
         check_distinct([path for path in (*self.maps, *others) if path], self.inputs)
         for path in self.maps:
@@ -145,19 +136,7 @@ def repair_runs(runs: Sequence[Recording]) -> tuple[list[Recording], tuple[Findi
 def examine(
     runs: Recording | Sequence[Recording], findings: Sequence[Finding] | None = None
 ) -> Examined:
-    """Assess one recording, or several as one, with progress.
-
-    Parameters
-    ----------
-    runs : Recording or sequence of Recording
-    findings : sequence of Finding, optional
-        Faults of the recording, if known, as after a repair.
-
-    Raises
-    ------
-    InputError
-        If a map of all pairs of sensors does not fit into memory.
-    """
+    """Assess one recording, or several as one, with progress."""
     several = [runs] if isinstance(runs, Recording) else list(runs)
     # Comparing all pairs of so many sensors that no map fits into memory takes hours.
     check_pair_memory(max(run.n_sensors for run in several), refined=False)
@@ -261,15 +240,7 @@ def score_with_progress(
 
 
 def read_reference(path: Path, units: str | None = None) -> SensorMap:
-    """Read the positions that a map is scored against.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Any file with positions.
-    units : str, optional
-        Unit of the positions, if the file does not state it.
-    """
+    """Read the positions that a map is scored against."""
     reference = io.read_map(path)
     if units is None:
         units = "" if reference.units == "arbitrary" else reference.units

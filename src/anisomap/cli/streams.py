@@ -44,16 +44,11 @@ large_group = Group("Large recordings", sort_key=4)
 class LargeOptions:
     """Options for large recordings.
 
-    Parameters
-    ----------
-    workers
-        Number of parallel threads; more than the number of cores bring no gain.
-    dask
-        Address of a Dask scheduler, as in tcp://host:8786; its workers are used instead of threads.
-    checkpoint
-        File for intermediate results; if it exists, the computation resumes from it.
-    approximate
-        Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
+    workers: Number of parallel threads; more than the number of cores bring no gain.
+    dask: Address of a Dask scheduler, as in tcp://host:8786; its workers are used instead of
+        threads.
+    checkpoint: File for intermediate results; if it exists, the computation resumes from it.
+    approximate: Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
     """
 
     workers: Annotated[int, Parameter(validator=Number(gte=1))] = 1
@@ -71,13 +66,7 @@ class LargeOptions:
         return self.workers > 1 or bool(self.dask) or self.checkpoint is not None
 
     def method(self, requested: str | None) -> str:
-        """Return the requested method, or the default one.
-
-        Raises
-        ------
-        InputError
-            If an approximate map does not support the method or another option.
-        """
+        """Return the requested method, or the default one."""
         if not self.approximate:
             return requested or DEFAULT_METHOD
         if requested not in (None, APPROXIMATED):
@@ -124,11 +113,6 @@ def examine(
     """Read recordings of the same sensors in blocks, with progress, for a map.
 
     Dropped sensors and the seed affect approximate maps only.
-
-    Raises
-    ------
-    InputError
-        If the recordings have different sensors, or the preset does not fit.
     """
     with progress("inspecting the files"):
         like = _first_frame_of_all(paths, how)
@@ -240,15 +224,7 @@ class _Files:
 def _apply_preset(
     files: _Files, like: Recording, preset: str
 ) -> tuple[Recording, NDArray[np.intp]]:
-    """Apply a preset, which requires a pass over all frames to find the channels that vary.
-
-    Returns
-    -------
-    Recording
-        With the names and positions of the preset.
-    ndarray of int
-        Channels that are kept.
-    """
+    """Apply a preset, which requires a pass over all frames to find the channels that vary."""
     frames: list[NDArray[Any]] = []
     for chunk in files.raw(0) if len(files.paths) == 1 else files():
         known = np.isfinite(chunk)

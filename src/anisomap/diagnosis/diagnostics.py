@@ -230,22 +230,7 @@ def collect_evidence(
     repeatability: float | None = None,
     stages: Stages | None = None,
 ) -> Evidence:
-    """Collect the evidence for the verdict on a map, of its largest component.
-
-    Parameters
-    ----------
-    sensor_map, recording, options, stages
-        See `diagnose`.
-    faults : sequence of Finding
-        Faults of the recording, from `anisomap.health.find_faults`.
-    repeatability : float, optional
-        From `estimate_uncertainty`, if computed already.
-
-    Returns
-    -------
-    Evidence
-        See `anisomap.diagnosis.judge`.
-    """
+    """Collect the evidence for the verdict on a map, of its largest component."""
     parts = _parts(sensor_map, as_runs(recording), options, stages)
     if repeatability is None:
         repeatability = _uncertainty(sensor_map, parts, options, None, None)[1]

@@ -43,12 +43,8 @@ neighbours followed the true error about equally well (tuning seeds 1 to 28), an
 class OtherMaps:
     """RMS differences of a map from other maps, after the best similarity, in its spacings.
 
-    Attributes
-    ----------
-    paths : float
-        From the map of path lengths along the most similar sensors.
-    even : float
-        From the map of the numbers of steps between sensors on a graph of adjacent sensors.
+    paths: From the map of path lengths along the most similar sensors.
+    even: From the map of the numbers of steps between sensors on a graph of adjacent sensors.
     """
 
     paths: float
@@ -65,24 +61,7 @@ def compare_with_other_maps(
 ) -> OtherMaps:
     """Measure how much other maps of the same recording differ from a map.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings in temporal order, T >= 3.
-    positions : array_like of shape (N, k)
-        The map; at least 4 sensors, not all at one place.
-    similarity : array_like of shape (N, N)
-        Correlations of the readings.
-    changes : array_like of shape (N, N), optional
-        Blended correlations of the differences between frames, if already computed.
-    correlation : array_like of shape (N, N), optional
-        `blended_correlation` of the readings, if the similarity is another one; sensors are judged
-        adjacent by it.
-
-    Returns
-    -------
-    OtherMaps
-        0 if all assumptions lead to the same map.
+    readings (T, N), positions (N, k), similarity (N, N), changes (N, N), correlation (N, N).
     """
     points, values = np.asarray(positions, dtype=np.float64), np.asarray(similarity)
     graph = neighbour_graph(
@@ -165,30 +144,7 @@ def systematic_doubts(
 ) -> tuple[Doubt, ...]:
     """Find out what may bend all maps of a recording alike.
 
-    Parameters
-    ----------
-    sensor_map : SensorMap
-    faults : sequence of Finding
-        Faults of the recording.
-    readings : array_like of shape (T, n), optional
-        Finite readings of the sensors of the largest component; without them, the map is not
-        compared with other maps.
-    similarity : array_like of shape (n, n), optional
-        Correlations of the readings; required with them.
-    changes : array_like of shape (n, n), optional
-        See `compare_with_other_maps`.
-    correlation : array_like of shape (n, n), optional
-        See `compare_with_other_maps`.
-    repeatability : float
-        Random error of the map, in spacings. Other maps have random errors as well; that part of
-        their difference is not a doubt.
-    halves : float
-        The same from halves of the recording that are mapped from the beginning. It is larger if
-        the fit can end in different maps of the same skin; 0 if unknown.
-
-    Returns
-    -------
-    tuple of Doubt
+    readings (T, n), similarity (n, n), changes (n, n), correlation (n, n).
     """
     largest = sensor_map.component == 0
     positions = sensor_map.positions[largest]
@@ -207,14 +163,7 @@ def systematic_doubts(
 def extent_in_spacings(positions: ArrayLike) -> float:
     """Return the standard deviation of the distances on a map, in its spacings.
 
-    Parameters
-    ----------
-    positions : array_like of shape (N, k)
-
-    Returns
-    -------
-    float
-        Infinite if most sensors coincide with another one.
+    positions (N, k).
     """
     points = np.asarray(positions, dtype=np.float64)
     spacing = median_spacing(points)

@@ -48,23 +48,8 @@ def repeatability_of_halves(
 ) -> float:
     """Measure the random error of a map by maps of halves of the recording.
 
-    Parameters
-    ----------
-    n_frames : int
-        Number of frames of the recording, at least `MIN_FRAMES`.
-    positions : ndarray of shape (N, k)
-        The map.
-    place : callable
-        ``place(frames)`` returns positions, shape (N, k), from the frames of given indices; NaN for
-        sensors that it cannot place.
+    positions (N, k).
 
-    Returns
-    -------
-    float
-        RMS error of the positions, in spacings of the map; infinite if a half cannot be mapped.
-
-    Notes
-    -----
     If a map of all frames has errors of variance v, those of a half have 2 v. Both share frames:
     their difference has a variance of v, which is that of the map.
     """

@@ -54,22 +54,8 @@ def covariances(
 ) -> NDArray[np.float64]:
     """Estimate the covariance of every position from maps of resampled recordings.
 
-    Parameters
-    ----------
-    maps : ndarray of shape (R, n, k)
-        R >= 2 maps in any frames and units.
-    positions : ndarray of shape (n, k)
-        The map whose covariances are wanted.
-    step : float
-        Ratio of the differences between the maps to those between independent recordings.
+    maps (R, n, k), positions (n, k) -> (n, k, k).
 
-    Returns
-    -------
-    ndarray of shape (n, k, k)
-        In the frame and the squared unit of `positions`.
-
-    Notes
-    -----
     The covariance of R maps is uncertain itself. Returned is `INFLATION` times the mean of three:
     that of the sensor, the mean of those of its 8 nearest sensors, and the sphere as large as the
     latter. Differences from the mean of the maps count, not from the given map: resamples have more
@@ -90,17 +76,8 @@ def covariances(
 def aligned_to_mean(maps: NDArray[np.float64]) -> NDArray[np.float64]:
     """Align maps of the same sensors with their mean, such that uncertain sensors count less.
 
-    Parameters
-    ----------
-    maps : ndarray of shape (R, n, k)
+    maps (R, n, k) -> (R, n, k).
 
-    Returns
-    -------
-    ndarray of shape (R, n, k)
-        About in the frame and the unit of the first map.
-
-    Notes
-    -----
     Generalised Procrustes analysis (Gower 1975, doi:10.1007/BF02291478), in which a sensor of
     variance v has the weight ``1 / (v + median v)``, so that sensors whose positions are hardly
     known do not turn the maps.
@@ -121,16 +98,7 @@ def aligned_to_mean(maps: NDArray[np.float64]) -> NDArray[np.float64]:
 def error_in_spacings(found: NDArray[np.float64], positions: NDArray[np.float64]) -> float:
     """Return the RMS error that goes with `covariances`, in spacings of the map.
 
-    Parameters
-    ----------
-    found : ndarray of shape (n, k, k)
-        From `covariances`.
-    positions : ndarray of shape (n, k)
-
-    Returns
-    -------
-    float
-        Infinite if most sensors coincide with another one.
+    found (n, k, k), positions (n, k).
     """
     spacing = median_spacing(positions)
     mean = float(np.trace(found, axis1=1, axis2=2).mean()) / INFLATION
@@ -140,14 +108,7 @@ def error_in_spacings(found: NDArray[np.float64], positions: NDArray[np.float64]
 def departure_in_spacings(reference: NDArray[np.float64], positions: NDArray[np.float64]) -> float:
     """Return the RMS difference of two maps after the best similarity, in spacings of the second.
 
-    Parameters
-    ----------
-    reference, positions : ndarray of shape (n, k)
-
-    Returns
-    -------
-    float
-        Infinite if most sensors coincide with another one.
+    reference, positions (n, k).
     """
     spacing = median_spacing(positions)
     moved = fit_similarity(reference, positions).apply(reference) - positions

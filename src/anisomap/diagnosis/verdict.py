@@ -21,21 +21,14 @@ Of the maps of tuning seeds 1 to 28 below it, 9 of 10 keep at least half of the 
 class Doubt:
     """A systematic error that every map of a recording shares.
 
-    Parameters
-    ----------
-    kind : str
-        Name of the detector.
-    size : float
-        RMS error of the positions because of it, in spacings, if nothing else explains what was
+    kind: Name of the detector.
+    size: RMS error of the positions because of it, in spacings, if nothing else explains what was
         found: see `anisomap.diagnosis.verdict.TYPICAL`.
-    reason : str
-        What was found, in one sentence.
-    keeps_neighbours : bool
-        Whether sensors still have the right neighbours: only the shape as a whole is doubtful.
-    measured : float
-        What was measured, in the unit of the detector; NaN if nothing was.
-    excludes_usable : bool
-        Whether the map is never called usable, however small the error.
+    reason: What was found, in one sentence.
+    keeps_neighbours: Whether sensors still have the right neighbours: only the shape as a whole is
+        doubtful.
+    measured: What was measured, in the unit of the detector; NaN if nothing was.
+    excludes_usable: Whether the map is never called usable, however small the error.
     """
 
     kind: str
@@ -50,18 +43,11 @@ class Doubt:
 class Evidence:
     """What is known about the errors of a map.
 
-    Parameters
-    ----------
-    repeatability : float
-        RMS difference of the positions that chance makes, in spacings; NaN if unknown.
-    extent : float
-        Standard deviation of the distances on the map, in spacings.
-    dimensions : int
-        Number of coordinates.
-    doubts : tuple of Doubt
-        Systematic errors.
-    unknown : str
-        Why the repeatability is unknown; empty if it is known.
+    repeatability: RMS difference of the positions that chance makes, in spacings; NaN if unknown.
+    extent: Standard deviation of the distances on the map, in spacings.
+    dimensions: Number of coordinates.
+    doubts: Systematic errors.
+    unknown: Why the repeatability is unknown; empty if it is known.
     """
 
     repeatability: float = math.nan
@@ -107,24 +93,7 @@ def _weight(doubt: Doubt) -> float:
 
 
 def judge(evidence: Evidence) -> Verdict:
-    """Return the verdict that follows from the evidence.
-
-    Parameters
-    ----------
-    evidence : Evidence
-
-    Returns
-    -------
-    Verdict
-        Its systematic error is `TYPICAL` times the root of the sum of squares of the sizes of all
-        doubts, and its expected error the root of the sum of squares of that and the repeatability.
-        The map is usable if `MARGIN` times the expected error, with doubts in full size, is below 1
-        spacing, the Mantel r that follows from it at least .9, and no doubt excludes it; usable
-        locally if the repeatability is at most 1.5 spacings and all doubts of more than 1 spacing
-        keep neighbours.
-        Without a repeatability, a map with a doubt of more than 1 spacing that does not keep
-        neighbours is not usable, and the verdict on others is unknown.
-    """
+    """Return the verdict that follows from the evidence."""
     doubts = sorted(evidence.doubts, key=_weight, reverse=True)
     doubtful = math.hypot(*(doubt.size for doubt in doubts))
     systematic = TYPICAL * doubtful
@@ -165,22 +134,6 @@ def judge(evidence: Evidence) -> Verdict:
 def expected_mantel_r(error: float, extent: float, dimensions: int) -> float:
     """Mantel r of a map with the truth if its positions have independent errors.
 
-    Parameters
-    ----------
-    error : float
-        RMS error of the positions.
-    extent : float
-        Standard deviation of the distances on the map, in the same unit.
-    dimensions : int
-        Number of coordinates, k.
-
-    Returns
-    -------
-    float
-        In [0, 1].
-
-    Notes
-    -----
     To first order, a distance has an error of variance ``2 error^2 / k``: the sum of the variances
     of two positions along the line that joins them. The distances on the map contain that error.
     """

@@ -48,17 +48,7 @@ def place_colours(points: ArrayLike, view: View = VIEWS[0]) -> NDArray[np.float6
     every common colour vision deficiency. The third axis, from red (near) to green (far), is
     redundant with depth. In 2D it repeats the vertical axis.
 
-    Parameters
-    ----------
-    points : array_like of shape (N, 2) or (N, 3)
-        Finite positions.
-    view : tuple of float
-        Elevation and azimuth in degrees.
-
-    Returns
-    -------
-    ndarray of shape (N, 3)
-        sRGB, each channel in [0, 1].
+    points (N, 2) -> (N, 3).
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[1] == 2:
@@ -109,27 +99,16 @@ _GREY = 0.72
 class Component:
     """A connected component of a map, prepared for drawing in 2D or 3D.
 
-    Attributes
-    ----------
-    number : int
-        Number of the component, from 1 for the largest.
-    sensors : ndarray of int, shape (n,)
-        Indices of its sensors in the map; those that were compared with the truth come first.
-    points : ndarray of shape (n, k)
-        Positions, k = 2 or 3: aligned with the truth if it is known, else centred.
-    truth : ndarray of shape (m, k)
-        True positions of the first m sensors; empty if the truth is unknown.
-    colours : ndarray of shape (n, 3)
-        sRGB in [0, 1] by true position if known, else by position; grey for sensors that were not
-        compared.
-    pairs : ndarray of int, shape (E, 2)
-        Neighbours by true position if known, else by position; empty above `MAX_JOINED` sensors.
-    view : tuple of float
-        Elevation and azimuth in degrees.
-    units : str
-        Unit of `points` and `truth`.
-    covariances : ndarray of shape (n, k, k), optional
-        Covariances of the points.
+    number: Number of the component, from 1 for the largest.
+    sensors: Indices of its sensors in the map; those that were compared with the truth come first.
+    points (n, k): Positions, k = 2 or 3: aligned with the truth if it is known, else centred.
+    truth (m, k): True positions of the first m sensors; empty if the truth is unknown.
+    colours (n, 3): sRGB in [0, 1] by true position if known, else by position; grey for sensors
+        that were not compared.
+    pairs: Neighbours by true position if known, else by position; empty above `MAX_JOINED` sensors.
+    view: Elevation and azimuth in degrees.
+    units: Unit of `points` and `truth`.
+    covariances (n, k, k): Covariances of the points.
     """
 
     number: int
@@ -155,20 +134,7 @@ class Component:
 
 
 def drawn_components(sensor_map: SensorMap, score: Score | None = None) -> list[Component]:
-    """Prepare the connected components of a map for drawing.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        Of more than three dimensions, the first three are kept; a second is added to one.
-    score : Score, optional
-        Score of this map; it applies to the largest component.
-
-    Returns
-    -------
-    list of Component
-        The largest first. Components of a single sensor are omitted, unless it is the scored one.
-    """
+    """Prepare the connected components of a map for drawing."""
     found = []
     for label in range(len(sensor_map.component_sizes)):
         sensors = np.flatnonzero(sensor_map.component == label)
@@ -187,15 +153,7 @@ def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
     other, and their distance is at most 2.5 times that of either to its nearest sensor. This gives
     no diagonals in a square lattice, all six sides in a triangular one, and no lines across gaps.
 
-    Parameters
-    ----------
-    points : array_like of shape (N, k)
-        Finite positions.
-
-    Returns
-    -------
-    ndarray of int, shape (E, 2)
-        Pairs i < j in ascending order.
+    points (N, k).
     """
     points = np.asarray(points, dtype=np.float64)
     count = min(_N_NEIGHBOURS + 1, len(points))
@@ -218,15 +176,7 @@ def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
 def best_view(*configurations: NDArray[np.float64]) -> View:
     """Choose the view that shows the largest projected area of 3D configurations.
 
-    Parameters
-    ----------
-    *configurations : ndarray of shape (n, 3)
-        Finite positions; none of them should be seen edge-on.
-
-    Returns
-    -------
-    tuple of float
-        One of `VIEWS`: the first, unless another shows clearly more.
+    *configurations (n, 3).
     """
     areas = [_area(view, configurations) for view in VIEWS]
     areas[0] *= _DEFAULT_VIEW_BONUS
@@ -251,19 +201,7 @@ def axis_title(axis: str, units: str) -> str:
 
 
 def layout_notes(sensor_map: SensorMap, score: Score | None = None) -> list[str]:
-    """Explain properties of a drawing that could mislead.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-    score : Score, optional
-
-    Returns
-    -------
-    list of str
-        Notes on separate components, unless the map has such a note itself, and on a map of fewer
-        dimensions than the truth.
-    """
+    """Explain properties of a drawing that could mislead."""
     notes = []
     count = len(sensor_map.component_sizes)
     if count > 1 and not any("component" in note for note in sensor_map.notes):
@@ -333,20 +271,7 @@ def _centred(sensor_map: SensorMap, sensors: NDArray[np.intp], number: int) -> C
 
 
 def outlines(component: Component, view: View | None = None) -> NDArray[np.float64]:
-    """Draw the ellipses of 95 % of the sensors of a component as closed lines.
-
-    Parameters
-    ----------
-    component : Component
-    view : tuple of float, optional
-        In 3D, the outlines of the ellipsoids from there; by default their sections along pairs of
-        axes, for views that turn.
-
-    Returns
-    -------
-    ndarray of shape (L, k)
-        Lines, separated by NaN; empty if no covariance is known, and above `MAX_JOINED` sensors.
-    """
+    """Draw the ellipses of 95 % of the sensors of a component as closed lines. Returns (L, k)."""
     points, dimensions = component.points, component.dimensions
     if component.covariances is None or len(points) > MAX_JOINED:
         return np.empty((0, dimensions))

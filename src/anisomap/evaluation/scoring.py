@@ -152,18 +152,7 @@ def median_spacing(positions: ArrayLike) -> float:
 
 
 def spacing_variation(positions: ArrayLike) -> float:
-    """Variation of the distances from sensors to their nearest neighbours.
-
-    Parameters
-    ----------
-    positions : array_like of shape (N, k)
-
-    Returns
-    -------
-    float
-        Standard deviation divided by the mean: 0 if all sensors are equally far from their nearest
-        neighbour, about .5 if sensors lie at random on a surface. 0 if all coincide.
-    """
+    """Variation of the distances from sensors to their nearest neighbours. positions (N, k)."""
     nearest = _nearest_distances(positions)
     mean = float(nearest.mean())
     return float(nearest.std()) / mean if mean > 0 else 0.0
@@ -178,17 +167,7 @@ def _nearest_distances(positions: ArrayLike) -> NDArray[np.float64]:
 def check_distances(positions: NDArray[np.float64], what: str) -> None:
     """Check that positions differ, and that the squares of their distances are finite.
 
-    Parameters
-    ----------
-    positions : ndarray of shape (N, k)
-        Sensors without a position are ignored.
-    what : str
-        The positions, for messages.
-
-    Raises
-    ------
-    InputError
-        If all positions are the same, or so far apart that distances cannot be computed.
+    positions (N, k).
     """
     placed = positions[np.isfinite(positions).all(axis=1)]
     with np.errstate(over="ignore", under="ignore"):

@@ -20,16 +20,10 @@ from anisomap.numerics.similarity.rest import Rest, rest_from_counts
 class Activity:
     """Distinct readings of one sensor, and which of them are beyond rest.
 
-    Attributes
-    ----------
-    rest : Rest
-        Of this sensor: arrays of shape (1,).
-    values : ndarray of shape (m,)
-        Distinct readings in increasing order.
-    counts : ndarray of int, shape (m,)
-        Number of frames at each.
-    active : ndarray of bool, shape (m,)
-        Which of them exceed the threshold; they follow one another.
+    rest: Of this sensor: arrays of shape (1,).
+    values (m,): Distinct readings in increasing order.
+    counts: Number of frames at each.
+    active: Which of them exceed the threshold; they follow one another.
     """
 
     rest: Rest
@@ -78,33 +72,13 @@ def join_rests(rests: Sequence[Rest]) -> Rest:
 
 
 def count_contacts(active: ArrayLike) -> NDArray[np.intp]:
-    """Count separate contacts of each sensor: runs of frames in which it is active.
-
-    Parameters
-    ----------
-    active : array_like of bool, shape (T, N)
-        See `anisomap.numerics.similarity.rest.Rest.active`.
-
-    Returns
-    -------
-    ndarray of int, shape (N,)
-    """
+    """Count separate contacts of each sensor: runs of frames in which it is active."""
     on = np.asarray(active, dtype=bool)
     return np.asarray(on[:1].sum(axis=0) + np.count_nonzero(on[1:] > on[:-1], axis=0))
 
 
 def count_joint_contacts(active: ArrayLike, pairs: ArrayLike) -> NDArray[np.intp]:
-    """Count separate contacts of pairs of sensors: runs of frames in which both are active.
-
-    Parameters
-    ----------
-    active : array_like of bool, shape (T, N)
-    pairs : array_like of int, shape (P, 2)
-
-    Returns
-    -------
-    ndarray of int, shape (P,)
-    """
+    """Count separate contacts of pairs of sensors: runs of frames in which both are active."""
     on = np.ascontiguousarray(np.asarray(active, dtype=bool).T)
     chosen = np.asarray(pairs, dtype=np.intp)
     return np.array([count_runs(on[i] & on[j]) for i, j in chosen], dtype=np.intp)

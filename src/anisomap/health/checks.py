@@ -119,14 +119,9 @@ class Subject:
 class Check:
     """A fault that is searched in recordings.
 
-    Attributes
-    ----------
-    find : callable
-        Takes a `Subject`, and returns evidence of the fault, or None.
-    describe : callable
-        Takes the recording and the evidence, and returns the findings.
-    mend : callable, optional
-        Takes the recording and the evidence, and returns a mended recording.
+    find: Takes a `Subject`, and returns evidence of the fault, or None.
+    describe: Takes the recording and the evidence, and returns the findings.
+    mend: Takes the recording and the evidence, and returns a mended recording.
     """
 
     find: Callable[[Subject], Any]

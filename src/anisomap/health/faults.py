@@ -97,19 +97,7 @@ def summarise(
 
 
 def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[str, ...]:
-    """List reasons why a map of a recording may be unreliable.
-
-    Parameters
-    ----------
-    recording : Recording
-    health : sequence of SensorHealth
-        From `assess`.
-
-    Returns
-    -------
-    tuple of str
-        Empty if there are none.
-    """
+    """List reasons why a map of a recording may be unreliable."""
     found = []
     if recording.n_frames < MIN_FRAMES:
         found.append(
@@ -145,18 +133,7 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
 
 
 def spoiling(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """List what spoils a map among the faults of its recording.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        From `anisomap.health.find_faults`.
-
-    Returns
-    -------
-    tuple of str
-        One sentence for each fault, without rarely touched sensors, which `weaknesses` lists.
-    """
+    """List what spoils a map among the faults of its recording."""
     return tuple(
         f"{finding}" + ("; repair the recording" if finding.mendable else "")
         for finding in findings

@@ -37,30 +37,18 @@ _MIN_AUTOCORRELATION = 0.05  # at lag 2, for the noise share to use it; chosen b
 class Behaviour:
     """Statistics of n varying sensors; arrays of shape (n,).
 
-    Attributes
-    ----------
-    rest : Rest
-        Rest values.
-    distinct : ndarray of int
-        Number of distinct readings.
-    active : ndarray
-        Share of frames beyond rest.
-    contacts : ndarray of int
-        Number of contacts: runs of frames beyond rest.
-    at_ceiling : ndarray
-        Share of active frames at the most extreme reading on the side of contact.
-    unexplained : ndarray
-        Share of active frames in which none of the most similar sensors is active.
-    lag_correlation : ndarray
-        Autocorrelation at a lag of one frame.
-    noise_share : ndarray
-        Share of white noise in the variance.
-    best_match : ndarray
-        Highest Pearson r with another sensor.
-    shifted_match : ndarray
-        Highest Pearson r with another sensor after circular shifts in time; -1 if not computed.
-    n_frames : int
-        Number of frames.
+    rest: Rest values.
+    distinct: Number of distinct readings.
+    active: Share of frames beyond rest.
+    contacts: Number of contacts: runs of frames beyond rest.
+    at_ceiling: Share of active frames at the most extreme reading on the side of contact.
+    unexplained: Share of active frames in which none of the most similar sensors is active.
+    lag_correlation: Autocorrelation at a lag of one frame.
+    noise_share: Share of white noise in the variance.
+    best_match: Highest Pearson r with another sensor.
+    shifted_match: Highest Pearson r with another sensor after circular shifts in time; -1 if not
+        computed.
+    n_frames: Number of frames.
     """
 
     rest: Rest
@@ -80,12 +68,8 @@ class Behaviour:
 class Matches:
     """The most similar sensors of each sensor.
 
-    Attributes
-    ----------
-    nearest : ndarray of int, shape (n, m)
-        Indices of the most similar sensors; -1 where there are fewer.
-    best : ndarray of shape (n,)
-        Highest Pearson r with another sensor; NaN if there is none.
+    nearest: Indices of the most similar sensors; -1 where there are fewer.
+    best (n,): Highest Pearson r with another sensor; NaN if there is none.
     """
 
     nearest: NDArray[np.int64]
@@ -100,20 +84,8 @@ class Matches:
 def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> Behaviour:
     """Compute the statistics of sensors.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, n)
-        Finite readings of sensors that vary.
-    matches : Matches, optional
-        The most similar sensors, if known. Circular shifts are then not computed, and
-        `Behaviour.shifted_match` is -1.
+    readings (T, n).
 
-    Returns
-    -------
-    Behaviour
-
-    Notes
-    -----
     For more than 4096 sensors, no matrix of all pairs is computed, and circular shifts are compared
     with 4096 evenly chosen sensors.
     """

@@ -161,21 +161,7 @@ def touch_coverage(
 def neighbouring_sensors(
     positions: ArrayLike, component: ArrayLike | None = None
 ) -> NDArray[np.intp]:
-    """List the pairs of sensors that are neighbours on a map.
-
-    Parameters
-    ----------
-    positions : array_like of shape (N, k)
-        NaN for sensors without a position.
-    component : array_like of int, shape (N,), optional
-        Component of each sensor, -1 without a position; one component by default.
-
-    Returns
-    -------
-    ndarray of int, shape (P, 2)
-        Pairs i < j within a component whose distance is at most 1.5 times that from either sensor
-        to its nearest neighbour. At most the 8 nearest sensors of each sensor are considered.
-    """
+    """List the pairs of sensors that are neighbours on a map. positions (N, k)."""
     points = np.asarray(positions, dtype=np.float64)
     found = [np.empty((0, 2), dtype=np.intp)]
     for members in _components(points, component):
@@ -198,28 +184,7 @@ def needed_evidence(
     *,
     enough: float = ENOUGH_CONTACTS,
 ) -> NDArray[np.float64]:
-    """Compute the share of the evidence on each sensor's place that is lacking.
-
-    Parameters
-    ----------
-    contacts : array_like of int, shape (N,)
-        Contacts of each sensor.
-    pairs : array_like of int, shape (P, 2)
-        Pairs of neighbours.
-    together : array_like of int, shape (P,)
-        Contacts of both sensors of each pair at the same time.
-    component : array_like of int, shape (N,), optional
-        Component of each sensor.
-    enough : float
-        Contacts above which nothing is lacking.
-
-    Returns
-    -------
-    ndarray of shape (N,)
-        In [0, 1]: what the sensor's contacts lack of `enough`, or its contacts together with its
-        neighbours on average, whichever is more. 1 for sensors outside the largest component,
-        since their place relative to the others is unknown.
-    """
+    """Compute the share of the evidence on each sensor's place that is lacking. Returns (N,)."""
     number = np.asarray(contacts, dtype=np.float64)
     own = np.maximum(0, 1 - number / enough)
     both = np.asarray(pairs, dtype=np.intp).reshape(-1, 2)

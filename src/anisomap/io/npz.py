@@ -54,13 +54,7 @@ _BLOCK_BYTES = 1 << 22
 
 @contextmanager
 def open_archive(path: Path) -> Iterator[Archive]:
-    """Open an NPZ file.
-
-    Raises
-    ------
-    FileError
-        In the block, if the file is damaged.
-    """
+    """Open an NPZ file."""
     try:
         with zipfile.ZipFile(path) as archive:
             yield Archive(path, archive, Budget(path))
@@ -300,26 +294,7 @@ def _sensors_of(archive: Archive) -> str:
 
 
 def stream_archived(archive: Archive, bin_s: float | None) -> Stream:
-    """Create a stream of the events in an archive.
-
-    Parameters
-    ----------
-    archive : Archive
-        With ``times`` in seconds, or ``events``, and ``taxels``, ``sensors``, ``channels`` or the
-        like, of shape (E,). ``names`` and ``positions``, one per sensor, make the numbers of
-        sensors indices, and tell which sensors were silent.
-    bin_s : float or None
-        Width of bins.
-
-    Returns
-    -------
-    Stream
-
-    Raises
-    ------
-    FileError
-        If shapes differ, or a number is not the index of a sensor.
-    """
+    """Create a stream of the events in an archive."""
     path = archive.path
     at, which = _first(archive, (*_TIMES, *_NUMBERED)), _sensors_of(archive)
     moments = archive.required(at, NUMBERS).astype(np.float64)

@@ -29,14 +29,7 @@ UNITS = "spacings"
 def grid_positions(rows: int, columns: int) -> NDArray[np.float64]:
     """Return the positions of a rectangular array in row-major order.
 
-    Parameters
-    ----------
-    rows, columns : int
-
-    Returns
-    -------
-    ndarray of shape (rows * columns, 2)
-        x is the column and y the row; spacing 1.
+    Returns (rows * columns, 2).
     """
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
     return np.column_stack([x.ravel(), y.ravel()])
@@ -48,27 +41,7 @@ def grid_names(rows: int, columns: int) -> tuple[str, ...]:
 
 
 def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
-    """Set the positions of a recording to those of a rectangular array in row-major order.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of all cells in order. A recording of some cells needs names that give them, such as
-        ``r3c5`` or ``cell50``.
-    grid : (int, int) or None
-        Rows and columns; None returns the recording unchanged.
-
-    Returns
-    -------
-    Recording
-        Sensors with default names are renamed by row and column. Cells without any finite reading
-        read 0, so that they are assessed as dead.
-
-    Raises
-    ------
-    InputError
-        If the recording has more sensors than cells, or its names do not give their cells.
-    """
+    """Set the positions of a recording to those of a rectangular array in row-major order."""
     if grid is None:
         return recording
     rows, columns = grid
@@ -116,26 +89,7 @@ _RAW_REST = 128  # readings at rest are near 240 for raw and 0 for compensated s
 
 
 def apply_preset(recording: Recording, preset: str) -> Recording:
-    """Name the sensors of a known robot, and drop values that are not sensors.
-
-    Parameters
-    ----------
-    recording : Recording
-        All values of the robot's port in their original order. Joined ports are numbered
-        separately.
-    preset : str
-        A name in `PRESETS`; empty for none.
-
-    Returns
-    -------
-    Recording
-        Its metadata include the preset, and whether the skin is raw or compensated.
-
-    Raises
-    ------
-    InputError
-        If the preset is unknown, or does not fit the recording.
-    """
+    """Name the sensors of a known robot, and drop values that are not sensors."""
     if not preset:
         return recording
     kept = numbering(recording, preset)
@@ -150,37 +104,13 @@ def apply_preset(recording: Recording, preset: str) -> Recording:
 
 
 def check_preset(preset: str) -> None:
-    """Check that a preset exists.
-
-    Raises
-    ------
-    InputError
-        If the preset is unknown.
-    """
+    """Check that a preset exists."""
     if preset not in PRESETS:
         raise InputError(f"unknown preset {preset!r}; known presets: {', '.join(PRESETS)}")
 
 
 def numbering(recording: Recording, preset: str) -> dict[int, str]:
-    """Return the index and name of each sensor in a robot's recording.
-
-    Parameters
-    ----------
-    recording : Recording
-        As for `apply_preset`. Only whether each value varies matters.
-    preset : str
-        A name in `PRESETS`.
-
-    Returns
-    -------
-    dict of int to str
-        In the order of `apply_preset`.
-
-    Raises
-    ------
-    InputError
-        As `apply_preset`.
-    """
+    """Return the index and name of each sensor in a robot's recording."""
     check_preset(preset)
     kept = {
         index: name
@@ -215,23 +145,6 @@ def icub(recording: Recording) -> dict[int, str]:
     Pads 6 and 10 of a triangle measure temperature. Absent triangles have constant readings. Ports
     of hands are passed to `icub_hand`.
 
-    Parameters
-    ----------
-    recording : Recording
-        With a multiple of 12 values.
-
-    Returns
-    -------
-    dict of int to str
-        ``b0.t3.k11`` is pad 11 of triangle 3 of board 0.
-
-    Raises
-    ------
-    InputError
-        If the number of values is not a multiple of 12.
-
-    Notes
-    -----
     Schmitz et al. (2011), IEEE Transactions on Robotics 27(3): 389-400,
     doi:10.1109/TRO.2011.2132930.
     """
@@ -255,22 +168,6 @@ def icub_hand(recording: Recording) -> dict[int, str]:
     """Name the pads of an iCub hand: five fingertips of 12 pads, and the palm from value 96.
 
     The palm has 48 values, of which 11, 23, 35 and 43 are not pads.
-
-    Parameters
-    ----------
-    recording : Recording
-        With the 192 values of a hand.
-
-    Returns
-    -------
-    dict of int to str
-        Names such as ``thumb.0`` and ``palm.47``. Parts with constant readings are absent from the
-        robot and left out.
-
-    Raises
-    ------
-    InputError
-        If there are not 192 values.
     """
     if recording.n_sensors != _BOARD:
         raise InputError(f"an iCub hand has {_BOARD} values, got {recording.n_sensors}")

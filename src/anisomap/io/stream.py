@@ -32,23 +32,7 @@ def increasing_times(
 ) -> NDArray[np.float64] | None:
     """Return times if they are finite and strictly increase, else warn and return None.
 
-    Parameters
-    ----------
-    times : ndarray of shape (T,)
-        In any unit.
-    path : pathlib.Path
-        The file, for messages.
-    locate : callable, optional
-        Maps a frame index to its place in the file, such as ``"line 12"``.
-
-    Returns
-    -------
-    ndarray of float64, shape (T,), or None
-
-    Raises
-    ------
-    FileError
-        If `times` is not one-dimensional.
+    times (T,).
     """
     values = np.asarray(times, dtype=np.float64)
     if values.ndim != 1:
@@ -104,31 +88,7 @@ class Content:
 
 
 def choose(path: Path, contents: Sequence[Content], select: str, noun: str) -> Content:
-    """Select the recording by name, or the only usable item.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-    contents : sequence of Content
-        All items in the file.
-    select : str
-        Name of an item, or whole components of its name (``b/c`` of ``a/b/c``); empty for the only
-        usable item.
-    noun : str
-        Noun for an item in messages, such as ``"dataset"``.
-
-    Returns
-    -------
-    Content
-
-    Raises
-    ------
-    ChoiceError
-        If several items are usable and `select` is empty.
-    FileError
-        If no item is usable, or `select` does not match exactly one.
-    """
+    """Select the recording by name, or the only usable item."""
     usable = [content for content in contents if content.usable]
     if select:
         named = [content for content in contents if content.name == select] or [
@@ -268,24 +228,7 @@ class Stream:
 
 
 def assemble(stream: Stream, progress: Callable[[float], None] | None = None) -> Recording:
-    """Collect a stream into a recording, without copying the readings.
-
-    Parameters
-    ----------
-    stream : Stream
-    progress : callable, optional
-        Called after each block with the fraction of the file read so far, from 0 to 1.
-
-    Returns
-    -------
-    Recording
-        Without times, and with a warning, if the times in the file do not increase.
-
-    Raises
-    ------
-    FileError
-        If the stream has no frame.
-    """
+    """Collect a stream into a recording, without copying the readings."""
     readings, times, receive_times = _GrowingArray(), _GrowingArray(), _GrowingArray()
     for block in stream.blocks:
         readings.append(block.readings)
@@ -329,16 +272,7 @@ def rechunk(blocks: Iterator[Block], n_frames: int) -> Iterator[Block]:
 def salvage(
     blocks: Iterator[Block], path: Path, damage: tuple[type[Exception], ...] = (DamagedError,)
 ) -> Iterator[Block]:
-    """Yield the blocks before the first damage, and warn about the lost rest.
-
-    Parameters
-    ----------
-    blocks : iterator of Block
-    path : pathlib.Path
-        The file, for messages.
-    damage : tuple of exception types
-        Exceptions that indicate a damaged file. They are raised again if no frame precedes them.
-    """
+    """Yield the blocks before the first damage, and warn about the lost rest."""
     n_frames, fraction = 0, 0.0
     try:
         for block in blocks:
@@ -420,25 +354,7 @@ def _best_clock(stream: Stream, clocks: list[NDArray[np.float64]]) -> NDArray[np
 
 
 def join_streams(streams: Mapping[str, Stream]) -> Stream:
-    """Join the sensors of several streams, sampled at the times of the first.
-
-    Parameters
-    ----------
-    streams : mapping of str to Stream
-        Streams by name of the part, which becomes a prefix of its sensors' names. All need times
-        from synchronised clocks.
-
-    Returns
-    -------
-    Stream
-        The frames of the first stream, each with the latest earlier frame of the other streams.
-        Frames outside the recording time of any stream are left out.
-
-    Raises
-    ------
-    FileError
-        While iterating, if a stream has no times or no frame, or the streams do not overlap.
-    """
+    """Join the sensors of several streams, sampled at the times of the first."""
     (_, leader), *followers = streams.items()
     names = tuple(
         f"{part}/{name}"

@@ -98,35 +98,13 @@ def write_components(
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Check, before a long computation, that a map can be written to a file.
-
-    Parameters
-    ----------
-    path : path-like
-        As for `write`.
-
-    Raises
-    ------
-    FileError
-        If the suffix is not that of a map format, or the folder does not exist.
-    """
+    """Check, before a long computation, that a map can be written to a file."""
     file = check_target(path)
     _by_suffix(file, {s: f.write_map for f in FORMATS for s in f.suffixes})
 
 
 def needs_scale(path: str | os.PathLike[str]) -> bool:
-    """Return whether the format of a file stores metres, so that a map needs a scale.
-
-    Parameters
-    ----------
-    path : path-like
-        As for `write`.
-
-    Raises
-    ------
-    FileError
-        If the suffix is not that of a map format.
-    """
+    """Return whether the format of a file stores metres, so that a map needs a scale."""
     return _by_suffix(
         Path(path), {s: f for f in FORMATS if f.write_map for s in f.suffixes}
     ).in_metres

@@ -58,20 +58,11 @@ _MIN_CONTACTS = 20  # in the excerpt, for its assessment to count; chosen by han
 class SimilarityGraph:
     """Graph of the most similar sensors, and other data of an approximate map.
 
-    Attributes
-    ----------
-    sketch : Sketch
-    links : SensorPairs
-        All pairs for which r was computed.
-    graph : SensorGraph
-        The pairs that are edges.
-    excerpt : Recording
-        Segments of frames from the whole recording; all frames if they are few.
-    health : tuple of SensorHealth
-        Assessed from the excerpt; numbers of contacts are those of all frames.
-    dropped : ndarray of bool, shape (N,)
-        Mask of the dropped sensors.
-    options : ApproximateOptions
+    links: All pairs for which r was computed.
+    graph: The pairs that are edges.
+    excerpt: Segments of frames from the whole recording; all frames if they are few.
+    health: Assessed from the excerpt; numbers of contacts are those of all frames.
+    dropped: Mask of the dropped sensors.
     """
 
     sketch: Sketch
@@ -161,24 +152,7 @@ def build_similarity_graph(
     drop: Iterable[str | int] = (),
     options: ApproximateOptions | None = None,
 ) -> SimilarityGraph:
-    """Link each sensor to the most similar sensors, reading all frames twice or more.
-
-    Parameters
-    ----------
-    chunks, missing, drop, options
-        As for `reconstruct_approximately`.
-    like : Recording or sequence of str
-        A recording with the names, positions and metadata, or the names alone.
-
-    Returns
-    -------
-    SimilarityGraph
-
-    Raises
-    ------
-    InputError
-        See `reconstruct_approximately`.
-    """
+    """Link each sensor to the most similar sensors, reading all frames twice or more."""
     chosen = options or ApproximateOptions()
     segments, complete = Excerpt(EXCERPT_READINGS), complete_chunks(chunks, missing)
 
@@ -223,29 +197,7 @@ def map_similarity_graph(
     *,
     options: MethodOptions | None = None,
 ) -> SensorMap:
-    """Reconstruct an approximate map from a graph of similar sensors.
-
-    Parameters
-    ----------
-    found : SimilarityGraph
-    dimensions, options
-        As for `reconstruct_approximately`.
-
-    Returns
-    -------
-    SensorMap
-        See `reconstruct_approximately`.
-
-    Raises
-    ------
-    InputError
-        If `dimensions` is less than 1, or too few sensors are related.
-
-    Warns
-    -----
-    AnisomapWarning
-        Once for each note of the map.
-    """
+    """Reconstruct an approximate map from a graph of similar sensors."""
     chosen = options or MethodOptions()
     check_dimensions(dimensions)
     n_dimensions = given_dimensions(dimensions)

@@ -49,10 +49,7 @@ class _Stage(NamedTuple):
 class ChunkDigests:
     """Cumulative digests that identify chunks: each covers all chunks up to it.
 
-    Parameters
-    ----------
-    seed : str
-        Included in every digest.
+    seed: Included in every digest.
     """
 
     def __init__(self, seed: str = "") -> None:
@@ -76,17 +73,9 @@ class Checkpoint:
 
     It is needed since joblib and Dask rerun lost tasks, but do not store a reduction in progress.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, an NPZ archive. It is replaced atomically.
-    subject : str
-        Description of the computation and its input; a checkpoint with another subject is refused.
-
-    Raises
-    ------
-    FileError
-        If the file exists but is damaged or has another subject, or cannot be written.
+    path: The file, an NPZ archive. It is replaced atomically.
+    subject: Description of the computation and its input; a checkpoint with another subject is
+        refused.
     """
 
     def __init__(self, path: Path, subject: str) -> None:

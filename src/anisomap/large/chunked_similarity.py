@@ -48,16 +48,11 @@ Mapper: TypeAlias = Callable[[NDArray[Any]], Any]
 class Chunked:
     """A similarity as a map-reduce.
 
-    Attributes
-    ----------
-    prepare : callable
-        ``prepare(values, bins)`` returns the mapper, given the counts of distinct values (None
+    prepare: ``prepare(values, bins)`` returns the mapper, given the counts of distinct values (None
         unless `needs_values`) and the number of bins.
-    finish : callable
-        Converts the accumulator of all chunks to the (N, N) similarity.
-    of_values : callable, optional
-        ``of_values(joint_values, bins)`` computes the same similarity from `JointValues`. None if
-        the similarity does not depend on the counts of values.
+    finish: Converts the accumulator of all chunks to the (N, N) similarity.
+    of_values: ``of_values(joint_values, bins)`` computes the same similarity from `JointValues`.
+        None if the similarity does not depend on the counts of values.
     """
 
     prepare: Callable[[ValueCounts | None, int], Mapper]

@@ -47,13 +47,7 @@ def chunk_frames(n_sensors: int) -> int:
 
 
 def split_array(readings: NDArray[Any]) -> Chunks:
-    """Split an array of shape (T, N) into chunks, which are views or memory maps.
-
-    Raises
-    ------
-    InputError
-        If the array is empty or not two-dimensional.
-    """
+    """Split an array of shape (T, N) into chunks, which are views or memory maps."""
     if readings.ndim != 2 or 0 in readings.shape:
         raise InputError(
             f"readings must be of shape (T, N) (frames x sensors) and not empty, got shape "
@@ -79,27 +73,7 @@ def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[
 
 
 def complete_chunks(chunks: Chunks, missing: MissingPolicy = "error") -> CompleteChunks:
-    """Apply a policy on missing readings chunk by chunk, as `Recording.complete` does.
-
-    Parameters
-    ----------
-    chunks : callable
-        Returns an iterator over the frames of one recording.
-    missing : {"error", "drop-frames", "interpolate"}
-        Policy on readings that are NaN or infinite. Interpolation keeps two chunks in memory, and
-        takes an additional pass if a gap is longer than a chunk or a sensor has no reading.
-
-    Returns
-    -------
-    callable
-        Returns an iterator over the complete frames, possibly in other chunks.
-
-    Raises
-    ------
-    InputError
-        If the policy is unknown. On iteration, if a reading is missing under "error", no frame is
-        complete under "drop-frames", or chunks differ in their sensors.
-    """
+    """Apply a policy on missing readings chunk by chunk, as `Recording.complete` does."""
     checked = partial(check_chunks, chunks)
     if missing == "interpolate":
         return interpolate_gaps(checked, CHUNK_READINGS)
@@ -115,15 +89,8 @@ def complete_chunks(chunks: Chunks, missing: MissingPolicy = "error") -> Complet
 class Excerpt:
     """Equally spaced segments of consecutive frames, in bounded memory.
 
-    Parameters
-    ----------
-    n_readings : int
-        Approximate number of readings to keep; 0 for `EXCERPT_READINGS`.
-
-    Attributes
-    ----------
-    complete : bool
-        Set by the caller once all frames were added.
+    n_readings: Approximate number of readings to keep; 0 for `EXCERPT_READINGS`.
+    complete: Set by the caller once all frames were added.
     """
 
     def __init__(self, n_readings: int = 0) -> None:

@@ -26,13 +26,8 @@ N_TASKS = 32
 class Targets(NamedTuple):
     """Distances that the positions should reproduce.
 
-    Attributes
-    ----------
-    landmarks : ndarray of int, shape (L,)
-    rows : ndarray of float32, shape (N, L)
-        Distance of each sensor from each landmark.
-    edges : csr_array of shape (N, N)
-        Distances of adjacent sensors.
+    rows: Distance of each sensor from each landmark.
+    edges (N, N): Distances of adjacent sensors.
     """
 
     landmarks: NDArray[np.int64]
@@ -48,20 +43,8 @@ class Targets(NamedTuple):
 def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: int) -> SolverResult:
     """Minimise the raw stress of the pairs with landmarks and of the edges.
 
-    Parameters
-    ----------
-    targets : Targets
-    start : ndarray of shape (N, k)
-    tolerance, max_iterations
-        See `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
+    start (N, k).
 
-    Returns
-    -------
-    SolverResult
-        The stress never increases.
-
-    Notes
-    -----
     The exact map minimises the stress over all pairs. Here the L pairs of each sensor with
     landmarks represent its N - 1 pairs, so their weight is N / L, and that of an edge is 1 (both
     times L / N).
@@ -137,14 +120,9 @@ ROWS_PER_BLOCK = 4096
 class PlacedComponent(NamedTuple):
     """Positions of the sensors of one connected component.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (n, k)
-        Centred on the origin.
-    raw_stress, spread : float
-        Sums of (d - D)^2 and of d^2 over the pairs of each sensor with each landmark.
-    converged : bool
-    iterations : int
+    positions (n, k): Centred on the origin.
+    raw_stress, spread: Sums of (d - D)^2 and of d^2 over the pairs of each sensor with each
+        landmark.
     """
 
     positions: NDArray[np.float64]
@@ -164,24 +142,8 @@ def place_component(
 ) -> PlacedComponent:
     """Compute the positions of the sensors of a connected graph.
 
-    Parameters
-    ----------
-    graph : csr_array of shape (n, n)
-        Lengths of edges, above 0; symmetric and connected.
-    dimensions : int
-        Number of coordinates, k.
-    n_landmarks : int
-        Number of sensors drawn as landmarks; all if there are no more.
-    options : SmacofOptions
-    rng : numpy.random.Generator
-        Generator of the choice of landmarks.
+    graph (n, n).
 
-    Returns
-    -------
-    PlacedComponent
-
-    Notes
-    -----
     Random landmarks are about as dense as the sensors; de Silva & Tenenbaum (2004) found them as
     good as optimised ones if they are many more than the dimensions.
     """
@@ -208,20 +170,7 @@ def place_component(
 
 
 def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> NDArray[np.float32]:
-    """Compute the lengths of the shortest paths from landmarks to all sensors.
-
-    Parameters
-    ----------
-    landmarks : array_like of int, shape (L,)
-        Indices of sensors.
-    graph : csr_array of shape (N, N)
-        Lengths of edges, above 0; symmetric.
-
-    Returns
-    -------
-    ndarray of float32, shape (N, L)
-        Infinite where there is no path. The relative rounding error of h edges is about h 1e-7.
-    """
+    """Compute the lengths of the shortest paths from landmarks to all sensors. graph (N, N)."""
     sources = np.asarray(landmarks, dtype=np.int64)
     order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
     edges = (
@@ -249,21 +198,8 @@ def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> 
 def triangulate(rows: NDArray[np.float32], landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute positions from distances to landmarks.
 
-    Parameters
-    ----------
-    rows : ndarray of shape (N, L)
-        Distance of each sensor from each landmark.
-    landmarks : ndarray of shape (L, k)
-        Positions of the landmarks.
+    rows (N, L), landmarks (L, k) -> (N, k).
 
-    Returns
-    -------
-    ndarray of shape (N, k)
-        In the coordinate frame of the landmarks. Exact if the distances are those of points in k
-        dimensions that the landmarks span.
-
-    Notes
-    -----
     De Silva & Tenenbaum (2004), "Sparse multidimensional scaling using landmark points", section
     3.2: ``y = -1/2 X^+ (d^2 - |x|^2)`` with centred landmarks X. Squared distances
     ``d^2 = |x|^2 - 2 x y + |y|^2`` are linear in y except for |y|^2, which is the same for all

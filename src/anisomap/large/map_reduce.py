@@ -38,31 +38,7 @@ _CLOSE_S = 2.0
 def map_on_dask(
     function: Callable[..., Any], chunks: Iterable[Any], arguments: tuple[Any, ...], address: str
 ) -> Iterator[Any]:
-    """Apply a function to chunks on a cluster.
-
-    Parameters
-    ----------
-    function : callable
-        Called with a chunk and `arguments`; must be picklable.
-    chunks : iterable
-    arguments : tuple
-    address : str
-        Of the scheduler, such as ``tcp://host:8786``. Pickled objects are exchanged with it, so it
-        must be trusted.
-
-    Yields
-    ------
-    object
-        The results, in the order of the chunks.
-
-    Raises
-    ------
-    InputError
-        If the address is not valid, no scheduler answers there, the connection is lost, or there
-        is no worker for some time.
-    MissingExtraError
-        If Dask is not installed.
-    """
+    """Apply a function to chunks on a cluster."""
     dask, distributed = (
         import_extra(name, "using a Dask cluster", "cluster") for name in ("dask", "distributed")
     )
@@ -220,39 +196,7 @@ def map_reduce(
     stage: str = "total",
     after: str = "",
 ) -> Any:
-    """Apply a function to every chunk and merge the results.
-
-    Parameters
-    ----------
-    chunks : callable
-        Returns an iterator over all chunks, from the first.
-    mapper : callable
-        Returns the accumulator of a chunk, an object with a method `merged`. It must be picklable
-        if other processes are used.
-    pool : WorkerPool
-    checkpoint : Checkpoint, optional
-        Progress to resume from and to update.
-    stage : str
-        Name of this reduction in the checkpoint.
-    after : str
-        Stage with the result on which `mapper` depends, if any. A checkpoint that was made after
-        another result of this stage is refused.
-
-    Returns
-    -------
-    object
-        The merged accumulator. Results are merged in the order of the chunks, so the accumulator
-        is bitwise equal for any pool.
-
-    Raises
-    ------
-    InputError
-        If there is no chunk, a worker process dies, or the cluster does not answer.
-    FileError
-        If the checkpoint was made from other chunks.
-    MissingExtraError
-        If a scheduler is given and Dask is not installed.
-    """
+    """Apply a function to every chunk and merge the results."""
     total = None
     if checkpoint is None:
         for result in _results_map_reduce(chunks(), mapper, pool):

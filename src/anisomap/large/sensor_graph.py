@@ -41,11 +41,7 @@ _SENSOR_OVER_ALL = 0.75  # expected maximum r of one sensor's pairs over that of
 class SensorGraph(NamedTuple):
     """A graph that links sensors to their most similar sensors.
 
-    Attributes
-    ----------
-    edges : SensorPairs
-    component : ndarray of int, shape (N,)
-        Connected component of each sensor, by decreasing size, ties by the first sensor.
+    component: Connected component of each sensor, by decreasing size, ties by the first sensor.
     """
 
     edges: SensorPairs
@@ -55,20 +51,6 @@ class SensorGraph(NamedTuple):
 def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> SensorGraph:
     """Link each sensor to those with the highest r, and reject pairs that may be coincidental.
 
-    Parameters
-    ----------
-    pairs : SensorPairs
-        All pairs with known r.
-    sketch : Sketch
-    n_neighbours : int
-        Number of sensors to which each is linked; it may be linked to more as their neighbour.
-
-    Returns
-    -------
-    SensorGraph
-
-    Notes
-    -----
     Among the many pairs of thousands of sensors, some are similar by coincidence; as links they
     would be shortcuts across the skin. A link is rejected if r is much lower than the highest r of
     either sensor, since a path over nearer sensors is as short; if r is not significant
@@ -108,22 +90,6 @@ def bridge_components(
 ) -> tuple[SensorGraph, SensorPairs]:
     """Link connected components by significant r.
 
-    Parameters
-    ----------
-    graph : SensorGraph
-    sketch : Sketch
-    chunks : callable
-        Returns an iterator over the frames that were sketched.
-
-    Returns
-    -------
-    graph : SensorGraph
-        The sketches suggest no significant r between its components.
-    pairs : SensorPairs
-        All pairs for which r was computed.
-
-    Notes
-    -----
     Links between components may be missing from the graph, since the sensors of a rigid plate are
     more similar to each other than to any sensor beside it.
     """
@@ -151,20 +117,8 @@ def largest_null_r(
 ) -> NDArray[np.float64]:
     """Return, for each pair, the expected maximum r if no sensors were related.
 
-    Parameters
-    ----------
-    pairs : SensorPairs
-    sketch : Sketch
-        Number and duration of the contacts of each sensor.
-    coincidences : float
-        Number of additional coincident contacts.
+    Returns (P,).
 
-    Returns
-    -------
-    ndarray of shape (P,)
-
-    Notes
-    -----
     Two sensors touched c and c' times in T frames, for d and d' frames each, are touched together
     about ``c c' (d + d') / T`` times by coincidence, and each time raises r by ``(c c')^(-1/2)``.
     The null standard deviation of r is therefore ``((d + d') / T)^(1/2)``, as of ``T / (d + d')``
@@ -180,20 +134,7 @@ def largest_null_r(
 
 
 def edge_lengths(pairs: SensorPairs, edges: SensorPairs, mu: float) -> NDArray[np.float64]:
-    """Return the length of every edge, the regularised reciprocal of its r.
-
-    Parameters
-    ----------
-    pairs : SensorPairs
-        All pairs with known r; they determine the smallest positive r.
-    edges : SensorPairs
-    mu : float
-        See `anisomap.numerics.graph.dissimilarity.regularised_reciprocal`.
-
-    Returns
-    -------
-    ndarray of shape (E,)
-    """
+    """Return the length of every edge, the regularised reciprocal of its r. Returns (E,)."""
     smallest = float(pairs.r.min(where=pairs.r >= NUMERICAL_ZERO, initial=1.0))
     return np.asarray(1 / (edges.r + mu * smallest))
 

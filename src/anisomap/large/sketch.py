@@ -76,20 +76,12 @@ def loops() -> Any:
 class Sketch:
     """Summary of T frames of N sensors.
 
-    Attributes
-    ----------
-    n_frames : int
-    mean, deviation : ndarray of shape (N,)
-        Exact moments of the readings; the deviation is that of the population.
-    varying : ndarray of bool, shape (N,)
-        Whether each sensor ever varies.
-    contacts : ndarray of int, shape (N,)
-        Number of excursions from the first reading, on the side with more of them.
-    active_frames : ndarray of int, shape (N,)
-        Number of frames on that side, or of all others if these are fewer.
-    projections : ndarray of float32, shape (N, s)
-        Sketches: the expected inner product of two rows, over random signs, is r. 0 for constant
-        sensors.
+    mean, deviation (N,): Exact moments of the readings; the deviation is that of the population.
+    varying: Whether each sensor ever varies.
+    contacts: Number of excursions from the first reading, on the side with more of them.
+    active_frames: Number of frames on that side, or of all others if these are fewer.
+    projections: Sketches: the expected inner product of two rows, over random signs, is r. 0 for
+        constant sensors.
     """
 
     n_frames: int
@@ -104,26 +96,6 @@ class Sketch:
 def compute_sketch(chunks: Iterable[NDArray[Any]], size: int, rng: np.random.Generator) -> Sketch:
     """Sketch the standardised readings of every sensor.
 
-    Parameters
-    ----------
-    chunks : iterable of ndarray, shape (t, N)
-        Finite readings in temporal order.
-    size : int
-        Length s of a sketch.
-    rng : numpy.random.Generator
-        Generator of a component and a sign for every frame.
-
-    Returns
-    -------
-    Sketch
-
-    Raises
-    ------
-    InputError
-        If there are no frames.
-
-    Notes
-    -----
     Each frame is added, with a random sign, to one of the s components: the count sketch of
     Charikar, Chen & Farach-Colton (2004), Theoretical Computer Science 312: 3-15. Inner products of
     sketches are unbiased, with a variance of at most ``(1 + r^2) / s`` (Weinberger et al. 2009,
@@ -228,20 +200,7 @@ class SensorPairs(NamedTuple):
 def pairs_of(
     found: NDArray[np.int64], sensors: ArrayLike | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """List the pairs of sensors and their candidates, each pair once.
-
-    Parameters
-    ----------
-    found : ndarray of int, shape (n, c)
-        See `most_similar`.
-    sensors : array_like of int, shape (n,), optional
-        Sensor of each row of `found`; 0, 1, ... by default.
-
-    Returns
-    -------
-    firsts, seconds : ndarray of int, shape (P,)
-        With ``firsts < seconds``, in increasing order.
-    """
+    """List the pairs of sensors and their candidates, each pair once."""
     owners = np.arange(len(found)) if sensors is None else np.asarray(sensors, dtype=np.int64)
     pairs = np.stack([np.repeat(owners, found.shape[1]), found.ravel()])
     pairs = np.sort(pairs[:, pairs[1] != NO_SENSOR], axis=0)
@@ -255,23 +214,7 @@ def correlations(
     sketch: Sketch,
     pairs: tuple[NDArray[np.int64], NDArray[np.int64]],
 ) -> SensorPairs:
-    """Compute Pearson r of pairs of sensors.
-
-    Parameters
-    ----------
-    chunks : iterable of ndarray, shape (t, N)
-        The frames from which the sketch was computed.
-    sketch : Sketch
-        Moments of all frames.
-    pairs : tuple of ndarray of int, shape (P,)
-        See `pairs_of`.
-
-    Returns
-    -------
-    SensorPairs
-        Readings are standardised in float64, multiplied in float32 and summed in float64 over the
-        chunks; the rounding error of r is about 1e-7. r is 0 where a sensor never varies.
-    """
+    """Compute Pearson r of pairs of sensors."""
     totals = np.zeros(len(pairs[0]))
     scale = np.divide(1, sketch.deviation, out=np.zeros(len(sketch.mean)), where=sketch.varying)
     bounds = np.linspace(0, len(totals), N_TASKS + 1).astype(int).tolist()

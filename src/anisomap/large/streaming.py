@@ -47,20 +47,12 @@ _MAX_EXAMINED = 2000  # sensors; finding the neighbours of more takes longer tha
 class StreamedSimilarity:
     """Similarity of all pairs of sensors over all frames, and other data of a map.
 
-    Attributes
-    ----------
-    similarity : ndarray of shape (N, N)
-        Symmetric.
-    varying : ndarray of bool, shape (N,)
-        Mask of the sensors that vary.
-    n_frames : int
-        Number of frames.
-    excerpt : Recording
-        Segments of frames from the whole recording; all frames if they are few.
-    health : tuple of SensorHealth
-        Assessed from the excerpt; numbers of contacts are extrapolated to all frames.
-    notes : tuple of str
-        Differences from a map of one array.
+    similarity (N, N): Symmetric.
+    varying: Mask of the sensors that vary.
+    n_frames: Number of frames.
+    excerpt: Segments of frames from the whole recording; all frames if they are few.
+    health: Assessed from the excerpt; numbers of contacts are extrapolated to all frames.
+    notes: Differences from a map of one array.
     """
 
     similarity: Reals
@@ -147,26 +139,7 @@ def stream_similarity(
     checkpoint: Path | None = None,
     source: str = "",
 ) -> StreamedSimilarity:
-    """Compute the similarity that a method uses over all frames, in one or two passes.
-
-    Parameters
-    ----------
-    chunks, method, options, missing, pool, checkpoint
-        As for `reconstruct_chunks`.
-    like : Recording or sequence of str
-        A recording with the names, positions and metadata, or the names alone.
-    source : str
-        Description of the frames; checkpoints with another description are refused.
-
-    Returns
-    -------
-    StreamedSimilarity
-
-    Raises
-    ------
-    InputError, FileError
-        See `reconstruct_chunks`.
-    """
+    """Compute the similarity that a method uses over all frames, in one or two passes."""
     check_even_spacing(method, options, readings=False)
     recipe = find_method(method)
     name, refined = recipe.similarity, bool(recipe.refinements)
@@ -231,19 +204,7 @@ def map_streamed_similarity(
     options: MethodOptions | None = None,
     drop: Iterable[str | int] = (),
 ) -> SensorMap:
-    """Reconstruct positions from the similarity of a recording that was read in chunks.
-
-    Parameters
-    ----------
-    found : StreamedSimilarity
-    method, dimensions, options, drop
-        As for `anisomap.reconstruct`; the method must use the similarity that was computed.
-
-    Returns
-    -------
-    SensorMap
-        See `reconstruct_chunks`.
-    """
+    """Reconstruct positions from the similarity of a recording that was read in chunks."""
     dropped = set(found.excerpt.indices(drop).tolist())
     noise = None
     if find_method(method).refinements:

@@ -99,15 +99,9 @@ _MAX_NAMED = 6
 class Explained:
     """A group of sensors with new places, and the explanation.
 
-    Attributes
-    ----------
-    kind : str
-        A key of `anisomap.layout.KINDS`.
-    sensors : ndarray of int
-        Those that take part, some perhaps with the place that is stated.
-    text : str
-    alternatives : tuple of Move
-        See `anisomap.numerics.layout.evidence.Proposal`.
+    kind: A key of `anisomap.layout.KINDS`.
+    sensors: Those that take part, some perhaps with the place that is stated.
+    alternatives: See `anisomap.numerics.layout.evidence.Proposal`.
     """
 
     kind: str
@@ -127,19 +121,7 @@ def explain(
 ) -> list[Explained]:
     """Divide the sensors with new places into groups that one fault explains.
 
-    Parameters
-    ----------
-    stated, proposed : ndarray of shape (n, k)
-    modules : ModuleShapes
-    spacing : float
-    rigid : sequence of ndarray of int
-        Groups of sensors that were moved as a whole.
-    names : sequence of str
-
-    Returns
-    -------
-    list of Explained
-        Each sensor with a new place is in exactly one.
+    stated, proposed (n, k).
     """
     target = _targets(stated, proposed, spacing)
     left = target != np.arange(len(stated))

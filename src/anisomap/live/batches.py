@@ -20,12 +20,8 @@ WAIT_S = 0.1
 class Batch:
     """Consecutive frames of one width.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (t, N)
-        One row per frame; NaN where a reading is missing.
-    times : ndarray of shape (t,), optional
-        Seconds of the clock of the source; by default the time of arrival is recorded.
+    readings (t, N): One row per frame; NaN where a reading is missing.
+    times (t,): Seconds of the clock of the source; by default the time of arrival is recorded.
     """
 
     readings: NDArray[np.float64]
@@ -36,10 +32,7 @@ class Batch:
 class Names:
     """Names of the sensors, which a source learns while it runs.
 
-    Parameters
-    ----------
-    names : tuple of str
-        One per sensor.
+    names: One per sensor.
     """
 
     names: tuple[str, ...]
@@ -49,10 +42,7 @@ class Names:
 class Notice:
     """An event that users should know of, such as a lost connection.
 
-    Parameters
-    ----------
-    text : str
-        One sentence.
+    text: One sentence.
     """
 
     text: str
@@ -67,14 +57,9 @@ class Source(Protocol):
     A source that loses nothing if it begins later, such as a replay, has an attribute ``can_wait``
     that is true: it begins when the processes that make maps have started.
 
-    Attributes
-    ----------
-    description : str
-        Origin, for the recording and the page.
-    names : tuple of str
-        Names of the sensors, if they are known before the first frame; else empty.
-    truth : SensorMap or None
-        True positions of the sensors, if the source knows them.
+    description: Origin, for the recording and the page.
+    names: Names of the sensors, if they are known before the first frame; else empty.
+    truth: True positions of the sensors, if the source knows them.
     """
 
     description: str
@@ -82,11 +67,5 @@ class Source(Protocol):
     truth: SensorMap | None
 
     def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over what arrives, until the source ends or `stop` is set.
-
-        Raises
-        ------
-        AnisomapError
-            If the source cannot be opened.
-        """
+        """Iterate over what arrives, until the source ends or `stop` is set."""
         ...

@@ -30,16 +30,10 @@ _NEARLY_ALL = 0.9  # of the sensors; chosen by hand: skins have fewer dead senso
 class Advice:
     """Advice to the person who touches the skin.
 
-    Attributes
-    ----------
-    places : tuple of Place
-        Where contacts are lacking, the most urgent first.
-    untouched : tuple of int
-        Sensors that were never touched.
-    share_done : float
-        Share of the evidence that is there, in [0, 1].
-    text : str
-        One sentence.
+    places: Where contacts are lacking, the most urgent first.
+    untouched: Sensors that were never touched.
+    share_done: Share of the evidence that is there, in [0, 1].
+    text: One sentence.
     """
 
     places: tuple[Place, ...] = ()
@@ -61,23 +55,7 @@ class Advice:
 def confirmed_faults(
     health: Iterable[SensorHealth], untouched: Collection[str], share_touched: float
 ) -> tuple[SensorHealth, ...]:
-    """Return the sensors that are faulty, without those that were hardly touched so far.
-
-    Parameters
-    ----------
-    health : iterable of SensorHealth
-        From the last checked map.
-    untouched : collection of str
-        Sensors that were not touched until now.
-    share_touched : float
-        Share of the sensors that were touched.
-
-    Returns
-    -------
-    tuple of SensorHealth
-        A constant sensor at rest is dead if nearly all others were touched; other faults of sensors
-        that vary need `ENOUGH_CONTACTS` contacts.
-    """
+    """Return the sensors that are faulty, without those that were hardly touched so far."""
     found = []
     for sensor in health:
         if sensor.status == "dead":
@@ -96,24 +74,7 @@ def advise(
     names: Sequence[str],
     drop: Collection[int] = (),
 ) -> Advice:
-    """Advise where to touch next.
-
-    Parameters
-    ----------
-    positions : ndarray of shape (N, k)
-        NaN for sensors without one.
-    contacts : ndarray of int, shape (N,)
-        Separate contacts of each sensor.
-    together : ndarray of shape (N, N)
-        Separate contacts of two sensors at the same time.
-    names : sequence of str
-    drop : collection of int
-        Sensors that are of no interest.
-
-    Returns
-    -------
-    Advice
-    """
+    """Advise where to touch next. positions (N, k), together (N, N)."""
     wanted = np.ones(len(names), dtype=bool)
     wanted[list(drop)] = False
     placed = np.isfinite(positions).all(axis=1)

@@ -43,24 +43,13 @@ _PARTS = 64  # of a long recording, evenly spread over it
 class Examination:
     """A checked map.
 
-    Attributes
-    ----------
-    sensor_map : SensorMap or None
-        None if there is no map yet; see `reason`.
-    health : tuple of SensorHealth
-    summary : RecordingSummary or None
-        Of the frames that were mapped.
-    verdict : Verdict
-    error_against_truth : float
-        RMS error in spacings, if the truth is known; else NaN.
-    n_frames : int
-        Number of frames of the recording when it was read.
-    seconds : float
-        Time that the examination took.
-    final : bool
-        Whether all frames of the session are in the map.
-    reason : str
-        Why there is no map; empty if there is one.
+    sensor_map: None if there is no map yet; see `reason`.
+    summary: Of the frames that were mapped.
+    error_against_truth: RMS error in spacings, if the truth is known; else NaN.
+    n_frames: Number of frames of the recording when it was read.
+    seconds: Time that the examination took.
+    final: Whether all frames of the session are in the map.
+    reason: Why there is no map; empty if there is one.
     """
 
     sensor_map: SensorMap | None
@@ -78,17 +67,10 @@ class Examination:
 class ExaminationOptions:
     """What a checked map is made with.
 
-    Parameters
-    ----------
-    dimensions : int or "auto"
-        Number of coordinates; "auto" chooses it for each checked map.
-    method : str
-    preset : str
-        See `ReadOptions`.
-    drop : tuple of str
-        Sensors to leave out.
-    truth : SensorMap, optional
-        Positions to compare with.
+    dimensions: Number of coordinates; "auto" chooses it for each checked map.
+    preset: See `ReadOptions`.
+    drop: Sensors to leave out.
+    truth: Positions to compare with.
     """
 
     dimensions: Dimensions = AUTO
@@ -104,23 +86,7 @@ _Mapped: TypeAlias = tuple[SensorMap, tuple[SensorHealth, ...], RecordingSummary
 def examine(
     path: Path, n_frames: int, options: ExaminationOptions, *, final: bool = False
 ) -> Examination:
-    """Map the recording of a session, and judge the map.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The recording, which may grow meanwhile.
-    n_frames : int
-        Number of frames that it has.
-    options : ExaminationOptions
-    final : bool
-        Whether the recording is complete; then all frames are used.
-
-    Returns
-    -------
-    Examination
-        Without a map if the recording does not suffice for one.
-    """
+    """Map the recording of a session, and judge the map."""
     begun = time.monotonic()
     made: SensorMap | None = None
     health: tuple[SensorHealth, ...] = ()

@@ -38,20 +38,10 @@ class TouchStatistics:
 
     A missing reading counts as the last one that the sensor sent.
 
-    Parameters
-    ----------
-    n_sensors : int
-
-    Attributes
-    ----------
-    n_frames : int
-        Number of frames so far.
-    contacts : ndarray of int, shape (N,)
-        Number of separate contacts of each sensor.
-    together : ndarray of float32, shape (N, N)
-        Number of separate contacts of both sensors at the same time.
-    lowest, highest : ndarray of shape (N,)
-        Range of the readings; infinite before the first.
+    n_frames: Number of frames so far.
+    contacts: Number of separate contacts of each sensor.
+    together: Number of separate contacts of both sensors at the same time.
+    lowest, highest (N,): Range of the readings; infinite before the first.
     """
 
     def __init__(self, n_sensors: int) -> None:
@@ -89,12 +79,7 @@ class TouchStatistics:
         return self._rest
 
     def add(self, readings: NDArray[np.float64]) -> None:
-        """Add frames.
-
-        Parameters
-        ----------
-        readings : ndarray of shape (t, N)
-        """
+        """Add frames. readings (t, N)."""
         for at in range(0, len(readings), _PART_FRAMES):
             self._add(self._without_gaps(readings[at : at + _PART_FRAMES]))
 
@@ -189,29 +174,17 @@ more than ten seconds."""
 class QuickMap:
     """A map of the frames so far, and the statistics that belong to it.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (N, k)
-        Centred, with an RMS radius of 1, turned onto the map before; NaN for sensors without one.
-    n_frames : int
-        Number of frames in the map.
-    seconds : float
-        Time that the map took to compute.
-    contacts : ndarray of int, shape (N,)
-        Number of separate contacts of each sensor.
-    pairs : ndarray of int, shape (P, 2)
-        Neighbours, which the page joins by lines.
-    advice : Advice
-        Where to touch next.
-    rest : Rest
-    highest_depth : ndarray of shape (N,)
-        Largest excess over rest so far.
-    names : tuple of str
-        Names of the sensors.
-    left_out : tuple of int
-        Sensors that were dropped, and channels that are no sensors.
-    reason : str
-        Why there is no map; empty if there is one.
+    positions (N, k): Centred, with an RMS radius of 1, turned onto the map before; NaN for sensors
+        without one.
+    n_frames: Number of frames in the map.
+    seconds: Time that the map took to compute.
+    contacts: Number of separate contacts of each sensor.
+    pairs: Neighbours, which the page joins by lines.
+    advice: Where to touch next.
+    highest_depth (N,): Largest excess over rest so far.
+    names: Names of the sensors.
+    left_out: Sensors that were dropped, and channels that are no sensors.
+    reason: Why there is no map; empty if there is one.
     """
 
     positions: NDArray[np.float64]
@@ -231,13 +204,8 @@ class QuickMap:
 class QuickMapper:
     """Makes one map after another, each from the one before.
 
-    Parameters
-    ----------
-    names : sequence of str
-    dimensions : int
-        Number of coordinates; may change between maps.
-    drop : set of int
-        Sensors to leave out.
+    dimensions: Number of coordinates; may change between maps.
+    drop: Sensors to leave out.
     """
 
     names: Sequence[str]
@@ -312,16 +280,7 @@ def warm_start(
 ) -> NDArray[np.float64]:
     """Return a start for the scaling: known positions, and guesses for the other sensors.
 
-    Parameters
-    ----------
-    before : ndarray of shape (N, k)
-        Positions of the last map; NaN for sensors without one.
-    similarity : ndarray of shape (N, N)
-
-    Returns
-    -------
-    ndarray of shape (N, k)
-        A sensor without a position starts beside the most similar sensor that has one.
+    before (N, k), similarity (N, N) -> (N, k).
     """
     start = before.copy()
     placed = np.isfinite(before).all(axis=1)
@@ -339,17 +298,7 @@ def turned_onto(
 ) -> NDArray[np.float64]:
     """Turn a map onto the map before, with the handedness of that map.
 
-    Parameters
-    ----------
-    positions : ndarray of shape (N, k)
-        NaN for sensors without a position.
-    before : ndarray of shape (N, k), optional
-        By default the map is turned to its principal axes, the longest first.
-
-    Returns
-    -------
-    ndarray of shape (N, k)
-        Centred, with an RMS radius of 1.
+    positions (N, k), before (N, k) -> (N, k).
     """
     placed = np.isfinite(positions).all(axis=1)
     centred = positions - positions[placed].mean(axis=0)

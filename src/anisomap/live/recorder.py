@@ -37,27 +37,11 @@ _HELD_BYTES = 1 << 16  # written at once above this size, whatever the time
 class JournalWriter:
     """Appends frames to a new file.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Must not exist.
-    names : sequence of str
-        Names of the sensors.
-    source : str
-        Origin of the recording.
-    metadata : mapping of str to scalar, optional
-
-    Attributes
-    ----------
-    n_frames : int
-        Number of frames added.
-    header_bytes : int
-        Size of the lines before the first frame.
-
-    Raises
-    ------
-    FileError
-        If the file exists or cannot be written.
+    path: Must not exist.
+    names: Names of the sensors.
+    source: Origin of the recording.
+    n_frames: Number of frames added.
+    header_bytes: Size of the lines before the first frame.
     """
 
     def __init__(
@@ -86,19 +70,7 @@ class JournalWriter:
         self._write(header)
 
     def add(self, times: NDArray[np.float64], readings: NDArray[np.float64]) -> None:
-        """Add frames.
-
-        Parameters
-        ----------
-        times : ndarray of shape (t,)
-            Seconds, strictly increasing.
-        readings : ndarray of shape (t, N)
-
-        Raises
-        ------
-        FileError
-            If the disk is full; the file then ends with the last whole line.
-        """
+        """Add frames. times (t,), readings (t, N)."""
         for moment, row in zip(times.tolist(), readings.tolist(), strict=True):
             line = f"{moment:.6f},{','.join(map(repr, row))}\n"
             self._held.append(line)
@@ -110,13 +82,7 @@ class JournalWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Hand all frames to the operating system.
-
-        Raises
-        ------
-        FileError
-            See `add`.
-        """
+        """Hand all frames to the operating system."""
         self._written_at = time.monotonic()
         if self._held:
             content = "".join(self._held).encode()
@@ -148,13 +114,8 @@ class JournalWriter:
 class JournalTail:
     """Reads the frames that a `JournalWriter` appends, while it appends them.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    n_sensors : int
-        Number of readings per line.
-    header_bytes : int
-        `JournalWriter.header_bytes`.
+    n_sensors: Number of readings per line.
+    header_bytes: `JournalWriter.header_bytes`.
     """
 
     def __init__(self, path: Path, n_sensors: int, header_bytes: int) -> None:
@@ -164,20 +125,7 @@ class JournalTail:
         self._stream.seek(header_bytes)
 
     def read(self, n_bytes: int) -> tuple[NDArray[np.float64], bool]:
-        """Read frames that were added since the last call.
-
-        Parameters
-        ----------
-        n_bytes : int
-            Maximum number of bytes to read.
-
-        Returns
-        -------
-        readings : ndarray of shape (t, N)
-            Without the times; t is 0 if there is nothing new.
-        more : bool
-            Whether there may be more frames to read at once.
-        """
+        """Read frames that were added since the last call. Returns readings (t, N), more."""
         content = self._stream.read(n_bytes)
         text, _, rest = (self._rest + content).rpartition(b"\n")
         self._rest = rest
@@ -209,16 +157,9 @@ _TICK = 1e-6  # seconds; the last digit of the times in the file
 class Segment:
     """A file of a session.
 
-    Attributes
-    ----------
-    path : pathlib.Path
-    names : tuple of str
-    header_bytes : int
-        Size of its lines before the first frame.
-    number : int
-        From 1.
-    source : str
-        Origin of the recording.
+    header_bytes: Size of its lines before the first frame.
+    number: From 1.
+    source: Origin of the recording.
     """
 
     path: Path
@@ -231,17 +172,11 @@ class Segment:
 class Recorder:
     """Writes frames to a file, and to a new one when the number of sensors changes.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The first file; later ones are numbered, as in ``skin-2.csv``. Numbers of files that exist
+    path: The first file; later ones are numbered, as in ``skin-2.csv``. Numbers of files that exist
         are left out: they belong to earlier sessions.
-    source : str
-        Origin of the recording.
-    notify : callable
-        Receives sentences for the user.
-    begin : callable
-        Receives each `Segment` when its file has been created.
+    source: Origin of the recording.
+    notify: Receives sentences for the user.
+    begin: Receives each `Segment` when its file has been created.
     """
 
     def __init__(
@@ -275,13 +210,7 @@ class Recorder:
         return len(self.segments[-1].names) if self._writer is not None else 0
 
     def put(self, batch: Batch) -> None:
-        """Record frames, unless they are wider than `MAX_WIDTH`.
-
-        Raises
-        ------
-        FileError
-            If a file cannot be written.
-        """
+        """Record frames, unless they are wider than `MAX_WIDTH`."""
         if not batch.readings.size:
             return
         width = batch.readings.shape[1]

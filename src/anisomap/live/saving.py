@@ -25,30 +25,7 @@ def save_map(
     spacing: str = "",
     anchors: Anchors | None = None,
 ) -> Path:
-    """Write the checked map of a session.
-
-    Parameters
-    ----------
-    examination : Examination or None
-    path : pathlib.Path
-        Its suffix chooses the format.
-    spacing : str
-        Distance between neighbouring sensors, such as ``"6.5mm"``; formats in metres require it.
-    anchors : Anchors, optional
-        Known positions of some sensors: the map is placed in their frame.
-
-    Returns
-    -------
-    pathlib.Path
-        The same path.
-
-    Raises
-    ------
-    InputError
-        If there is no checked map yet, the spacing is not a length, or the format requires one.
-    FileError
-        If the file cannot be written.
-    """
+    """Write the checked map of a session."""
     sensor_map = map_of(examination)
     length = parse_length(spacing) if spacing else None
     if anchors is not None:
@@ -65,26 +42,7 @@ def save_map(
 
 
 def save_report(examination: Examination | None, path: Path) -> Path:
-    """Write the report on the checked map of a session.
-
-    Parameters
-    ----------
-    examination : Examination or None
-    path : pathlib.Path
-        Must end in ``.html``.
-
-    Returns
-    -------
-    pathlib.Path
-        The same path.
-
-    Raises
-    ------
-    InputError
-        If there is no checked map yet.
-    MissingExtraError
-        If the libraries of reports are not installed.
-    """
+    """Write the report on the checked map of a session."""
     sensor_map = map_of(examination)
     report.check_writable(path)
     report.write_report(
@@ -98,13 +56,7 @@ def save_report(examination: Examination | None, path: Path) -> Path:
 
 
 def map_of(examination: Examination | None) -> SensorMap:
-    """Return the checked map.
-
-    Raises
-    ------
-    InputError
-        If there is none yet.
-    """
+    """Return the checked map."""
     if examination is None or examination.sensor_map is None:
         reason = "" if examination is None else f": {examination.reason}"
         raise InputError(f"there is no checked map yet{reason}")
@@ -112,15 +64,7 @@ def map_of(examination: Examination | None) -> SensorMap:
 
 
 def command_for(recording: Path, options: ExaminationOptions, *, gaps: bool) -> str:
-    """Return the command that makes the final map of a session again.
-
-    Parameters
-    ----------
-    recording : pathlib.Path
-    options : ExaminationOptions
-    gaps : bool
-        Whether readings are missing.
-    """
+    """Return the command that makes the final map of a session again."""
     words = ["anisomap", "map", str(recording)]
     if options.dimensions != AUTO:
         words += ["-d", str(options.dimensions)]

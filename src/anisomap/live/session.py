@@ -30,10 +30,7 @@ from anisomap.wording import printable
 class Levels:
     """Levels of the sensors, renewed at each tick of a session.
 
-    Attributes
-    ----------
-    values : ndarray of shape (N,)
-        From 0 (at rest) to 1 (the strongest reading so far); empty before the first frame.
+    values (N,): From 0 (at rest) to 1 (the strongest reading so far); empty before the first frame.
     """
 
     def __init__(self) -> None:
@@ -47,18 +44,7 @@ class Levels:
     def renew(
         self, parts: Sequence[NDArray[np.float64]], width: int, quick: QuickMap | None
     ) -> None:
-        """Compute the deepest reading of each sensor among frames.
-
-        Parameters
-        ----------
-        parts : sequence of ndarray of shape (t, N)
-            Frames since the last call; those of another width than `width` are left out.
-        width : int
-            Number of sensors.
-        quick : QuickMap or None
-            Holds the resting readings of the sensors. Before it is made, the first frame counts as
-            rest.
-        """
+        """Compute the deepest reading of each sensor among frames. parts (t, N)."""
         parts = [part for part in parts if part.shape[1] == width]
         if not parts:
             return
@@ -93,32 +79,15 @@ class LiveSession:
     Use it as a context manager: frames are recorded from its beginning, and everything is on disk
     at its end.
 
-    Parameters
-    ----------
-    source : Source
-    recording : pathlib.Path
-        File for the recording; must not exist.
-    options : ExaminationOptions, optional
-        What maps are made with.
-
-    Attributes
-    ----------
-    source : Source
-    recorder : Recorder
-    maps : SessionMaps
-        The maps so far.
-    levels : Levels
-        What the sensors read now.
-    notices : sequence of Note
-    anchors : Anchors or None
-        Known positions of some sensors, by which saved maps are placed.
-    ended, wanted_end : threading.Event
-        Set when the source has ended, and when the user has asked for the end.
-    changed : threading.Condition
-        Notified when `tick`, the number of states of the readings, or `map_number`, that of maps,
-        has grown.
-    failure : AnisomapError or None
-        Why the recording ended, if it could not go on.
+    recording: File for the recording; must not exist.
+    options: What maps are made with.
+    maps: The maps so far.
+    levels: What the sensors read now.
+    anchors: Known positions of some sensors, by which saved maps are placed.
+    ended, wanted_end: Set when the source has ended, and when the user has asked for the end.
+    changed: Notified when `tick`, the number of states of the readings, or `map_number`, that of
+        maps, has grown.
+    failure: Why the recording ended, if it could not go on.
     """
 
     def __init__(
@@ -231,18 +200,7 @@ class LiveSession:
         self.notify("a new recording begins")
 
     def drop(self, names: Sequence[str]) -> None:
-        """Leave sensors out of the maps, or take back those that were left out.
-
-        Parameters
-        ----------
-        names : sequence of str
-            All sensors to leave out from now on.
-
-        Raises
-        ------
-        InputError
-            If there is no such sensor.
-        """
+        """Leave sensors out of the maps, or take back those that were left out."""
         known = set(self.maps.names)
         if unknown := [name for name in names if name not in known]:
             raise InputError(f"there is no sensor {printable(unknown[0])}")
@@ -266,18 +224,7 @@ class LiveSession:
         self.ended.set()
 
     def finish(self, timeout_s: float | None = None) -> Examination | None:
-        """End the acquisition and make the final map, of all frames.
-
-        Parameters
-        ----------
-        timeout_s : float, optional
-            Longest time to wait for it.
-
-        Returns
-        -------
-        Examination or None
-            None if nothing was recorded, or it was not made in time, or its process died.
-        """
+        """End the acquisition and make the final map, of all frames."""
         self.stop()
         self.finishing = True
         try:

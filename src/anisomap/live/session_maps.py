@@ -43,11 +43,7 @@ def thinned(curve: Sequence[_Point]) -> list[_Point]:
 class Note:
     """A sentence for the user.
 
-    Attributes
-    ----------
-    seconds : float
-        Time since the start of the session.
-    text : str
+    seconds: Time since the start of the session.
     """
 
     seconds: float
@@ -58,14 +54,8 @@ class Note:
 class Point:
     """A point of the curves over time.
 
-    Attributes
-    ----------
-    seconds : float
-        Time since the start of the session.
-    n_frames : int
-    expected_error, error_against_truth : float
-        In spacings; NaN if unknown.
-    level : str
+    seconds: Time since the start of the session.
+    expected_error, error_against_truth: In spacings; NaN if unknown.
     """
 
     seconds: float
@@ -112,31 +102,15 @@ _SHARE_S = 1.0  # between two points of the share of sensors touched
 class SessionMaps:
     """Quick and checked maps of a recording that grows, made by two processes.
 
-    Parameters
-    ----------
-    options : ExaminationOptions
-    notify : callable
-        Receives sentences for the user.
-    announce : callable
-        Called when there is a new map.
-    clock : callable
-        Returns the time since the start of the session in seconds.
-
-    Attributes
-    ----------
-    options : ExaminationOptions
-    quick : QuickMap or None
-        The last quick map.
-    checked : Examination or None
-        The last checked map.
-    curve : list of Point
-        Errors of the checked maps over time.
-    touched : list of (float, float)
-        Share of the sensors touched over time in seconds.
-    examining : bool
-        Whether a checked map is being made.
-    ready : threading.Event
-        Set when the process of quick maps has started.
+    notify: Receives sentences for the user.
+    announce: Called when there is a new map.
+    clock: Returns the time since the start of the session in seconds.
+    quick: The last quick map.
+    checked: The last checked map.
+    curve: Errors of the checked maps over time.
+    touched: Share of the sensors touched over time in seconds.
+    examining: Whether a checked map is being made.
+    ready: Set when the process of quick maps has started.
     """
 
     def __init__(

@@ -41,12 +41,7 @@ _JOIN_S = 0.5  # for a process to end by itself
 class Changed:
     """A message to the workers: what they map from now on.
 
-    Attributes
-    ----------
-    segment : Segment, optional
-    options : ExaminationOptions, optional
-    dimensions : int, optional
-        Of quick maps, if the options leave it open.
+    dimensions: Of quick maps, if the options leave it open.
     """
 
     segment: Segment | None = None
@@ -75,11 +70,7 @@ class Examine:
 class Failed:
     """A message from a worker: something unexpected went wrong.
 
-    Attributes
-    ----------
-    text : str
-    final : bool
-        Whether no final map follows.
+    final: Whether no final map follows.
     """
 
     text: str
@@ -94,16 +85,8 @@ class Ready:
 class Worker:
     """A process that answers messages, and is started again if it dies.
 
-    Parameters
-    ----------
-    role : {"quick", "checked"}
-    receive : callable
-        Receives each answer, in a thread.
-
-    Attributes
-    ----------
-    gone : bool
-        Whether the process died too often to be started again.
+    receive: Receives each answer, in a thread.
+    gone: Whether the process died too often to be started again.
     """
 
     def __init__(self, role: str, receive: Callable[[Any], None]) -> None:

@@ -16,20 +16,7 @@ _SENSORS_AT_ONCE = 64
 
 
 def columns(readings: NDArray[Any], n_at_once: int = _SENSORS_AT_ONCE) -> Iterator[NDArray[Any]]:
-    """Iterate over the readings of each sensor.
-
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-    n_at_once : int
-        Number of sensors copied at a time. Copying single columns would load every row of
-        `readings` from memory for one number.
-
-    Yields
-    ------
-    ndarray of shape (T,)
-        Contiguous.
-    """
+    """Iterate over the readings of each sensor. readings (T, N) -> (T,)."""
     for begin in range(0, readings.shape[1], n_at_once):
         yield from np.ascontiguousarray(readings[:, begin : begin + n_at_once].T)
 
@@ -38,20 +25,12 @@ def columns(readings: NDArray[Any], n_at_once: int = _SENSORS_AT_ONCE) -> Iterat
 class Levels:
     """Distinct readings of one sensor, and the frames at them.
 
-    Attributes
-    ----------
-    n_frames : int
-        T.
-    values : ndarray of shape (m,)
-        Distinct readings in increasing order.
-    counts : ndarray of int64, shape (m,)
-        Number of frames at each.
-    usual : int
-        Index of a frequent reading.
-    frames : ndarray of int, shape (t,)
-        Frames at all other readings, increasing.
-    codes : ndarray of int, shape (t,)
-        Indices of the readings in those frames.
+    n_frames: T.
+    values (m,): Distinct readings in increasing order.
+    counts: Number of frames at each.
+    usual: Index of a frequent reading.
+    frames: Frames at all other readings, increasing.
+    codes: Indices of the readings in those frames.
     """
 
     n_frames: int
@@ -72,17 +51,8 @@ class Levels:
 def find_levels(column: NDArray[Any]) -> Levels:
     """Find the distinct readings of one sensor.
 
-    Parameters
-    ----------
-    column : ndarray of shape (T,)
-        Finite readings, T >= 1.
+    column (T,).
 
-    Returns
-    -------
-    Levels
-
-    Notes
-    -----
     Only readings that differ from a frequent one are examined; whole numbers in a small range are
     counted in a table, all others are sorted.
     """
@@ -115,19 +85,8 @@ def find_levels(column: NDArray[Any]) -> Levels:
 def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
     """Count the distinct values of one sensor.
 
-    Parameters
-    ----------
-    column : ndarray of shape (T,)
-        Finite readings, T >= 1.
+    column (T,).
 
-    Returns
-    -------
-    values : ndarray
-        Distinct values in increasing order.
-    counts : ndarray of int64
-
-    Notes
-    -----
     Equal to ``numpy.unique(column, return_counts=True)``, but faster: see `find_levels`.
     """
     usual = _usual(column)
@@ -149,18 +108,8 @@ def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]
 def mean_ranks(column: NDArray[Any]) -> NDArray[np.float64]:
     """Rank the readings of one sensor.
 
-    Parameters
-    ----------
-    column : ndarray of shape (T,)
-        Finite readings, T >= 1.
+    column (T,) -> (T,).
 
-    Returns
-    -------
-    ndarray of shape (T,)
-        Ranks from 1 to T; ties share their mean rank.
-
-    Notes
-    -----
     Equal to ``scipy.stats.rankdata(column)``, but faster, as `count_values`.
     """
     levels = find_levels(column)
@@ -173,19 +122,7 @@ def ranks_from_counts(counts: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
 
 
 def rank_columns(sensors: Iterable[NDArray[Any]], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Rank the readings of each sensor by `mean_ranks`.
-
-    Parameters
-    ----------
-    sensors : iterable of ndarray of shape (T,)
-        N sensors, as from `columns`.
-    shape : tuple of int
-        (T, N).
-
-    Returns
-    -------
-    ndarray of shape (T, N)
-    """
+    """Rank the readings of each sensor by `mean_ranks`. sensors (T,) -> (T, N)."""
     return join_columns(map(mean_ranks, sensors), shape)
 
 
@@ -200,16 +137,7 @@ def join_columns(sensors: Iterable[NDArray[Any]], shape: tuple[int, ...]) -> NDA
 def whole_numbers(column: NDArray[Any]) -> tuple[NDArray[np.intp], int] | None:
     """Return readings less the lowest as indices, and the lowest, if they are few whole numbers.
 
-    Parameters
-    ----------
-    column : ndarray of shape (T,)
-        Finite readings, T >= 1.
-
-    Returns
-    -------
-    codes : ndarray of int, shape (T,)
-    lowest : int
-        Or None, if some reading is no whole number, or the range is 4,096 or more.
+    column (T,).
     """
     if column.dtype.kind == "f":
         sample = column[:: max(1, column.size // _SAMPLE_FRAMES)]

@@ -30,12 +30,8 @@ CompleteChunks: TypeAlias = Callable[[], Iterator[Readings]]
 class Neighbours:
     """Nearest known reading of each of N sensors, before or after a range of frames.
 
-    Attributes
-    ----------
-    frame : ndarray of shape (N,)
-        Frame number; NaN if there is no known reading.
-    value : ndarray of shape (N,)
-        Reading.
+    frame (N,): Frame number; NaN if there is no known reading.
+    value (N,): Reading.
     """
 
     frame: NDArray[np.float64]
@@ -53,22 +49,7 @@ def fill_gaps(
     before: Neighbours | None = None,
     after: Neighbours | None = None,
 ) -> Readings:
-    """Interpolate missing readings of each sensor linearly in time.
-
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-    start : int
-        Number of the first frame.
-    before, after : Neighbours, optional
-        Known readings before and after these frames.
-
-    Returns
-    -------
-    ndarray of shape (T, N)
-        The first and last known reading of a sensor extend to the ends of the recording; a sensor
-        without known readings is 0. The input itself if no reading is missing.
-    """
+    """Interpolate missing readings of each sensor linearly in time. readings (T, N) -> (T, N)."""
     gaps = _missing(readings)
     if not gaps.any():
         return readings
@@ -89,21 +70,7 @@ def fill_gaps(
 
 
 def interpolate_gaps(chunks: Chunks, window: int) -> CompleteChunks:
-    """Interpolate missing readings of a chunked recording, as `fill_gaps` does for an array.
-
-    Parameters
-    ----------
-    chunks : callable
-    window : int
-        Number of readings to look ahead for the end of a gap. At most twice as many readings, or
-        two chunks if these are larger, are in memory. If a gap is longer, all chunks are read
-        once more.
-
-    Returns
-    -------
-    callable
-        Complete chunks, of `window` or more readings each.
-    """
+    """Interpolate missing readings of a chunked recording, as `fill_gaps` does for an array."""
     distant_ends = cache(lambda: _find_distant_ends(chunks(), window))
 
     def complete() -> Iterator[Readings]:
@@ -123,15 +90,6 @@ def drop_incomplete_frames(chunks: Chunks) -> CompleteChunks:
     """Drop frames with missing readings.
 
     Sensors without any finite reading do not count as missing; their readings become 0.
-
-    Parameters
-    ----------
-    chunks : callable
-
-    Returns
-    -------
-    callable
-        Complete chunks; iterating raises `InputError` if every frame is incomplete.
     """
     silent = cache(lambda: _silent_sensors(chunks()))
 
@@ -157,17 +115,7 @@ def drop_incomplete_frames(chunks: Chunks) -> CompleteChunks:
 
 
 def require_no_gaps(chunks: Chunks) -> CompleteChunks:
-    """Raise `InputError` at the first missing reading.
-
-    Parameters
-    ----------
-    chunks : callable
-
-    Returns
-    -------
-    callable
-        The same chunks; iterating raises the error.
-    """
+    """Raise `InputError` at the first missing reading."""
 
     def complete() -> Iterator[Readings]:
         start = 0
@@ -188,18 +136,7 @@ def require_no_gaps(chunks: Chunks) -> CompleteChunks:
 def check_chunks(chunks: Callable[[], Iterable[ArrayLike]]) -> Iterator[Readings]:
     """Convert chunks to arrays, skip empty ones, and check that they fit together.
 
-    Parameters
-    ----------
-    chunks : callable
-
-    Yields
-    ------
-    ndarray of shape (t, N)
-
-    Raises
-    ------
-    InputError
-        If a chunk is not a 2D array of real numbers, or the number of sensors changes.
+    Returns (t, N).
     """
     n_sensors, start = None, 0
     for chunk in chunks():

@@ -28,15 +28,9 @@ class Mimic:
 class Joint:
     """A joint between two links.
 
-    Attributes
-    ----------
-    name, kind, parent, child : str
-        `kind` is the type in URDF; `parent` and `child` are links.
-    origin : ndarray of shape (4, 4)
-        Pose of the frame of the child in that of the parent at angle 0.
-    axis : ndarray of shape (3,)
-        Unit vector in the frame of the child.
-    mimic : Mimic, optional
+    name, kind, parent, child: `kind` is the type in URDF; `parent` and `child` are links.
+    origin (4, 4): Pose of the frame of the child in that of the parent at angle 0.
+    axis (3,): Unit vector in the frame of the child.
     """
 
     name: str

@@ -14,12 +14,8 @@ from scipy.spatial.distance import cdist
 class Kernel:
     """Covariance of a field of unit variance, and of its noise.
 
-    Parameters
-    ----------
-    reach : float
-        Length over which the field changes, in units of the points.
-    noise : float
-        Variance of the noise, relative to that of the field, above 0.
+    reach: Length over which the field changes, in units of the points.
+    noise: Variance of the noise, relative to that of the field, above 0.
     """
 
     reach: float
@@ -41,19 +37,7 @@ def predict_field(
 
     Far from all points the prediction is 0, so a correction by the field does no harm there.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, k)
-    values : ndarray of shape (n, l)
-        Noisy values of the field there.
-    where : ndarray of shape (m, k)
-    kernel : Kernel
-
-    Returns
-    -------
-    values : ndarray of shape (m, l)
-    variances : ndarray of shape (m,)
-        Of the field, relative to its prior variance: 1 far from all points.
+    points (n, k), values (n, l), where (m, k) -> values (m, l), variances (m,).
     """
     covariance = kernel.between(points, points)
     covariance[np.diag_indices_from(covariance)] += kernel.noise

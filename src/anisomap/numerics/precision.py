@@ -28,14 +28,7 @@ def float_type(n_sensors: int) -> type[np.float32] | type[np.float64]:
 
 
 def as_reals(values: ArrayLike, *, copy: bool = True) -> Reals:
-    """Convert to a C-contiguous array of float64, or of float32 if the input is float32.
-
-    Parameters
-    ----------
-    values : array_like
-    copy : bool
-        If False, the input itself may be returned and must not be modified.
-    """
+    """Convert to a C-contiguous array of float64, or of float32 if the input is float32."""
     single = getattr(values, "dtype", None) == np.float32
     return np.array(
         values, dtype=np.float32 if single else np.float64, copy=copy or None, order="C"
@@ -53,13 +46,7 @@ def row_blocks(n_rows: int, n_columns: int | None = None) -> Iterator[slice]:
 def mirror(matrix: NDArray[Any], *, upper: bool, tile: int = 128) -> None:
     """Make a square matrix symmetric in place by copying one triangle to the other.
 
-    Parameters
-    ----------
-    matrix : ndarray of shape (N, N)
-    upper : bool
-        Whether the upper triangle is the source.
-    tile : int
-        Rows and columns copied at a time; tiles of 128 x 128 float64 stay in a second-level cache.
+    matrix (N, N).
     """
     for rows, columns in _upper_tiles(len(matrix), tile):
         above, below = matrix[rows, columns], matrix[columns, rows].T

@@ -31,13 +31,9 @@ _WIDTH = 2.0  # noise scales at which the weight is 1/4; tuned with `evaluation.
 class Similarity:
     """The map ``x -> scale * rotation @ x + translation``.
 
-    Attributes
-    ----------
-    rotation : ndarray of shape (k, k)
-        Orthogonal; a reflection if its determinant is -1.
-    scale : float
-        Positive.
-    translation : ndarray of shape (k,)
+    rotation (k, k): Orthogonal; a reflection if its determinant is -1.
+    scale: Positive.
+    translation (k,)
     """
 
     rotation: NDArray[np.float64]
@@ -64,24 +60,8 @@ def fit_similarity(
 ) -> Similarity:
     """Fit the similarity that minimises the weighted sum of squared distances to the target.
 
-    Parameters
-    ----------
-    source, target : ndarray of shape (n, k)
-    weights : ndarray of shape (n,), optional
-        Non-negative; 1 by default.
-    scaling : bool
-        Whether to fit the scale; it is 1 otherwise.
-    reflection : bool, optional
-        Whether the result is a mirror image; by default whichever fits better, and the rotation if
-        both fit equally, as for flat points in space.
+    source, target (n, k), weights (n,).
 
-    Returns
-    -------
-    Similarity
-        Its scale is 0 if the source is a single point.
-
-    Notes
-    -----
     Umeyama (1991), IEEE Trans. PAMI 13(4): 376-380, with weights.
     """
     shares = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64)
@@ -119,21 +99,8 @@ def fit_similarity_robustly(
 ) -> Similarity:
     """Fit a similarity that points far from their target do not bend.
 
-    Parameters
-    ----------
-    source, target : ndarray of shape (n, k)
-    scaling : bool
-        Whether to fit the scale; it is 1 otherwise.
-    reflection : bool, optional
-        Whether the result is a mirror image.
+    source, target (n, k).
 
-    Returns
-    -------
-    Similarity
-        By default the rotation or the mirror image, whichever has the smaller median residual.
-
-    Notes
-    -----
     Iteratively reweighted least squares: first least absolute distances, then the weights of
     Geman & McClure (1987), which vanish for large residuals. Fewer than half of the points may be
     far off.
@@ -168,10 +135,8 @@ _DAMPING_STEP = 10.0
 class Poses:
     """Poses of B rigid bodies: ``x = rotation[b] @ offset + translation[b]``.
 
-    Attributes
-    ----------
-    rotation : ndarray of shape (B, k, k)
-    translation : ndarray of shape (B, k)
+    rotation (B, k, k)
+    translation (B, k)
     """
 
     rotation: NDArray[np.float64]
@@ -198,18 +163,11 @@ class Poses:
 class Evidence:
     """What is known of n points on rigid bodies.
 
-    Attributes
-    ----------
-    pairs : ndarray of int, shape (P, 2)
-        Points at a known distance.
-    lengths : ndarray of shape (P,)
-        Their distances.
-    pair_sigma : float
-        Standard deviation of the distances.
-    targets : ndarray of shape (n, k)
-        Approximate positions; NaN for points without one.
-    target_sigma : float
-        Their standard deviation per coordinate.
+    pairs: Points at a known distance.
+    lengths (P,): Their distances.
+    pair_sigma: Standard deviation of the distances.
+    targets (n, k): Approximate positions; NaN for points without one.
+    target_sigma: Their standard deviation per coordinate.
     """
 
     pairs: NDArray[np.intp]
@@ -224,24 +182,8 @@ def fit_poses(
 ) -> Poses:
     """Fit poses of rigid bodies to positions of points and to distances between them.
 
-    Parameters
-    ----------
-    start : Poses
-        Initial poses.
-    offsets : ndarray of shape (n, k), k = 2 or 3
-        Points in the frames of their bodies.
-    body : ndarray of int, shape (n,)
-        Body of each point.
-    evidence : Evidence
+    offsets (n, k).
 
-    Returns
-    -------
-    Poses
-        A local minimum of the sum of squared errors of distances and positions, each in units of
-        its standard deviation.
-
-    Notes
-    -----
     Levenberg-Marquardt on the manifold of poses, with sparse normal equations (Nocedal & Wright
     2006, Numerical Optimization, section 10.3).
     """
@@ -324,20 +266,12 @@ FAR = 4.0
 class PatchPose:
     """A transform from the frame of a patch to that of its link.
 
-    Attributes
-    ----------
-    similarity : Similarity
-        Rigid.
-    used : ndarray of bool, shape (C,)
-        False for places that contradict the others.
-    residuals : ndarray of shape (C,)
-        Distances between the two places of each contact, in units of the link.
-    sigma : float
-        Standard deviation of a coordinate of the places that were used.
-    covariance : ndarray of shape (6, 6)
-        Of a rotation vector about `centre` and a shift.
-    centre : ndarray of shape (3,)
-        In the frame of the link.
+    similarity: Rigid.
+    used: False for places that contradict the others.
+    residuals (C,): Distances between the two places of each contact, in units of the link.
+    sigma: Standard deviation of a coordinate of the places that were used.
+    covariance (6, 6): Of a rotation vector about `centre` and a shift.
+    centre (3,): In the frame of the link.
     """
 
     similarity: Similarity
@@ -364,24 +298,8 @@ class PatchPose:
 def fit_patch_pose(places: NDArray[np.float64], targets: NDArray[np.float64]) -> PatchPose:
     """Fit the pose of a rigid patch to where it was touched.
 
-    Parameters
-    ----------
-    places : ndarray of shape (C, 3)
-        Centres of contacts in the frame of the patch.
-    targets : ndarray of shape (C, 3)
-        The same points in the frame of the link.
+    places (C, 3), targets (C, 3).
 
-    Returns
-    -------
-    PatchPose
-
-    Raises
-    ------
-    InputError
-        If there are fewer than `MIN_PLACES`, or those that agree lie on a line.
-
-    Notes
-    -----
     Least squares of a pose have a closed form (Umeyama 1991), so for given weights the global
     minimum is found. Weights are those of `fit_similarity_robustly`; then wrong places are left out
     and the others count alike. The covariance is that of linear least squares at the minimum.

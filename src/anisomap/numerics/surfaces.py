@@ -111,13 +111,8 @@ _MAX_SPLITS = 50  # edges are not split below this fraction of the extent of the
 class TriangleSearch:
     """Exact search for the nearest of many triangles.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        With at least one triangle.
+    mesh: With at least one triangle.
 
-    Notes
-    -----
     Each triangle lies in a ball about its centroid. A triangle whose centroid is further than the
     nearest vertex plus the largest such radius cannot be the nearest. Large triangles, which would
     weaken this bound, are split.
@@ -137,17 +132,8 @@ class TriangleSearch:
     def signed_distance(self, points: Points) -> Points:
         """Compute the signed distance of points from the nearest triangle.
 
-        Parameters
-        ----------
-        points : ndarray of shape (n, 3)
+        points (n, 3) -> (n,).
 
-        Returns
-        -------
-        ndarray of shape (n,)
-            Negative on the inner side of triangles, which are counter-clockwise from outside.
-
-        Notes
-        -----
         Triangles that share a nearest edge or corner can differ in the sign. The one with the
         largest distance along its normal determines it.
         """
@@ -164,15 +150,7 @@ class TriangleSearch:
     def nearest(self, points: Points) -> tuple[Points, Points]:
         """Find the nearest point on the mesh, and the normal there.
 
-        Parameters
-        ----------
-        points : ndarray of shape (n, 3)
-
-        Returns
-        -------
-        nearest : ndarray of shape (n, 3)
-        normals : ndarray of shape (n, 3)
-            Of the triangle that it is on; outward if triangles are counter-clockwise from outside.
+        points (n, 3) -> nearest (n, 3), normals (n, 3).
         """
         bound = (np.asarray(self._vertices.query(points)[0]) + self._largest) * (1 + _ROUNDING)
         counts = np.asarray(self._centroids.query_ball_point(points, bound, return_length=True))
@@ -233,17 +211,7 @@ def _split_large(corners: Points) -> Points:
 def nearest_on_triangles(points: Points, corners: NDArray[np.float64]) -> Points:
     """Find the nearest point on each of n triangles to one point each.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3)
-    corners : ndarray of shape (n, 3, 3)
-        Corners of the triangles.
-
-    Returns
-    -------
-    ndarray of shape (n, 3)
-        The projection onto the plane if it lies in the triangle, otherwise the nearest point on
-        the three edges.
+    points (n, 3), corners (n, 3, 3) -> (n, 3).
     """
     origin, edge_one, edge_two = (
         corners[:, 0],

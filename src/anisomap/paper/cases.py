@@ -22,13 +22,8 @@ METHODS = tuple(METHOD_LOOKS)
 class Case:
     """A body and a scenario.
 
-    Attributes
-    ----------
-    name : str
-    body, scenario : str
-        Keys of `anisomap.simulation.BODIES` and `SCENARIOS`.
-    label : str
-        Label in figures.
+    body, scenario: Keys of `anisomap.simulation.BODIES` and `SCENARIOS`.
+    label: Label in figures.
     """
 
     name: str
@@ -86,21 +81,7 @@ def patch_seed(settings: Settings, number: int) -> int:
 
 
 def patch_run(settings: Settings, number: int, **failure: float) -> Recording:
-    """Simulate a run of the hardware patch.
-
-    Parameters
-    ----------
-    settings : Settings
-    number : int
-        1 to 5. One triangle is silent in all runs; sensor 30 saturates intermittently from run 4.
-    **failure
-        Parameters of `anisomap.simulation.saturating`.
-
-    Returns
-    -------
-    Recording
-        Of the 60 sensors of six triangles; positions in mm.
-    """
+    """Simulate a run of the hardware patch."""
     seed = patch_seed(settings, number)
     frames = PATCH_FRAMES[number - 1]
     n_frames = frames // 8 if settings.quick else frames

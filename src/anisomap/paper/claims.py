@@ -39,17 +39,8 @@ _FLAT_SKINS = {
 class ClaimCheck:
     """Result of checking a claim.
 
-    Parameters
-    ----------
-    measured : str
-        Measured values.
-    held : mapping of str to bool
-        Whether the claim holds in each case; at least one case.
-
-    Raises
-    ------
-    ValueError
-        If there is no case.
+    measured: Measured values.
+    held: Whether the claim holds in each case; at least one case.
     """
 
     measured: str
@@ -271,15 +262,9 @@ COLUMNS = {
 class Claim:
     """A claim of the paper and its check.
 
-    Parameters
-    ----------
-    text : str
-    where : str
-        Section or figure of the paper.
-    test : str
-        Criterion in numbers.
-    check : callable
-        ``check(rows, tables)`` returns a `ClaimCheck`.
+    where: Section or figure of the paper.
+    test: Criterion in numbers.
+    check: ``check(rows, tables)`` returns a `ClaimCheck`.
     """
 
     text: str

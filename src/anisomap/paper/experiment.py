@@ -19,19 +19,9 @@ Row: TypeAlias = tuple[Cell, ...]
 class Settings:
     """Size and randomness of all experiments.
 
-    Parameters
-    ----------
-    seed : int
-        First seed of each scenario; at least 0.
-    quick : bool
-        Use far fewer frames, seeds and permutations, for tests and previews.
-    recordings : Path, optional
-        Folder of real recordings; experiments that need an absent recording are skipped.
-
-    Raises
-    ------
-    InputError
-        If the seed is negative.
+    seed: First seed of each scenario; at least 0.
+    quick: Use far fewer frames, seeds and permutations, for tests and previews.
+    recordings: Folder of real recordings; experiments that need an absent recording are skipped.
     """
 
     seed: int = 1
@@ -63,13 +53,7 @@ class Settings:
         return 200 if self.quick else 10_000
 
     def picked_seed(self, purpose: str) -> int:
-        """Pick one of `seeds` at random, reproducibly.
-
-        Parameters
-        ----------
-        purpose : str
-            Different purposes have independent draws.
-        """
+        """Pick one of `seeds` at random, reproducibly."""
         rng = np.random.default_rng([self.seed, *purpose.encode()])
         return int(rng.choice(self.seeds))
 
@@ -78,22 +62,10 @@ class Settings:
 class Table:
     """A table with a description of each column.
 
-    Parameters
-    ----------
-    name : str
-        File name without suffix.
-    caption : str
-    columns : mapping of str to str
-        Column names, in order, and their meanings with units.
-    rows : tuple of tuple
-        One value per column.
-    shown : bool
-        Whether the page shows the rows, or only links to the file.
-
-    Raises
-    ------
-    InputError
-        If a row does not have one value per column.
+    name: File name without suffix.
+    columns: Column names, in order, and their meanings with units.
+    rows: One value per column.
+    shown: Whether the page shows the rows, or only links to the file.
     """
 
     name: str
@@ -119,12 +91,7 @@ class Table:
 class Picture:
     """A figure.
 
-    Parameters
-    ----------
-    name : str
-        File name without suffix.
-    caption : str
-    figure : matplotlib.figure.Figure
+    name: File name without suffix.
     """
 
     name: str
@@ -136,12 +103,7 @@ class Picture:
 class Document:
     """A plain-text file.
 
-    Parameters
-    ----------
-    name : str
-        File name with suffix.
-    caption : str
-    text : str
+    name: File name with suffix.
     """
 
     name: str
@@ -166,26 +128,16 @@ Tables: TypeAlias = Mapping[str, Table]
 class Experiment:
     """A figure, table or text of the paper, and how it is computed.
 
-    Parameters
-    ----------
-    name : str
-        Unique; also the name of its folder.
-    title : str
-        Heading on the page; empty for experiments that only provide data to others.
-    description : str
-        Paragraphs shown on the page, separated by blank lines.
-    compute : callable
-        ``compute(settings, tables)`` returns an `Outcome`; `tables` holds the tables of the
+    name: Unique; also the name of its folder.
+    title: Heading on the page; empty for experiments that only provide data to others.
+    description: Paragraphs shown on the page, separated by blank lines.
+    compute: ``compute(settings, tables)`` returns an `Outcome`; `tables` holds the tables of the
         experiments in `needs`.
-    needs : tuple of str
-        Names of experiments that must run first.
-    files : tuple of str
-        Real recordings that are read from `Settings.recordings`. If one is absent, the experiment
-        is skipped.
-    absent : str
-        Text shown on the page if the experiment is skipped.
-    cost : float
-        Approximate duration in seconds; the longest experiments start first.
+    needs: Names of experiments that must run first.
+    files: Real recordings that are read from `Settings.recordings`. If one is absent, the
+        experiment is skipped.
+    absent: Text shown on the page if the experiment is skipped.
+    cost: Approximate duration in seconds; the longest experiments start first.
     """
 
     name: str

@@ -29,18 +29,7 @@ _EQUAL = 1e-6  # largest difference of coordinates on one line of a lattice, in 
 
 
 def spread_of_radii(positions: ArrayLike) -> float:
-    """Compute the relative spread of the distances from the centroid.
-
-    Parameters
-    ----------
-    positions : array_like of shape (N, k)
-
-    Returns
-    -------
-    float
-        Standard deviation divided by mean: 0 for a sphere (in 2D, a circle), about 0.35 for a
-        filled square.
-    """
+    """Compute the relative spread of the distances from the centroid. positions (N, k)."""
     points = np.asarray(positions, dtype=np.float64)
     radii = np.linalg.norm(points - points.mean(axis=0), axis=1)
     return float(radii.std() / radii.mean())
@@ -50,13 +39,9 @@ def spread_of_radii(positions: ArrayLike) -> float:
 class AxialScale:
     """Axial compression of a map of a cylinder: 1 is correct, less is compressed.
 
-    Attributes
-    ----------
-    whole : float
-        Axial scale divided by radial scale, after alignment with the true positions.
-    local : float
-        Distance of axial neighbours divided by distance of circumferential neighbours, relative to
-        the same ratio of the true positions; independent of the alignment.
+    whole: Axial scale divided by radial scale, after alignment with the true positions.
+    local: Distance of axial neighbours divided by distance of circumferential neighbours, relative
+        to the same ratio of the true positions; independent of the alignment.
     """
 
     whole: float
@@ -66,16 +51,7 @@ class AxialScale:
 def axial_scale(positions: ArrayLike, truth: ArrayLike) -> AxialScale:
     """Measure the axial compression shown in the paper's Figure 4.
 
-    Parameters
-    ----------
-    positions : array_like of shape (N, 3)
-        A map of a cylinder in any coordinate frame.
-    truth : array_like of shape (N, 3)
-        True positions: columns on a cylinder about the z axis.
-
-    Returns
-    -------
-    AxialScale
+    positions (N, 3), truth (N, 3).
     """
     true = np.asarray(truth, dtype=np.float64)
     true = true - true.mean(axis=0)
@@ -110,39 +86,14 @@ def _mean_step(
 
 
 def isolation(positions: ArrayLike, sensor: int) -> float:
-    """Measure how far a sensor lies from all others on a map.
-
-    Parameters
-    ----------
-    positions : array_like of shape (n, k)
-    sensor : int
-        Its row.
-
-    Returns
-    -------
-    float
-        Distance to its nearest neighbour, divided by the median of that distance over all other
-        sensors: about 1 for a sensor among others.
-    """
+    """Measure how far a sensor lies from all others on a map. positions (n, k)."""
     points = np.asarray(positions, dtype=np.float64)
     nearest = np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
     return float(nearest[sensor] / np.median(np.delete(nearest, sensor)))
 
 
 def spectrum(metric: ArrayLike) -> NDArray[np.float64]:
-    """Compute the variances of classical scaling.
-
-    Parameters
-    ----------
-    metric : array_like of shape (N, N)
-        Finite distances.
-
-    Returns
-    -------
-    ndarray of shape (N,)
-        Eigenvalues of the doubly centred squared distances in descending order; negative ones if
-        the metric is not Euclidean.
-    """
+    """Compute the variances of classical scaling. metric (N, N) -> (N,)."""
     squares = np.asarray(metric, dtype=np.float64) ** 2
     rows = squares.mean(axis=0)
     inner = -(squares - np.add.outer(rows, rows) + rows.mean()) / 2
@@ -152,18 +103,6 @@ def spectrum(metric: ArrayLike) -> NDArray[np.float64]:
 def n_dimensions(variances: ArrayLike) -> int:
     """Choose the number of dimensions by the largest drop in variance.
 
-    Parameters
-    ----------
-    variances : array_like
-        From `spectrum`, in descending order.
-
-    Returns
-    -------
-    int
-        The m, counted from 1, that maximises ``variance[m] - variance[m + 1]``.
-
-    References
-    ----------
     Pierce & Kuipers (1997), "Map learning with uninterpreted sensors and effectors", Artificial
     Intelligence 92: 169-227, doi:10.1016/S0004-3702(96)00051-3.
     """

@@ -38,23 +38,7 @@ def tables_in(text: str) -> list[str]:
 
 
 def fill(text: str, tables: Path) -> str:
-    """Replace the tables of a document.
-
-    Parameters
-    ----------
-    text : str
-    tables : Path
-        Folder of the tables (CSV).
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    FileError
-        If a table or one of its columns does not exist.
-    """
+    """Replace the tables of a document."""
     return _MARKED.sub(
         lambda match: (
             match["opening"]
@@ -66,13 +50,7 @@ def fill(text: str, tables: Path) -> str:
 
 
 def to_markdown(path: Path, columns: Sequence[str] = ()) -> str:
-    """Convert columns of a CSV file, all by default, to a Markdown table.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read or a column does not exist.
-    """
+    """Convert columns of a CSV file, all by default, to a Markdown table."""
     try:
         with path.open(encoding="utf-8", newline="") as file:
             header, *rows = csv.reader(file)
@@ -88,13 +66,7 @@ def to_markdown(path: Path, columns: Sequence[str] = ()) -> str:
 
 
 def collect(results: Path, tables: Path, names: Sequence[str]) -> None:
-    """Copy tables from the folder of results, or from its folders of experiments.
-
-    Raises
-    ------
-    FileError
-        If a table exists neither there nor in `tables`.
-    """
+    """Copy tables from the folder of results, or from its folders of experiments."""
     for name in names:
         found = [*results.glob(f"{name}.csv"), *sorted(results.glob(f"*/{name}.csv"))]
         if found:
@@ -107,13 +79,7 @@ def collect(results: Path, tables: Path, names: Sequence[str]) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Update documents; the arguments are RESULTS TABLES DOCUMENT ...
-
-    Raises
-    ------
-    FileError
-        If a file does not exist or cannot be written.
-    """
+    """Update documents; the arguments are RESULTS TABLES DOCUMENT ..."""
     results, tables, *documents = map(Path, arguments)
     tables.mkdir(parents=True, exist_ok=True)
     for path in documents:

@@ -45,13 +45,8 @@ _LIBRARIES = ("numpy", "scipy", "mujoco", "matplotlib")
 class Result:
     """Result of an experiment, read from its folder.
 
-    Attributes
-    ----------
-    seconds : float
-        Duration of the experiment.
-    pictures, documents : tuple of dict
-        ``name`` and ``caption`` of each.
-    tables : tuple of Table
+    seconds: Duration of the experiment.
+    pictures, documents: ``name`` and ``caption`` of each.
     """
 
     seconds: float
@@ -61,21 +56,7 @@ class Result:
 
 
 def fingerprint(experiment: Experiment, settings: Settings, needed: Mapping[str, str]) -> str:
-    """Digest everything that the result of an experiment depends on.
-
-    Parameters
-    ----------
-    experiment : Experiment
-    settings : Settings
-    needed : mapping of str to str
-        Fingerprints of the experiments that must run first.
-
-    Returns
-    -------
-    str
-        Hexadecimal digest of the settings, recordings, required experiments, the source code of
-        this package and the versions of the libraries.
-    """
+    """Digest everything that the result of an experiment depends on."""
     inputs = {
         "name": experiment.name,
         "settings": {"seed": settings.seed, "quick": settings.quick},
@@ -88,24 +69,7 @@ def fingerprint(experiment: Experiment, settings: Settings, needed: Mapping[str,
 
 
 def save(folder: Path, name: str, outcome: Outcome, inputs: str, seconds: float) -> None:
-    """Write the result of an experiment, and its record last.
-
-    Parameters
-    ----------
-    folder : Path
-        Parent folder of all experiments.
-    name : str
-        Name of the experiment.
-    outcome : Outcome
-    inputs : str
-        From `fingerprint`.
-    seconds : float
-
-    Raises
-    ------
-    FileError
-        If a file cannot be written.
-    """
+    """Write the result of an experiment, and its record last."""
     target = folder / name
     try:
         if target.exists():
@@ -137,21 +101,7 @@ def save(folder: Path, name: str, outcome: Outcome, inputs: str, seconds: float)
 
 
 def load(folder: Path, name: str, inputs: str) -> Result | None:
-    """Read the result of an experiment if it is valid.
-
-    Parameters
-    ----------
-    folder : Path
-        Parent folder of all experiments.
-    name : str
-    inputs : str
-        From `fingerprint`.
-
-    Returns
-    -------
-    Result or None
-        None if the record or a file is missing or damaged, or the fingerprint differs.
-    """
+    """Read the result of an experiment if it is valid."""
     try:
         record = json.loads((folder / name / RECORD).read_text(encoding="utf-8"))
         damaged = (
@@ -234,23 +184,7 @@ def write_page(
     experiments: Mapping[str, Experiment],
     fingerprints: Mapping[str, str],
 ) -> None:
-    """Write the page of the results beside their folders.
-
-    Parameters
-    ----------
-    path : Path
-        The HTML file, in the parent folder of all experiments; it links to their files.
-    settings : Settings
-    experiments : mapping of str to Experiment
-        In the order of the page.
-    fingerprints : mapping of str to str
-        Of the experiments that were run; others are left out unless they lack a recording.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be written.
-    """
+    """Write the page of the results beside their folders."""
     jinja2 = import_module("jinja2")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader(_PACKAGE),

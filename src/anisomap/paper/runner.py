@@ -58,13 +58,8 @@ PAGE = "index.html"
 class Status:
     """State of an experiment after a run.
 
-    Attributes
-    ----------
-    name : str
-    seconds : float
-        Duration of the experiment when it was computed.
-    state : {"computed", "cached", "skipped"}
-        Skipped experiments lack a recording.
+    seconds: Duration of the experiment when it was computed.
+    state: Skipped experiments lack a recording.
     """
 
     name: str
@@ -81,37 +76,7 @@ def reproduce(
     experiments: Mapping[str, Experiment] = EXPERIMENTS,
     report: Callable[[Status, float], None] | None = None,
 ) -> list[Status]:
-    """Run the experiments of the paper and write the page.
-
-    Parameters
-    ----------
-    folder : path-like
-        Output folder; created if absent. Valid results in it are not computed again, so an
-        interrupted run continues with the experiments that were not finished.
-    settings : Settings, optional
-    only : sequence of str
-        Names of experiments, which run after those that they need; all by default.
-    workers : int, optional
-        Number of processes; the number of cores by default. Each uses one thread.
-    experiments : mapping of str to Experiment
-    report : callable, optional
-        ``report(status, fraction)`` is called after each experiment, with the fraction of
-        experiments that are finished.
-
-    Returns
-    -------
-    list of Status
-        In the order of `experiments`.
-
-    Raises
-    ------
-    InputError
-        If an experiment is unknown, or `workers` is less than 1.
-    FileError
-        If the folder cannot be written, or the folder of recordings does not exist.
-    MissingExtraError
-        If MuJoCo, matplotlib or jinja2 is not installed.
-    """
+    """Run the experiments of the paper and write the page."""
     settings, target = settings or Settings(), Path(folder)
     chosen = _with_needs(only or list(experiments), experiments)
     _check(settings, workers)

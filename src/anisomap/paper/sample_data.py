@@ -88,18 +88,7 @@ def proof(_: Settings, __: Tables) -> Outcome:
 
 
 def to_text(title: str, recording: Recording) -> str:
-    """Write a recording as plain text, in the format that Text S1 describes.
-
-    Parameters
-    ----------
-    title : str
-    recording : Recording
-        With true positions, normals and a frame rate.
-
-    Returns
-    -------
-    str
-    """
+    """Write a recording as plain text, in the format that Text S1 describes."""
     positions, normals = recording.positions, recording.normals
     if positions is None or normals is None or not recording.rate_hz:
         raise ValueError("the recording must have true positions, normals and a frame rate")

@@ -150,17 +150,6 @@ def suggest_anchors(sensor_map: SensorMap, count: int = 4) -> tuple[str, ...]:
 
     They are far apart, so that they determine the pose well, and inside the skin, where maps are
     more accurate than at its edge.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-    count : int
-        Number of sensors of each component.
-
-    Returns
-    -------
-    tuple of str
-        Names, the largest component first; fewer than `count` of small components.
     """
     found: list[str] = []
     for part in sensor_map.split():
@@ -204,23 +193,14 @@ _MAX_FOLDS, _MANY, _FEW_FOLDS = 50, 200, 10  # groups left out in turn; fewer of
 class AnchorFit:
     """A map in the frame of its anchors.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (N, k)
-        In metres.
-    errors : ndarray of shape (N,)
-        Radius with probability `COVERAGE`, in metres.
-    residuals : ndarray of shape (n,)
-        Distances of the anchors from their places on the map, in metres.
-    left_out : ndarray of shape (n,)
-        The same with a fit to the other anchors; NaN with fewer than `MIN_LEFT_OUT`.
-    warped : bool
-        Whether a field of corrections was chosen by leaving anchors out.
-    reflected : bool
-        Whether the map was a mirror image.
-    handed : bool
-        Whether the handedness is known. If not, the skin is flat, and its positions do not depend
-        on it.
+    positions (N, k): In metres.
+    errors (N,): Radius with probability `COVERAGE`, in metres.
+    residuals (n,): Distances of the anchors from their places on the map, in metres.
+    left_out (n,): The same with a fit to the other anchors; NaN with fewer than `MIN_LEFT_OUT`.
+    warped: Whether a field of corrections was chosen by leaving anchors out.
+    reflected: Whether the map was a mirror image.
+    handed: Whether the handedness is known. If not, the skin is flat, and its positions do not
+        depend on it.
     """
 
     positions: NDArray[np.float64]
@@ -245,27 +225,7 @@ def fit_anchors(
     precision of the anchors and of prior knowledge. With `MIN_LEFT_OUT` anchors or more, another
     field is used if it predicts anchors that were left out better.
 
-    Parameters
-    ----------
-    positions : ndarray of shape (N, k)
-        The map, of one component, k = 2 or 3. A flat map in space has zeros as third coordinates.
-    sensors : ndarray of int, shape (n,)
-        Rows of the anchors.
-    targets : ndarray of shape (n, k)
-        Positions of the anchors in metres.
-    known : Known
-    normals : Normals, optional
-        Of maps in space.
-
-    Returns
-    -------
-    AnchorFit
-
-    Raises
-    ------
-    InputError
-        If anchors are too few, on a line on the map, or at one place on the robot, or do not
-        determine the handedness.
+    positions (N, k), targets (n, k).
     """
     _check_spread(positions, sensors, known.spacing)
     _check_extent(targets)
@@ -345,13 +305,7 @@ def _choose_kernel(
     Another field than the first is used only if it lowers the squared error of anchors that were
     left out by more than the standard error of the difference.
 
-    Returns
-    -------
-    kernel : Kernel
-    predictions : ndarray of shape (n, k)
-        Of each anchor without it.
-    relative : ndarray of shape (n,)
-        Their variances relative to that of the map.
+    Returns kernel, predictions (n, k), relative (n,).
     """
     n = len(x)
     predictions = np.empty((len(kernels), *y.shape))

@@ -28,24 +28,7 @@ _LENGTH = re.compile(r"\s*+([0-9.eE+-]++)\s*+([a-z\u00b5]++)\s*+")
 
 
 def parse_length(text: str) -> tuple[float, str]:
-    """Parse a length such as ``6.5mm``.
-
-    Parameters
-    ----------
-    text : str
-        A positive number and a unit.
-
-    Returns
-    -------
-    value : float
-    unit : str
-        A key of `METRES`.
-
-    Raises
-    ------
-    InputError
-        If `text` is not a positive number followed by a unit.
-    """
+    """Parse a length such as ``6.5mm``."""
     match = _LENGTH.fullmatch(text)
     try:
         value, unit = (float(match[1]), match[2]) if match else (0.0, "")
@@ -203,18 +186,7 @@ def surface_normals(sensor_map: SensorMap) -> NDArray[np.float64]:
 def pad_to_3d(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Append zero coordinates to points of fewer than three dimensions.
 
-    Parameters
-    ----------
-    positions : ndarray of shape (N, k)
-
-    Returns
-    -------
-    ndarray of shape (N, 3)
-
-    Raises
-    ------
-    InputError
-        If k is greater than 3.
+    positions (N, k) -> (N, 3).
     """
     missing = 3 - positions.shape[1]
     if missing < 0:
@@ -226,19 +198,12 @@ def pad_to_3d(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 class Taxels:
     """Poses of the placed sensors of a map.
 
-    Attributes
-    ----------
-    frame : str
-        Name of the right-handed reference frame.
-    names : tuple of str
-    indices : ndarray of int, shape (n,)
-        Indices of the sensors in the map.
-    positions : ndarray of shape (n, 3)
-        In metres.
-    normals : ndarray of shape (n, 3)
-        Outward unit normals: those of the map, or estimated from the positions.
-    errors : ndarray of shape (n,)
-        Distance within which a sensor is with a probability of 90 %, in metres; NaN if unknown.
+    frame: Name of the right-handed reference frame.
+    indices: Indices of the sensors in the map.
+    positions (n, 3): In metres.
+    normals (n, 3): Outward unit normals: those of the map, or estimated from the positions.
+    errors (n,): Distance within which a sensor is with a probability of 90 %, in metres; NaN if
+        unknown.
     """
 
     frame: str
@@ -267,25 +232,7 @@ class Taxels:
 
 
 def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
-    """Convert the placed sensors of a map to poses in metres.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        With a unit of length, one connected component, and at most three dimensions.
-    purpose : str
-        Start of error messages, such as ``"URDF"``.
-
-    Returns
-    -------
-    Taxels
-
-    Raises
-    ------
-    InputError
-        If the map has no scale, several components, no placed sensor, or more than three
-        dimensions.
-    """
+    """Convert the placed sensors of a map to poses in metres."""
     if sensor_map.units not in METRES:
         raise InputError(
             f"{purpose} needs positions in metres, but the unit of the map is "

@@ -34,20 +34,12 @@ ERROR_EVEN, ERROR_UNEVEN = 0.06, 0.25
 class Known:
     """What is known of a map before anchors are used.
 
-    Parameters
-    ----------
-    spacing : float
-        Distance between neighbouring sensors on the map.
-    size : float
-        Root of the summed variance of the coordinates of the map.
-    uneven : bool
-        Whether the map is known to be distorted: `SensorMap.uneven`.
-    scale_sigma : float
-        Standard deviation of the logarithm of the scale; inf if the scale is unknown.
-    evidence : float
-        Log likelihood ratio of the handedness of the map against its mirror image.
-    handedness : bool, optional
-        Whether the map is a mirror image, if the user states it.
+    spacing: Distance between neighbouring sensors on the map.
+    size: Root of the summed variance of the coordinates of the map.
+    uneven: Whether the map is known to be distorted: `SensorMap.uneven`.
+    scale_sigma: Standard deviation of the logarithm of the scale; inf if the scale is unknown.
+    evidence: Log likelihood ratio of the handedness of the map against its mirror image.
+    handedness: Whether the map is a mirror image, if the user states it.
     """
 
     spacing: float
@@ -68,18 +60,7 @@ def fit_scaled(
 ) -> Similarity:
     """Fit a similarity of given handedness; its scale is weighted with what is known of it.
 
-    Parameters
-    ----------
-    x, y : ndarray of shape (n, k)
-        Anchors on the map and on the robot.
-    known : Known
-    reflected : bool
-        Whether the similarity reflects the map.
-
-    Returns
-    -------
-    Similarity
-        From `x` to `y`.
+    x, y (n, k).
     """
     free = fit_similarity(x, y, reflection=reflected)
     if not np.isfinite(known.scale_sigma):
@@ -101,15 +82,10 @@ def field_kernel(placed: NDArray[np.float64], reach: float, noise: float) -> Ker
 class Kriged:
     """Predicted positions.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (m, k)
-        In the frame of the anchors.
-    relative : ndarray of shape (m,)
-        Variances of a coordinate relative to that of the map.
-    squares : float
-        Weighted sum of squares of the residuals of the anchors; its expectation is the variance of
-        the map times the degrees of freedom.
+    positions (m, k): In the frame of the anchors.
+    relative (m,): Variances of a coordinate relative to that of the map.
+    squares: Weighted sum of squares of the residuals of the anchors; its expectation is the
+        variance of the map times the degrees of freedom.
     """
 
     positions: NDArray[np.float64]
@@ -129,27 +105,8 @@ def krige(
 ) -> Kriged:
     """Predict positions by universal kriging, with small changes of a similarity as the drift.
 
-    Parameters
-    ----------
-    x, y : ndarray of shape (n, k)
-        Anchors on the map and on the robot.
-    positions : ndarray of shape (m, k)
-        The map where it is predicted.
-    fit : Similarity
-        Of the anchors, from `fit_scaled`.
-    known : Known
-    kernel : Kernel
-        Covariance of the field of corrections, in the frame of the anchors.
-    validated : bool
-        Whether anchors that were left out have shown that the field predicts better; then the
-        field makes the variances smaller.
+    x, y (n, k), positions (m, k).
 
-    Returns
-    -------
-    Kriged
-
-    Notes
-    -----
     Chiles & Delfiner (2012), Geostatistics, section 3.4.
     """
     anchors, placed = fit.apply(x), fit.apply(positions)
@@ -232,12 +189,8 @@ _CONCENTRATION, _REVERSED, _ASTRAY, _INWARD = 8.0, 0.15, 0.05, 0.1
 class Normals:
     """Outward unit normals of a skin.
 
-    Attributes
-    ----------
-    estimated : ndarray of shape (N, 3)
-        At the sensors of the map.
-    measured : ndarray of shape (n, 3)
-        At the anchors on the robot; NaN if unknown.
+    estimated (N, 3): At the sensors of the map.
+    measured (n, 3): At the anchors on the robot; NaN if unknown.
     """
 
     estimated: NDArray[np.float64]
@@ -251,25 +204,7 @@ def choose_hand(
     known: Known,
     normals: Normals | None,
 ) -> tuple[bool, bool]:
-    """Decide between a map and its mirror image.
-
-    Parameters
-    ----------
-    positions, sensors, targets, known, normals
-        As for `anisomap.placement.anchors.fit_anchors`.
-
-    Returns
-    -------
-    reflected : bool
-        Whether to reflect the map.
-    handed : bool
-        Whether that is known. If not, the skin is flat, and its positions do not depend on it.
-
-    Raises
-    ------
-    InputError
-        If neither hand is `DECISIVE`, or the stated one is contradicted.
-    """
+    """Decide between a map and its mirror image."""
     flat, evidence, irrelevant = is_flat(positions), known.evidence, True
     if not flat:
         found = _evidence(positions, sensors, targets, known)
@@ -364,26 +299,6 @@ def mirror_evidence(
 ) -> float:
     """Compare the residuals of anchors with a map and with its mirror image.
 
-    Parameters
-    ----------
-    squares : (float, float)
-        Sums of squared residuals of the map and its mirror image, in squared units of the map,
-        weighted by the inverse covariance of a field of errors of variance 1. For the right hand
-        the expectation is the variance of a coordinate times the degrees of freedom.
-    freedom : int
-        Degrees of freedom of the residuals.
-    size : float
-        Root of the summed variance of the coordinates of the map.
-    uneven : bool
-        Whether the map is known to be distorted.
-
-    Returns
-    -------
-    float
-        Log likelihood ratio of the map against its mirror image.
-
-    Notes
-    -----
     The variance of the errors is unknown. Its prior is a mixture of two scaled inverse chi-squared
     distributions, of good and of distorted maps, so the likelihood is a mixture of densities of
     Student's t (Gelman et al. 2013, Bayesian Data Analysis, section 3.2). Anchors that fit one
@@ -421,23 +336,7 @@ def normals_evidence(
 ) -> float:
     """Compare normals of a map and of its mirror image with normals that were measured.
 
-    Parameters
-    ----------
-    fits : (Similarity, Similarity)
-        Transforms of the map, and of its mirror image, to the frame of the anchors.
-    estimated : ndarray of shape (n, 3)
-        Outward normals at the anchors on the map.
-    measured : ndarray of shape (n, 3)
-        Outward normals there on the robot; NaN if unknown.
-    sided : bool
-        Whether the normals of the map are known to point outwards.
-
-    Returns
-    -------
-    float
-        Log likelihood ratio of the map against its mirror image. Normals of the map scatter about
-        the right ones as in the distribution of von Mises and Fisher. Some are arbitrary or
-        reversed, and all may point inwards, as those of hollow skins do, unless the side is known.
+    estimated (n, 3), measured (n, 3).
     """
     known = np.isfinite(measured).all(axis=1)
     if not known.any():

@@ -413,16 +413,10 @@ def _handedness(
 class _Alone:
     """Each module fitted to the map by itself.
 
-    Attributes
-    ----------
-    log_scales : ndarray of shape (B,)
-        Units of the template per unit of the map, where each module is.
-    uncertainty : ndarray of shape (B,)
-        Standard deviation of `log_scales` from the noise of the map.
-    noise : float
-        Standard deviation of a coordinate on the map, in units of the template.
-    rms : float
-        Root mean square distance between modules and map, in units of the template.
+    log_scales (B,): Units of the template per unit of the map, where each module is.
+    uncertainty (B,): Standard deviation of `log_scales` from the noise of the map.
+    noise: Standard deviation of a coordinate on the map, in units of the template.
+    rms: Root mean square distance between modules and map, in units of the template.
     """
 
     log_scales: NDArray[np.float64]

@@ -31,15 +31,7 @@ _MAX_COORDINATE = 1e75  # m; the square of an area, the fourth power of a length
 class Surface:
     """A mesh, searched exactly or, faster, among points drawn on it.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        In metres.
-
-    Raises
-    ------
-    InputError
-        If the mesh has no triangles, no area, or a vertex that is not finite or too far away.
+    mesh: In metres.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -84,25 +76,8 @@ def surface_evidence(
 ) -> float:
     """Compare how well a map and its mirror image fit a surface.
 
-    Parameters
-    ----------
-    positions : ndarray of shape (N, 3)
-        The map.
-    sensors : ndarray of int, shape (n,)
-        Rows of the anchors, at least 3.
-    targets : ndarray of shape (n, 3)
-        Positions of the anchors.
-    surface : Surface
+    positions (N, 3), targets (n, 3).
 
-    Returns
-    -------
-    float
-        Log likelihood ratio of the map against its mirror image: the logarithm of the ratio of
-        their distances from the surface after iterated closest points, times the number of
-        independent errors.
-
-    Notes
-    -----
     Besl & McKay (1992), IEEE Trans. PAMI 14(2): 239-256, from the fit to the anchors.
     """
     size = float(np.sqrt(np.sum(np.var(targets, axis=0))))
@@ -116,17 +91,7 @@ def check_near_surface(
 ) -> None:
     """Check that placed sensors are near a surface, before a map is bent to it.
 
-    Parameters
-    ----------
-    positions : ndarray of shape (N, 3)
-    errors : ndarray of shape (N,)
-        Radius within which most sensors are expected.
-    surface : Surface
-
-    Raises
-    ------
-    InputError
-        If most sensors are farther from the surface than their errors.
+    positions (N, 3), errors (N,).
     """
     off = np.linalg.norm(surface.nearest(positions)[0] - positions, axis=1)
     if np.median(off - errors) > 0:
@@ -146,23 +111,7 @@ def fit_to_surface(
     reflection: bool,
     anchor_weight: float | None = None,
 ) -> NDArray[np.float64]:
-    """Fit a similarity to anchors and to the nearest points of a surface.
-
-    Parameters
-    ----------
-    positions, sensors, targets, surface
-        As for `surface_evidence`.
-    reflection : bool
-        Whether the map is a mirror image.
-    anchor_weight : float, optional
-        Weight of an anchor against the nearest point of a sensor. By default all anchors together
-        count as much as the surface.
-
-    Returns
-    -------
-    ndarray of shape (N, 3)
-        The map in the frame of the anchors, near the surface.
-    """
+    """Fit a similarity to anchors and to the nearest points of a surface. Returns (N, 3)."""
     n_sensors = len(positions)
     weights = np.ones(n_sensors)
     weights[sensors] = n_sensors / len(sensors) if anchor_weight is None else anchor_weight
@@ -186,20 +135,8 @@ def bend_to_surface(
 ) -> NDArray[np.float64]:
     """Bend a placed map smoothly to a surface and to its anchors.
 
-    Parameters
-    ----------
-    placed : ndarray of shape (N, 3)
-        The map in the frame of the anchors, near the surface.
-    sensors, targets, surface
-        As for `surface_evidence`.
+    placed (N, 3) -> (N, 3).
 
-    Returns
-    -------
-    ndarray of shape (N, 3)
-        The map with a smooth field of displacements, near the surface.
-
-    Notes
-    -----
     Maps are distorted smoothly, so the nearest points of the surface tell the field, as in
     non-rigid iterated closest points (Amberg, Romdhani & Vetter 2007,
     doi:10.1109/CVPR.2007.383165). Here the field is a Gaussian process of which the reach shrinks.

@@ -61,35 +61,22 @@ class HeightOptions:
     Tuned on rolling cylinders with sensors on columns, at even and at random places, seeds 1 to 5,
     and on 49 other simulated and 9 real recordings, of seed 1.
 
-    Parameters
-    ----------
-    min_sharing : float
-        Correlation of readings above which two sensors share contacts.
-    min_reliability : float
-        Minimum `Explained.reliability`.
-    max_explained : float
-        `Explained.share` below which heights contradict a map. It was at most 0.37 on compressed
-        maps of rolling cylinders, and at least 0.58 on other skins except walking feet (0.37),
-        where no map explains heights.
-    min_explained : float
-        Minimum `Explained.share` of a map that explains heights: at least 0.79 on rolling
-        cylinders.
-    min_gain : float
-        Minimum difference of the shares that both maps explain: at least 0.54 on rolling cylinders,
-        at most 0.42 under walking feet.
-    min_compressed : float
-        Minimum `linear_share` at which the given map is taken for a compressed image of that map:
-        long contacts compress a map, and do not rearrange it. It was at most 0.22 where spikes or
-        noise of read-out boards made heights similar.
-    min_linear : float
-        Minimum `linear_share` at which that map replaces the given one.
-    min_weakest : float
-        Minimum `weakest_link` of a map that is trusted.
-    min_agreement : float
-        Minimum Mantel r of the maps of both halves, of a map that is trusted.
-    min_trusted_linear : float
-        Minimum `linear_share` of a map that is trusted.
-    maps : HeightMapOptions
+    min_sharing: Correlation of readings above which two sensors share contacts.
+    min_reliability: Minimum `Explained.reliability`.
+    max_explained: `Explained.share` below which heights contradict a map. It was at most 0.37 on
+        compressed maps of rolling cylinders, and at least 0.58 on other skins except walking feet
+        (0.37), where no map explains heights.
+    min_explained: Minimum `Explained.share` of a map that explains heights: at least 0.79 on
+        rolling cylinders.
+    min_gain: Minimum difference of the shares that both maps explain: at least 0.54 on rolling
+        cylinders, at most 0.42 under walking feet.
+    min_compressed: Minimum `linear_share` at which the given map is taken for a compressed image of
+        that map: long contacts compress a map, and do not rearrange it. It was at most 0.22 where
+        spikes or noise of read-out boards made heights similar.
+    min_linear: Minimum `linear_share` at which that map replaces the given one.
+    min_weakest: Minimum `weakest_link` of a map that is trusted.
+    min_agreement: Minimum Mantel r of the maps of both halves, of a map that is trusted.
+    min_trusted_linear: Minimum `linear_share` of a map that is trusted.
     """
 
     min_sharing: float = 0.05

@@ -168,14 +168,9 @@ class BombardmentOptions(ScenarioOptions):
 class Flight:
     """Positions of the balls and conserved quantities.
 
-    Attributes
-    ----------
-    centres : ndarray of shape (T, B, 3)
-        Centres of the balls in each frame, in m. Frame 0 is the initial state.
-    energies : ndarray of shape (T,)
-        Kinetic energy and energy stored in contacts, in J.
-    overlaps : ndarray of shape (T,)
-        Depth of the deepest contact in each frame, in m; 0 without contacts.
+    centres (T, B, 3): Centres of the balls in each frame, in m. Frame 0 is the initial state.
+    energies (T,): Kinetic energy and energy stored in contacts, in J.
+    overlaps (T,): Depth of the deepest contact in each frame, in m; 0 without contacts.
     """
 
     centres: NDArray[np.float64]
@@ -200,20 +195,7 @@ def bombardment(
     rng: np.random.Generator,
     progress: Progress = no_progress,
 ) -> ScenarioResult:
-    """Simulate balls that bombard a fixed body.
-
-    Raises
-    ------
-    InputError
-        If the balls do not fit into the box.
-    MissingExtraError
-        If MuJoCo is not installed.
-
-    Warns
-    -----
-    AnisomapWarning
-        If the energy changed by more than `ENERGY_TOLERANCE`.
-    """
+    """Simulate balls that bombard a fixed body."""
     # MuJoCo's tolerances suit lengths of about 1, so the body is scaled to a reach of 1.
     reach = body.reach
     flight = simulate_flight(

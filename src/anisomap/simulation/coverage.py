@@ -138,24 +138,7 @@ def coverage_curve(
 
 
 def neighbouring_pairs(recording: Recording) -> NDArray[np.intp]:
-    """List the pairs of sensors that are neighbours on the skin.
-
-    Parameters
-    ----------
-    recording : Recording
-        With true positions.
-
-    Returns
-    -------
-    ndarray of int, shape (P, 2)
-        Pairs whose distance is at most 1.5 times that from either sensor to its nearest neighbour.
-        Distances are along the skin where known, otherwise straight.
-
-    Raises
-    ------
-    InputError
-        If the recording has no true positions.
-    """
+    """List the pairs of sensors that are neighbours on the skin."""
     distances = recording.surface_distances
     if distances is None:
         if recording.positions is None:

@@ -30,11 +30,6 @@ def load_mujoco() -> ModuleType:
 
     Its warnings are logged; by default it prints them and appends them to ``MUJOCO_LOG.TXT`` in
     the working folder. A handler that the caller has set is kept.
-
-    Raises
-    ------
-    MissingExtraError
-        If MuJoCo is not installed.
     """
     mujoco: ModuleType = import_extra("mujoco", "simulating a recording", "simulation")
     if mujoco.get_mju_user_warning() is None:
@@ -75,15 +70,9 @@ _IMPEDANCE_INSIDE = 0.01
 class ElasticContact:
     """A contact with the force of a cubic spring.
 
-    Parameters
-    ----------
-    softness : float
-        Depth of a contact at `speed`, in m.
-    speed : float
-        In m/s.
+    softness: Depth of a contact at `speed`, in m.
+    speed: In m/s.
 
-    Notes
-    -----
     MuJoCo's contacts can gain energy for two reasons. Both depend on the impedance d (see "Solver
     parameters" in MuJoCo's documentation):
 
@@ -130,18 +119,6 @@ def add_fixed_solids(
 ) -> None:
     """Add solids that do not move to a model.
 
-    Parameters
-    ----------
-    mujoco : module
-    spec : mujoco.MjSpec
-    solids : sequence of Solid
-    surface : mapping
-        Contact parameters: ``condim``, ``solref``, ``solimp`` ...
-    thickness : float
-        Thickness of the triangles of a mesh, far below the depth of contacts.
-
-    Notes
-    -----
     MuJoCo replaces a mesh geom by its convex hull. A flexible surface pinned to the world keeps
     its triangles, whose contact forces add up.
     """
@@ -172,19 +149,7 @@ def geom_shape(mujoco: ModuleType, solid: Solid) -> dict[str, Any]:
 def total_energy(data: Any, step: float, masses: NDArray[np.float64]) -> float:
     """Sum the kinetic energy and the energy stored in contacts of bodies that do not rotate.
 
-    Parameters
-    ----------
-    data : mujoco.MjData
-        After ``mj_forward``. All constraints must be of type `ElasticContact`.
-    step : float
-        Step size in s. The integrator's velocities are half a step behind its positions.
-    masses : ndarray of shape (nv,)
-        Mass moved along each coordinate, in kg.
-
-    Returns
-    -------
-    float
-        In J. A cubic spring stores a quarter of force times depth.
+    masses (nv,).
     """
     velocities = data.qvel + step / 2 * data.qacc
     stored = -data.efc_force @ data.efc_pos / 4

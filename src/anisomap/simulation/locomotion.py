@@ -46,12 +46,8 @@ _TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
 class Terrain:
     """Solid ground with heights on a square grid.
 
-    Parameters
-    ----------
-    heights : array_like of shape (n, n)
-        Rows go along y, columns along x. The middle of the grid is above the origin.
-    cell : float
-        Grid spacing.
+    heights (n, n): Rows go along y, columns along x. The middle of the grid is above the origin.
+    cell: Grid spacing.
     """
 
     heights: NDArray[np.float64]
@@ -97,35 +93,11 @@ class Terrain:
         return np.asarray(corner + most * (third - corner) + least * (beyond - third))
 
     def distance(self, points: ArrayLike) -> Points:
-        """Compute the exact distance of points from the surface.
-
-        Parameters
-        ----------
-        points : array_like of shape (n, 3)
-            Above or below the grid, not beside it.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            Distance from the nearest triangle, negative below the ground.
-        """
+        """Compute the exact distance of points from the surface. points (n, 3) -> (n,)."""
         return self._search.signed_distance(np.asarray(points, dtype=np.float64))
 
     def readings(self, points: ArrayLike, detection_radius: float) -> NDArray[np.float32]:
-        """Read the ground with short-range proximity sensors.
-
-        Parameters
-        ----------
-        points : array_like of shape (n, 3)
-            Sensor positions.
-        detection_radius : float
-
-        Returns
-        -------
-        ndarray of float32, shape (n,)
-            Penetration depth of the ground into the detection sphere,
-            ``max(0, detection_radius - distance)``.
-        """
+        """Read the ground with short-range proximity sensors. points (n, 3)."""
         places = np.asarray(points, dtype=np.float64)
         found = np.zeros(len(places), dtype=np.float32)
         # The height above the highest peak is a lower bound of the distance.
@@ -141,25 +113,7 @@ class Terrain:
 def bumpy_terrain(
     half_width: float, cell: float, roughness: float, correlation: float, rng: np.random.Generator
 ) -> Terrain:
-    """Generate ground with smooth random bumps: white noise with a Gaussian filter.
-
-    Parameters
-    ----------
-    half_width : float
-        Minimum distance from the middle to each edge.
-    cell : float
-        Grid spacing.
-    roughness : float
-        Root mean square height; the mean height is 0.
-    correlation : float
-        Distance at which the correlation of heights is ``exp(-1/4)``. Bumps are about two to three
-        times as wide.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    Terrain
-    """
+    """Generate ground with smooth random bumps: white noise with a Gaussian filter."""
     n = 2 * int(np.ceil(half_width / cell)) + 1
     noise = rng.standard_normal((n, n))
     smooth = gaussian_filter(noise, correlation / cell, mode="reflect", truncate=_TRUNCATION)
@@ -319,14 +273,7 @@ class Driver:
         self._mujoco.mj_step(self._model, data)
 
     def measure(self) -> tuple[Any, ...]:
-        """Measure the state of the body.
-
-        Returns
-        -------
-        tuple
-            Centre (3,), rotation (3, 3), slip (speed of the surface at the contact as a share of
-            the set speed; NaN without contact), speed of the centre, and depth in the ground.
-        """
+        """Measure the state of the body."""
         data = self._data
         self._mujoco.mj_forward(self._model, data)
         centre = np.array(data.xpos[1])
@@ -435,19 +382,12 @@ _MIN_HALF_WIDTH = 4.0  # x reach
 class Journey:
     """Motion of a rolling body.
 
-    Attributes
-    ----------
-    terrain : Terrain
-    centres : ndarray of shape (T, 3)
-        Centre of the body in each frame.
-    rotations : ndarray of shape (T, 3, 3)
-    slips : ndarray of shape (T,)
-        Speed of the body's surface at the contact, as a share of the set speed; NaN without
+    centres (T, 3): Centre of the body in each frame.
+    rotations (T, 3, 3)
+    slips (T,): Speed of the body's surface at the contact, as a share of the set speed; NaN without
         contact.
-    speeds : ndarray of shape (T,)
-        Speed of the centre.
-    overlaps : ndarray of shape (T,)
-        Depth of the body in the ground.
+    speeds (T,): Speed of the centre.
+    overlaps (T,): Depth of the body in the ground.
     """
 
     terrain: Terrain
@@ -476,26 +416,7 @@ def locomotion(
     rng: np.random.Generator,
     progress: Progress = no_progress,
 ) -> ScenarioResult:
-    """Simulate a sphere or cylinder that rolls over uneven ground.
-
-    Returns
-    -------
-    ScenarioResult
-        Its facts are ``median_slip`` (as a share of the speed), ``share_moving`` of the frames,
-        ``share_touched`` of the sensors, and ``deepest_overlap`` with the ground.
-
-    Raises
-    ------
-    InputError
-        If the body cannot roll, or rolled off the ground.
-    MissingExtraError
-        If MuJoCo is not installed.
-
-    Warns
-    -----
-    AnisomapWarning
-        If the body slid or stopped too often, or some sensors never touched the ground.
-    """
+    """Simulate a sphere or cylinder that rolls over uneven ground."""
     reach = body.reach
     scaled = options.scaled(1 / reach)
     unit = body.scaled(1 / reach)

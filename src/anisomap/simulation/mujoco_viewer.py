@@ -105,21 +105,7 @@ def _render_here(
 
 
 def show(scene: Scene, speed: float = 1.0) -> None:
-    """Play a scene in MuJoCo's viewer until its window is closed.
-
-    Parameters
-    ----------
-    scene : Scene
-    speed : float
-        Playback speed relative to real time.
-
-    Raises
-    ------
-    NoScreenError
-        If no display is available.
-    MissingExtraError
-        If MuJoCo is not installed.
-    """
+    """Play a scene in MuJoCo's viewer until its window is closed."""
     if not has_screen():
         raise NoScreenError("MuJoCo's viewer needs a display, and none is available")
     mujoco = load_mujoco()

@@ -79,8 +79,6 @@ def pressing(
 ) -> ScenarioResult:
     """Simulate a flat surface that is pressed against a body.
 
-    Notes
-    -----
     The surface is aimed at the normals of all sensors in turn. It does not reach into hollows (the
     inside of a ring, a crotch); sensors there respond only within `detection_radius`. All sensors
     along a straight line are touched at once, so the length of a cylinder cannot be observed:
@@ -102,13 +100,7 @@ def draw_presses(
 ) -> tuple[Points, NDArray[np.float64]]:
     """Draw the direction and depth of the flat surface in each frame.
 
-    Returns
-    -------
-    directions : ndarray of shape (T, 3)
-        Unit normals of the surface, pointing out of the body.
-    depths : ndarray of shape (T,)
-        Depth below the outermost point of the body; negative above it. Between presses the surface
-        is out of range of all sensors.
+    Returns directions (T, 3), depths (T,).
     """
     time = np.arange(n_frames) * options.frame_interval / options.press_interval
     press = time.astype(np.intp)

@@ -80,13 +80,6 @@ def pulses(
 ) -> ScenarioResult:
     """Simulate point sources around a body.
 
-    Raises
-    ------
-    InputError
-        If there is no space for sources outside the body within `field_radius`.
-
-    Notes
-    -----
     All sensors respond to all pulses. Unlike readings of touch, readings are rarely zero.
     """
     places, strengths = draw_pulses(body, n_frames, options, rng)
@@ -100,19 +93,7 @@ def read_pulses(
 ) -> NDArray[np.float32]:
     """Read point sources: the sum of the responses to each.
 
-    Parameters
-    ----------
-    sensors : array_like of shape (N, 3)
-    places : array_like of shape (T, S, 3)
-        Positions of S sources in each of T frames.
-    strengths : array_like of shape (T, S)
-    half_distance : float
-        Distance at which the response is half of the strength.
-
-    Returns
-    -------
-    ndarray of float32, shape (T, N)
-        Sum over sources of ``strength / (1 + (distance / half_distance) ** 2)``.
+    sensors (N, 3), places (T, S, 3), strengths (T, S).
     """
     sensors = np.asarray(sensors, dtype=np.float64)
     frames = zip(np.asarray(places, dtype=np.float64), np.asarray(strengths), strict=True)
@@ -126,15 +107,7 @@ def read_pulses(
 def draw_pulses(
     body: Body, n_frames: int, options: PulsesOptions, rng: np.random.Generator
 ) -> tuple[Points, NDArray[np.float64]]:
-    """Draw positions and strengths of the sources.
-
-    Returns
-    -------
-    places : ndarray of shape (T, S, 3)
-        Uniformly distributed outside the body, within `options.field_radius` of its middle.
-    strengths : ndarray of shape (T, S)
-        Between 0 (between pulses) and `options.strength`. Each source starts at a random phase.
-    """
+    """Draw positions and strengths of the sources. Returns places (T, S, 3), strengths (T, S)."""
     time = np.arange(n_frames)[:, None] * options.frame_interval / options.pulse_length
     time = time + rng.random(options.n_sources)
     pulse = time.astype(np.intp)

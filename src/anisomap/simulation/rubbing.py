@@ -86,13 +86,8 @@ class RubbingOptions(StrokeOptions):
 class HandMotion:
     """Motion of one hand.
 
-    Attributes
-    ----------
-    centres : ndarray of shape (T, P, 3)
-        Centres of the pads of the palm in each frame.
-    radii : ndarray of shape (P,)
-        Radii of the pads.
-    n_strokes : int
+    centres (T, P, 3): Centres of the pads of the palm in each frame.
+    radii (P,): Radii of the pads.
     """
 
     centres: Points
@@ -135,11 +130,7 @@ def move_hand(
 def draw_palm(size: float, rng: np.random.Generator) -> tuple[Points, NDArray[np.float64]]:
     """Draw a palm: a central pad surrounded by others of irregular size and position.
 
-    Returns
-    -------
-    centres : ndarray of shape (P, 3)
-        x and y along the palm, z away from the skin. No pad extends below z = 0.
-    radii : ndarray of shape (P,)
+    Returns centres (P, 3), radii (P,).
     """
     n_outer = _N_PADS - 1
     angle = 2 * np.pi * (np.arange(n_outer) + rng.uniform(-0.3, 0.3, n_outer)) / n_outer
@@ -162,14 +153,7 @@ TRAVEL_FRAMES = 6
 
 @dataclass
 class GuidedHand:
-    """A palm that rubs a body in bouts, each of them where it is told.
-
-    Parameters
-    ----------
-    body : Body
-    options : RubbingOptions
-    rng : numpy.random.Generator
-    """
+    """A palm that rubs a body in bouts, each of them where it is told."""
 
     body: Body
     options: RubbingOptions
@@ -185,24 +169,7 @@ class GuidedHand:
         sensors: Collection[int] = (),
         contacts: NDArray[np.intp] | None = None,
     ) -> NDArray[np.float32]:
-        """Rub for some frames.
-
-        Parameters
-        ----------
-        n_frames : int
-            More than 6: the first frames are those in which the hand moves off the skin.
-        sensors : collection of int
-            Sensors at which the hand is set down; by default anywhere.
-        contacts : ndarray of int, shape (N,), optional
-            Contacts of each sensor before: strokes lead to sensors that have few. By default they
-            are not known. 1 for sensors that were touched and 0 for others lets strokes lead to
-            those that were never touched.
-
-        Returns
-        -------
-        ndarray of shape (n_frames, N)
-            Readings, as of the scenario "rubbing".
-        """
+        """Rub for some frames. Returns (n_frames, N)."""
         n_sensors, options, rng = self.body.n_sensors, self.options, self.rng
         visits = np.zeros(n_sensors)
         if contacts is not None:
@@ -261,8 +228,6 @@ def roller(
 ) -> ScenarioResult:
     """Simulate a roller that moves along the skin of a body.
 
-    Notes
-    -----
     The roller is a capsule across its direction of motion. At the start of a stroke it turns to the
     new direction from one frame to the next.
     """

@@ -43,19 +43,13 @@ DEFAULT_SEED = 1
 class Scenario:
     """A way to stimulate the skin of a body.
 
-    Attributes
-    ----------
-    summary : str
-        One-line description.
-    options : type
-        Frozen dataclass of parameters, a subclass of `ScenarioOptions`.
-    function : callable
-        Takes a `Body`, the number of frames, the options and a numpy Generator, and returns a
+    summary: One-line description.
+    options: Frozen dataclass of parameters, a subclass of `ScenarioOptions`.
+    function: Takes a `Body`, the number of frames, the options and a numpy Generator, and returns a
         `ScenarioResult`. With `uses_mujoco`, it also takes a `Progress`.
-    uses_mujoco : bool
-        Whether it uses the physics engine. If so, the metadata include the engine's version.
-    accepts : callable
-        Predicate of a body. `function` raises InputError for bodies that are not accepted.
+    uses_mujoco: Whether it uses the physics engine. If so, the metadata include the engine's
+        version.
+    accepts: Predicate of a body. `function` raises InputError for bodies that are not accepted.
     """
 
     summary: str
@@ -72,22 +66,7 @@ class Scenario:
         rng: np.random.Generator,
         progress: Progress | None = None,
     ) -> ScenarioResult:
-        """Run the scenario.
-
-        Parameters
-        ----------
-        body : Body
-        n_frames : int
-        options : ScenarioOptions
-        rng : numpy.random.Generator
-        progress : callable, optional
-            Receives the completed share, from 0 to 1.
-
-        Returns
-        -------
-        ScenarioResult
-            Its facts include the options.
-        """
+        """Run the scenario."""
         report = progress or no_progress
         reported = (report,) if self.uses_mujoco else ()
         result = self.function(body, n_frames, options, rng, *reported)
@@ -99,11 +78,7 @@ class Scenario:
 class Simulation:
     """A simulated recording and its scene.
 
-    Attributes
-    ----------
-    recording : Recording
-    scene : Scene
-        Objects and sensors in each frame, for drawing.
+    scene: Objects and sensors in each frame, for drawing.
     """
 
     recording: Recording
@@ -283,13 +258,7 @@ def simulate_runs(
 
 
 def find_scenario(name: str) -> Scenario:
-    """Look up a scenario by name.
-
-    Raises
-    ------
-    InputError
-        If there is no such scenario; the message lists the choices.
-    """
+    """Look up a scenario by name."""
     return _find("scenario", SCENARIOS, name)
 
 

@@ -77,15 +77,7 @@ class SelfTouchOptions(StrokeOptions):
 def self_touch(
     body: Body, n_frames: int, options: SelfTouchOptions, rng: np.random.Generator
 ) -> ScenarioResult:
-    """Simulate a fingertip that strokes a body.
-
-    Returns
-    -------
-    ScenarioResult
-        Readings of the body's sensors, then of the fingertip's, ``finger0, finger1, ...``. As the
-        fingertip moves, its true positions are by convention beside the body, see
-        `with_fingertip`.
-    """
+    """Simulate a fingertip that strokes a body."""
     centres, rotations = move_fingertip(body, n_frames, options, rng)
     tip = options.finger_radius * fingertip_directions(options)
     moving = centres + np.einsum("tij,nj->tni", rotations, tip)
@@ -111,16 +103,7 @@ def fingertip_directions(options: SelfTouchOptions) -> Points:
 
 
 def with_fingertip(body: Body, options: SelfTouchOptions) -> Body:
-    """Combine a body and a fingertip beside it into one body.
-
-    Returns
-    -------
-    Body
-        The sensors of the body, unchanged, then those of the fingertip. The fingertip is centred
-        on the x axis, one diameter away from the bounding ball of the body, with its tip towards
-        +z. Positions of the two parts relative to each other are arbitrary, and surface distances
-        between them are infinite.
-    """
+    """Combine a body and a fingertip beside it into one body."""
     radius, directions = options.finger_radius, fingertip_directions(options)
     middle = np.array([body.reach + (_CLEARANCE + 1) * radius, 0, 0])
     return Body(

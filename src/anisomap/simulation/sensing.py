@@ -12,24 +12,8 @@ def read_balls(
 ) -> NDArray[np.float32]:
     """Read balls with short-range proximity sensors.
 
-    Parameters
-    ----------
-    sensors : array_like of shape (N, 3)
-        Sensor positions.
-    centres : array_like of shape (T, B, 3)
-        Centres of B balls in each of T frames.
-    ball_radius : float or array_like of shape (B,)
-    detection_radius : float
-        Radius of the detection sphere around each sensor.
+    sensors (N, 3), centres (T, B, 3), ball_radius (B,).
 
-    Returns
-    -------
-    ndarray of float32, shape (T, N)
-        Penetration depth of the deepest ball into the detection sphere,
-        ``max(0, detection_radius + ball_radius - distance)``, in the unit of the lengths.
-
-    Notes
-    -----
     McGregor et al. (2011), section "Sensor Modelling": "proportional to the detectable body's
     maximum penetration into the sensor's sphere of detection". Single precision halves the size;
     its seven digits exceed the resolution of real sensors.
@@ -51,17 +35,7 @@ def read_capsules(
 ) -> NDArray[np.float32]:
     """Read capsules: all points within a radius of a segment.
 
-    Parameters
-    ----------
-    sensors : array_like of shape (N, 3)
-    starts, ends : array_like of shape (T, B, 3)
-        Ends of the segments of B capsules in each of T frames.
-    capsule_radius, detection_radius : float
-
-    Returns
-    -------
-    ndarray of float32, shape (T, N)
-        As `read_balls`, with the distance from the segment.
+    sensors (N, 3), starts, ends (T, B, 3).
     """
     sensors = np.asarray(sensors, dtype=np.float64)
     frames = np.asarray(starts, dtype=np.float64), np.asarray(ends, dtype=np.float64)
@@ -80,18 +54,7 @@ def read_half_spaces(
 ) -> NDArray[np.float32]:
     """Read an infinite flat surface: all points ``x`` with ``x @ direction >= offset``.
 
-    Parameters
-    ----------
-    sensors : array_like of shape (N, 3)
-    directions : array_like of shape (T, 3)
-        Unit normals of the surface in each frame, pointing into the solid half space.
-    offsets : array_like of shape (T,)
-    detection_radius : float
-
-    Returns
-    -------
-    ndarray of float32, shape (T, N)
-        Penetration depth into the detection sphere of each sensor.
+    sensors (N, 3), directions (T, 3), offsets (T,).
     """
     heights = np.asarray(directions, dtype=np.float64) @ np.asarray(sensors, dtype=np.float64).T
     gaps = np.asarray(offsets, dtype=np.float64)[:, None] - heights

@@ -35,18 +35,12 @@ _N_PROJECTIONS = 4
 class Solid:
     """A solid, made by `ball`, `capsule`, `cylinder`, `box` or `mesh`.
 
-    Parameters
-    ----------
-    kind : str
-        Type of geom in MuJoCo: ``"sphere"``, ``"capsule"``, ``"cylinder"``, ``"box"`` or
+    kind: Type of geom in MuJoCo: ``"sphere"``, ``"capsule"``, ``"cylinder"``, ``"box"`` or
         ``"mesh"``.
-    size : tuple of float
-        Size as in MuJoCo: (radius,); (radius, half length of the axis); or the half edges.
-    centre : ndarray of shape (3,)
-    rotation : ndarray of shape (3, 3)
-        Columns are the local x, y and z axes; capsules and cylinders lie along z.
-    shape : Mesh, optional
-        Triangles of a mesh, in local coordinates.
+    size: Size as in MuJoCo: (radius,); (radius, half length of the axis); or the half edges.
+    centre (3,)
+    rotation (3, 3): Columns are the local x, y and z axes; capsules and cylinders lie along z.
+    shape: Triangles of a mesh, in local coordinates.
     """
 
     kind: str
@@ -64,17 +58,7 @@ class Solid:
             )
 
     def distance(self, points: ArrayLike) -> Points:
-        """Compute the exact signed distance of points from the surface.
-
-        Parameters
-        ----------
-        points : array_like of shape (n, 3)
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            Negative inside.
-        """
+        """Compute the exact signed distance of points from the surface. points (n, 3) -> (n,)."""
         local = self.to_local(points)
         if self.kind == "mesh":
             return self._search.signed_distance(local)
@@ -159,15 +143,7 @@ def box(half_edges: Sequence[float], centre: ArrayLike = (0.0, 0.0, 0.0)) -> Sol
 
 
 def mesh(vertices: ArrayLike, faces: ArrayLike) -> Solid:
-    """Make a solid from a closed triangle mesh.
-
-    Raises
-    ------
-    InputError
-        If the mesh is not closed, has no area, or has coordinates beyond `MAX_LENGTH`.
-    MissingExtraError
-        If trimesh is not installed.
-    """
+    """Make a solid from a closed triangle mesh."""
     if not np.abs(np.asarray(vertices)).max(initial=0) < MAX_LENGTH:
         raise InputError(f"coordinates of the mesh must be finite and below {MAX_LENGTH:g}")
     trimesh = import_extra("trimesh", "simulating a mesh", "simulation")
@@ -186,28 +162,14 @@ def mesh(vertices: ArrayLike, faces: ArrayLike) -> Solid:
 
 
 def union_distance(solids: Sequence[Solid], points: ArrayLike) -> Points:
-    """Compute the signed distance of points from a union of solids.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Exact outside. Inside overlapping solids, a lower bound of the depth.
-    """
+    """Compute the signed distance of points from a union of solids. Returns (n,)."""
     return np.asarray(np.min([solid.distance(points) for solid in solids], axis=0))
 
 
 def surface_normals(solids: Sequence[Solid], points: ArrayLike) -> Points:
     """Compute the normalised gradient of the distance: the outward normal on the surface.
 
-    Parameters
-    ----------
-    solids : sequence of Solid
-    points : array_like of shape (n, 3)
-
-    Returns
-    -------
-    ndarray of shape (n, 3)
-        Unit vectors, by central differences.
+    points (n, 3) -> (n, 3).
     """
     points = np.asarray(points, dtype=np.float64)
     step = _GRADIENT_STEP * max(solid.reach for solid in solids)
@@ -295,15 +257,7 @@ def _profile(kind: str, size: tuple[float, ...]) -> Points:
 
 
 def revolved(profile: ArrayLike, n_around: int = _CIRCLE_VERTICES) -> Mesh:
-    """Revolve an outline about the z axis into a closed mesh.
-
-    Parameters
-    ----------
-    profile : array_like of shape (P, 2)
-        Radius and height. Only the first and the last point lie on the axis.
-    n_around : int
-        Vertices per circle.
-    """
+    """Revolve an outline about the z axis into a closed mesh. profile (P, 2)."""
     outline = np.asarray(profile, dtype=np.float64)
     angle = 2 * np.pi * np.arange(n_around) / n_around
     circles = np.stack(
@@ -336,24 +290,7 @@ _ROUNDING = 1e-9  # x reach
 def sample_surface(
     solids: Sequence[Solid], n_points: int, rng: np.random.Generator
 ) -> tuple[Points, Points]:
-    """Draw points uniformly from the surface of a union of solids.
-
-    Parameters
-    ----------
-    solids : sequence of Solid
-    n_points : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    points, normals : ndarray of shape (n_points, 3)
-        Points on the surface and outside all other solids, and unit normals there.
-
-    Raises
-    ------
-    InputError
-        If nearly all of the surface is inside other solids.
-    """
+    """Draw points uniformly from the surface of a union of solids. Returns (n_points, 3)."""
     areas = np.array([_doubled_areas(solid.outline)[0].sum() for solid in solids])
     inside = -_ROUNDING * max(solid.reach for solid in solids)
     found: list[tuple[Points, Points]] = []

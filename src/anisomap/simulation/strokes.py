@@ -93,12 +93,8 @@ class StrokeOptions(ScenarioOptions):
 class SurfaceSample:
     """Dense sample of the surface of a body.
 
-    Attributes
-    ----------
-    points, normals : ndarray of shape (P, 3)
-        The sensors, then points of the whole surface.
-    skin : ndarray of int, shape (Q,)
-        Indices of the points that belong to the skin: no further from their nearest sensor than
+    points, normals (P, 3): The sensors, then points of the whole surface.
+    skin: Indices of the points that belong to the skin: no further from their nearest sensor than
         its neighbours are, and with a similar normal.
     """
 
@@ -111,16 +107,11 @@ class SurfaceSample:
 class StrokePath:
     """A path over the skin.
 
-    Attributes
-    ----------
-    points, normals, headings : ndarray of shape (T, 3)
-        Position on the surface in each frame, the unit normal there, and the unit direction of
-        motion.
-    lifts : ndarray of shape (T,)
-        Height above the skin, from 0 (in contact) to 1. At 1, the position jumps between frames.
-    presses : ndarray of shape (T,)
-        Pressure from 0 to 1, continuous in time.
-    n_strokes : int
+    points, normals, headings (T, 3): Position on the surface in each frame, the unit normal there,
+        and the unit direction of motion.
+    lifts (T,): Height above the skin, from 0 (in contact) to 1. At 1, the position jumps between
+        frames.
+    presses (T,): Pressure from 0 to 1, continuous in time.
     """
 
     points: Points
@@ -133,16 +124,7 @@ class StrokePath:
     def orientations(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return orientations that do not follow the headings of strokes.
 
-        Parameters
-        ----------
-        angles : ndarray of shape (T,)
-            Rotation about the normal, in rad.
-
-        Returns
-        -------
-        ndarray of shape (T, 3, 3)
-            Columns are x, y and z axes. z is the normal; x is carried along the path by parallel
-            transport and rotated by `angles`.
+        angles (T,) -> (T, 3, 3).
         """
         x_axes = np.empty_like(self.points)
         carried = self.headings[0]
@@ -174,23 +156,7 @@ def draw_strokes(
     *,
     visits: NDArray[np.float64] | None = None,
 ) -> StrokePath:
-    """Draw strokes over the skin of a body, towards the least visited sensors.
-
-    Parameters
-    ----------
-    body : Body
-    sample : SurfaceSample
-        Of the same body.
-    n_frames : int
-    options : StrokeOptions
-    rng : numpy.random.Generator
-    visits : ndarray of shape (N,), optional
-        Visits of each sensor before; 0 by default.
-
-    Returns
-    -------
-    StrokePath
-    """
+    """Draw strokes over the skin of a body, towards the least visited sensors. visits (N,)."""
     walk = _Walk(body, sample, options)
     if visits is not None:
         walk.visits += visits
@@ -362,14 +328,11 @@ LIFT_HEIGHT = 1.5
 class Cluster:
     """Balls or capsules that move together.
 
-    Attributes
-    ----------
-    offsets : ndarray of shape (T, B, 3)
-        Position of each ball or capsule relative to the middle of the cluster, in each frame.
-    radii : ndarray of shape (B,)
-    axes : ndarray of shape (T, B, 3), optional
-        From the middle of each capsule to one end of its segment, perpendicular to the normals of
-        the path. None for balls.
+    offsets (T, B, 3): Position of each ball or capsule relative to the middle of the cluster, in
+        each frame.
+    radii (B,)
+    axes (T, B, 3): From the middle of each capsule to one end of its segment, perpendicular to the
+        normals of the path. None for balls.
     """
 
     offsets: Points
@@ -391,23 +354,7 @@ def settle(
 ) -> NDArray[np.float64]:
     """Lower a cluster along the normals of a path until it is in contact with the body.
 
-    Parameters
-    ----------
-    body : Body
-    sample : SurfaceSample
-        Of the same body.
-    path : StrokePath
-        On the same body.
-    cluster : Cluster
-    depths : ndarray of shape (T,)
-        Depth of the deepest ball or capsule in the body, less than each radius.
-
-    Returns
-    -------
-    ndarray of shape (T,)
-        Height of the middle of the cluster above the path, along the normal: the lowest at which
-        nothing is deeper in the body than `depths`. Contact is found with the sampled surface of
-        the whole body, then corrected by exact distances (for capsules, at points along the axis).
+    depths (T,) -> (T,).
     """
     surface = KDTree(sample.points)
     extents = np.linalg.norm(cluster.offsets, axis=2)
@@ -464,19 +411,7 @@ def _nearest_on_axes(points: Points, axes: Points) -> Points:
 
 
 def support(solids: Sequence[Solid], directions: Points) -> NDArray[np.float64]:
-    """Evaluate the support function of a union of solids.
-
-    Parameters
-    ----------
-    solids : sequence of Solid
-    directions : ndarray of shape (T, 3)
-        Unit vectors.
-
-    Returns
-    -------
-    ndarray of shape (T,)
-        Maximum of ``x @ direction`` over all points ``x`` of the solids; exact for all kinds.
-    """
+    """Evaluate the support function of a union of solids. directions (T, 3) -> (T,)."""
     return np.asarray(np.max([_support_of_one(solid, directions) for solid in solids], axis=0))
 
 

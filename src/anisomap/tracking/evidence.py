@@ -287,22 +287,6 @@ def find_moves(
 ) -> Moves | None:
     """Find sensors of which the similarity to all others is that of a far sensor before.
 
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        Its places tell which sensors are far; sensors of other components are.
-    evidence, fresh : Evidence
-        Of the map, and of a new recording.
-    level : float
-        Probability that chance alone marks any sensor as moved.
-
-    Returns
-    -------
-    Moves or None
-        None if fewer than `MIN_COMPARED` sensors can be compared.
-
-    Notes
-    -----
     For each sensor, the agreement of its new profile with its own old one is compared with the
     best agreement with the profile of a far sensor. A sensor moved if the far one fits better, by
     more than chance explains: differences of sensors that did not move are taken as normal, with
@@ -349,19 +333,7 @@ def similarity_of(
 ) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
     """Return the similarity of some sensors, and which pairs of them are known.
 
-    Parameters
-    ----------
-    evidence : Evidence
-    key : str
-        A key of `Evidence.sums`.
-    names : sequence of str
-        Sensors of the evidence.
-
-    Returns
-    -------
-    similarity : ndarray of shape (n, n)
-        In the order of the names.
-    known : ndarray of bool, shape (n, n)
+    Returns similarity (n, n), known.
     """
     row = {name: i for i, name in enumerate(evidence.names)}
     rows = [row[name] for name in names]

@@ -117,13 +117,9 @@ class PairSums:
 class Pooling:
     """Sums of a similarity.
 
-    Attributes
-    ----------
-    sums : callable
-        ``sums(readings, similarity)`` returns sums of products, shape (n, n), sums of squares,
+    sums: ``sums(readings, similarity)`` returns sums of products, shape (n, n), sums of squares,
         shape (n,), and the weight of the recording.
-    finish : callable
-        Returns the similarity of `PairSums`, shape (n, n).
+    finish: Returns the similarity of `PairSums`, shape (n, n).
     """
 
     sums: Callable[

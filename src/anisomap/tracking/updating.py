@@ -45,18 +45,12 @@ _EXPLAINED = 0.5  # share of the variance of a map that its own evidence must ex
 class _Frame:
     """From the map of new evidence to the frame of an old map.
 
-    Parameters
-    ----------
-    rows : ndarray of int
-        Rows of the old map from which the frame is known.
-    label : int
-        Their component on the old map.
-    to_before : Similarity
-        From the map of all evidence to that of the old evidence.
-    to_old : Similarity
-        From the map of the old evidence to the old map.
-    base, field : ndarray of shape (n, k)
-        Places of `rows` by `to_old`, and the corrections that the old map has there.
+    rows: Rows of the old map from which the frame is known.
+    label: Their component on the old map.
+    to_before: From the map of all evidence to that of the old evidence.
+    to_old: From the map of the old evidence to the old map.
+    base, field (n, k): Places of `rows` by `to_old`, and the corrections that the old map has
+        there.
     """
 
     rows: NDArray[np.intp]
@@ -88,30 +82,7 @@ def carry_over(
     moved: Sequence[str],
     extra: Sequence[str] = (),
 ) -> SensorMap:
-    """Bring a map of new evidence into the frame of an old map.
-
-    Parameters
-    ----------
-    old : SensorMap
-        The map to update.
-    before, after : SensorMap
-        Maps of the old evidence and of all evidence, by name, each in a frame of its own.
-    moved : sequence of str
-        Sensors that do not tell the frame, and do not keep their corrections.
-    extra : sequence of str
-        Sensors without a position that the result lists as well.
-
-    Returns
-    -------
-    SensorMap
-        Sensors of the old map that the new evidence does not place keep their positions. Sensors
-        of components that share too few sensors with the old map are left out.
-
-    Raises
-    ------
-    InputError
-        If the old evidence is not that of the old map.
-    """
+    """Bring a map of new evidence into the frame of an old map."""
     new = [n for n in (*after.names, *extra) if n not in set(old.names)]
     names = (*old.names, *dict.fromkeys(new))
     grown = _grown(old, names)

@@ -59,13 +59,7 @@ _STYLE = {
 
 
 def load(module: str) -> Any:
-    """Import a module of matplotlib or of a library that comes with it.
-
-    Raises
-    ------
-    MissingExtraError
-        If it is not installed.
-    """
+    """Import a module of matplotlib or of a library that comes with it."""
     return import_extra(module, "a picture", "report")
 
 
@@ -90,26 +84,7 @@ def add_axes(figure: Figure, dimensions: int, *position: Any) -> Axes:
 
 
 def panel_axes(ax: Axes | None, dimensions: int = 2) -> Axes:
-    """Return the axes to draw a panel into.
-
-    Parameters
-    ----------
-    ax : matplotlib Axes or None
-        Given by the user; None creates a figure with one panel.
-    dimensions : {2, 3}
-        Coordinates of the data.
-
-    Returns
-    -------
-    matplotlib Axes
-
-    Raises
-    ------
-    InputError
-        If `ax` has another number of dimensions.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Return the axes to draw a panel into."""
     if ax is None:
         with drawing_style():
             return add_axes(new_figure(6.0, 5.4, layout="constrained"), dimensions)
@@ -120,15 +95,7 @@ def panel_axes(ax: Axes | None, dimensions: int = 2) -> Axes:
 
 
 def set_ticks(axes: Axes, extents: NDArray[np.float64], count: int) -> None:
-    """Limit the number of ticks to about `count`, on short axes to two.
-
-    Parameters
-    ----------
-    axes : matplotlib Axes
-    extents : ndarray of shape (k,)
-        Lengths of the axes in units of the data.
-    count : int
-    """
+    """Limit the number of ticks to about `count`, on short axes to two. extents (k,)."""
     locator = load("matplotlib.ticker").MaxNLocator
     for name, extent in zip("xyz", extents, strict=False):
         long = extent > _SHORT * extents.max()
@@ -182,26 +149,7 @@ _METADATA = {
 
 
 def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
-    """Render a figure; the same figure gives the same bytes.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-    kind : {"png", "svg", "pdf"}
-        File format.
-
-    Returns
-    -------
-    bytes
-        Contents of the file.
-
-    Raises
-    ------
-    InputError
-        If the format is unknown.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Render a figure; the same figure gives the same bytes."""
     if kind not in KINDS:
         raise InputError(f"unknown picture format {kind!r}; use {', '.join(KINDS)}")
     buffer = io.BytesIO()
@@ -234,20 +182,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Check, before a long computation, that a picture can be saved to a file.
-
-    Parameters
-    ----------
-    path : path-like
-        As for `save_figure`.
-
-    Raises
-    ------
-    FileError
-        If the suffix is not .png, .svg or .pdf, or the folder does not exist.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Check, before a long computation, that a picture can be saved to a file."""
     _kind(check_target(path))
     load("matplotlib")
 

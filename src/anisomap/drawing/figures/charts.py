@@ -64,12 +64,9 @@ METHOD_LOOKS: Mapping[str, MethodLook] = MappingProxyType(
 class NullBox:
     """Box plot of a null distribution.
 
-    Parameters
-    ----------
-    whisker_low, quartile_1, median, quartile_3, whisker_high : float
-        The whiskers reach to the most extreme values within 1.5 interquartile ranges.
-    outliers : tuple of float
-        Values drawn beyond the whiskers.
+    whisker_low, quartile_1, median, quartile_3, whisker_high: The whiskers reach to the most
+        extreme values within 1.5 interquartile ranges.
+    outliers: Values drawn beyond the whiskers.
     """
 
     whisker_low: float
@@ -84,13 +81,8 @@ class NullBox:
 class ScoreGroup:
     """Scores of several methods on one kind of run.
 
-    Parameters
-    ----------
-    label : str
-    scores : mapping of str to sequence of float
-        One value per run, by method.
-    nulls : mapping of str to NullBox
-        Null distributions, by method.
+    scores: One value per run, by method.
+    nulls: Null distributions, by method.
     """
 
     label: str
@@ -102,15 +94,9 @@ class ScoreGroup:
 class CurvePanel:
     """Curves of several methods over a parameter.
 
-    Parameters
-    ----------
-    title : str
-    x : ndarray of shape (L,)
-        Values of the parameter.
-    curves : mapping of str to ndarray of shape (L, S)
-        One value per run, by method; NaN where there is none.
-    default : float, optional
-        Default value of the parameter, drawn as a line.
+    x (L,): Values of the parameter.
+    curves (L, S): One value per run, by method; NaN where there is none.
+    default: Default value of the parameter, drawn as a line.
     """
 
     title: str
@@ -120,25 +106,7 @@ class CurvePanel:
 
 
 def scores_figure(title: str, rows: Sequence[Sequence[ScoreGroup]]) -> Figure:
-    """Draw scores as dots with their mean, and box plots of their nulls.
-
-    Parameters
-    ----------
-    title : str
-    rows : sequence of sequence of ScoreGroup
-        Groups of each row of the figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    InputError
-        If there are no scores.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Draw scores as dots with their mean, and box plots of their nulls."""
     if not any(rows):
         raise InputError("there are no scores to draw")
     with drawing_style():
@@ -158,29 +126,7 @@ def curves_figure(
     logarithmic: bool = False,
     columns: int = 3,
 ) -> Figure:
-    """Draw scores over a parameter: every run, and the mean over the runs.
-
-    Parameters
-    ----------
-    title : str
-    panels : sequence of CurvePanel
-    x_label, y_label : str
-    logarithmic : bool
-        Whether the axis of the parameter is logarithmic.
-    columns : int
-        Number of panels in a row.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    InputError
-        If there are no curves.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Draw scores over a parameter: every run, and the mean over the runs."""
     if not panels:
         raise InputError("there are no curves to draw")
     columns = min(columns, len(panels))
@@ -200,19 +146,7 @@ def curves_figure(
 
 
 def plot_scores(groups: Sequence[ScoreGroup], *, ax: Axes | None = None) -> Axes:
-    """Plot one row of `scores_figure`.
-
-    Parameters
-    ----------
-    groups : sequence of ScoreGroup
-    ax : matplotlib Axes, optional
-        Axes to draw into. A new figure is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
-        `ax`, or the new axes; their figure is ``axes.figure``.
-    """
+    """Plot one row of `scores_figure`."""
     axes = panel_axes(ax)
     start, middles = 0.0, []
     for group in groups:
@@ -239,21 +173,7 @@ def plot_scores(groups: Sequence[ScoreGroup], *, ax: Axes | None = None) -> Axes
 
 
 def plot_curves(panel: CurvePanel, *, logarithmic: bool = False, ax: Axes | None = None) -> Axes:
-    """Plot one panel of `curves_figure`, without labels of the axes.
-
-    Parameters
-    ----------
-    panel : CurvePanel
-    logarithmic : bool
-        Whether the axis of the parameter is logarithmic.
-    ax : matplotlib Axes, optional
-        Axes to draw into. A new figure is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
-        `ax`, or the new axes; their figure is ``axes.figure``.
-    """
+    """Plot one panel of `curves_figure`, without labels of the axes."""
     axes = panel_axes(ax)
     if panel.default is not None and panel.x.min() <= panel.default <= panel.x.max():
         axes.axvline(panel.default, color=FAINT, linewidth=0.9, linestyle=":")
@@ -279,17 +199,7 @@ def plot_runs(
     marker: str,
     label: str = "",
 ) -> None:
-    """Plot every run as a dot and their mean as a curve.
-
-    Parameters
-    ----------
-    axes : matplotlib Axes
-    x : ndarray of shape (L,)
-    values : ndarray of shape (L, S)
-        Values of S runs; NaN where there is none.
-    colour, marker, label : str
-        Of the curve.
-    """
+    """Plot every run as a dot and their mean as a curve. x (L,), values (L, S)."""
     axes.plot(x, values, ".", color=colour, alpha=0.35, markersize=4)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all runs may be NaN
@@ -355,25 +265,7 @@ def coverage_figure(
 ) -> Figure:
     """Draw shares over the length of a recording: every seed, and the mean over seeds.
 
-    Parameters
-    ----------
-    title : str
-    n_frames : ndarray of int, shape (L,)
-        Lengths.
-    rate_hz : float
-        Frames per second.
-    shares : dict of str to ndarray of shape (L, S)
-        Values from 0 to 1 for S seeds, by label; NaN where there is none.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Save it with `anisomap.drawing.figures.save_figure`.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
+    shares (L, S).
     """
     with drawing_style():
         figure = new_figure(7.2, 4.6)
@@ -390,20 +282,7 @@ def plot_coverage(
     *,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot the panel of `coverage_figure`.
-
-    Parameters
-    ----------
-    n_frames, rate_hz, shares
-        As for `coverage_figure`.
-    ax : matplotlib Axes, optional
-        Axes to draw into. A new figure is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
-        `ax`, or the new axes; their figure is ``axes.figure``.
-    """
+    """Plot the panel of `coverage_figure`."""
     axes = panel_axes(ax)
     for (name, values), colour, marker in zip(shares.items(), PALETTE, MARKERS, strict=False):
         plot_runs(axes, n_frames, values, colour=colour, marker=marker, label=name)

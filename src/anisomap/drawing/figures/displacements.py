@@ -43,13 +43,8 @@ _WIDTH, _HEIGHT = 8.0, 7.2  # inches
 class Group:
     """Sensors of one kind, drawn alike.
 
-    Attributes
-    ----------
-    label : str
-        For the legend.
-    sensors : ndarray of int, shape (n,)
-    colour, marker : str
-        Of matplotlib.
+    label: For the legend.
+    colour, marker: Of matplotlib.
     """
 
     label: str
@@ -61,24 +56,7 @@ class Group:
 def difference_figure(
     difference: Difference, title: str = "Differences between two maps"
 ) -> Figure:
-    """Draw two maps in one frame, with an arrow for each sensor that moved.
-
-    Parameters
-    ----------
-    difference : Difference
-        See `anisomap.evaluation.compare_maps`.
-    title : str
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Save it with `save_figure`.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Draw two maps in one frame, with an arrow for each sensor that moved."""
     return legend_figure(
         lambda axes: plot_difference(difference, ax=axes),
         dimensions=difference.before.shape[1],
@@ -88,26 +66,7 @@ def difference_figure(
 
 
 def plot_difference(difference: Difference, *, ax: Axes | None = None) -> Axes:
-    """Plot the panel of `difference_figure`.
-
-    Parameters
-    ----------
-    difference : Difference
-    ax : matplotlib Axes, optional
-        Axes to draw into, with ``projection="3d"`` for maps in 3D. A new figure is created by
-        default.
-
-    Returns
-    -------
-    matplotlib Axes
-
-    Raises
-    ------
-    InputError
-        If `ax` has another number of dimensions.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Plot the panel of `difference_figure`."""
     still = difference.compared & ~difference.moved & ~difference.lost & ~difference.appeared
     groups = [
         Group(f"{label} ({np.count_nonzero(mask)})", np.flatnonzero(mask), colour, marker)
@@ -131,27 +90,7 @@ def plot_difference(difference: Difference, *, ax: Axes | None = None) -> Axes:
 def placement_figure(
     placement: Placement, anchors: Anchors | None = None, mesh: Mesh | None = None
 ) -> Figure:
-    """Draw a placed map, and where its anchors are.
-
-    Parameters
-    ----------
-    placement : Placement
-        See `anisomap.placement.place`.
-    anchors : Anchors, optional
-        The anchors that were given.
-    mesh : Mesh, optional
-        Surface to draw below the sensors of a map in 3D.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Save it with `save_figure`.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Draw a placed map, and where its anchors are."""
     placed = placement.map
     note = "Positions in metres."
     if np.isfinite(placed.errors).any():
@@ -173,27 +112,7 @@ def plot_placement(
     *,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot the panel of `placement_figure`.
-
-    Parameters
-    ----------
-    placement, anchors, mesh
-        As for `placement_figure`.
-    ax : matplotlib Axes, optional
-        Axes to draw into, with ``projection="3d"`` for maps in 3D. A new figure is created by
-        default.
-
-    Returns
-    -------
-    matplotlib Axes
-
-    Raises
-    ------
-    InputError
-        If `ax` has another number of dimensions.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Plot the panel of `placement_figure`."""
     placed = placement.map
     names = () if anchors is None else anchors.names
     known = np.array([name in set(names) for name in placed.names], dtype=bool)
@@ -230,24 +149,7 @@ def legend_figure(
     n_columns: int = 4,
     height: float = 0.87,
 ) -> Figure:
-    """Draw one panel with its legend above it and a note below it.
-
-    Parameters
-    ----------
-    plot : callable
-        ``plot(axes)`` draws the panel.
-    dimensions : int
-        Number of coordinates; from three on, the axes are in 3D.
-    title, note : str
-    n_columns : int
-        Columns of the legend.
-    height : float
-        Height of the panel as a share of the figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw one panel with its legend above it and a note below it."""
     with drawing_style():
         figure = new_figure(_WIDTH, _HEIGHT)
         figure.set_layout_engine("constrained", rect=(0, 0.05, 1, height))
@@ -269,26 +171,7 @@ def plot_displacements(
     units: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot positions of sensors by group, and arrows to other positions.
-
-    Parameters
-    ----------
-    start, end : ndarray of shape (N, k)
-        Positions of the sensors, and of the heads of their arrows; NaN for none. Of more than
-        three dimensions, the first three are drawn.
-    groups : list of Group
-        Sensors outside all groups are not drawn.
-    labels : dict of int to str
-        Names written beside sensors.
-    units : str
-        Of the axes.
-    ax : matplotlib Axes, optional
-        Axes to draw into; by default those of a new figure.
-
-    Returns
-    -------
-    matplotlib Axes
-    """
+    """Plot positions of sensors by group, and arrows to other positions. start, end (N, k)."""
     start, end = start[:, :3], end[:, :3]
     axes = panel_axes(ax, start.shape[1])
     drawn = np.unique(np.concatenate([group.sensors for group in groups]))

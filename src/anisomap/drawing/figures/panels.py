@@ -65,18 +65,11 @@ _CROWDED = 300
 class Look:
     """Appearance of N sensors, the same in every panel that shows them.
 
-    Attributes
-    ----------
-    colours : ndarray of shape (N, 3)
-        sRGB in [0, 1].
-    pairs : ndarray of int, shape (E, 2)
-        Sensors joined by lines.
-    faulty, uncompared : ndarray of bool, shape (N,)
-        Sensors marked with a cross, and with a square.
-    labels : dict of int to str
-        Names written beside sensors.
-    outlines : ndarray of shape (L, k), optional
-        Lines around sensors, separated by NaN.
+    colours (N, 3): sRGB in [0, 1].
+    pairs: Sensors joined by lines.
+    faulty, uncompared: Sensors marked with a cross, and with a square.
+    labels: Names written beside sensors.
+    outlines (L, k): Lines around sensors, separated by NaN.
     """
 
     colours: NDArray[np.float64]
@@ -108,20 +101,7 @@ def draw_configuration(
 ) -> None:
     """Draw a configuration with its neighbours joined, from back to front.
 
-    Parameters
-    ----------
-    axes : matplotlib Axes
-        3D if `points` are.
-    points : ndarray of shape (n, k)
-        Positions, k = 2 or 3.
-    look : Look
-        Of the same n sensors.
-    limits : ndarray of shape (k, 2)
-        Limits of the axes.
-    view : tuple of float
-        Elevation and azimuth in degrees; ignored in 2D.
-    units : str
-        Of the axes.
+    points (n, k), limits (k, 2).
     """
     set_up_axes(axes, limits, view, units)
     if points.shape[1] == 3:
@@ -146,18 +126,7 @@ def draw_distances(
     Up to 3000 pairs are drawn as dots, more as a density. Of more than 1500 sensors, 1500 are
     drawn, equally spaced in their order.
 
-    Parameters
-    ----------
-    axes : matplotlib Axes
-    truth, found : ndarray of shape (n, k), (n, l)
-        Positions of the same sensors, both in units of the truth.
-    units : str
-        Of the truth.
-
-    Returns
-    -------
-    str
-        Legend: number of pairs, and whether they are drawn as a density.
+    truth, found (n, k).
     """
     n_sensors = len(truth)
     kept = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_SENSORS)).astype(int))
@@ -205,16 +174,7 @@ def draw_distances(
 def set_up_axes(axes: Axes, limits: NDArray[np.float64], view: View, units: str) -> None:
     """Set limits, an equal aspect, labels with units and the view of axes of positions.
 
-    Parameters
-    ----------
-    axes : matplotlib Axes
-        3D if there are three limits.
-    limits : ndarray of shape (k, 2)
-        Limits of the axes, k = 2 or 3.
-    view : tuple of float
-        Elevation and azimuth in degrees; ignored in 2D.
-    units : str
-        Of the axes.
+    limits (k, 2).
     """
     for name, span in zip("xyz", limits, strict=False):
         axes.set(**{f"{name}lim": span})
@@ -325,25 +285,14 @@ _CHARACTERS_PER_INCH = 13.5
 class Panel:
     """A configuration, with its appearance.
 
-    Parameters
-    ----------
-    title : str
-    points : ndarray of shape (n, k)
-        Positions, k = 2 or 3.
-    colours : ndarray of shape (n, 3)
-        sRGB in [0, 1].
-    pairs : ndarray of int, shape (E, 2)
-        Points joined by lines.
-    view : tuple of float
-        Elevation and azimuth in degrees.
-    units : str
-        Of the axes.
-    uncompared : ndarray of bool, shape (n,)
-        Sensors that the score excludes; they are marked.
-    labels : mapping of int to str
-        Names written beside points.
-    unplaced : ndarray of shape (m, k)
-        True positions of sensors that maps do not place, drawn as rings.
+    points (n, k): Positions, k = 2 or 3.
+    colours (n, 3): sRGB in [0, 1].
+    pairs: Points joined by lines.
+    view: Elevation and azimuth in degrees.
+    units: Of the axes.
+    uncompared: Sensors that the score excludes; they are marked.
+    labels: Names written beside points.
+    unplaced (m, k): True positions of sensors that maps do not place, drawn as rings.
     """
 
     title: str
@@ -366,24 +315,7 @@ def truth_panel(
     excluded: ArrayLike | None = None,
     labels: Mapping[int, str] | None = None,
 ) -> Panel:
-    """Prepare a panel of the true positions.
-
-    Parameters
-    ----------
-    title : str
-    truth : array_like of shape (N, k)
-        True positions, k = 2 or 3.
-    units : str
-        Of `truth`.
-    on_maps, excluded : array_like of bool, shape (N,), optional
-        Sensors that maps place (default: all), and that scores exclude (default: none).
-    labels : mapping of int to str, optional
-        Names to write beside sensors.
-
-    Returns
-    -------
-    Panel
-    """
+    """Prepare a panel of the true positions. truth (N, k)."""
     places = np.asarray(truth, dtype=np.float64)
     return _panel(
         title,
@@ -407,20 +339,7 @@ def map_panel(
 ) -> Panel:
     """Prepare a panel of a map aligned with the truth, in the colours of the truth panel.
 
-    Parameters
-    ----------
-    title : str
-    sensor_map : SensorMap
-    score : Score
-        Score of this map, whose alignment is applied.
-    truth : array_like of shape (N, k)
-        As for `truth_panel`, in the order of the map; k is the number of dimensions drawn.
-    labels : mapping of int to str, optional
-        Names to write beside sensors.
-
-    Returns
-    -------
-    Panel
+    truth (N, k).
     """
     places = np.asarray(truth, dtype=np.float64)
     fit = score.alignment
@@ -442,32 +361,7 @@ def map_panel(
 def gallery_figure(
     title: str, panels: Sequence[Panel], columns: int, note: str = "", *, size: float = 3.5
 ) -> Figure:
-    """Draw panels in rows.
-
-    Parameters
-    ----------
-    title : str
-    panels : sequence of Panel
-    columns : int
-        Number of panels in a row.
-    note : str
-        Text below the panels.
-    size : float
-        Width and height of a panel, in inches.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        With equal scales on all axes of a panel; save it with
-        `anisomap.drawing.figures.save_figure`.
-
-    Raises
-    ------
-    InputError
-        If there are no panels.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Draw panels in rows."""
     if not panels:
         raise InputError("there are no panels to draw")
     columns = min(columns, len(panels))
@@ -497,28 +391,7 @@ def gallery_figure(
 
 
 def plot_panel(panel: Panel, *, ax: Axes | None = None) -> Axes:
-    """Plot one panel.
-
-    Parameters
-    ----------
-    panel : Panel
-        From `truth_panel` or `map_panel`.
-    ax : matplotlib Axes, optional
-        Axes to draw into, with ``projection="3d"`` for 3D positions. A new figure is created by
-        default.
-
-    Returns
-    -------
-    matplotlib Axes
-        `ax`, or the new axes; their figure is ``axes.figure``.
-
-    Raises
-    ------
-    InputError
-        If `ax` has another number of dimensions than the panel.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Plot one panel."""
     dimensions = panel.points.shape[1]
     axes = panel_axes(ax, dimensions)
     look = Look(

@@ -93,27 +93,7 @@ def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
 
 
 def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) -> Figure:
-    """Draw the bodies of several scenes side by side, with their sensors.
-
-    Parameters
-    ----------
-    title : str
-    scenes : sequence of Scene
-        The first frame of each is drawn, without stimuli.
-    labels : sequence of str
-        One per scene.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    InputError
-        If there is not one label per scene.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Draw the bodies of several scenes side by side, with their sensors."""
     if not scenes or len(scenes) != len(labels):
         raise InputError(
             f"one label per scene is needed, got {len(labels)} labels for {len(scenes)} scenes"
@@ -253,20 +233,7 @@ def save_animation(
 
 
 def save_pixels(path: str | os.PathLike[str], images: Sequence[NDArray[np.uint8]]) -> None:
-    """Save rendered images: one as a picture (.png), several as an animation (.gif).
-
-    Parameters
-    ----------
-    path : path-like
-    images : sequence of ndarray of uint8, shape (height, width, 3)
-
-    Raises
-    ------
-    FileError
-        If the suffix does not fit, or the file cannot be written.
-    MissingExtraError
-        If Pillow, which comes with matplotlib, is not installed.
-    """
+    """Save rendered images: one as a picture (.png), several as an animation (.gif)."""
     kind = "png" if len(images) == 1 else "gif"
     if Path(path).suffix.lower() != f".{kind}":
         raise FileError(f"cannot save rendered images as {path}; the name must end in .{kind}")
@@ -283,15 +250,7 @@ def save_pixels(path: str | os.PathLike[str], images: Sequence[NDArray[np.uint8]
 
 
 def check_animation(path: str | os.PathLike[str]) -> None:
-    """Check, before a long computation, that an animation can be saved to a file.
-
-    Raises
-    ------
-    FileError
-        See `save_animation`.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Check, before a long computation, that an animation can be saved to a file."""
     kind = Path(check_target(path)).suffix.lower().removeprefix(".")
     if kind not in ANIMATIONS:
         raise FileError(f"cannot save an animation as {path}; the name must end in .gif or .mp4")

@@ -45,13 +45,7 @@ _INSTANTS = 600  # of a thumbnail; the range of the readings in each is drawn
 
 
 def touch_figure(sensor_map: SensorMap, coverage: TouchCoverage) -> Figure:
-    """Draw the panel of `plot_touches`; the arguments are the same.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Save it with `save_figure`.
-    """
+    """Draw the panel of `plot_touches`; the arguments are the same."""
     with drawing_style():
         figure = new_figure(7.0, 5.6, layout="constrained")
         axes = add_axes(figure, 3 if sensor_map.dimensions >= 3 else 2)
@@ -60,26 +54,7 @@ def touch_figure(sensor_map: SensorMap, coverage: TouchCoverage) -> Figure:
 
 
 def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figure:
-    """Draw the readings of sensors over time, as thumbnails.
-
-    Parameters
-    ----------
-    recording : Recording
-    doubted : sequence of SensorHealth
-        Sensors to draw, at most the first 12, titled by their status.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Save it with `save_figure`.
-
-    Raises
-    ------
-    InputError
-        If there is no sensor.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Draw the readings of sensors over time, as thumbnails."""
     if not doubted:
         raise InputError("there is no sensor to draw")
     shown = list(doubted)[:_MAX_SERIES]
@@ -97,20 +72,7 @@ def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figu
 def plot_series(
     readings: NDArray[np.floating], *, rate_hz: float | None = None, ax: Axes | None = None
 ) -> Axes:
-    """Plot the range of the readings of a sensor over time.
-
-    Parameters
-    ----------
-    readings : ndarray of shape (T,)
-    rate_hz : float, optional
-        Frames per second; by default the axis counts frames.
-    ax : matplotlib Axes, optional
-        Axes to draw into. A new figure is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
-    """
+    """Plot the range of the readings of a sensor over time. readings (T,)."""
     axes = panel_axes(ax)
     step = -(-len(readings) // _INSTANTS)
     starts = np.arange(0, len(readings), step)

@@ -34,13 +34,7 @@ from anisomap.sensor_map import SensorMap
 
 
 def load_libraries() -> tuple[Any, Any]:
-    """Import jinja2 and plotly.
-
-    Raises
-    ------
-    MissingExtraError
-        If one of them is not installed.
-    """
+    """Import jinja2 and plotly."""
     jinja2 = import_extra("jinja2", "a report", "report")
     return jinja2, import_extra("plotly.offline", "a report", "report")
 
@@ -183,33 +177,6 @@ def render_report(
     """Return a report as text; the same input gives the same text.
 
     Names and notes are escaped. The page runs no scripts but its own and sends no requests.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        The map.
-    score : Score, optional
-        Score of this map against the truth.
-    health : sequence of SensorHealth
-        Health of the sensors; by default the statuses of the map are listed.
-    summary : RecordingSummary, optional
-        Summary of the recording.
-    figure_png : bytes, optional
-        Picture of the map as PNG, for printing and for browsers without 3D graphics.
-    touches : Touches, optional
-        How the skin was touched, with pictures.
-    title : str
-        Headline.
-
-    Returns
-    -------
-    str
-        An HTML document of about 5 MB, most of which is the library of the interactive view.
-
-    Raises
-    ------
-    MissingExtraError
-        If jinja2 or plotly is not installed.
     """
     drawn = drawn_components(sensor_map, score)
     statuses = sensor_statuses(sensor_map, health)
@@ -231,20 +198,7 @@ def render_report(
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Check, before a long computation, that a report can be written to a file.
-
-    Parameters
-    ----------
-    path : path-like
-        As for `write_report`.
-
-    Raises
-    ------
-    FileError
-        If the suffix is not .html or .htm, or the folder does not exist.
-    MissingExtraError
-        If jinja2 or plotly is not installed.
-    """
+    """Check, before a long computation, that a report can be written to a file."""
     if check_target(path).suffix.lower() not in SUFFIXES:
         raise FileError(f"cannot write a report to {path}; the name must end in .html or .htm")
     load_libraries()

@@ -42,14 +42,9 @@ class Fact:
 class Touches:
     """How a skin was touched.
 
-    Attributes
-    ----------
-    facts : mapping of str to str
-        Numbers of contacts, and where to touch next.
-    map_png : bytes
-        Picture of the contacts by place.
-    series_png : bytes, optional
-        Picture of the readings of doubted sensors over time.
+    facts: Numbers of contacts, and where to touch next.
+    map_png: Picture of the contacts by place.
+    series_png: Picture of the readings of doubted sensors over time.
     """
 
     facts: Mapping[str, str]
@@ -79,16 +74,11 @@ class Row:
 class SensorTable:
     """Table of the sensors: those with problems first, otherwise in the order of the map.
 
-    Attributes
-    ----------
-    columns : tuple of Fact
-        Titles and explanations of the cells, which follow name and status and precede the reason.
-    rows : tuple of Row
-        One per sensor, at most `MAX_ROWS`.
-    counts : str
-        Number of sensors with each status.
-    n_sensors : int
-        Number of sensors of the map.
+    columns: Titles and explanations of the cells, which follow name and status and precede the
+        reason.
+    rows: One per sensor, at most `MAX_ROWS`.
+    counts: Number of sensors with each status.
+    n_sensors: Number of sensors of the map.
     """
 
     columns: tuple[Fact, ...]

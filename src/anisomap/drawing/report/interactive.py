@@ -62,26 +62,7 @@ def interactive_views(
     score: Score | None,
     statuses: Sequence[str],
 ) -> list[dict[str, Any]]:
-    """Describe the view of every connected component.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-    drawn : sequence of Component
-        Components of the map.
-    score : Score or None
-        Score of the first component.
-    statuses : sequence of str
-        Health of every sensor of the map.
-
-    Returns
-    -------
-    list of dict
-        For each component: ``label``; ``traces`` by content (``map``, ``neighbours``, ``faulty``;
-        with a truth also ``truth``, ``true-neighbours``, ``errors``); ``colours``, the available
-        marker colours; ``names``; ``left_out``, the number of sensors that are not shown; and the
-        ``layout`` for plotly.
-    """
+    """Describe the view of every connected component."""
     views = []
     for component in drawn:
         errors = score.alignment.errors if score is not None and len(component.truth) else None

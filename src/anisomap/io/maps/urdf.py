@@ -43,13 +43,6 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
     The suffix ``.xacro`` selects a macro with the parent link as parameter. More than `MAX_FRAMES`
     sensors give a warning.
-
-    Raises
-    ------
-    FileError
-        If URDF cannot represent a name; names in a plain URDF must not contain ``${`` or ``$(``.
-    InputError
-        If the map has no scale, several components, or no placed sensor.
     """
     skin = xml_files.named_taxels(sensor_map, "URDF")
     if len(skin.names) > MAX_FRAMES:

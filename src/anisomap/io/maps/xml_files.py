@@ -57,15 +57,7 @@ def root_is(head: bytes, name: str) -> bool:
 
 
 def named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
-    """Convert a map to taxels, as `to_taxels`, and check that XML can represent their names.
-
-    Raises
-    ------
-    InputError
-        If the map has no scale, several components, or no placed sensor.
-    FileError
-        If a name contains a control character.
-    """
+    """Convert a map to taxels, as `to_taxels`, and check that XML can represent their names."""
     skin = to_taxels(sensor_map, purpose)
     for name in (*skin.names, skin.frame):
         if _FORBIDDEN.search(name):
@@ -84,14 +76,7 @@ def tag(name: str, attributes: Mapping[str, str], *, closed: bool = True) -> str
 
 
 def map_comments(sensor_map: SensorMap, element: str) -> list[str]:
-    """Format comments about a map: its frame, method, verdict and notes.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-    element : str
-        The element that represents a sensor, such as ``"site"``.
-    """
+    """Format comments about a map: its frame, method, verdict and notes."""
     lines = [
         f"{int(sensor_map.placed.sum())} sensors in metres, right-handed; the z axis of each "
         f"{element} is the surface normal"
@@ -139,19 +124,6 @@ def parse_xml(path: Path, elements: Elements) -> None:
     """Parse an untrusted file: without entities, external files, or unlimited size.
 
     Elements are passed on one by one, and not kept.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    elements : Elements
-
-    Raises
-    ------
-    FileError
-        If the file is not valid XML, declares a document type, is larger than 64 MiB, has a tag of
-        more than `MAX_TAG_BYTES`, or more nested elements or different names than a map has.
-    MissingExtraError
-        If defusedxml is not installed.
     """
     if path.stat().st_size > _MAX_BYTES:
         raise FileError(f"{path} is larger than {_MAX_BYTES >> 20} MiB, the limit for XML")
@@ -204,13 +176,7 @@ class _Target:
 
 
 def parse_vector(path: Path, name: str, text: str | None) -> NDArray[np.float64]:
-    """Parse three finite numbers, separated by blanks.
-
-    Raises
-    ------
-    FileError
-        If `text` is anything else.
-    """
+    """Parse three finite numbers, separated by blanks."""
     try:
         values = np.array([float(field) for field in (text or "").split()])
     except ValueError:
@@ -223,13 +189,7 @@ def parse_vector(path: Path, name: str, text: str | None) -> NDArray[np.float64]
 def map_from_positions(
     path: Path, positions: Mapping[str, NDArray[np.float64]], elements: str
 ) -> SensorMap:
-    """Create a map from positions in metres, by sensor name.
-
-    Raises
-    ------
-    FileError
-        If `positions` is empty.
-    """
+    """Create a map from positions in metres, by sensor name."""
     if not positions:
         raise FileError(f"{path} holds no {elements} to read as sensors")
     return SensorMap(np.array(list(positions.values())), names=tuple(positions), units="m")

@@ -51,18 +51,11 @@ _MIN_RISING_FRACTION = 0.99
 class Roles:
     """Columns that are not sensors, by index from 0.
 
-    Parameters
-    ----------
-    time : int or None
-        Column of times.
-    per_second : float
-        Units of `time` per second, such as 1000 for milliseconds.
-    counter : int or None
-        Column of a frame counter.
-    non_sensors : tuple of int
-        All columns that are not sensors.
-    guessed : tuple of int
-        The columns of `non_sensors` that were recognised by their values and an unusual name.
+    time: Column of times.
+    per_second: Units of `time` per second, such as 1000 for milliseconds.
+    counter: Column of a frame counter.
+    non_sensors: All columns that are not sensors.
+    guessed: The columns of `non_sensors` that were recognised by their values and an unusual name.
     """
 
     time: int | None = None
@@ -86,16 +79,7 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
 
     Without a unit, times are in seconds, or in the unit that makes them seconds since 1970.
 
-    Parameters
-    ----------
-    header : sequence of str
-        Column names.
-    table : ndarray of shape (t, n_columns)
-        The first `ROWS_LOOKED_AT` rows.
-
-    Returns
-    -------
-    Roles
+    table (t, n_columns).
     """
     times = [i for i, name in enumerate(header) if is_time(name, i)]
     counters = [
@@ -132,14 +116,7 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
     In at least 8 frames, the first column alone, or the first two alone, must increase throughout.
     Consecutive integers are a counter, and values with nearly equal steps are times.
 
-    Parameters
-    ----------
-    table : ndarray of shape (t, n_columns)
-        The first `ROWS_LOOKED_AT` rows.
-
-    Returns
-    -------
-    Roles
+    table (t, n_columns).
     """
     n_frames, n_columns = table.shape
     if n_frames < _MIN_FRAMES:

@@ -37,20 +37,12 @@ _MIN_TEXT_CELLS = 2
 class Layout:
     """Layout of a delimited file of numbers.
 
-    Parameters
-    ----------
-    delimiter : str or None
-        Field separator; None for any run of white space.
-    header : tuple of str
-        Column names; empty without a header.
-    n_columns : int
-        Number of columns, 0 if there is no line of numbers.
-    trailing : int
-        Number of surplus delimiters at the end of every line.
-    first_line : int
-        The line after the header, from 1; 1 without a header.
-    text_columns : tuple of int
-        Columns with text and no number in the sample.
+    delimiter: Field separator; None for any run of white space.
+    header: Column names; empty without a header.
+    n_columns: Number of columns, 0 if there is no line of numbers.
+    trailing: Number of surplus delimiters at the end of every line.
+    first_line: The line after the header, from 1; 1 without a header.
+    text_columns: Columns with text and no number in the sample.
     """
 
     delimiter: str | None
@@ -73,11 +65,6 @@ def guard_formula(name: str) -> str:
     """Precede a name that a spreadsheet would run as a formula with an apostrophe.
 
     `unguard_formula` restores every name; names of apostrophes before a formula get one more.
-
-    Raises
-    ------
-    InputError
-        If the name is longer than a field that Python's csv module reads.
     """
     if len(name) >= csv.field_size_limit():
         raise InputError(f"a name of {len(name)} characters is too long for delimited text")
@@ -109,23 +96,6 @@ def records(lines: Iterable[str], delimiter: str | None) -> Iterator[Record]:
     """Split lines into records; a quoted field may span several lines.
 
     Blank lines and lines that start with ``#`` are skipped, except inside a quoted field.
-
-    Parameters
-    ----------
-    lines : iterable of str
-        With their line ends.
-    delimiter : str or None
-        Field separator; None for any run of white space.
-
-    Yields
-    ------
-    (int, list of str)
-        First line of the record, and its fields.
-
-    Raises
-    ------
-    csv.Error
-        If quotation marks are unbalanced.
     """
     numbered = enumerate(lines, start=1)
     for number, line in numbered:
@@ -147,16 +117,6 @@ def find_delimiter(sample: Sequence[str]) -> str | None:
 
     The delimiter is the first of semicolon, tab, comma and white space that gives all records the
     same number of fields. If none does (in a damaged file), it is the one that splits most records.
-
-    Parameters
-    ----------
-    sample : sequence of str
-        The first lines of a file.
-
-    Returns
-    -------
-    str or None
-        None for any run of white space.
     """
     splits = Counter[str | None]()
     for delimiter in _DELIMITERS:
@@ -175,16 +135,6 @@ def count_preamble(sample: Sequence[str]) -> int:
 
     Metadata are recognised only if several rows of numbers of equal width follow, with more fields
     than the first line.
-
-    Parameters
-    ----------
-    sample : sequence of str
-        The first lines of a file.
-
-    Returns
-    -------
-    int
-        0 if the file starts with the table. The header is part of the table.
     """
     top = sample[:_MAX_PREAMBLE]
     for delimiter in _DELIMITERS:
@@ -213,24 +163,7 @@ def _is_numeric(line: str, delimiter: str | None) -> bool:
 
 
 def find_layout(sample: Sequence[str], *, own_delimiter: str = "") -> Layout:
-    """Detect the layout of a file of numbers.
-
-    Parameters
-    ----------
-    sample : sequence of str
-        Its first lines.
-    own_delimiter : str
-        The delimiter of a file written by anisomap, which has a header and no text columns.
-
-    Returns
-    -------
-    Layout
-
-    Raises
-    ------
-    csv.Error
-        If quotation marks are unbalanced.
-    """
+    """Detect the layout of a file of numbers."""
     delimiter = own_delimiter or find_delimiter(sample)
     found = list(itertools.islice(records(sample, delimiter), _SAMPLE_RECORDS))
     rows = [fields for _, fields in found]

@@ -28,13 +28,7 @@ def texts_of(mapping: Mapping[str, Scalar]) -> Iterator[str]:
 
 
 def check_encodable(words: Iterable[str], file: Path) -> None:
-    """Reject null characters and unpaired surrogates.
-
-    Raises
-    ------
-    FileError
-        If a word contains one.
-    """
+    """Reject null characters and unpaired surrogates."""
     for word in words:
         if "\0" in word or any("\ud800" <= character <= "\udfff" for character in word):
             raise FileError(
@@ -51,23 +45,7 @@ _FORMULA = re.compile(r"(?<=[,;])[=+\-@]")
 def write_comments(
     title: str, entries: Iterable[tuple[str, Scalar]], section: str, mapping: Mapping[str, Scalar]
 ) -> str:
-    """Format a title, entries, and a mapping in a separate section.
-
-    Parameters
-    ----------
-    title : str
-        First line.
-    entries : iterable of (str, scalar)
-        Keys may repeat.
-    section : str
-        Heading of the mapping; omitted if the mapping is empty.
-    mapping : mapping of str to scalar
-
-    Returns
-    -------
-    str
-        Lines that start with ``#`` and end with a newline.
-    """
+    """Format a title, entries, and a mapping in a separate section."""
     lines = [title, *(f"{_format_key(key)}: {format_value(value)}" for key, value in entries)]
     if mapping:
         lines.append(f"{section}:")
@@ -78,22 +56,7 @@ def write_comments(
 def read_comments(
     lines: Iterable[str], section: str
 ) -> tuple[list[tuple[str, Scalar]], dict[str, Scalar]]:
-    """Parse the output of `write_comments`; lines without a colon are skipped.
-
-    Parameters
-    ----------
-    lines : iterable of str
-        The comment lines, including the title.
-    section : str
-        Heading of the mapping.
-
-    Returns
-    -------
-    entries : list of (str, scalar)
-        Entries before the section.
-    mapping : dict of str to scalar
-        Entries in the section.
-    """
+    """Parse the output of `write_comments`; lines without a colon are skipped."""
     entries: list[tuple[str, Scalar]] = []
     mapping: dict[str, Scalar] = {}
     inside = False
@@ -121,13 +84,7 @@ def format_value(value: Scalar) -> str:
 
 
 def to_python_scalar(value: object) -> Scalar:
-    """Convert a numpy scalar to a Python scalar.
-
-    Raises
-    ------
-    InputError
-        If `value` is not a scalar.
-    """
+    """Convert a numpy scalar to a Python scalar."""
     scalar = value.item() if isinstance(value, np.generic) else value
     if not isinstance(scalar, Scalar):
         raise InputError(

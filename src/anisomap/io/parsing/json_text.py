@@ -41,13 +41,7 @@ _EXPONENT = 3  # characters: the "1" of an incomplete "1e+5" ends that close to 
 
 @contextmanager
 def open_json(path: Path) -> Iterator[JsonReader]:
-    """Open a JSON file, which may be gzipped, at its first value.
-
-    Raises
-    ------
-    FileError
-        If the file is not text; also for what `JsonReader` raises.
-    """
+    """Open a JSON file, which may be gzipped, at its first value."""
     with open_text(path) as stream:
         yield JsonReader(path, stream)
 
@@ -55,16 +49,7 @@ def open_json(path: Path) -> Iterator[JsonReader]:
 class JsonReader:
     """A position in a JSON document, which moves forward only.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-    stream : io.TextIOWrapper
-
-    Raises
-    ------
-    FileError
-        From all methods, if the document is not valid JSON, or a value is too long.
+    path: The file, for messages.
     """
 
     def __init__(self, path: Path, stream: io.TextIOWrapper) -> None:
@@ -118,13 +103,7 @@ class JsonReader:
             self._expect(",", "Expecting ',' delimiter")
 
     def value(self, max_length: int = MAX_ELEMENT) -> Any:
-        """Parse the next value.
-
-        Parameters
-        ----------
-        max_length : int
-            In characters.
-        """
+        """Parse the next value."""
         size = _STEP
         while True:
             self.peek()

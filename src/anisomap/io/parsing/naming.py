@@ -17,20 +17,7 @@ _CELL = re.compile(r"r(\d{1,9})c(\d{1,9})")
 
 
 def distinct_names(path: Path, names: Sequence[str]) -> tuple[str, ...]:
-    """Make repeated names distinct, with a warning: ``a, a, b`` becomes ``a, a_2, b``.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for the warning.
-    names : sequence of str
-
-    Returns
-    -------
-    tuple of str
-        The first sensor of a name keeps it. The others get the lowest number from 2 that makes
-        their names differ from all names in the file.
-    """
+    """Make repeated names distinct, with a warning: ``a, a, b`` becomes ``a, a_2, b``."""
     if len(set(names)) == len(names):
         return tuple(names)
     taken, seen = set(names), set[str]()
@@ -59,16 +46,6 @@ def match_names(names: Sequence[str], known: Sequence[str]) -> list[int | None]:
 
     Names that are not equal match by the numbers at their ends (``17`` and ``taxel17``) if no name
     is equal to a known one, and the numbers are unique in both lists.
-
-    Parameters
-    ----------
-    names, known : sequence of str
-        Without repetitions.
-
-    Returns
-    -------
-    list of int or None
-        Index in `known` of each name; None if it is not known.
     """
     where = {name: i for i, name in enumerate(known)}
     found = [where.get(name) for name in names]
@@ -89,20 +66,7 @@ def numbers_of(names: Sequence[str]) -> list[int] | None:
 
 
 def cells_of(names: Sequence[str], rows: int, columns: int) -> list[int] | None:
-    """Return the cells of a grid, in row-major order, that names give.
-
-    Parameters
-    ----------
-    names : sequence of str
-        All ``r3c5`` (row and column from 0), or all with the number of a cell at their ends.
-    rows, columns : int
-        Size of the grid.
-
-    Returns
-    -------
-    list of int or None
-        None if a name gives no cell of the grid, or two names give the same.
-    """
+    """Return the cells of a grid, in row-major order, that names give."""
     matches = [_CELL.fullmatch(name) for name in names]
     places = [(int(match[1]), int(match[2])) for match in matches if match]
     cells: list[int] | None

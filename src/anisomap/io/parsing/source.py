@@ -85,18 +85,7 @@ _MAX_LINE = 1 << 23
 
 @contextmanager
 def file_errors(path: Path) -> Iterator[None]:
-    """Convert errors in the block to FileErrors that name the file.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-
-    Raises
-    ------
-    FileError
-        For errors of input, decoding, decompression, memory and the operating system.
-    """
+    """Convert errors in the block to FileErrors that name the file."""
     try:
         yield
     except FileError:
@@ -217,13 +206,7 @@ def is_gzipped(path: Path) -> bool:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Read all lines of a file as `open_text` does, within the budget of the file.
-
-    Raises
-    ------
-    FileError
-        If the lines as objects would take far more memory than the file.
-    """
+    """Read all lines of a file as `open_text` does, within the budget of the file."""
     budget, lines, n_bytes = Budget(path), list[str](), 0
     with open_text(path) as stream:
         for line in stream:
@@ -239,13 +222,7 @@ def reachable(budget: Budget) -> int:
 
 
 def read_head(path: Path) -> bytes:
-    """Read the first decompressed bytes of a file; empty for a folder.
-
-    Raises
-    ------
-    FileError
-        If the file is missing, unreadable, empty or not a regular file.
-    """
+    """Read the first decompressed bytes of a file; empty for a folder."""
     with file_errors(path):
         if path.is_dir():
             return b""

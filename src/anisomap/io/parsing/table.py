@@ -34,13 +34,8 @@ _STARTS_ROW = ~np.isin(np.arange(256), list(b" \t\r\n#"))  # by the first byte o
 class LineError(FileError):
     """A line that cannot be parsed.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    line : int
-        From 1.
-    problem : str
-        Rest of the message.
+    line: From 1.
+    problem: Rest of the message.
     """
 
     def __init__(self, path: Path, line: int, problem: str) -> None:
@@ -51,11 +46,7 @@ class LineError(FileError):
 class Lines:
     """Lines of a file, which know whether an error in the last one is a truncation.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    lines : iterator of str
-        With their line ends.
+    lines: With their line ends.
     """
 
     def __init__(self, path: Path, lines: Iterator[str]) -> None:
@@ -71,17 +62,7 @@ class Lines:
         return self._last
 
     def end_early(self, error: Exception, n_read: int, noun: str) -> None:
-        """Warn that the last line is dropped if it is incomplete, else raise its error again.
-
-        Parameters
-        ----------
-        error : Exception
-            From parsing the line that was read last.
-        n_read : int
-            Number of frames or the like before it.
-        noun : str
-            What they are, in the plural.
-        """
+        """Warn that the last line is dropped if it is incomplete, else raise its error again."""
         last = self._last
         if not n_read or last.endswith(("\n", "\r")) or next(self._lines, None) is not None:
             raise error
@@ -101,23 +82,13 @@ def _unchanged(line: str) -> str:
 class Table:
     """Layout of the numbers in a text file.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    delimiter : str or None
-        Field separator; None for any run of white space.
-    n_columns : int
-        Required number of fields per line.
-    because : str
-        Reason for `n_columns` in messages, such as ``"the header names 3"``.
-    first_line : int
-        First line of numbers, from 1; earlier lines are skipped.
-    names : tuple of str
-        Column names, for messages; empty without a header.
-    clean : callable
-        Converts a line to numbers and delimiters; must keep the order of fields.
-    text_columns : tuple of int
-        Columns of text, which are read as NaN.
+    delimiter: Field separator; None for any run of white space.
+    n_columns: Required number of fields per line.
+    because: Reason for `n_columns` in messages, such as ``"the header names 3"``.
+    first_line: First line of numbers, from 1; earlier lines are skipped.
+    names: Column names, for messages; empty without a header.
+    clean: Converts a line to numbers and delimiters; must keep the order of fields.
+    text_columns: Columns of text, which are read as NaN.
     """
 
     path: Path
@@ -137,27 +108,6 @@ def read_blocks(
 
     Blank lines and comments, from ``#`` to the end of the line, are skipped; an empty field is
     NaN. A truncated last line is dropped with a warning.
-
-    Parameters
-    ----------
-    table : Table
-        The file and its layout.
-    warn_if_truncated : bool
-        Whether to warn of a truncated last line.
-
-    Yields
-    ------
-    ndarray of float64, shape (t, n_columns)
-        At least one row.
-    float
-        Fraction of the file read so far.
-
-    Raises
-    ------
-    LineError
-        At the first line with a wrong number of fields, or a field that is not a number.
-    EOFError, zlib.error, gzip.BadGzipFile
-        If a gzipped file is damaged, after all rows before the damage.
     """
     first_line, n_rows = table.first_line, 0
     with open_text_with_progress(table.path) as text:
@@ -182,11 +132,6 @@ def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
     """Read the first `n_rows` rows, or all if there are fewer, ignoring damage after them.
 
     Of tables with thousands of columns, fewer rows are read.
-
-    Raises
-    ------
-    LineError
-        As `read_blocks`.
     """
     n_rows = min(n_rows, max(_MIN_FIRST_ROWS, _MAX_FIRST_CELLS // max(table.n_columns, 1)))
     held = [np.empty((0, table.n_columns))]
@@ -280,13 +225,7 @@ def is_skipped(line: str, delimiter: str | None = None) -> bool:
 
 
 def parse_number(field: str) -> float:
-    """Parse a number as numpy does: no underscores, and NaN for an empty field.
-
-    Raises
-    ------
-    ValueError
-        If `field` is not a number.
-    """
+    """Parse a number as numpy does: no underscores, and NaN for an empty field."""
     text = field.strip()
     if not text:
         return math.nan

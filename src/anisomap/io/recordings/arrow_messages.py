@@ -33,25 +33,7 @@ def is_last(stream: BufferedReader) -> bool:
 
 
 def unpacked_size(path: Path, stream: BufferedReader) -> int:
-    """Return the unpacked size of the next record batch and the dictionaries before it.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-    stream : io.BufferedReader
-        At the start of a message; the position is kept.
-
-    Returns
-    -------
-    int
-        In bytes; 0 at the end of the stream.
-
-    Raises
-    ------
-    DamagedError
-        If a message is incomplete or not valid.
-    """
+    """Return the unpacked size of the next record batch and the dictionaries before it."""
     start, total = stream.tell(), 0
     size = stream.seek(0, io.SEEK_END)
     stream.seek(start)

@@ -83,12 +83,8 @@ _BETWEEN = re.compile(r"[\s,;\[\]()]+")
 class ListColumn:
     """A column of lists.
 
-    Parameters
-    ----------
-    column : int
-        From 0.
-    length : int
-        Number of readings per list.
+    column: From 0.
+    length: Number of readings per list.
     """
 
     column: int
@@ -96,19 +92,7 @@ class ListColumn:
 
 
 def find_list_columns(sample: Sequence[str], layout: delimited.Layout) -> dict[str, ListColumn]:
-    """Find the columns with lists of equal length in all rows.
-
-    Parameters
-    ----------
-    sample : sequence of str
-        The first lines of the table.
-    layout : anisomap.io.parsing.delimited.Layout
-
-    Returns
-    -------
-    dict of str to ListColumn
-        By name; columns without a header are numbered from 1.
-    """
+    """Find the columns with lists of equal length in all rows."""
     try:
         found = delimited.records(sample, layout.delimiter)
         rows = [fields for _, fields in itertools.islice(found, _ROWS_LOOKED_AT)]
@@ -132,22 +116,7 @@ def contents_of_lists(lists: Mapping[str, ListColumn]) -> tuple[Content, ...]:
 
 
 def stream_lists(table: Table, chosen: ListColumn, roles: Roles, *, preamble: int) -> Stream:
-    """Create a stream of the lists of a column.
-
-    Parameters
-    ----------
-    table : Table
-    chosen : ListColumn
-    roles : Roles
-        `time` gives the column of times.
-    preamble : int
-        Number of lines above the table.
-
-    Returns
-    -------
-    Stream
-        Without names of sensors.
-    """
+    """Create a stream of the lists of a column."""
     named = chosen.column < len(table.names)
     name = table.names[chosen.column].strip() if named else str(chosen.column + 1)
     return Stream(
@@ -365,31 +334,6 @@ def header_text(
 
     Each following line is one frame: the time in seconds if `timed`, then one reading per sensor,
     separated by `delimiter`. A file can therefore be extended frame by frame.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the sensors.
-    delimiter : str
-        A comma or a tab.
-    source : str
-        Origin of the recording.
-    timed : bool
-        Whether the first column is the time.
-    rate_hz : float, optional
-        Frames per second.
-    metadata : mapping, optional
-        As for `Recording`.
-
-    Returns
-    -------
-    str
-        Comments and a header, with a newline at the end.
-
-    Raises
-    ------
-    InputError
-        If the names cannot be written to a header of text.
     """
     if sum(name.count("\n") for name in names) > _MAX_NAME_LINES:
         raise InputError("the names have too many line ends for a header of text; use .npz")

@@ -41,14 +41,9 @@ _VALUES = {"value", "values", "pressure", "force", "amplitude", "reading", "weig
 class EventColumns:
     """Columns of a list of events, by index from 0.
 
-    Parameters
-    ----------
-    moment : int
-        Column of times, or of numbers of events.
-    sensor : int
-        Column of sensors.
-    value : int
-        Column of values; -1 without one.
+    moment: Column of times, or of numbers of events.
+    sensor: Column of sensors.
+    value: Column of values; -1 without one.
     """
 
     moment: int
@@ -57,17 +52,7 @@ class EventColumns:
 
 
 def find_columns(names: Sequence[str]) -> EventColumns | None:
-    """Find the columns of events.
-
-    Parameters
-    ----------
-    names : sequence of str
-
-    Returns
-    -------
-    EventColumns or None
-        None unless exactly one name denotes a moment, one sensors, and at most one values.
-    """
+    """Find the columns of events."""
     words = [_words(name) for name in names]
     moments = [
         i
@@ -124,18 +109,11 @@ _MAX_SHARE_ALONE = 0.9
 class Events:
     """Sensors that were active, and when; an entry is one sensor at one moment.
 
-    Parameters
-    ----------
-    moments : ndarray of float64, shape (E,)
-        Times in seconds, or numbers of events.
-    sensors : ndarray of int, shape (E,)
-        Index in `names`; -1 for a moment without an active sensor.
-    names : tuple of str
-        Names of the sensors.
-    values : ndarray of float64, shape (E,), optional
-        Readings; 1 by default.
-    timed : bool
-        Whether `moments` are times.
+    moments: Times in seconds, or numbers of events.
+    sensors: Index in `names`; -1 for a moment without an active sensor.
+    names: Names of the sensors.
+    values: Readings; 1 by default.
+    timed: Whether `moments` are times.
     """
 
     moments: NDArray[np.float64]
@@ -155,14 +133,7 @@ class Events:
 class EventList(Generic[_Key]):
     """Events while they are read, within the budget of their file.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-
-    Attributes
-    ----------
-    moments, values : array of float
-        One entry per event; `values` is a second number of each.
+    moments, values: One entry per event; `values` is a second number of each.
     """
 
     def __init__(self, path: Path) -> None:
@@ -177,13 +148,7 @@ class EventList(Generic[_Key]):
         return list(self._seen)
 
     def add(self, moment: float, active: Sequence[_Key], value: float = 1.0) -> None:
-        """Add the active sensors of a moment; none is an event without a sensor.
-
-        Raises
-        ------
-        FileError
-            If the events would take far more memory than the file.
-        """
+        """Add the active sensors of a moment; none is an event without a sensor."""
         count = max(1, len(active))
         self._budget.spend(_EVENT_BYTES * count, "its list of contacts")
         self.moments.extend([moment] * count)
@@ -198,22 +163,7 @@ class EventList(Generic[_Key]):
 
 
 def name_sensors(ids: Sequence[str], noun: str) -> tuple[tuple[str, ...], dict[str, int]]:
-    """Name the sensors of events, in the order of their numbers, else of appearance.
-
-    Parameters
-    ----------
-    ids : sequence of str
-        As in the file, possibly repeated.
-    noun : str
-        Precedes ids that are numbers: ``taxel`` gives ``taxel17``.
-
-    Returns
-    -------
-    tuple of str
-        One name per sensor.
-    dict of str to int
-        The index of the sensor of each id.
-    """
+    """Name the sensors of events, in the order of their numbers, else of appearance."""
     found = list(dict.fromkeys(ids))
     if all(text.isascii() and text.isdecimal() for text in found) and numbers_of(found):
         found.sort(key=int)
@@ -237,37 +187,7 @@ def stream_events(
     Without bins, a frame is one moment, in order of time; a reading is 1 if the sensor was active,
     or its value. With bins, a reading is the number of events in the bin, or the last value.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-    events : Events
-    bin_s : float, optional
-        Width of the bins in seconds.
-    span : (float, float), optional
-        Start and end of the recording, if the file gives them.
-    spikes : bool
-        Whether the events are spikes, which need bins: `DEFAULT_BIN_S` if `bin_s` is None. Other
-        events do if nearly all of their times belong to a single sensor.
-    contacts : bool
-        Whether the events are contacts, which need no bins however few sensors they touch.
-    positions : ndarray of shape (N, 2) or (N, 3), optional
-    metadata : mapping of str to scalar, optional
-
-    Returns
-    -------
-    Stream
-        Its sensors without events read 0.
-
-    Raises
-    ------
-    FileError
-        If there is no event, a time is not finite, or nearly all bins would be empty.
-
-    Warns
-    -----
-    AnisomapWarning
-        If the default width of bins is used.
+    positions (N, 2).
     """
     if not (events.sensors >= 0).any():
         raise FileError(f"{path} holds no event")

@@ -47,22 +47,13 @@ _RATES = {"rate_hz", "fs", "sample_rate", "sampling_rate"}
 class Dataset:
     """A named array in a file.
 
-    Parameters
-    ----------
-    name : str
-        Name with groups, such as ``"left/readings"``.
-    shape : tuple of int
-        The first axis of a recording is frames.
-    dtype : str
-        Data type, for display.
-    kind : str
-        As `numpy.dtype.kind`.
-    read : callable
-        ``read(start, stop)`` reads a range of frames.
-    bytes_kept : int
-        Bytes per value in memory.
-    frames_at_once : int
-        Number of frames per compressed chunk.
+    name: Name with groups, such as ``"left/readings"``.
+    shape: The first axis of a recording is frames.
+    dtype: Data type, for display.
+    kind: As `numpy.dtype.kind`.
+    read: ``read(start, stop)`` reads a range of frames.
+    bytes_kept: Bytes per value in memory.
+    frames_at_once: Number of frames per compressed chunk.
     """
 
     name: str
@@ -117,30 +108,7 @@ def stream_of(
     options: ReadOptions,
     metadata: Mapping[str, Scalar],
 ) -> Stream:
-    """Create a stream of the selected or only possible recording.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    datasets : sequence of Dataset
-        All datasets of the file. Those in the same group as the recording that are named as times,
-        positions, names or rate are used if their shapes fit.
-    options : ReadOptions
-        `select` names the dataset.
-    metadata : mapping of str to scalar
-
-    Returns
-    -------
-    Stream
-        With all dimensions but the first flattened.
-
-    Raises
-    ------
-    ChoiceError
-        If several datasets can be a recording and none is selected.
-    FileError
-        If no dataset can be a recording, or the selection does not match one.
-    """
+    """Create a stream of the selected or only possible recording."""
     name = choose(path, contents_of(datasets), options.select, "dataset").name
     for trains in find_spike_trains(datasets):
         if trains.name == name:
@@ -306,27 +274,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
 @contextmanager
 def open_datasets(path: Path, extra: str, *, frames_last: bool = False) -> Iterator[list[Dataset]]:
-    """Open an HDF5 file and list its datasets, without following links to other files.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    extra : str
-        The extra to install if h5py is missing.
-    frames_last : bool
-        Whether the axes are reversed, as in MATLAB files.
-
-    Yields
-    ------
-    list of Dataset
-
-    Raises
-    ------
-    FileError
-        If the file is damaged.
-    MissingExtraError
-        If h5py is not installed.
-    """
+    """Open an HDF5 file and list its datasets, without following links to other files."""
     h5py = import_extra("h5py", "reading HDF5", extra)
     check_regular(path)
     with library_errors(path):
@@ -387,13 +335,7 @@ def _check_size(path: Path, item: Any, name: str) -> None:
 
 
 def _check_chunks(path: Path, item: Any, name: str) -> None:
-    """Refuse chunks that would expand to more than their size, since HDF5 has no limit.
-
-    Raises
-    ------
-    FileError
-        If a chunk expands to more than its size, or is compressed twice.
-    """
+    """Refuse chunks that would expand to more than their size, since HDF5 has no limit."""
     settings = item.id.get_create_plist()
     filters = [settings.get_filter(i) for i in range(settings.get_nfilters())]
     codes = [code for code, *_ in filters]

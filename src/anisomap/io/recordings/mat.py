@@ -110,18 +110,7 @@ class _Unpacked:
 
 
 def check_sizes(path: Path, budget: Budget) -> None:
-    """Check the declared sizes of all variables of numbers, before scipy unpacks any of them.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    budget : Budget
-
-    Raises
-    ------
-    FileError
-        If a variable is larger than the budget.
-    """
+    """Check the declared sizes of all variables of numbers, before scipy unpacks any of them."""
     for matrix in _variables(path):
         with suppress(_EndError):
             kind, lengths, name = matrix.header()
@@ -130,19 +119,7 @@ def check_sizes(path: Path, budget: Budget) -> None:
 
 
 def check_variable(path: Path, name: str) -> None:
-    """Check the types of all data of a variable.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    name : str
-        All variables of this name are checked.
-
-    Raises
-    ------
-    FileError
-        If data have an unknown type.
-    """
+    """Check the types of all data of a variable."""
     for matrix in _variables(path):
         with suppress(_EndError):
             matrix.check(name)
@@ -250,14 +227,9 @@ _WITH_POINT = 4
 class Lists:
     """Lists of numbers of different lengths.
 
-    Parameters
-    ----------
-    name : str
-        Name of the variable, with the field.
-    lists : tuple of ndarray
-        One per contact or channel.
-    contacts : bool
-        Whether the lists are ids of sensors; otherwise they are times.
+    name: Name of the variable, with the field.
+    lists: One per contact or channel.
+    contacts: Whether the lists are ids of sensors; otherwise they are times.
     """
 
     name: str
@@ -271,18 +243,7 @@ class Lists:
 
 
 def find_lists(name: str, value: NDArray[Any]) -> tuple[Lists, ...]:
-    """Find the lists of contacts or spikes in a variable.
-
-    Parameters
-    ----------
-    name : str
-    value : ndarray
-        A cell array, of dtype object, or a structure array, with one field per name of its dtype.
-
-    Returns
-    -------
-    tuple of Lists
-    """
+    """Find the lists of contacts or spikes in a variable."""
     items = [*value.ravel()]
     if value.dtype.names is None and all(_is_struct(item) for item in items):
         items = [item.ravel()[0] for item in items if item.size == 1]

@@ -49,12 +49,8 @@ _FOOTER: _Wanted = {_ROW_GROUPS: {_COLUMNS: {_COLUMN_METADATA: {}}}}
 class ColumnChunk:
     """The values of a column in a row group.
 
-    Parameters
-    ----------
-    n_values : int
-        Number of values, at least 0.
-    start, length : int
-        Where its pages are in the file, in bytes.
+    n_values: Number of values, at least 0.
+    start, length: Where its pages are in the file, in bytes.
     """
 
     n_values: int
@@ -63,25 +59,7 @@ class ColumnChunk:
 
 
 def column_chunks(path: Path, stream: BufferedReader) -> list[list[ColumnChunk]]:
-    """Read where the columns are, from the end of a file.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-    stream : io.BufferedReader
-        The position changes.
-
-    Returns
-    -------
-    list of list of ColumnChunk
-        For each row group, its columns in the order of the leaves of the schema.
-
-    Raises
-    ------
-    DamagedError
-        If the end of the file is not valid.
-    """
+    """Read where the columns are, from the end of a file."""
     stream.seek(-_LENGTH_BYTES - _MAGIC_BYTES, io.SEEK_END)
     end = stream.tell()
     length = int.from_bytes(stream.read(_LENGTH_BYTES), "little")
@@ -103,27 +81,7 @@ def _chunk(fields: Mapping[int, int]) -> ColumnChunk:
 
 
 def unpacked_size(path: Path, stream: BufferedReader, start: int, length: int) -> int:
-    """Return the sum of the unpacked sizes of the pages of a column.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-    stream : io.BufferedReader
-        The position changes.
-    start, length : int
-        Where the pages are, in bytes.
-
-    Returns
-    -------
-    int
-        In bytes.
-
-    Raises
-    ------
-    DamagedError
-        If the header of a page is not valid.
-    """
+    """Return the sum of the unpacked sizes of the pages of a column."""
     total, at = 0, start
     while at < start + length:
         stream.seek(at)

@@ -72,14 +72,9 @@ class NamedArray(Protocol):
 class SpikeTrains:
     """The arrays that hold the spike times of several units.
 
-    Parameters
-    ----------
-    name : str
-        Name to select them by.
-    times : tuple of NamedArray
-        Times of all units, or one array per unit.
-    counts, ends : NamedArray, optional
-        Number of spikes per unit, or the index after its last one.
+    name: Name to select them by.
+    times: Times of all units, or one array per unit.
+    counts, ends: Number of spikes per unit, or the index after its last one.
     """
 
     name: str
@@ -104,17 +99,7 @@ class SpikeTrains:
 
 
 def find_spike_trains(arrays: Sequence[NamedArray]) -> tuple[SpikeTrains, ...]:
-    """Find the spike trains of each group.
-
-    Parameters
-    ----------
-    arrays : sequence of NamedArray
-        All arrays of a file.
-
-    Returns
-    -------
-    tuple of SpikeTrains
-    """
+    """Find the spike trains of each group."""
     groups: dict[str, list[NamedArray]] = {}
     for each in arrays:
         groups.setdefault(each.group, []).append(each)
@@ -150,30 +135,7 @@ def stream_spikes(
     positions: NDArray[np.float64] | None = None,
     span: tuple[float, float] | None = None,
 ) -> Stream:
-    """Create a stream of spike counts.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    trains : SpikeTrains
-        Times in seconds.
-    bin_s : float or None
-        Width of the bins; None for the default, with a warning.
-    names : tuple of str
-        One per unit; by default those of the arrays, or ``e0, e1, ...``.
-    positions : ndarray of shape (N, 2) or (N, 3), optional
-    span : (float, float), optional
-        Start and end of the recording.
-
-    Returns
-    -------
-    Stream
-
-    Raises
-    ------
-    FileError
-        If numbers of spikes and times do not agree, or there is no spike.
-    """
+    """Create a stream of spike counts. positions (N, 2)."""
     vectors = [each.whole().astype(np.float64).ravel() for each in trains.times]
     times = np.concatenate(vectors)
     if trains.index is None:
@@ -214,21 +176,6 @@ def stream_table(path: Path, bin_s: float) -> Stream:
     """Create a stream of the counts of spikes whose times are in lines or columns.
 
     Times increase along each channel and have fractions, so that readings are not taken for times.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    bin_s : float
-        Width of the bins in seconds.
-
-    Returns
-    -------
-    Stream
-
-    Raises
-    ------
-    FileError
-        If the numbers do not increase along all lines or all columns.
     """
     lines = read_lines(path)
     delimiter = delimited.find_delimiter(lines[:1000])

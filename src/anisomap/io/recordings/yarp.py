@@ -107,21 +107,7 @@ def contents_of_log(path: Path) -> tuple[Content, ...]:
 
 
 def stream_contacts(path: Path, parts: Sequence[str], bin_s: float | None) -> Stream:
-    """Create a stream of the contacts of some skin parts.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    parts : sequence of str
-        Taxels are named ``taxel17`` in a single part, and ``l_hand/taxel17`` in several.
-    bin_s : float or None
-        Width of bins; by default, each line is a frame.
-
-    Returns
-    -------
-    Stream
-        A reading is 1 where a contact lists the taxel.
-    """
+    """Create a stream of the contacts of some skin parts."""
     found = EventList[tuple[str, int]](path)
     wanted = set(parts)
     for frame in _frames(path):

@@ -41,27 +41,7 @@ _SQLITE_LIMIT_LENGTH = 0
 
 
 def rosbags_paths(path: Path, unpacked: ExitStack) -> list[Path]:
-    """Return the paths to open with rosbags, after measuring what it would decompress.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        A bag with any suffix, or a folder of ROS 2.
-    unpacked : contextlib.ExitStack
-        Files that are compressed as a whole are unpacked to a temporary folder, which is removed
-        when the stack is closed.
-
-    Returns
-    -------
-    list of pathlib.Path
-        The folder, or files with the suffix that rosbags expects, whose truncated ends are
-        repaired when they are opened.
-
-    Raises
-    ------
-    FileError
-        If a part is a decompression bomb or not a regular file, or cannot be read.
-    """
+    """Return the paths to open with rosbags, after measuring what it would decompress."""
     budget = Budget(path)
     if not path.is_dir():
         return [_rosbags_path(path, budget)]
@@ -117,19 +97,7 @@ def warn_of_missing_end(path: Path) -> None:
 
 
 def register_definitions(store: Any, files: Iterable[Path]) -> None:
-    """Register message definitions from files in a type store.
-
-    Parameters
-    ----------
-    store : rosbags.typesys.store.Typestore
-    files : iterable of pathlib.Path
-        Each is a ``.msg`` file in a folder ``package/msg``, or is named ``package.Name.msg``.
-
-    Raises
-    ------
-    FileError
-        If a file cannot be read, or its package is unknown.
-    """
+    """Register message definitions from files in a type store."""
     typesys = import_extra("rosbags.typesys", "reading bags", EXTRA)
     for file in files:
         text = read_small(file, _MAX_DEFINITION, "a message definition")
@@ -137,24 +105,7 @@ def register_definitions(store: Any, files: Iterable[Path]) -> None:
 
 
 def limit_unpacking(path: Path, reader: Any) -> bool:
-    """Make an open reader decompress within a budget.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The bag, for messages and its size.
-    reader : rosbags.highlevel.AnyReader
-
-    Returns
-    -------
-    bool
-        Whether the messages that the reader gives are compressed.
-
-    Raises
-    ------
-    FileError
-        If the index of an MCAP file refers to a chunk that is a decompression bomb.
-    """
+    """Make an open reader decompress within a budget."""
     budget, packed_messages = Budget(path), False
     for each in reader.readers:
         storage = getattr(each, "storage", None)

@@ -58,20 +58,12 @@ _WRAP = 1 << 16
 class Kind:
     """How to extract the readings of a message type.
 
-    Parameters
-    ----------
-    field : str
-        Default path of the readings, such as ``"sensors.taxels.z"``.
-    values : callable
-        ``values(message, path)`` returns the readings.
-    names : callable
-        ``names(message, path)`` returns the sensor names.
-    positions : callable, optional
-        ``positions(message)`` returns positions in metres, or None.
-    wraps : bool
-        Whether readings are 16-bit counters that overflow.
-    cell : bool
-        Whether each message holds one skin cell only.
+    field: Default path of the readings, such as ``"sensors.taxels.z"``.
+    values: ``values(message, path)`` returns the readings.
+    names: ``names(message, path)`` returns the sensor names.
+    positions: ``positions(message)`` returns positions in metres, or None.
+    wraps: Whether readings are 16-bit counters that overflow.
+    cell: Whether each message holds one skin cell only.
     """
 
     field: str
@@ -113,20 +105,7 @@ def cell_of(message: Any) -> str:
 
 
 def kind_of(message_type: str, fields: list[str]) -> Kind | None:
-    """Return how to read a message type.
-
-    Parameters
-    ----------
-    message_type : str
-        Such as ``"package/msg/Name"``.
-    fields : list of str
-        Paths of all its arrays of numbers.
-
-    Returns
-    -------
-    Kind or None
-        None if the type is unknown and has no array of numbers.
-    """
+    """Return how to read a message type."""
     package, _, name = message_type.partition("/msg/")
     known = KINDS.get(f"{package}/{name}") or KINDS.get(name)
     if known or not fields:

@@ -39,30 +39,7 @@ _MAX_NAME = 1 << 8
 
 
 def decompress_chunk(path: Path, budget: Budget, compressed: bytes, compression: str) -> bytes:
-    """Decompress a chunk of a ROS 1 bag.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-    budget : Budget
-        The content is counted.
-    compressed : bytes
-    compression : {"none", "bz2", "lz4"}
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    DamagedError
-        If the chunk is damaged.
-    FileError
-        If the chunk is a decompression bomb.
-    MissingExtraError
-        If lz4 is required and not installed.
-    """
+    """Decompress a chunk of a ROS 1 bag."""
     decompressor: Any
     if compression == "lz4":
         lz4 = import_extra("lz4.frame", "reading bags", EXTRA)
@@ -75,15 +52,7 @@ def decompress_chunk(path: Path, budget: Budget, compressed: bytes, compression:
 
 
 def decompress_message(path: Path, budget: Budget, compressed: bytes) -> bytes:
-    """Decompress a message of a ROS 2 bag whose messages are compressed one by one.
-
-    Raises
-    ------
-    DamagedError
-        If the message is damaged.
-    FileError
-        If the message is a decompression bomb.
-    """
+    """Decompress a message of a ROS 2 bag whose messages are compressed one by one."""
     return _decompress(path, budget, _zstd().ZstdDecompressor(), compressed, "a message")
 
 
@@ -99,22 +68,7 @@ def _decompress(
 
 
 def decompress_file(source: BinaryIO, path: Path, target: BinaryIO) -> None:
-    """Decompress a file of a ROS 2 bag whose files are compressed as a whole.
-
-    Parameters
-    ----------
-    source : binary file
-        Opened `path`.
-    path : pathlib.Path
-    target : binary file
-
-    Raises
-    ------
-    DamagedError
-        If the file is damaged.
-    FileError
-        If the file is a decompression bomb.
-    """
+    """Decompress a file of a ROS 2 bag whose files are compressed as a whole."""
     budget = Budget(path)
     with library_errors(path), _zstd().open(source, "rb") as unpacked:
         while content := unpacked.read(_STEP):
@@ -123,23 +77,7 @@ def decompress_file(source: BinaryIO, path: Path, target: BinaryIO) -> None:
 
 
 def check_chunks(path: Path, file: BinaryIO, budget: Budget) -> None:
-    """Measure all chunks of an MCAP file, up to the first incomplete record.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    file : binary file
-        Opened `path`.
-    budget : Budget
-        Of the bag.
-
-    Raises
-    ------
-    DamagedError
-        If a chunk unpacks to more than it declares.
-    FileError
-        If the chunks are a decompression bomb.
-    """
+    """Measure all chunks of an MCAP file, up to the first incomplete record."""
     size, at = file.seek(0, io.SEEK_END), _MAGIC_BYTES
     while at < size:
         file.seek(at)
@@ -161,21 +99,7 @@ def check_chunks(path: Path, file: BinaryIO, budget: Budget) -> None:
 
 
 def check_chunk(path: Path, compressed: bytes, compression: str, declared: int) -> None:
-    """Compare the size of a chunk of an MCAP file with the declared size.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    compressed : bytes
-    compression : str
-        Other names than ``lz4`` and ``zstd`` are accepted; rosbags rejects them.
-    declared : int
-
-    Raises
-    ------
-    DamagedError
-        If it is larger. Other damage is left to rosbags, so that earlier frames are read.
-    """
+    """Compare the size of a chunk of an MCAP file with the declared size."""
     size = 0
     if compression == "lz4":
         size = _lz4_size(compressed, declared)
@@ -243,19 +167,7 @@ class Repair:
 
 
 def find_repair(path: Path, suffix: str) -> Repair | None:
-    """Return the repair of a truncated bag, or None for a complete one.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    suffix : str
-        ``".mcap"`` or ``".bag"``.
-
-    Raises
-    ------
-    FileError
-        If a chunk of a ROS 1 bag is a decompression bomb.
-    """
+    """Return the repair of a truncated bag, or None for a complete one."""
     with open_regular(path) as file:
         return _repair_mcap(file) if suffix == ".mcap" else _repair_ros1(path, file)
 

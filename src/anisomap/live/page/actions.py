@@ -24,12 +24,8 @@ _TRUTH_SUFFIXES = (".csv", ".tsv", ".txt", ".json", ".ply", ".pcd", ".urdf", ".x
 class Done:
     """The result of an action.
 
-    Attributes
-    ----------
-    text : str
-        One sentence.
-    files : tuple of pathlib.Path
-        Files that were written.
+    text: One sentence.
+    files: Files that were written.
     """
 
     text: str
@@ -37,23 +33,7 @@ class Done:
 
 
 def act(session: LiveSession, request: Mapping[str, Any]) -> Done:
-    """Carry out a request of the page.
-
-    Parameters
-    ----------
-    session : LiveSession
-    request : mapping
-        ``"do"`` names the action, a key of `ACTIONS`; other entries are its arguments.
-
-    Returns
-    -------
-    Done
-
-    Raises
-    ------
-    InputError
-        If there is no such action, or an argument is not valid.
-    """
+    """Carry out a request of the page."""
     name = request.get("do")
     if not isinstance(name, str) or name not in ACTIONS:
         raise InputError(f"an action must be one of {', '.join(ACTIONS)}")

@@ -56,23 +56,9 @@ _POST_HEADER = "X-Anisomap"  # other sites cannot send it without asking first
 class Server:
     """Serves the page of a session in threads of its own, until it is closed.
 
-    Parameters
-    ----------
-    session : LiveSession
-    host : str
-        Address to listen on. For others than the loopback, the page requires a token.
-    port : int
-        0 for any free port.
-
-    Attributes
-    ----------
-    url : str
-        Address of the page, with the token if there is one.
-
-    Raises
-    ------
-    InputError
-        If the address cannot be used.
+    host: Address to listen on. For others than the loopback, the page requires a token.
+    port: 0 for any free port.
+    url: Address of the page, with the token if there is one.
     """
 
     def __init__(self, session: LiveSession, host: str = "127.0.0.1", port: int = 8765) -> None:

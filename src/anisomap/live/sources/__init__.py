@@ -25,14 +25,9 @@ LOOPBACK = "127.0.0.1"
 class Entry:
     """A kind of source.
 
-    Attributes
-    ----------
-    example : str
-        An address, for help and messages.
-    summary : str
-        What it is.
-    make : callable
-        ``make(address)`` opens the source at a split address.
+    example: An address, for help and messages.
+    summary: What it is.
+    make: ``make(address)`` opens the source at a split address.
     """
 
     example: str
@@ -87,28 +82,7 @@ SOURCES: Mapping[str, Entry] = MappingProxyType({
 
 
 def open_source(text: str, *, speed: float = 1.0, options: io.ReadOptions | None = None) -> Source:
-    """Open a source.
-
-    Parameters
-    ----------
-    text : str
-        An address with a scheme in `SOURCES`, ``-``, or the path of a recording to replay.
-    speed : float
-        Speed of a replay; 0 for as fast as possible.
-    options : ReadOptions, optional
-        For the recording.
-
-    Returns
-    -------
-    Source
-
-    Raises
-    ------
-    InputError
-        If the address is not valid, or there is no such file.
-    MissingExtraError
-        If the source needs a library that is not installed.
-    """
+    """Open a source."""
     scheme, colon, _ = text.partition("://")
     if text == "-" or (colon and scheme in SOURCES):
         try:

@@ -47,20 +47,7 @@ def stay_connected(
     stop: Event,
     lost: tuple[type[Exception], ...] = (OSError,),
 ) -> Iterator[Item]:
-    """Iterate over the items of one connection after another until `stop` is set.
-
-    Parameters
-    ----------
-    description : str
-        Of the source, for notices.
-    connect : callable
-        Opens a connection. An attempt that fails is repeated after `RETRY_S`.
-    receive : callable
-        ``receive(connection, stop)`` iterates over the items of a connection until it ends.
-    stop : threading.Event
-    lost : tuple of exception types
-        What `connect` and `receive` raise if there is no connection, or no longer.
-    """
+    """Iterate over the items of one connection after another until `stop` is set."""
     told = False
     while not stop.is_set():
         try:
@@ -123,10 +110,7 @@ class LineParser:
     seconds (``t``, ``time`` or ``timestamp``). A first line of text names the sensors; a column
     ``time`` among them holds the times. Empty fields, ``nan`` and ``null`` are missing readings.
 
-    Attributes
-    ----------
-    n_rejected : int
-        Number of lines that are no frame.
+    n_rejected: Number of lines that are no frame.
     """
 
     n_rejected: int = 0
@@ -138,18 +122,7 @@ class LineParser:
     _width: int = 0
 
     def feed(self, content: bytes, *, complete: bool = False) -> Iterator[Item]:
-        """Parse the next bytes.
-
-        Parameters
-        ----------
-        content : bytes
-        complete : bool
-            Whether the bytes end with a whole line, as in a datagram.
-
-        Yields
-        ------
-        Batch, Names or Notice
-        """
+        """Parse the next bytes."""
         rows: list[list[float]] = []
         times: list[float] = []
         for found in self._frames(content, complete):
@@ -313,13 +286,7 @@ class StandardInput(_Lines):
 
 
 class TcpClient(_Lines):
-    """Lines from a server, to which the connection is made again when it is lost.
-
-    Parameters
-    ----------
-    host : str
-    port : int
-    """
+    """Lines from a server, to which the connection is made again when it is lost."""
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__(f"tcp://{host}:{port}")
@@ -334,16 +301,7 @@ class TcpClient(_Lines):
 class _Listener(_Lines):
     """A port of this computer, bound when the source is made.
 
-    Parameters
-    ----------
-    host : str
-    port : int
-        0 for any free port; the notice names it.
-
-    Raises
-    ------
-    InputError
-        If the port cannot be used.
+    port: 0 for any free port; the notice names it.
     """
 
     _scheme: ClassVar[str]
@@ -456,12 +414,8 @@ _READ_BYTES = 1 << 16
 class SerialPort:
     """A serial port, which is opened again when it was unplugged.
 
-    Parameters
-    ----------
-    device : str
-        Such as ``/dev/ttyUSB0``; on Windows ``COM3``.
-    query : mapping of str to str
-        ``baud``: symbols per second, 115200 by default.
+    device: Such as ``/dev/ttyUSB0``; on Windows ``COM3``.
+    query: ``baud``: symbols per second, 115200 by default.
     """
 
     def __init__(self, device: str, query: Mapping[str, str]) -> None:

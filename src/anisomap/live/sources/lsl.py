@@ -19,12 +19,7 @@ _BUFFER_S = 60  # that the library keeps if we are slow
 
 
 class LslStream:
-    """A stream of numbers, found by its name. The library recovers lost connections itself.
-
-    Parameters
-    ----------
-    name : str
-    """
+    """A stream of numbers, found by its name. The library recovers lost connections itself."""
 
     def __init__(self, name: str) -> None:
         if not name:

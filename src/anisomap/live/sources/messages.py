@@ -15,22 +15,7 @@ _PER_SECOND = 1e9  # nanoseconds
 
 
 def readings_of(message: Any, message_type: str, field: str = "") -> NDArray[np.float64] | None:
-    """Return the readings of a message.
-
-    Parameters
-    ----------
-    message : object
-        Its attributes are its fields.
-    message_type : str
-        Such as ``"std_msgs/msg/Float32MultiArray"``; empty if unknown.
-    field : str
-        Path of the readings; by default that of the type, or the longest list of numbers.
-
-    Returns
-    -------
-    ndarray of shape (N,), or None
-        None if it holds no list of at least 2 numbers.
-    """
+    """Return the readings of a message. Returns (N,)."""
     kind = kind_of(message_type, []) if message_type else None
     try:
         if field:

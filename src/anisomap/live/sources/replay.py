@@ -33,18 +33,8 @@ _MAX_BATCH = 512
 class Replay:
     """A recording that is replayed at its rate, or faster.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Any recording that `anisomap.read` reads. It is read in blocks.
-    speed : float
-        Multiple of the rate of the recording; 0 for as fast as possible.
-    options : ReadOptions, optional
-
-    Raises
-    ------
-    FileError
-        If the file holds no recording.
+    path: Any recording that `anisomap.read` reads. It is read in blocks.
+    speed: Multiple of the rate of the recording; 0 for as fast as possible.
     """
 
     can_wait = True
@@ -114,20 +104,10 @@ def _nowhere() -> Advised:
 class SimulatedHand:
     """A palm on a body. It asks before each bout where to rub.
 
-    Parameters
-    ----------
-    body : Body
-    seed : int
-    speed : float
-        Multiple of the speed of a human hand, about 20 frames per second; 0 for as fast as
+    speed: Multiple of the speed of a human hand, about 20 frames per second; 0 for as fast as
         possible.
-    max_frames : int
-        Number of frames after which the source ends; 0 for none.
-
-    Attributes
-    ----------
-    where : callable
-        Returns the sensors to rub next, by index, and the contacts of each sensor if they are
+    max_frames: Number of frames after which the source ends; 0 for none.
+    where: Returns the sensors to rub next, by index, and the contacts of each sensor if they are
         known; no sensors for anywhere.
     """
 

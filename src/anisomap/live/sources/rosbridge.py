@@ -30,13 +30,7 @@ _MAX_MESSAGE = 1 << 24
 class Rosbridge:
     """A topic, subscribed to again when the connection is lost.
 
-    Parameters
-    ----------
-    host : str
-    port : int
-    topic : str
-    query : mapping of str to str
-        ``type``: type of the messages; ``field``: path of the readings, as in ``data``.
+    query: ``type``: type of the messages; ``field``: path of the readings, as in ``data``.
     """
 
     def __init__(self, host: str, port: int, topic: str, query: Mapping[str, str]) -> None:

@@ -29,14 +29,9 @@ _MAX_LINE = 1 << 22
 class YarpPort:
     """An output port of YARP, connected to again when the connection is lost.
 
-    Parameters
-    ----------
-    host : str
-        Of the name server.
-    port : int
-        Of the name server, usually 10000.
-    name : str
-        Of the output port, such as ``/icub/skin/torso_comp``.
+    host: Of the name server.
+    port: Of the name server, usually 10000.
+    name: Of the output port, such as ``/icub/skin/torso_comp``.
     """
 
     def __init__(self, host: str, port: int, name: str) -> None:

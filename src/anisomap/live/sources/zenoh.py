@@ -26,13 +26,9 @@ _MAX_WAITING = 4096  # messages; Zenoh holds back the sender when the queue is f
 class ZenohTopic:
     """A key expression of Zenoh, of which the samples are messages of ROS 2 in CDR.
 
-    Parameters
-    ----------
-    key : str
-        That of zenoh-bridge-ros2dds is the topic, such as ``skin``; that of rmw_zenoh is
+    key: That of zenoh-bridge-ros2dds is the topic, such as ``skin``; that of rmw_zenoh is
         ``0/skin/**``, from which the type is known.
-    query : mapping of str to str
-        ``connect``: endpoint of a router or peer, such as ``tcp/192.168.0.5:7447``; by default
+    query: ``connect``: endpoint of a router or peer, such as ``tcp/192.168.0.5:7447``; by default
         peers are searched for. ``type``: type of the messages, Float32MultiArray by default.
         ``field``: path of the readings.
     """

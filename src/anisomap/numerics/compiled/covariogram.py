@@ -35,8 +35,6 @@ _L3, _L5, _L7, _L9 = (np.float32(1 / n) for n in (3, 5, 7, 9))
 def exponential(x: Any) -> Any:
     """Return exp x within 1e-7 of its value, for x from -87 to 88.
 
-    Notes
-    -----
     ``exp x = 2^w exp y`` for a whole number w and ``|y| <= log(2) / 2``, where the Taylor series up
     to y^7 is exact in float32.
     """
@@ -51,8 +49,6 @@ def exponential(x: Any) -> Any:
 def logarithm(x: Any) -> Any:
     """Return log x within 1e-7 of its value and within 1e-7, for normal numbers.
 
-    Notes
-    -----
     ``log x = e log 2 + log m`` for a whole number e and m from sqrt(1/2) to sqrt(2); log m is the
     series of ``2 artanh u`` up to u^9, with ``u = (m - 1) / (m + 1)``.
     """

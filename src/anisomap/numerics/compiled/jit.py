@@ -11,19 +11,7 @@ Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
 def loop(**flags: Any) -> Callable[[Loop], Loop]:
-    """Compile a function on its first call, without the global interpreter lock, and cache it.
-
-    Parameters
-    ----------
-    **flags
-        Further options of ``numba.njit``.
-
-    Returns
-    -------
-    callable
-        A decorator. If no cache folder is writable, as in a read-only installation without a home
-        folder, functions are compiled in every process.
-    """
+    """Compile a function on its first call, without the global interpreter lock, and cache it."""
 
     def compiled(function: Loop) -> Loop:
         try:

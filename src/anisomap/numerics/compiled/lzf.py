@@ -12,18 +12,6 @@ from anisomap.numerics.compiled.jit import loop
 def unpacked_size(packed: NDArray[np.uint8], limit: int) -> int:
     """Return how many bytes a block of LZF unpacks to, or a number above `limit` if more.
 
-    Parameters
-    ----------
-    packed : ndarray of uint8
-    limit : int
-        Where to stop counting.
-
-    Returns
-    -------
-    int
-
-    Notes
-    -----
     An instruction below 32 is followed by so many bytes, and one more, to copy. In others, the
     upper three bits are the length of a reference, less 2; after 7, a byte is added to it. A byte
     of the offset follows (``lzf_d.c`` of LibLZF 3.6).

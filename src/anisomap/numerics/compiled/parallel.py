@@ -31,13 +31,7 @@ class MapFunction(Protocol):
 
 
 def load_loops(name: str) -> Any:
-    """Import a module of compiled loops on first use.
-
-    Parameters
-    ----------
-    name : str
-        Module of `anisomap.numerics.compiled`, such as ``"paths"``.
-    """
+    """Import a module of compiled loops on first use."""
     return import_module(f"anisomap.numerics.compiled.{name}")
 
 

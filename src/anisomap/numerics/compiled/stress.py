@@ -72,8 +72,6 @@ def add_spatial_stress(
 
     The first of `rows` must be even, and the last (exclusive) must be even or N.
 
-    Notes
-    -----
     Two rows at a time share the loads of their neighbours and the loads and stores of the slope.
     The second row is also paired with itself, which adds nothing: its target is 0.
     """

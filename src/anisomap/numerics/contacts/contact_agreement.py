@@ -37,16 +37,7 @@ def is_on_off(readings: ArrayLike) -> bool:
 def distinct_contacts(readings: ArrayLike) -> NDArray[np.bool_]:
     """Find the different sets of at least two sensors that were active together.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, on or off. Active is the higher value of each sensor, or the lower if most
-        readings are high.
-
-    Returns
-    -------
-    ndarray of bool, shape (C, N)
-        Active sensors of each contact, in the order of its first frame.
+    readings (T, N).
     """
     return _contacts_and_frames(np.asarray(readings))[0]
 
@@ -70,19 +61,7 @@ def _contacts_and_frames(
 
 
 def shows_single_contacts(readings: ArrayLike) -> bool:
-    """Return whether readings are on or off and show one contact at a time.
-
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings.
-
-    Returns
-    -------
-    bool
-        False for fewer than 50 distinct contacts. The active sensors of a single contact are
-        connected on the graph of the 8 best-correlated neighbours.
-    """
+    """Return whether readings are on or off and show one contact at a time. readings (T, N)."""
     if not is_on_off(readings):
         return False
     contacts = distinct_contacts(readings)
@@ -139,17 +118,7 @@ def contact_agreement(readings: ArrayLike) -> Reals:
 def weighted_contacts(readings: ArrayLike) -> tuple[NDArray[np.float64], float]:
     """Sum the weights of the distinct contacts in which both sensors of each pair are active.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, on or off.
-
-    Returns
-    -------
-    together : ndarray of shape (N, N)
-        Sums over contacts with the weight 1 / m; symmetric. The diagonal holds those of sensors.
-    total : float
-        Sum over all contacts.
+    readings (T, N) -> together (N, N), total.
     """
     contacts = distinct_contacts(readings)
     n_sensors = contacts.shape[1]
@@ -170,19 +139,7 @@ def agreement_of_sums(
 ) -> Reals:
     """Compute the agreement of every pair from sums over contacts; see `contact_agreement`.
 
-    Parameters
-    ----------
-    together : ndarray of shape (N, N)
-        Weight of the contacts in which both sensors are active.
-    active : ndarray of shape (N, N)
-        Weight of the contacts in which the sensor of the row is active, among those recorded with
-        the sensor of the column.
-    total : ndarray of shape (N, N)
-        Weight of the contacts that were recorded with both sensors.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
+    together (N, N), active (N, N), total (N, N) -> (N, N).
     """
     weight = np.maximum(total, np.finfo(np.float64).tiny)
     first, second = active / weight, active.T / weight
@@ -201,18 +158,7 @@ def resampled_contact_agreement(
 ) -> NDArray[np.float64]:
     """Compute `contact_agreement` of weighted blocks of frames.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, on or off.
-    edges : ndarray of int, shape (B + 1,)
-        First frames of the blocks, and T. A contact belongs to the block of its first frame.
-    weights : ndarray of shape (R, B)
-        Non-negative weight of the contacts of each block, in each of R resamples.
-
-    Returns
-    -------
-    ndarray of shape (R, N, N)
+    readings (T, N), weights (R, B) -> (R, N, N).
     """
     contacts, frames = _contacts_and_frames(np.asarray(readings))
     block = np.searchsorted(edges, frames, side="right") - 1

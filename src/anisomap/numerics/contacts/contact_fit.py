@@ -42,14 +42,9 @@ _TOLERANCE = 0.02  # largest displacement of a sensor at convergence
 class ContactState:
     """Estimates during a fit of contacts, in sensor spacings.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (N, k)
-    contacts : ndarray of shape (E, k + 1)
-        Centre and radius of each contact.
-    profile : Profile
-    kept : ndarray of bool, shape (E,)
-        Contacts that are included.
+    positions (N, k)
+    contacts (E, k + 1): Centre and radius of each contact.
+    kept: Contacts that are included.
     """
 
     positions: Matrix
@@ -67,22 +62,7 @@ def alternate(
     prior_sd: float,
     n_steps: int,
 ) -> ContactState:
-    """Alternate between sensors, contacts and profile until the sensors converge.
-
-    Parameters
-    ----------
-    contacts : Contacts
-    state : ContactState
-        From `initial_state`, or of a fit to other contacts.
-    start : ndarray of shape (N, k)
-        The map from which the prior measures displacements; its centre is 0.
-    contact_weight, prior_sd, n_steps
-        See `anisomap.numerics.contacts.ContactOptions`.
-
-    Returns
-    -------
-    ContactState
-    """
+    """Alternate between sensors, contacts and profile until the sensors converge. start (N, k)."""
     for _ in range(n_steps):
         located = evaluate(contacts, state.positions, state.contacts, state.profile)
         reduced = ReducedSystem(contacts, located, state.kept, len(start))
@@ -100,15 +80,7 @@ def alternate(
 def initial_state(contacts: Contacts, positions: Matrix) -> ContactState:
     """Start from the centre of the touched sensors, in 3D on the more likely side of the skin.
 
-    Parameters
-    ----------
-    contacts : Contacts
-    positions : ndarray of shape (N, k)
-
-    Returns
-    -------
-    ContactState
-        After some rounds of contacts and profile, in which the sensors do not move.
+    positions (N, k).
     """
     k = positions.shape[1]
     points, pressed = positions[contacts.sensors], contacts.levels > 0
@@ -312,16 +284,9 @@ class ContactFit:
 class Solution:
     """The contacts of a fit and their states.
 
-    Attributes
-    ----------
-    contacts : Contacts
-    state : ContactState
-        In spacings, around the centre of the map that the fit started from.
-    centre : ndarray of shape (k,)
-        That centre.
-    unit : float
-        Median distance from a sensor to its nearest neighbour on that map.
-    options : ContactOptions
+    state: In spacings, around the centre of the map that the fit started from.
+    centre (k,): That centre.
+    unit: Median distance from a sensor to its nearest neighbour on that map.
     """
 
     contacts: Contacts
@@ -422,27 +387,8 @@ def resample_contacts(
 ) -> Matrix:
     """Compute the maps that a fit would give of frames with other weights, to first order.
 
-    Parameters
-    ----------
-    fit : ContactFit
-        That was used.
-    starts : ndarray of shape (R, N, k)
-        Maps in place of the given one, in its frame and unit.
-    weights : ndarray of shape (R, T)
-        Weight of each frame, at least 0.
+    starts (R, N, k), weights (R, T) -> (R, N, k).
 
-    Returns
-    -------
-    ndarray of shape (R, N, k)
-        In the frame and unit of the given map.
-
-    Raises
-    ------
-    InputError
-        If the fit was not used.
-
-    Notes
-    -----
     One Gauss-Newton step of the sensors from the fit, with the profile kept.
     """
     solved = _solution(fit)

@@ -30,15 +30,9 @@ _MIN_TOUCHES = 5  # readings above rest, for an estimate of the gain
 class Levels:
     """Readings as ordinal levels, from 0 at rest to `max_level` under the deepest contact.
 
-    Attributes
-    ----------
-    values : ndarray of int8, shape (T, N)
-    max_level : int
-        At least 1; each level up to it occurs.
-    at_rest : float
-        Share of all readings within the noise of their sensor's rest.
-    gains : ndarray of shape (N,)
-        Gain of each sensor relative to the median.
+    max_level: At least 1; each level up to it occurs.
+    at_rest: Share of all readings within the noise of their sensor's rest.
+    gains (N,): Gain of each sensor relative to the median.
     """
 
     values: NDArray[np.int8]
@@ -125,18 +119,11 @@ _SAMPLE_FRAMES = 200  # from which the number of contacts is predicted
 class Contacts:
     """E contacts and their M readings.
 
-    Attributes
-    ----------
-    sensors : ndarray of int, shape (M,)
-        Sensor of each reading, ordered by contact.
-    levels : ndarray of int, shape (M,)
-        Level of each reading; 0 for sensors at rest beside the contact.
-    starts : ndarray of int, shape (E,)
-        Index of the first reading of each contact.
-    frames : ndarray of int, shape (E,)
-        Frame of each contact.
-    max_level : int
-        Highest possible level.
+    sensors: Sensor of each reading, ordered by contact.
+    levels: Level of each reading; 0 for sensors at rest beside the contact.
+    starts: Index of the first reading of each contact.
+    frames: Frame of each contact.
+    max_level: Highest possible level.
     """
 
     sensors: Indices
@@ -212,24 +199,7 @@ class _Touches:
 def find_contacts(
     levels: Levels, positions: ArrayLike, *, min_sensors: int, max_readings: int
 ) -> Contacts | None:
-    """Find patches of touched neighbours, and split those with several peaks.
-
-    Parameters
-    ----------
-    levels : Levels
-    positions : array_like of shape (N, k)
-        A map; only its neighbourhoods matter.
-    min_sensors : int
-        Fewest touched sensors of a contact.
-    max_readings : int
-        Approximate number of readings to return. If there are more, frames are skipped evenly,
-        since consecutive frames are redundant.
-
-    Returns
-    -------
-    Contacts or None
-        None if there are none.
-    """
+    """Find patches of touched neighbours, and split those with several peaks. positions (N, k)."""
     nearby = _neighbourhood(np.asarray(positions, dtype=np.float64))
     n_frames = len(levels.values)
     sample = np.arange(0, n_frames, max(1, n_frames // _SAMPLE_FRAMES))

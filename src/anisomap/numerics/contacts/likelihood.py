@@ -40,14 +40,9 @@ class Profile:
     ``u = R - |p - y|``: ``P(level >= l) = expit((u - thresholds[l - 1]) / softness)``. All lengths
     are in sensor spacings.
 
-    Attributes
-    ----------
-    thresholds : ndarray of shape (L,)
-        Increasing; the first is 0.
-    softness : float
-        Width of the transition between levels, above 0.
-    radius, radius_sd : float
-        Mean and standard deviation of R over contacts.
+    thresholds (L,): Increasing; the first is 0.
+    softness: Width of the transition between levels, above 0.
+    radius, radius_sd: Mean and standard deviation of R over contacts.
     """
 
     thresholds: Matrix
@@ -70,20 +65,8 @@ def level_log_likelihood(
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Return the log-likelihood of levels, and its derivatives by the distance.
 
-    Parameters
-    ----------
-    levels : array_like of int, shape (M,)
-    inside : array_like of shape (M,)
-        Distance u of each sensor inside the radius of its contact.
-    profile : Profile
+    inside (M,) -> (M,).
 
-    Returns
-    -------
-    score, slope, curvature : ndarray of shape (M,)
-        Log-likelihood, its derivative by u, and a Fisher-like curvature, at least 0.
-
-    Notes
-    -----
     With ``a = P(level >= l)``, ``b = P(level >= l + 1)`` and the outlier share e, the score is
     ``log((1 - e)(a - b) + e / (L + 1))``. With the probability w that a reading is no outlier,
     its slope is ``w (1 - a - b) / s`` and its curvature ``w (a (1 - a) + b (1 - b)) / s^2``; the
@@ -111,20 +94,7 @@ def fit_profile(
 ) -> Profile:
     """Fit thresholds and softness to readings at known distances (maximum likelihood).
 
-    Parameters
-    ----------
-    levels, inside : array_like of shape (M,)
-        As for `level_log_likelihood`. Distances must not come from fits to the same readings:
-        with binary readings, the softness would shrink to 0.
-    weights : array_like of shape (M,)
-        Weight of each reading, at least 0.
-    profile : Profile
-        Initial parameters.
-
-    Returns
-    -------
-    Profile
-        Its first threshold is the common error of all radii, not 0.
+    levels, inside (M,), weights (M,).
     """
     counts = np.asarray(weights, dtype=np.float64)
     used = counts > 0
@@ -230,22 +200,14 @@ _MIN_DISTANCE = 1e-6  # keeps directions finite
 class LocatedContacts:
     """Contacts at given states, with the derivatives of their log-likelihoods.
 
-    Attributes
-    ----------
-    states : ndarray of shape (E, k + 1)
-        Centre y and radius R of each contact.
-    scores : ndarray of shape (E,)
-        Log-likelihood of each contact's readings and radius.
-    gradients : ndarray of shape (E, k + 1)
-        Gradient of the scores by the states, nearly 0 after `locate`.
-    precisions : ndarray of shape (E, k + 1, k + 1)
-        Negative Hessian of the scores (Gauss-Newton), positive definite.
-    inside : ndarray of shape (M,)
-        Distance of each sensor inside the radius, ``u = R - |p - y|``; negative outside.
-    by_axis : ndarray of shape (k, M)
-        Coordinates of ``(p - y) / |p - y|``.
-    slopes, curvatures : ndarray of shape (M,)
-        Derivatives of the readings' log-likelihoods by u; see `level_log_likelihood`.
+    states (E, k + 1): Centre y and radius R of each contact.
+    scores (E,): Log-likelihood of each contact's readings and radius.
+    gradients (E, k + 1): Gradient of the scores by the states, nearly 0 after `locate`.
+    precisions (E, k + 1, k + 1): Negative Hessian of the scores (Gauss-Newton), positive definite.
+    inside (M,): Distance of each sensor inside the radius, ``u = R - |p - y|``; negative outside.
+    by_axis (k, M): Coordinates of ``(p - y) / |p - y|``.
+    slopes, curvatures (M,): Derivatives of the readings' log-likelihoods by u; see
+        `level_log_likelihood`.
     """
 
     states: Matrix
@@ -304,20 +266,7 @@ def locate(
 ) -> LocatedContacts:
     """Maximise the likelihood of each contact separately (Levenberg-Marquardt).
 
-    Parameters
-    ----------
-    contacts : Contacts
-    positions : ndarray of shape (N, k)
-    states : ndarray of shape (E, k + 1)
-        Initial states.
-    profile : Profile
-    steps : int
-        Maximum number of steps.
-
-    Returns
-    -------
-    LocatedContacts
-        No score is lower than at the initial state.
+    positions (N, k), states (E, k + 1).
     """
     states = states.copy()
     moving, subset = np.arange(len(states)), contacts
@@ -351,18 +300,8 @@ def _derivatives(located: LocatedContacts) -> tuple[Matrix, Matrix, Matrix]:
 def leave_one_out(contacts: Contacts, fitted: LocatedContacts) -> Matrix:
     """Predict the distance inside of each sensor without its reading in the contact's fit.
 
-    Parameters
-    ----------
-    contacts : Contacts
-    fitted : LocatedContacts
+    Returns (M,).
 
-    Returns
-    -------
-    ndarray of shape (M,)
-        See `LocatedContacts.inside`.
-
-    Notes
-    -----
     One Newton step from the fit to all readings: with the direction n, the contact's precision C
     and ``h = n' C^-1 n``, u becomes ``u - h slope / (1 - h curvature)``.
     """
@@ -383,16 +322,8 @@ _MAX_ITERATIONS_BUNDLE_ADJUSTMENT = 1000  # of conjugate gradients
 class ReducedSystem:
     """Gradient and curvature of the total score by the positions, with contacts re-optimised.
 
-    Parameters
-    ----------
-    contacts : Contacts
-    located : LocatedContacts
-    weights : ndarray of shape (E,)
-        Weight of each contact, at least 0; those of weight 0 are excluded.
-    n_sensors : int
+    weights (E,): Weight of each contact, at least 0; those of weight 0 are excluded.
 
-    Notes
-    -----
     Row m of P is the gradient of u_m by all positions, and row m of Q that by all contacts; h are
     the curvatures, g the slopes, C the contacts' precisions and c their gradients. Second
     derivatives of u are neglected (Gauss-Newton). Eliminating the contacts, with the weight w of
@@ -439,18 +370,7 @@ class ReducedSystem:
     def step(self, deviations: Matrix, *, contact_weight: float, prior_sd: float) -> Matrix:
         """Return the damped Gauss-Newton step of the score plus the prior around the start.
 
-        Parameters
-        ----------
-        deviations : ndarray of shape (N, k)
-            Displacements of the positions from the start.
-        contact_weight : float
-            Factor of the score, since consecutive frames are not independent.
-        prior_sd : float
-            Standard deviation, above 0, of the displacement of a sensor under the prior.
-
-        Returns
-        -------
-        ndarray of shape (N, k)
+        deviations (N, k) -> (N, k).
         """
         prior_precision = prior_sd**-2
         blocks = self._diagonal_blocks * contact_weight

@@ -43,17 +43,7 @@ from anisomap.numerics.precision import Reals
 def overlapping_blocks(positions: ArrayLike, max_size: int) -> list[NDArray[np.intp]]:
     """Assign sensors to blocks such that most near pairs and many far pairs share a block.
 
-    Parameters
-    ----------
-    positions : array_like of shape (N, k)
-    max_size : int
-        Maximum number of sensors per block.
-
-    Returns
-    -------
-    list of ndarray of int
-        Sorted indices: one block if all sensors fit into it. Otherwise blocks of neighbours, blocks
-        of neighbours shifted by half a block, and blocks of every n-th sensor of the whole skin.
+    positions (N, k).
     """
     points = np.asarray(positions, dtype=np.float64)
     n_points = len(points)
@@ -289,25 +279,8 @@ def unexplained_share(
 ) -> float:
     """Estimate the share of the variance of correlations that distances do not explain.
 
-    Parameters
-    ----------
-    similarity : array_like of shape (N, N)
-        Correlations; the diagonal is ignored.
-    positions : array_like of shape (N, k)
-    noise : float
-        Sampling variance of the correlation of unrelated sensors.
-    known : array_like of bool, shape (N, N), optional
-        Mask of the known correlations; all by default.
+    similarity (N, N), positions (N, k).
 
-    Returns
-    -------
-    float
-        At most 1; near or below 0 if one decreasing function of distance explains the correlations
-        within their sampling noise, whatever the length of the recording. 0 for fewer than 30
-        significant pairs.
-
-    Notes
-    -----
     The function is a monotone regression (Barlow et al. 1972). A correlation c has the sampling
     variance ``noise (1 - c^2)^2``; it is subtracted from the squared residuals. Only pairs whose
     fitted correlation exceeds two standard deviations count: residuals of distant pairs are noise.

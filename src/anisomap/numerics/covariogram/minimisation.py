@@ -43,24 +43,8 @@ def gauss_newton_matrix(
 ) -> Matrix:
     """Return the Gauss-Newton matrix of the objective by the positions and the log exponent.
 
-    Parameters
-    ----------
-    blocks : sequence of Block
-    positions : ndarray of shape (N, k)
-    log_exponent : float
-        Logarithm of the covariogram's exponent.
-    dtype : type
-        Of the matrix.
+    positions (N, k) -> (N k + 1, N k + 1).
 
-    Returns
-    -------
-    ndarray of shape (N k + 1, N k + 1)
-        By the coordinates in the order of ``positions.T.ravel()``, then by the log exponent. Only
-        the upper triangle is set, of a positive semi-definite matrix: the Hessian without the
-        second derivatives of the residuals. Amplitude and offset are eliminated.
-
-    Notes
-    -----
     With ``<A, B> = tr(A W B W)`` and the derivatives J of the residuals R, its elements are
     ``<J_p, J_q>``. The derivative by a coordinate of sensor i is not 0 only in row and column i,
     so that all elements take k (k + 3) / 2 products of (n, n) matrices. Amplitude and offset are
@@ -137,12 +121,8 @@ class SharedCurvature:
     The objective does not change if positions are turned or reflected, but the curvature does:
     other searches start from positions turned to those of the first.
 
-    Attributes
-    ----------
-    factor : ndarray, optional
-        Triangular factor of the damped Gauss-Newton matrix.
-    positions : ndarray of shape (N, k), optional
-        Where it was computed, in units of the covariogram's range.
+    factor: Triangular factor of the damped Gauss-Newton matrix.
+    positions (N, k): Where it was computed, in units of the covariogram's range.
     """
 
     factor: Matrix | None = None
@@ -159,13 +139,7 @@ class SharedCurvature:
 class Minimum:
     """A minimum of the objective.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (N, k)
-    log_exponent : float
-    value : float
-    iterations : int
-    converged : bool
+    positions (N, k)
     """
 
     positions: Matrix
@@ -188,30 +162,8 @@ def minimise(
 ) -> Minimum:
     """Minimise the objective over positions and exponent.
 
-    Parameters
-    ----------
-    blocks : sequence of Block
-    start : ndarray of shape (N, k)
-        Initial positions, in units of the covariogram's range.
-    options : CovariogramOptions
-    log_exponent : float
-        Initial logarithm of the exponent.
-    tolerance : float
-        Relative decrease of the objective in an iteration below which it has converged.
-    displacement : float
-        Relative displacement by the next step below which it has converged.
-    map_blocks : callable
-        Applies a function to every block.
-    shared : SharedCurvature, optional
-        Of the first iterations; by default, and later, the curvature is computed. It is ignored if
-        it is that of another number of sensors or axes.
+    start (N, k).
 
-    Returns
-    -------
-    Minimum
-
-    Notes
-    -----
     Objectives with far-reaching correlations are badly conditioned: long waves of the map hardly
     change the objective, and L-BFGS follows them in hundreds of iterations. Here it searches over
     y with ``x = x_0 + U^-1 y``, where U'U is the Gauss-Newton matrix at x_0 (`curvature`), which is

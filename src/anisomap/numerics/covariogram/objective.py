@@ -32,16 +32,10 @@ _MAX_LOG_POWER = float(np.log(80))  # of d^b; exp(-80) is nearly the smallest no
 class Decay(NamedTuple):
     """Functions of the distance d of each pair, of shape (P,), for an exponent b.
 
-    Attributes
-    ----------
-    shape : ndarray
-        ``exp(-d^b)``; 0 where the correlation is unknown.
-    steepness : ndarray
-        ``d^b exp(-d^b)``; 0 where the correlation is unknown.
-    squares : ndarray
-        Squared distances.
-    logarithms : ndarray
-        ``log d``.
+    shape: ``exp(-d^b)``; 0 where the correlation is unknown.
+    steepness: ``d^b exp(-d^b)``; 0 where the correlation is unknown.
+    squares: Squared distances.
+    logarithms: ``log d``.
     """
 
     shape: Vector
@@ -53,13 +47,8 @@ class Decay(NamedTuple):
 class Slope(NamedTuple):
     """Value of the objective, and its derivatives.
 
-    Attributes
-    ----------
-    value : float
-    by_exponent : float
-        Derivative by the log exponent.
-    force : ndarray of shape (P,)
-        Half the derivative by the distance of each pair, over the distance.
+    by_exponent: Derivative by the log exponent.
+    force (P,): Half the derivative by the distance of each pair, over the distance.
     """
 
     value: float
@@ -70,12 +59,9 @@ class Slope(NamedTuple):
 class Weights(NamedTuple):
     """Weights of the terms of the objective.
 
-    Attributes
-    ----------
-    amplitude, exponent, offset : float
-        Of the covariogram.
-    prior, repulsion : float
-        Of the squared deviation of a ratio of distances, and of the logarithm of a distance.
+    amplitude, exponent, offset: Of the covariogram.
+    prior, repulsion: Of the squared deviation of a ratio of distances, and of the logarithm of a
+        distance.
     """
 
     amplitude: float
@@ -89,17 +75,11 @@ class Weights(NamedTuple):
 class Pairs:
     """Constants of the pairs of n sensors, each of shape (P,), and functions of distances.
 
-    Attributes
-    ----------
-    known : ndarray
-        1 where the correlation is known, else 0.
-    similarity : ndarray
-        0 where unknown.
-    whitened_known, whitened_similarity : ndarray
-        The same, whitened: see `anisomap.numerics.covariogram.objective`.
-    inverse_metric : ndarray
-    n_sensors : int
-        Number of sensors, n.
+    known: 1 where the correlation is known, else 0.
+    similarity: 0 where unknown.
+    whitened_known, whitened_similarity: The same, whitened: see
+        `anisomap.numerics.covariogram.objective`.
+    n_sensors: Number of sensors, n.
     """
 
     known: Vector
@@ -328,14 +308,11 @@ class BlockTerms:
 class BlockCurvature:
     """Contribution of one block of n sensors to `curvature.gauss_newton_matrix`.
 
-    Attributes
-    ----------
-    coordinates : dict of (int, int) to ndarray of shape (n, n)
-        Products of the derivatives by coordinate p of one sensor and q >= p of another.
-    cross : ndarray of shape (3, k, n)
-        Products of the derivatives by amplitude, offset and log exponent with those by coordinates.
-    linear : ndarray of shape (3, 3)
-        Products of the derivatives by amplitude, offset and log exponent.
+    coordinates (n, n): Products of the derivatives by coordinate p of one sensor and q >= p of
+        another.
+    cross (3, k, n): Products of the derivatives by amplitude, offset and log exponent with those by
+        coordinates.
+    linear (3, 3): Products of the derivatives by amplitude, offset and log exponent.
     """
 
     coordinates: dict[tuple[int, int], Matrix]
@@ -463,23 +440,7 @@ def objective(
     log_exponent: float,
     map_blocks: MapFunction = serial_map,
 ) -> tuple[float, Matrix]:
-    """Return the objective and its gradient.
-
-    Parameters
-    ----------
-    blocks : sequence of Block
-    positions : ndarray of shape (N, k)
-    log_exponent : float
-        Logarithm of the covariogram's exponent.
-    map_blocks : callable
-        Applies a function to every block.
-
-    Returns
-    -------
-    value : float
-    gradient : ndarray of shape (N k + 1,)
-        By the coordinates, then by the log exponent.
-    """
+    """Return the objective and its gradient. positions (N, k) -> value, gradient (N k + 1,)."""
     terms = map_blocks(lambda block: block.terms(positions, log_exponent), blocks)
     products = np.sum([term.products for term in terms], axis=0)
     amplitude, offset = solve_amplitude_and_offset(products)

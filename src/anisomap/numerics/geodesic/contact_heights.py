@@ -33,21 +33,7 @@ _MIN_DIFFERENCE = 0.05  # of 1 - rho; keeps lengths above 0. Chosen by hand
 
 
 def contact_peaks(raised: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Find the peak of each contact of one sensor.
-
-    Parameters
-    ----------
-    raised : array_like of shape (T,)
-        Reading relative to rest, positive under contact, in any unit.
-
-    Returns
-    -------
-    frames : ndarray of int, shape (n,)
-        Frame of each peak, increasing. A contact is a run of frames in which the reading exceeds
-        rest by more than a tenth of its range.
-    heights : ndarray of shape (n,)
-        Readings at the peaks.
-    """
+    """Find the peak of each contact of one sensor. raised (T,) -> frames, heights (n,)."""
     frames, heights, _ = contacts_of(raised)
     return frames, heights
 
@@ -55,19 +41,7 @@ def contact_peaks(raised: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.float
 def contacts_of(
     raised: ArrayLike,
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]:
-    """Find the peak of each contact of one sensor, and its number of frames.
-
-    Parameters
-    ----------
-    raised : array_like of shape (T,)
-        See `contact_peaks`.
-
-    Returns
-    -------
-    frames, heights
-        See `contact_peaks`.
-    durations : ndarray of int, shape (n,)
-    """
+    """Find the peak of each contact of one sensor, and its number of frames. raised (T,)."""
     values = np.asarray(raised, dtype=np.float64)
     touched, begins = _contacts(values)
     durations = np.diff(begins, append=touched.size)
@@ -100,26 +74,8 @@ def _top(values: NDArray[np.float64]) -> float:
 def peak_lengths(readings: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:
     """Estimate the lengths of links from the differences between contact peaks.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings in temporal order.
-    adjacency : array_like of bool, shape (N, N)
-        Neighbours; symmetric.
+    readings (T, N) -> (N, N).
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Symmetric, above 0 between neighbours, in arbitrary units; NaN for other pairs, and where
-        fewer than `MIN_PEAKS` peaks match or all matched peaks are equally high.
-
-    Raises
-    ------
-    InputError
-        If shapes disagree.
-
-    Notes
-    -----
     ``(1 - rho_ij)^(1/2)`` with Spearman's rho of the heights of those peaks of i and j that are
     mutually nearest in time: the root of a variogram (Matheron 1963, Economic Geology 58:
     1246-1266) of the ground. On a rolling body, i and j touch the ground in one frame (along the
@@ -184,15 +140,10 @@ _MIN_PAIRS = 50  # of which the explained share is computed; chosen by hand
 class HeightSimilarity:
     """Similarity of sensors by the heights of their contacts.
 
-    Attributes
-    ----------
-    similarity : ndarray of shape (N, N)
-        Correlation of the ranks of the heights of matching contacts, in [-1, 1].
-    partial : ndarray of shape (N, N)
-        Partial correlation given the other sensors that share the contacts: high only between
-        neighbours.
-    n_contacts : ndarray of shape (N, N)
-        Number of contacts of either sensor.
+    similarity (N, N): Correlation of the ranks of the heights of matching contacts, in [-1, 1].
+    partial (N, N): Partial correlation given the other sensors that share the contacts: high only
+        between neighbours.
+    n_contacts (N, N): Number of contacts of either sensor.
     """
 
     similarity: Matrix
@@ -204,12 +155,8 @@ class HeightSimilarity:
 class Explained:
     """How far the distances on a map explain the similarity of heights.
 
-    Attributes
-    ----------
-    reliability : float
-        Correlation of the similarities in the halves of the recording.
-    share : float
-        Share of their covariance that one decreasing function of the distances explains; NaN if
+    reliability: Correlation of the similarities in the halves of the recording.
+    share: Share of their covariance that one decreasing function of the distances explains; NaN if
         there are too few pairs. Errors of sampling differ between the halves and do not enter.
     """
 
@@ -221,14 +168,9 @@ class Explained:
 class ContactHeights:
     """Heights of the contacts of all sensors.
 
-    Attributes
-    ----------
-    peaks : tuple of ndarray of int
-        Frames of the peaks of the contacts of each sensor.
-    graded : ndarray of bool, shape (N,)
-        Sensors with contacts of different heights.
-    ranks : ndarray of float32, shape (T, N)
-        Relative rank, in (0, 1], of the highest reading of each sensor around each frame.
+    peaks: Frames of the peaks of the contacts of each sensor.
+    graded: Sensors with contacts of different heights.
+    ranks: Relative rank, in (0, 1], of the highest reading of each sensor around each frame.
     """
 
     peaks: tuple[NDArray[np.intp], ...]
@@ -237,17 +179,7 @@ class ContactHeights:
 
     @classmethod
     def of(cls, depths: ArrayLike) -> ContactHeights:
-        """Find the contacts of all sensors.
-
-        Parameters
-        ----------
-        depths : array_like of shape (T, N)
-            Depths beyond rest (`anisomap.numerics.similarity.rest.Rest.depth`) in temporal order.
-
-        Returns
-        -------
-        ContactHeights
-        """
+        """Find the contacts of all sensors. depths (T, N)."""
         by_sensor = np.ascontiguousarray(np.asarray(depths, dtype=np.float64).T)
         peaks, heights, durations = zip(*map(contacts_of, by_sensor), strict=True)
         graded = [np.unique(one).size >= _MIN_HEIGHTS for one in heights]
@@ -273,19 +205,6 @@ class ContactHeights:
     def compare(self, frames: ArrayLike | None = None, *, partial: bool = True) -> HeightSimilarity:
         """Compare the heights of the contacts of all pairs of sensors.
 
-        Parameters
-        ----------
-        frames : array_like of int, optional
-            Frames of which contacts are used; all by default.
-        partial : bool
-            Whether to compute the partial correlations; they are 0 otherwise.
-
-        Returns
-        -------
-        HeightSimilarity
-
-        Notes
-        -----
         The contacts of a pair are those of either sensor. The other sensor's height is that of its
         highest reading around the peak. Ranks are taken over the recording.
         """
@@ -351,20 +270,8 @@ def explained_share(
 ) -> Explained:
     """Measure how far the distances on a map explain the similarity of heights.
 
-    Parameters
-    ----------
-    halves : sequence of two HeightSimilarity
-        From `height_halves`.
-    positions : array_like of shape (N, k)
-    sharing : array_like of bool, shape (N, N)
-        Pairs that share contacts; others are not compared.
+    positions (N, k).
 
-    Returns
-    -------
-    Explained
-
-    Notes
-    -----
     With the similarities A and B of the halves and the decreasing functions a and b of distance
     that fit each best (isotonic regression), the share is
     ``1 - cov(A - a, B - b) / cov(A, B)``.

@@ -35,18 +35,9 @@ _TINY = 1e-9  # distance, in units of the lengths
 class HeightMapOptions:
     """Parameters of maps from heights, tuned on rolling cylinders, seeds 1 to 5.
 
-    Parameters
-    ----------
-    max_step_ratio : float
-        Maximum ratio, at least 1, of a link to the longest step of the best path between its
-        sensors. With 1.1, maps lack links; with 1.3, some have links across the body.
-    smacof : SmacofOptions
-        Stopping criteria of the scaling.
-
-    Raises
-    ------
-    InputError
-        If `max_step_ratio` is below 1.
+    max_step_ratio: Maximum ratio, at least 1, of a link to the longest step of the best path
+        between its sensors. With 1.1, maps lack links; with 1.3, some have links across the body.
+    smacof: Stopping criteria of the scaling.
     """
 
     max_step_ratio: float = 1.2
@@ -61,12 +52,8 @@ class HeightMapOptions:
 class HeightMap:
     """A map from the heights of contacts.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (N, k)
-        Centred; in units of the distance at which the similarity of heights is 1 / e.
-    links : ndarray of bool, shape (N, N)
-        Neighbours.
+    positions (N, k): Centred; in units of the distance at which the similarity of heights is 1 / e.
+    links: Neighbours.
     """
 
     positions: Matrix
@@ -78,20 +65,8 @@ def fit_height_map(
 ) -> HeightMap:
     """Fit positions to lengths from the heights of contacts.
 
-    Parameters
-    ----------
-    heights : HeightSimilarity
-    guide : array_like of shape (N, k)
-        A map that contacts of unequal width have compressed, but not torn: its distances are lower
-        bounds, up to a common scale.
-    options : HeightMapOptions, optional
+    guide (N, k).
 
-    Returns
-    -------
-    HeightMap
-
-    Notes
-    -----
     The similarity S of the heights on smooth random ground is about ``exp(-(d / l)^2)`` at a
     distance d, in all directions, so ``L = (-log S)^(1/2)`` is a length. It holds for short
     distances only: the two ends of a body that rests on its middle rise together. Therefore
@@ -146,17 +121,7 @@ def weakest_link(heights: HeightSimilarity, links: ArrayLike) -> float:
 def linear_share(positions: ArrayLike, of: ArrayLike) -> float:
     """Return the share of the variance of a map that a linear image of another map explains.
 
-    Parameters
-    ----------
-    positions : array_like of shape (N, k)
-        The map whose linear image is taken.
-    of : array_like of shape (N, m)
-        The map to be explained.
-
-    Returns
-    -------
-    float
-        In [0, 1]; 1 if `of` is `positions` seen from one side, or compressed in one direction.
+    positions (N, k), of (N, m).
     """
     source, target = (np.asarray(x, dtype=np.float64) for x in (positions, of))
     source, target = source - source.mean(axis=0), target - target.mean(axis=0)

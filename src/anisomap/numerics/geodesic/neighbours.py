@@ -29,23 +29,13 @@ _MIN_SENSORS = 3  # three pairs, the fewest that correlate
 class NeighbourOptions:
     """Parameters of the neighbour graph, tuned on simulated skins.
 
-    Parameters
-    ----------
-    ridge : float
-        Ridge of the partial correlations, above 0; 0.03 to 1 give similar maps.
-    slack : float
-        Factor, at least 1, by which a direct link may be weaker than the best path over one other
-        sensor; up to 1.5 gives similar maps.
-    max_step_ratio : float
-        Maximum ratio, at least 1, of the separation of two neighbours in the readings to the
-        longest step of the best path between them.
-    max_map_step_ratio : float
-        The same for distances on the map; larger, since short distances on a map are less reliable.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
+    ridge: Ridge of the partial correlations, above 0; 0.03 to 1 give similar maps.
+    slack: Factor, at least 1, by which a direct link may be weaker than the best path over one
+        other sensor; up to 1.5 gives similar maps.
+    max_step_ratio: Maximum ratio, at least 1, of the separation of two neighbours in the readings
+        to the longest step of the best path between them.
+    max_map_step_ratio: The same for distances on the map; larger, since short distances on a map
+        are less reliable.
     """
 
     ridge: float = 0.1
@@ -65,12 +55,8 @@ class NeighbourOptions:
 class NeighbourGraph:
     """A connected graph of adjacent sensors.
 
-    Attributes
-    ----------
-    adjacency : ndarray of bool, shape (N, N)
-        Symmetric, False on the diagonal, connected.
-    forced_share : float
-        Share of the links that were added only to connect the graph, in [0, 1].
+    adjacency: Symmetric, False on the diagonal, connected.
+    forced_share: Share of the links that were added only to connect the graph, in [0, 1].
     """
 
     adjacency: NDArray[np.bool_]
@@ -87,30 +73,8 @@ def neighbour_graph(
 ) -> NeighbourGraph:
     """Link adjacent sensors, with few links between sensors that are not adjacent.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings in temporal order, T >= 3, N >= 2.
-    positions : array_like of shape (N, k), optional
-        A map on which long links are rejected as well.
-    similarity : array_like of shape (N, N), optional
-        `blended_correlation` of the readings, if already computed.
-    changes : array_like of shape (N, N), optional
-        `blended_correlation` of the differences between frames, if already computed.
-    options : NeighbourOptions, optional
+    readings (T, N), positions (N, k), similarity (N, N), changes (N, N).
 
-    Returns
-    -------
-    NeighbourGraph
-        Invariant under affine transformations of each sensor's readings.
-
-    Raises
-    ------
-    InputError
-        If there are too few frames or sensors, or shapes disagree.
-
-    Notes
-    -----
     With the partial correlations Q of S, sensors i and j are linked if ``Q_ij > 0`` and
 
     1. no third sensor is much more similar to both: ``slack Q_ij >= max_k min(Q_ik, Q_jk)``
@@ -148,38 +112,15 @@ def neighbour_graph(
 
 
 def unevenness(positions: ArrayLike, adjacency: ArrayLike) -> float:
-    """Measure the spread of the distances between neighbours on a map.
-
-    Parameters
-    ----------
-    positions : array_like of shape (N, k)
-    adjacency : array_like of bool, shape (N, N)
-        Symmetric, with at least one link.
-
-    Returns
-    -------
-    float
-        Standard deviation of the logarithms of the distances: 0 if all are equal, log 2 if half
-        of them are four times as long as the others. It is scale-free.
-    """
+    """Measure the spread of the distances between neighbours on a map. positions (N, k)."""
     return float(np.log(edge_distances(positions, adjacency)).std())
 
 
 def local_dimension(positions: ArrayLike) -> float:
     """Estimate the dimension of the set of sensors: about 1 on a curve, 2 on a surface.
 
-    Parameters
-    ----------
-    positions : array_like of shape (N, k)
+    positions (N, k).
 
-    Returns
-    -------
-    float
-        Maximum-likelihood estimate from the 16 nearest neighbours of each sensor. NaN if fewer than
-        32 sensors have distinct positions.
-
-    Notes
-    -----
     Levina & Bickel 2004, Advances in Neural Information Processing Systems 17, eq. 8, with the mean
     taken before the reciprocal (MacKay & Ghahramani 2005).
     """
@@ -209,22 +150,7 @@ def split_half_agreement(
     *,
     options: NeighbourOptions | None = None,
 ) -> float:
-    """Correlate the neighbour graphs of the two halves of a recording.
-
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings in temporal order.
-    positions, options
-        As for `neighbour_graph`.
-
-    Returns
-    -------
-    float
-        Pearson correlation, over pairs of sensors that vary in both halves (`split_blocks`), of
-        their hop distances on the two graphs, in [-1, 1]. 0 with fewer than 3 such sensors or fewer
-        than 6 frames.
-    """
+    """Correlate the neighbour graphs of the two halves of a recording. readings (T, N)."""
     values = np.asarray(readings)
     if len(values) < 2 * _MIN_FRAMES:
         return 0.0

@@ -37,36 +37,20 @@ _SCALE_ITERATIONS = 3  # alternations between positions and the scale of the gui
 class GeodesicOptions:
     """Parameters of the geodesic refinement, tuned on simulated skins.
 
-    Parameters
-    ----------
-    neighbours : NeighbourOptions
-    power : float
-        Exponent p, at least 0, of the weight ``H^-p`` of a path of length H; 4 to 8 give similar
+    power: Exponent p, at least 0, of the weight ``H^-p`` of a path of length H; 4 to 8 give similar
         maps.
-    guide_weight : float
-        Weight of the guide map, at least 0.
-    max_unevenness : float
-        `unevenness`, above 0, beyond which the distances of a map are rejected; 0.4 to 0.7 gave the
-        same maps on the tested skins.
-    min_agreement : float
-        Minimum `split_half_agreement` at which the graph replaces a rejected map.
-    max_forced_share : float
-        Maximum share of forced links at which contact peaks are used: where the ends of a body are
-        hardly touched, their sensors are linked arbitrarily. The share was at most 0.04 on
-        cylinders without sensors on their ends, and at least 0.18 with sensors there.
-    min_measured_share : float
-        Minimum share of the links for which contact peaks must give a length.
-    max_slope : float
-        Maximum `log_log_slope` of peak lengths over map distances at which an uneven map is
+    guide_weight: Weight of the guide map, at least 0.
+    max_unevenness: `unevenness`, above 0, beyond which the distances of a map are rejected; 0.4 to
+        0.7 gave the same maps on the tested skins.
+    min_agreement: Minimum `split_half_agreement` at which the graph replaces a rejected map.
+    max_forced_share: Maximum share of forced links at which contact peaks are used: where the ends
+        of a body are hardly touched, their sensors are linked arbitrarily. The share was at most
+        0.04 on cylinders without sensors on their ends, and at least 0.18 with sensors there.
+    min_measured_share: Minimum share of the links for which contact peaks must give a length.
+    max_slope: Maximum `log_log_slope` of peak lengths over map distances at which an uneven map is
         rejected. The slope was at most 0.2 on 50 rolling cylinders (0.31 with 200 sensors), and at
         least 0.5 on skins that touch themselves, for which uneven maps are correct.
-    smacof : SmacofOptions
-        Stopping criteria of the scaling.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
+    smacof: Stopping criteria of the scaling.
     """
 
     neighbours: NeighbourOptions = field(default_factory=NeighbourOptions)
@@ -91,13 +75,8 @@ class GeodesicOptions:
 class GeodesicRefinement:
     """A map, and whether the refinement was applied to it.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (N, k)
-        The given positions if not `applied`.
-    applied : bool
-    unevenness : float
-        `unevenness` of the given map.
+    positions (N, k): The given positions if not `applied`.
+    unevenness: `unevenness` of the given map.
     """
 
     positions: Matrix
@@ -114,28 +93,8 @@ def fit_path_lengths(
 ) -> Matrix:
     """Fit positions to the short paths on a graph, optionally guided by a map.
 
-    Parameters
-    ----------
-    lengths : array_like of shape (N, N)
-        Lengths of the links, typically 1; 0 where there is no link. Symmetric, connected.
-    dimensions : int
-        Number of coordinates, k >= 1; ignored if there is a guide.
-    guide : array_like of shape (N, k), optional
-        A map in any unit; the more evenly its neighbours are spaced, the greater its weight.
-    options : GeodesicOptions, optional
+    lengths (N, N), guide (N, k) -> (N, k).
 
-    Returns
-    -------
-    ndarray of shape (N, k)
-        Centred, in the unit of the lengths.
-
-    Raises
-    ------
-    InputError
-        If the links do not connect all sensors, or shapes disagree.
-
-    Notes
-    -----
     Minimises over positions and the scale g of the guide ::
 
         sum_{i<j} H_ij^-p (d_ij - H_ij)^2 + kappa (1 + g c_ij)^-2 (d_ij - g c_ij)^2
@@ -186,22 +145,7 @@ def refine_by_even_spacing(
 ) -> GeodesicRefinement:
     """Refine a map under the declared prior that neighbours are evenly spaced.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings in temporal order.
-    positions : array_like of shape (N, k)
-        The map.
-    similarity : array_like of shape (N, N), optional
-        As for `neighbour_graph`.
-    options : GeodesicOptions, optional
-
-    Returns
-    -------
-    GeodesicRefinement
-        `fit_path_lengths` with all links of length 1 and the map as guide, in the unit of the map.
-        Not applied if the map exceeds `GeodesicOptions.max_unevenness` and the two halves of the
-        recording disagree on the neighbours.
+    readings (T, N), positions (N, k), similarity (N, N).
     """
     chosen = options or GeodesicOptions()
     given = np.asarray(positions, dtype=np.float64)
@@ -220,24 +164,7 @@ def refine_by_contact_peaks(
     changes: ArrayLike | None = None,
     options: GeodesicOptions | None = None,
 ) -> GeodesicRefinement:
-    """Refine an uneven map with link lengths estimated from contact peaks.
-
-    Parameters
-    ----------
-    readings, positions, similarity, options
-        As for `refine_by_even_spacing`.
-    changes : array_like of shape (N, N), optional
-        As for `neighbour_graph`.
-
-    Returns
-    -------
-    GeodesicRefinement
-        `fit_path_lengths` with lengths from `peak_lengths` (the median where a link has none), in
-        the unit of the map. Applied only if all of these hold: the map exceeds
-        `GeodesicOptions.max_unevenness`, few links are forced, both halves of the recording agree
-        on the neighbours, most links have lengths, and these contradict the map (`log_log_slope`).
-        Otherwise the given positions are returned.
-    """
+    """Refine an uneven map with link lengths estimated from contact peaks. changes (N, N)."""
     chosen = options or GeodesicOptions()
     given = np.asarray(positions, dtype=np.float64)
     graph = neighbour_graph(
@@ -264,17 +191,7 @@ def refine_by_contact_peaks(
 def log_log_slope(positions: ArrayLike, lengths: ArrayLike) -> float:
     """Regress log lengths of links on the logarithms of their distances on a map.
 
-    Parameters
-    ----------
-    positions : array_like of shape (N, k)
-    lengths : array_like of shape (N, N)
-        Symmetric, above 0 where known and NaN elsewhere, as from `peak_lengths`.
-
-    Returns
-    -------
-    float
-        Least-squares slope: 1 if lengths are proportional to distances, 0 if they are unrelated or
-        all distances are equal.
+    positions (N, k), lengths (N, N).
     """
     measured = np.asarray(lengths, dtype=np.float64)
     known = np.isfinite(measured)

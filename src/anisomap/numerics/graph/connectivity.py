@@ -32,43 +32,14 @@ def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
 
 
 def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
-    """Renumber components by decreasing size, ties by the first object.
-
-    Parameters
-    ----------
-    labels : ndarray of int, shape (N,)
-        Component of each object, numbered from 0 without gaps.
-
-    Returns
-    -------
-    ndarray of int, shape (N,)
-    """
+    """Renumber components by decreasing size, ties by the first object."""
     first_seen = np.unique(labels, return_index=True)[1]
     order = np.lexsort((first_seen, -np.bincount(labels)))
     return np.asarray(np.argsort(order)[labels])
 
 
 def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool_]:
-    """Link every object to the most similar ones.
-
-    Parameters
-    ----------
-    similarity : array_like of shape (N, N)
-        The diagonal is ignored.
-    n_neighbours : int
-        Number of neighbours of each object, k >= 1. An edge links two objects if either is a
-        neighbour of the other, so objects may have more edges.
-
-    Returns
-    -------
-    ndarray of bool, shape (N, N)
-        Adjacency; symmetric, False on the diagonal.
-
-    Raises
-    ------
-    InputError
-        If `n_neighbours` is less than 1.
-    """
+    """Link every object to the most similar ones. similarity (N, N)."""
     if n_neighbours < 1:
         raise InputError(f"n_neighbours must be at least 1, got {n_neighbours}")
     values = as_symmetric(similarity, "similarity")
@@ -80,21 +51,7 @@ def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool
 
 
 def greatest_of_rows(values: NDArray[np.floating[Any]], count: int) -> NDArray[np.bool_]:
-    """Mark the greatest values of each row; of equal ones, the first.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n, m)
-        Free of NaN.
-    count : int
-        From 1 to m.
-
-    Returns
-    -------
-    ndarray of bool, shape (n, m)
-        `count` per row. The indices that ``numpy.argpartition`` returns depend, among equal values,
-        on the processor.
-    """
+    """Mark the greatest values of each row; of equal ones, the first. values (n, m)."""
     # Sorting takes ten times as long.
     limit = np.partition(values, values.shape[1] - count, axis=1)[:, -count, None]
     chosen = values >= limit
@@ -108,18 +65,8 @@ def greatest_of_rows(values: NDArray[np.floating[Any]], count: int) -> NDArray[n
 def spanning_tree(lengths: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
     """Find the minimum spanning tree of a complete graph.
 
-    Parameters
-    ----------
-    lengths : ndarray of shape (N, N)
-        Symmetric and finite; the diagonal is ignored. Of edges of equal length, any may be chosen.
+    lengths (N, N).
 
-    Returns
-    -------
-    ndarray of bool, shape (N, N)
-        Adjacency; symmetric, False on the diagonal.
-
-    Notes
-    -----
     Prim (1957), Bell System Technical Journal 36: 1389-1401, in O(N^2). scipy sorts all edges.
     """
     n_nodes = len(lengths)
@@ -147,20 +94,8 @@ def smallest_connected_neighbour_graph(
 ) -> tuple[NDArray[np.bool_], int]:
     """Find the connected neighbour graph with the smallest number of neighbours.
 
-    Parameters
-    ----------
-    similarity : array_like of shape (N, N)
-        The diagonal is ignored.
+    similarity (N, N).
 
-    Returns
-    -------
-    adjacency : ndarray of bool, shape (N, N)
-        See `neighbour_graph`.
-    n_neighbours : int
-        The smallest k for which the graph is connected.
-
-    Notes
-    -----
     McGregor et al. (2011), section "ISOMAP". Edges are only added as k grows, so k is found by
     bisection.
     """

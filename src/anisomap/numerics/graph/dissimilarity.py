@@ -22,25 +22,7 @@ _NOISE_FACTOR = 5.0  # weight of the sampling variance
 def as_symmetric(matrix: ArrayLike, name: str, *, copy: bool = True) -> Reals:
     """Check that a matrix is square, symmetric and free of NaN, and make it exactly symmetric.
 
-    Parameters
-    ----------
-    matrix : array_like of shape (N, N)
-        Infinities are allowed.
-    name : str
-        Name of the matrix in error messages, such as ``"similarity"``.
-    copy : bool
-        If False, the input itself may be returned and must not be modified.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Exactly symmetric: a difference of one bit can change which path is the shortest. In
-        float64, or in float32 if the input is float32.
-
-    Raises
-    ------
-    InputError
-        If it is not square, contains NaN, or differs from its transpose by more than rounding.
+    matrix (N, N) -> (N, N).
     """
     values = as_reals(matrix, copy=copy)
     if values.ndim != 2 or values.shape[0] != values.shape[1] or not values.size:

@@ -19,21 +19,8 @@ _CORRELATIONS = (1e-3, 1 - 1e-6)  # bounds that keep lengths finite and above 0
 def local_path_lengths(similarity: ArrayLike, n_neighbours: int = N_NEIGHBOURS) -> Reals:
     """Measure distances along a neighbour graph.
 
-    Parameters
-    ----------
-    similarity : array_like of shape (N, N)
-        Correlations; the diagonal is ignored.
-    n_neighbours : int
-        Each sensor is linked to so many of the most similar ones. The maximum spanning tree of the
-        similarity connects what remains unconnected.
+    similarity (N, N) -> (N, N).
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Lengths of the shortest paths, finite.
-
-    Notes
-    -----
     An edge has length ``sqrt(-log s)``, the distance at which the correlation ``exp(-d^2)`` is s.
     Paths as in Isomap: Tenenbaum et al. (2000), doi:10.1126/science.290.5500.2319. Only
     correlations of neighbours are used, so differences between the contacts of distant regions

@@ -83,23 +83,8 @@ def metricise(dissimilarity: ArrayLike) -> Reals:
 def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
     """Return the minimax path distances: the least possible longest edge between two objects.
 
-    Parameters
-    ----------
-    dissimilarity : array_like of shape (N, N)
-        A finite semi-metric: symmetric, zero diagonal, elsewhere non-negative.
+    dissimilarity (N, N) -> (N, N).
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        The greatest ultrametric that nowhere exceeds the input; in float32 if the input is.
-
-    Raises
-    ------
-    InputError
-        See `check_semi_metric`; or if a dissimilarity is infinite.
-
-    Notes
-    -----
     Prim's algorithm adds one object after another to a minimum spanning tree. The longest edge
     between two objects is the longest one by which the later one and those between were added.
     Single linkage merges them at this height (Gower & Ross 1969, Applied Statistics 18: 54-64).

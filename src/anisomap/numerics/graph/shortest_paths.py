@@ -65,18 +65,8 @@ class Edges(NamedTuple):
 def shortest_paths(lengths: Reals) -> Reals:
     """Return the lengths of the shortest paths between all nodes.
 
-    Parameters
-    ----------
-    lengths : ndarray of shape (N, N)
-        Exactly symmetric, zero diagonal, non-negative; infinite where there is no edge.
+    lengths (N, N) -> (N, N).
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Exactly symmetric.
-
-    Notes
-    -----
     On skins few edges are shortest paths, and only these are followed (`along_few_edges`). If the
     result fails a check, all nodes are used (`through_all_nodes`).
     """
@@ -93,22 +83,8 @@ def along_few_edges(
 ) -> Reals | None:
     """Find shortest paths along the edges that may be shortest paths themselves.
 
-    Parameters
-    ----------
-    lengths : ndarray of shape (N, N)
-        See `shortest_paths`.
-    n_nearest : int
-        Edges per node of the first search.
-    max_share : float
-        Maximum share of the pairs that are followed as edges.
+    lengths (N, N) -> (N, N).
 
-    Returns
-    -------
-    ndarray of shape (N, N), or None
-        None if too many edges would have to be followed.
-
-    Notes
-    -----
     Path lengths start as M and only decrease, so an edge is useful only where ``paths == M`` (it
     is *tight*): elsewhere a detour is shorter. A first search along the nearest edges leaves few
     tight edges. Paths that no tight edge shortens are the shortest, since every edge that is tight
@@ -143,18 +119,8 @@ def are_shortest(paths: Reals, lengths: Reals) -> bool:
 def through_all_nodes(lengths: Reals) -> Reals:
     """Find shortest paths by the tiled Floyd-Warshall algorithm.
 
-    Parameters
-    ----------
-    lengths : ndarray of shape (N, N)
-        See `shortest_paths`.
+    lengths (N, N) -> (N, N).
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Exactly symmetric.
-
-    Notes
-    -----
     Venkataraman, Sahni & Mukhopadhyaya (2003), ACM Journal of Experimental Algorithmics 8: 2.2.
     Only tiles on and above the diagonal are computed. They are copied to consecutive memory, as in
     products of matrices (Goto & van de Geijn 2008, doi:10.1145/1356052.1356053).

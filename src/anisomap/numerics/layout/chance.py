@@ -36,16 +36,10 @@ _N_BEST = 3  # most similar sensors that show that a sensor says something; chos
 class ReadingStatistics:
     """Similarities of n sensors, and how similar they are by chance.
 
-    Attributes
-    ----------
-    similarity : ndarray of float32, shape (n, n)
-        Correlation of the ranks of the depths beyond rest.
-    halves : ndarray of float32, shape (2, n, n)
-        The same for two halves of alternating blocks of frames.
-    shifted : ndarray of float32, shape (s, n, n)
-        The same after s circular shifts of sensor i, the row, against all others.
-    tested : ndarray of bool, shape (n,)
-        Sensors whose similarity to the 3 most similar sensors exceeds that after every shift.
+    similarity: Correlation of the ranks of the depths beyond rest.
+    halves: The same for two halves of alternating blocks of frames.
+    shifted: The same after s circular shifts of sensor i, the row, against all others.
+    tested: Sensors whose similarity to the 3 most similar sensors exceeds that after every shift.
     """
 
     similarity: Reals
@@ -144,12 +138,8 @@ _MIN_WEIGHT = 0.3  # of all neighbours: about one sensor at 2 spacings; chosen b
 class Chance:
     """What shifted readings gain by the free choice of a place.
 
-    Attributes
-    ----------
-    shifted : ndarray of shape (s, n, n)
-        Similarities of each sensor, the row, to the others, after s circular shifts.
-    gains : ndarray of shape (s, n)
-        Largest agreement of a shifted sensor at any place, less that at its stated place.
+    shifted (s, n, n): Similarities of each sensor, the row, to the others, after s circular shifts.
+    gains (s, n): Largest agreement of a shifted sensor at any place, less that at its stated place.
     """
 
     shifted: Reals
@@ -185,17 +175,7 @@ def agreement(
 ) -> NDArray[np.float64]:
     """Return the mean similarity of sensors to those around places, which did not move with them.
 
-    Parameters
-    ----------
-    evidence : Evidence
-    sensors : ndarray of int, shape (m,)
-    places : ndarray of shape (m, k)
-
-    Returns
-    -------
-    ndarray of shape (m,)
-        Weighted mean over usable sensors within 2.6 spacings that are not in `sensors`; NaN if
-        there are none.
+    places (m, k) -> (m,).
     """
     sums, weights = _weighted_sums(evidence, sensors, places)
     enough = weights > _MIN_WEIGHT

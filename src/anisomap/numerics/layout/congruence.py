@@ -30,13 +30,8 @@ _MIN_PADS = 5  # fewer places are congruent too often by chance
 class Symmetry:
     """A rotation or reflection that maps a group of places onto itself.
 
-    Attributes
-    ----------
-    reflected : bool
-    angle : float
-        Of a rotation, in degrees, in (0, 180]; 0 for a reflection.
-    order : ndarray of int, shape (m,)
-        Sensor i takes the place ``order[i]``.
+    angle: Of a rotation, in degrees, in (0, 180]; 0 for a reflection.
+    order: Sensor i takes the place ``order[i]``.
     """
 
     reflected: bool
@@ -47,15 +42,7 @@ class Symmetry:
 def symmetries(points: NDArray[np.float64]) -> tuple[Symmetry, ...]:
     """Find the rotations and reflections that map a nearly flat group of places onto itself.
 
-    Parameters
-    ----------
-    points : ndarray of shape (m, 2) or (m, 3)
-        Distinct places.
-
-    Returns
-    -------
-    tuple of Symmetry
-        Without the identity; rotations first.
+    points (m, 2).
     """
     n_points = len(points)
     if n_points < 3:
@@ -95,20 +82,7 @@ def congruent(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
 
 
 def rigid_repeats(positions: NDArray[np.float64], numbers: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Find modules: blocks of consecutive sensors whose shapes repeat.
-
-    Parameters
-    ----------
-    positions : ndarray of shape (N, k)
-    numbers : ndarray of int, shape (N,)
-        Numbers of the sensors; gaps, of channels without a sensor, are allowed.
-
-    Returns
-    -------
-    ndarray of int, shape (N,)
-        Module of each sensor; -1 for all if shapes do not repeat. The smallest size of a block is
-        chosen with which more than half of the sensors are in blocks of the most frequent shape.
-    """
+    """Find modules: blocks of consecutive sensors whose shapes repeat. positions (N, k)."""
     best, best_share = np.full(len(positions), -1), _MIN_REPEATED
     sizes = np.arange(_MIN_PADS, min(_MAX_MODULE, len(positions) // 2) + 1)
     periodic = np.array([_share_periodic(positions, numbers, size) for size in sizes.tolist()])
@@ -123,22 +97,7 @@ def rigid_repeats(positions: NDArray[np.float64], numbers: NDArray[np.intp]) -> 
 def blocks_of_size(
     positions: NDArray[np.float64], numbers: NDArray[np.intp], size: int
 ) -> tuple[NDArray[np.intp], float]:
-    """Divide sensors into blocks of `size` consecutive numbers, such that most are congruent.
-
-    Parameters
-    ----------
-    positions, numbers
-        See `rigid_repeats`.
-    size : int
-        Channels of a module, those without a sensor included.
-
-    Returns
-    -------
-    labels : ndarray of int, shape (N,)
-        Block of each sensor.
-    share : float
-        Share of the sensors in blocks of the most frequent shape.
-    """
+    """Divide sensors into blocks of `size` consecutive numbers, such that most are congruent."""
     best, best_share = np.zeros(len(positions), dtype=np.intp), -1.0
     distances = cdist(positions, positions)
     for offset in range(size):

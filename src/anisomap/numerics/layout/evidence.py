@@ -43,14 +43,9 @@ Between 2 and 5, the results on icub_torso and nao_torso differ little (seeds 1 
 class Falloff:
     """Distribution of the similarity of two sensors, given their distance.
 
-    Attributes
-    ----------
-    spacing : float
-        Median distance between neighbours, in units of the positions.
-    level : ndarray of shape (B,)
-        Median similarity in each bin; does not increase.
-    spread : ndarray of shape (B,)
-        Spread of the similarity in each bin: 1.48 times the median absolute deviation.
+    spacing: Median distance between neighbours, in units of the positions.
+    level (B,): Median similarity in each bin; does not increase.
+    spread (B,): Spread of the similarity in each bin: 1.48 times the median absolute deviation.
     """
 
     spacing: float
@@ -63,19 +58,7 @@ class Falloff:
         return _BIN_OF_STEP[np.minimum(steps, len(_BIN_OF_STEP) - 1).astype(np.int32)]
 
     def log_likelihood(self, similarity: Reals, bins: NDArray[np.uint8]) -> NDArray[np.float64]:
-        """Return the log-likelihood of similarities at distances, up to a constant.
-
-        Parameters
-        ----------
-        similarity : ndarray
-        bins : ndarray of int
-            Bins of the distances, of a shape that broadcasts with `similarity`.
-
-        Returns
-        -------
-        ndarray
-            In nats. Student's t distribution with 3 degrees of freedom.
-        """
+        """Return the log-likelihood of similarities at distances, up to a constant."""
         spread = self.spread[bins]
         deviation = (similarity - self.level[bins]) / spread
         tail = (_DEGREES + 1) / 2 * np.log1p(deviation**2 / _DEGREES)
@@ -92,21 +75,7 @@ def neighbour_spacing(positions: NDArray[np.float64]) -> float:
 
 
 def fit_falloff(similarity: Reals, positions: NDArray[np.float64], spacing: float) -> Falloff:
-    """Fit the falloff of similarity with distance.
-
-    Parameters
-    ----------
-    similarity : ndarray of shape (n, n)
-        Symmetric.
-    positions : ndarray of shape (n, k)
-        Finite; most of them right: medians ignore the similarities of a minority.
-    spacing : float
-        Above 0.
-
-    Returns
-    -------
-    Falloff
-    """
+    """Fit the falloff of similarity with distance. similarity (n, n), positions (n, k)."""
     pairs = np.triu_indices(len(positions), 1)
     values = np.asarray(similarity[pairs], dtype=np.float64)
     distances = pdist(positions) / spacing
@@ -147,11 +116,7 @@ _N_SIMILAR = 6  # most similar sensors, near which a sensor may belong; chosen b
 class Move:
     """Positions other than the stated ones for some sensors.
 
-    Attributes
-    ----------
-    sensors : ndarray of int, shape (m,)
-    places : ndarray of shape (m, k)
-        Their new positions.
+    places (m, k): Their new positions.
     """
 
     sensors: NDArray[np.intp]
@@ -162,14 +127,9 @@ class Move:
 class Proposal:
     """A move and its gain.
 
-    Attributes
-    ----------
-    gain : float
-        Increase of the log-likelihood of all similarities, in nats.
-    move : Move
-    alternatives : tuple of Move
-        Moves of the same sensors among which it was chosen, itself included; empty if each sensor
-        could have had any place.
+    gain: Increase of the log-likelihood of all similarities, in nats.
+    alternatives: Moves of the same sensors among which it was chosen, itself included; empty if
+        each sensor could have had any place.
     """
 
     gain: float
@@ -181,16 +141,10 @@ class Proposal:
 class Evidence:
     """Similarities of n sensors, and the positions that they are compared with.
 
-    Attributes
-    ----------
-    similarity : ndarray of shape (n, n)
-        Row i: of sensor i to each other sensor. It need not be symmetric, since in a null of
-        shifted readings, sensor i is shifted against the others.
-    positions : ndarray of shape (n, k)
-        Current positions.
-    usable : ndarray of bool, shape (n,)
-        Sensors whose similarities say something.
-    falloff : Falloff
+    similarity (n, n): Row i: of sensor i to each other sensor. It need not be symmetric, since in a
+        null of shifted readings, sensor i is shifted against the others.
+    positions (n, k): Current positions.
+    usable: Sensors whose similarities say something.
     """
 
     similarity: Reals
@@ -229,16 +183,7 @@ class Evidence:
     ) -> NDArray[np.float64]:
         """Return the log-likelihood of similarities to all sensors, if some were elsewhere.
 
-        Parameters
-        ----------
-        sensors : ndarray of int, shape (m,)
-        places : ndarray of shape (m, k)
-            Where they are supposed to be; all others are where they are.
-
-        Returns
-        -------
-        ndarray of shape (m, n)
-            0 for pairs that are not `known`.
+        places (m, k) -> (m, n).
         """
         bins = self.falloff.bins(cdist(places, self.positions))
         values = self.falloff.log_likelihood(self.similarity[sensors], bins)
@@ -277,12 +222,7 @@ swaps of 3 spacings and more gained 35 and more (seed 1).
 
 
 class PlaceFits:
-    """Log-likelihoods of single sensors at the places of others.
-
-    Parameters
-    ----------
-    evidence : Evidence
-    """
+    """Log-likelihoods of single sensors at the places of others."""
 
     def __init__(self, evidence: Evidence) -> None:
         self._evidence = evidence
@@ -316,15 +256,7 @@ class PlaceFits:
     def best_gains(self, min_distance: float = 0.0) -> NDArray[np.float64]:
         """Return the largest gain of each sensor at the place of another, shape (n,).
 
-        Parameters
-        ----------
-        min_distance : float
-            Least distance of that place, in units of the positions.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            -inf for sensors that are not usable, and without such a place.
+        Returns (n,).
         """
         best = np.full(len(self._distances), -np.inf)
         for i in np.flatnonzero(self._evidence.usable).tolist():

@@ -40,14 +40,9 @@ _N_RUNS = 5  # runs of each step that are evaluated exactly; chosen by hand
 class ModuleShapes:
     """Groups of sensors that were mounted together.
 
-    Attributes
-    ----------
-    members : tuple of ndarray of int
-        Sensors of each module, in the order of its pads.
-    symmetries : tuple of tuple of Symmetry
-        Of each module: see `anisomap.numerics.layout.congruence.symmetries`.
-    alike : ndarray of bool, shape (M, M)
-        Modules of the same shape, which can be exchanged pad by pad.
+    members: Sensors of each module, in the order of its pads.
+    symmetries: Of each module: see `anisomap.numerics.layout.congruence.symmetries`.
+    alike: Modules of the same shape, which can be exchanged pad by pad.
     """
 
     members: tuple[NDArray[np.intp], ...]
@@ -263,13 +258,7 @@ _PRECISION = 0.05  # spacings; smaller than the distances of the falloff's bins
 
 
 def patches(evidence: Evidence) -> list[NDArray[np.intp]]:
-    """Divide sensors into patches that neighbours with similar readings hold together.
-
-    Returns
-    -------
-    list of ndarray of int
-        The largest patch first. Sensors that are not usable are in none.
-    """
+    """Divide sensors into patches that neighbours with similar readings hold together."""
     return _held_together(evidence, np.flatnonzero(evidence.usable))
 
 

@@ -62,16 +62,10 @@ Most sensors that fit another place have changed places with others that say whe
 class Verdict:
     """Evidence for a move.
 
-    Attributes
-    ----------
-    gain : float
-        Increase of the log-likelihood, in nats.
-    half_gains : tuple of float
-        The same in two halves of the frames.
-    agreement_gain : float
-        Increase of the mean similarity to the sensors around.
-    chance : float
-        Largest such increase of shifted readings.
+    gain: Increase of the log-likelihood, in nats.
+    half_gains: The same in two halves of the frames.
+    agreement_gain: Increase of the mean similarity to the sensors around.
+    chance: Largest such increase of shifted readings.
     """
 
     gain: float
@@ -92,14 +86,7 @@ class Verdict:
 class Search:
     """Greedy search: in each round, moves are made in order of their gain.
 
-    Parameters
-    ----------
-    statistics : ReadingStatistics
-    positions : ndarray of shape (n, k)
-        Stated positions.
-    usable : ndarray of bool, shape (n,)
-    spacing : float
-    modules : ModuleShapes
+    positions (n, k): Stated positions.
     """
 
     def __init__(
@@ -172,22 +159,7 @@ class Search:
         *,
         rigid: bool = False,
     ) -> Verdict:
-        """Weigh the evidence for a move.
-
-        Parameters
-        ----------
-        evidence : Evidence
-            Before the move.
-        move : Move
-        alternatives : sequence of Move
-            See `Proposal`.
-        rigid : bool
-            Whether the places are free ones, of no sensor.
-
-        Returns
-        -------
-        Verdict
-        """
+        """Weigh the evidence for a move."""
         halves = tuple(
             evidence.with_similarity(half).gain(move) for half in self._statistics.halves
         )

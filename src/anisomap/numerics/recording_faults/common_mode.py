@@ -47,20 +47,12 @@ _BESIDE = 50  # frequencies on each side for comparison
 class CommonSignal:
     """A signal that sensors share.
 
-    Attributes
-    ----------
-    sensors : ndarray of int, shape (n,)
-    gains : ndarray of shape (n,)
-        Of each of these sensors.
-    course : ndarray of shape (T,)
-        In units of the readings, if the gain is 1.
-    share : float
-        Standard deviation of the signal over that of the readings; median of the sensors.
-    period : float
-        In frames, for a hum; 0 for noise.
-    separable : bool
-        Whether the course holds nothing but the signal. If contacts cover most of the skin, they
-        cannot be told from what sensors share.
+    gains (n,): Of each of these sensors.
+    course (T,): In units of the readings, if the gain is 1.
+    share: Standard deviation of the signal over that of the readings; median of the sensors.
+    period: In frames, for a hum; 0 for noise.
+    separable: Whether the course holds nothing but the signal. If contacts cover most of the skin,
+        they cannot be told from what sensors share.
     """
 
     sensors: NDArray[np.intp]
@@ -80,15 +72,7 @@ class CommonSignal:
 def never_at_rest(readings: NDArray[Any]) -> NDArray[np.intp]:
     """Find sensors that no value occurs often in: a signal that is always there leaves none.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-
-    Returns
-    -------
-    ndarray of int
-        Sensors whose most frequent value takes less than a tenth of the frames, as for
-        `anisomap.numerics.similarity.rest.Rest`.
+    readings (T, N).
     """
     part = readings[middle_frames(len(readings))]
     limit = max(2, MIN_REST_SHARE * len(part))
@@ -107,20 +91,8 @@ def never_at_rest(readings: NDArray[Any]) -> NDArray[np.intp]:
 def find_common_noise(readings: NDArray[Any], free: NDArray[np.intp]) -> tuple[CommonSignal, ...]:
     """Find white noise that groups of sensors share.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite.
-    free : ndarray of int
-        Sensors that are `never_at_rest`.
+    readings (T, N).
 
-    Returns
-    -------
-    tuple of CommonSignal
-        One for each group: boards, or one for all sensors.
-
-    Notes
-    -----
     Contacts are slow compared to the frames; second differences therefore show noise. Sensors are
     grouped by the correlation of these, limited to 3 median absolute deviations. The noise of a
     group is the mean of its sensors over their gains, without those that are in contact. It is a
@@ -140,19 +112,8 @@ def find_common_noise(readings: NDArray[Any], free: NDArray[np.intp]) -> tuple[C
 def find_hum(readings: NDArray[Any], free: NDArray[np.intp]) -> CommonSignal | None:
     """Find a sine of one period and phase with a gain of its own in each sensor.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite.
-    free : ndarray of int
-        Sensors that are `never_at_rest`.
+    readings (T, N).
 
-    Returns
-    -------
-    CommonSignal or None
-
-    Notes
-    -----
     The period is that of the strongest line in the median of the sensors' spectra. It is a finding
     if the power of the line is 20 times that beside it, and if its phase is the same in all sensors
     and in all quarters of the recording. A body that rolls or walks at an even pace has lines, too,

@@ -46,15 +46,10 @@ _MAX_BEST_SHARE = 0.9  # a neighbour that is noisy disagrees at least so rarely;
 class Copies:
     """Sensors that read one wire.
 
-    Attributes
-    ----------
-    sensors : tuple of int
-        In increasing order.
-    kept : int or None
-        The sensor whose wire it is: the one with less noise, or the one that resembles the channels
-        beside it. None if nothing tells them apart.
-    noise : float
-        Greatest share of noise in the variance of a sensor.
+    sensors: In increasing order.
+    kept: The sensor whose wire it is: the one with less noise, or the one that resembles the
+        channels beside it. None if nothing tells them apart.
+    noise: Greatest share of noise in the variance of a sensor.
     """
 
     sensors: tuple[int, ...]
@@ -67,19 +62,8 @@ def find_copies(
 ) -> tuple[Copies, ...]:
     """Find groups of sensors that read one wire.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite.
-    lowest, highest : ndarray of shape (N,)
-        Range of the readings of each sensor.
+    readings (T, N), lowest, highest (N,).
 
-    Returns
-    -------
-    tuple of Copies
-
-    Notes
-    -----
     Neighbours on a skin are similar, too, but each is closer to other sensors, so their difference
     correlates with a third sensor. If x_j = g x_i + noise, then the covariances of j with all
     third sensors are g times those of i, and x_j - g x_i is white, independent of third sensors and

@@ -26,19 +26,7 @@ _STRAY = 0.02  # share of a sensor's active frames with the other region
 
 
 def find_one_period(readings: NDArray[Any]) -> tuple[float, float] | None:
-    """Find that almost all of the readings is one sine.
-
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite.
-
-    Returns
-    -------
-    (float, float) or None
-        Period in frames, and the share of the variance of the median sensor. The similarity of two
-        sines depends on their difference of phase alone, so nothing can be mapped.
-    """
+    """Find that almost all of the readings is one sine. readings (T, N)."""
     n_frames = len(readings)
     if n_frames < 8 * _MIN_CYCLES or readings.shape[1] < 3:
         return None
@@ -83,18 +71,8 @@ def _strongest_lines(
 def find_clipped(readings: NDArray[Any]) -> dict[int, float]:
     """Find sensors whose readings are limited by a range that is too small.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite.
+    readings (T, N).
 
-    Returns
-    -------
-    dict of int to float
-        Share of the frames at the limit, of each clipped sensor.
-
-    Notes
-    -----
     The density of heights of contacts falls towards the highest. A sensor is clipped if its extreme
     reading occurs more often than all readings in the 5 % of its range beside it, and in at least
     10 frames. Sensors with fewer than 16 distinct values are not judged.
@@ -123,14 +101,9 @@ def find_clipped(readings: NDArray[Any]) -> dict[int, float]:
 class Regions:
     """Two regions that were touched one after the other.
 
-    Attributes
-    ----------
-    before, after : ndarray of int
-        Sensors of each region.
-    bridges : ndarray of int
-        Sensors that were touched with both.
-    frame : int
-        Frame at which the stimulation moves on.
+    before, after: Sensors of each region.
+    bridges: Sensors that were touched with both.
+    frame: Frame at which the stimulation moves on.
     """
 
     before: NDArray[np.intp]
@@ -140,19 +113,7 @@ class Regions:
 
 
 def find_regions(active: NDArray[np.bool_]) -> Regions | None:
-    """Find two regions of the skin that were never touched together.
-
-    Parameters
-    ----------
-    active : ndarray of bool, shape (T, N)
-        Frames in which each sensor is in contact.
-
-    Returns
-    -------
-    Regions or None
-        Regions of at least a tenth of the sensors, with fewer than 3 sensors that were touched with
-        both: three are needed to place one beside the other.
-    """
+    """Find two regions of the skin that were never touched together."""
     n_frames, n_sensors = active.shape
     splits = np.linspace(0, n_frames, _N_SPLITS + 2).astype(int)[:-1]
     between = [np.count_nonzero(active[a:b], axis=0) for a, b in pairwise([*splits, n_frames])]

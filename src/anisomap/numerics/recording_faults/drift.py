@@ -34,11 +34,7 @@ _MAX_CORRELATED = 0.2  # autocorrelation at which readings count as unlike
 class Drift:
     """Drifting sensors.
 
-    Attributes
-    ----------
-    sensors : ndarray of int, shape (n,)
-    sizes : ndarray of shape (n,)
-        Range of the level at rest, in standard deviations of the readings without it.
+    sizes (n,): Range of the level at rest, in standard deviations of the readings without it.
     """
 
     sensors: NDArray[np.intp]
@@ -50,21 +46,8 @@ def find_drift(
 ) -> Drift | None:
     """Find sensors whose level at rest drifts.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite.
-    chosen : ndarray of int
-        Sensors that are `never_at_rest`.
-    side : ndarray of shape (N,), optional
-        1 where contact raises readings, -1 where it lowers them; by default by the skewness.
+    readings (T, N), side (N,).
 
-    Returns
-    -------
-    Drift or None
-
-    Notes
-    -----
     The level at rest of a block is the quartile of its readings opposite to contact. Levels of
     independent blocks have a ratio of von Neumann, the mean square of successive differences over
     the variance, of 2 with a variance of 4 (n - 2) / (n^2 - 1), and less if they drift: von Neumann
@@ -94,18 +77,7 @@ def find_drift(
 def remove_drift(readings: NDArray[Any], drift: Drift) -> NDArray[Any]:
     """Subtract the level at rest of drifting sensors from their readings.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite.
-    drift : Drift
-        From `find_drift`.
-
-    Returns
-    -------
-    ndarray of shape (T, N)
-        Drifting sensors are at rest at their median level before, without noise. Those that are
-        hardly ever at rest are not changed.
+    readings (T, N) -> (T, N).
     """
     mended = np.array(readings)
     signs = contact_side(readings[:, drift.sensors])

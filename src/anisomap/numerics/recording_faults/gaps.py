@@ -29,19 +29,8 @@ _MAX_FRAMES = 20_000  # of a fit
 def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_] | None:
     """Find readings on straight lines that are too long to occur by chance.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        NaN where missing.
+    readings (T, N).
 
-    Returns
-    -------
-    ndarray of bool, shape (T, N), or None
-        Lines that rise or fall; a sensor at rest is a line, too. Their ends are not marked, since
-        they were read. None if there are no lines.
-
-    Notes
-    -----
     If a share p of a sensor's readings continues a line, a line of n readings occurs in T frames of
     N sensors with probability N T p^n at most. Lines of a sensor that rise little are parts of a
     slow drift.
@@ -106,19 +95,7 @@ def fill_from_others(
 ) -> tuple[NDArray[Any], NDArray[np.intp]]:
     """Estimate missing readings of sensors from the other sensors.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-    missing : ndarray of bool, shape (T, N)
-
-    Returns
-    -------
-    readings : ndarray of shape (T, N)
-        Depths of contact of the most similar sensors, times weights of at least 0 that fit the
-        known readings best (non-negative least squares), and at most the greatest depth that was
-        read.
-    left : ndarray of int
-        Sensors without enough known readings to fit; their gaps are interpolated.
+    readings (T, N) -> readings (T, N), left.
     """
     values = np.array(readings)
     values[missing] = np.nan

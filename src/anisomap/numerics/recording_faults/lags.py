@@ -129,12 +129,8 @@ _MAX_ROUNDS = 3
 class Lags:
     """Lags of all sensors.
 
-    Attributes
-    ----------
-    frames : ndarray of int, shape (N,)
-        Frames by which each sensor lags; 0 for the largest group.
-    agreement : float
-        Share of the similar pairs in different groups whose own lag is that of the groups.
+    frames: Frames by which each sensor lags; 0 for the largest group.
+    agreement: Share of the similar pairs in different groups whose own lag is that of the groups.
     """
 
     frames: NDArray[np.intp]
@@ -144,19 +140,8 @@ class Lags:
 def find_lags(readings: NDArray[Any], varying: NDArray[np.bool_]) -> Lags | None:
     """Find groups of sensors that lag.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite; columns in the order in which they are read.
-    varying : ndarray of bool, shape (N,)
-        Sensors that are not constant.
+    readings (T, N).
 
-    Returns
-    -------
-    Lags or None
-
-    Notes
-    -----
     Ranks of the readings are correlated at all lags up to `MAX_LAG`. The lags of the strongest
     links, a spanning tree, give a lag to each sensor. Groups are sensors with nearly equal lags
     that follow each other in the order of the channels, or, if that explains less, wherever they
@@ -181,14 +166,7 @@ def find_lags(readings: NDArray[Any], varying: NDArray[np.bool_]) -> Lags | None
 def align(readings: NDArray[Any], lags: NDArray[np.intp]) -> NDArray[Any]:
     """Shift sensors in time by their lags, and leave out frames that some sensors lack.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-    lags : ndarray of int, shape (N,)
-
-    Returns
-    -------
-    ndarray of shape (T - max(lags) + min(lags), N)
+    readings (T, N) -> (T - max(lags) + min(lags), N).
     """
     n_frames = len(readings) - int(np.ptp(lags))
     shifted = np.empty((n_frames, readings.shape[1]), dtype=readings.dtype)
@@ -281,13 +259,7 @@ class _Fit:
 
 
 def _in_order(lags: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Divide sensors along their order into runs of equal lags.
-
-    Returns
-    -------
-    lags, groups : ndarray of int, shape (n,)
-        With the smallest sum of misfits and costs of changes (Viterbi's algorithm).
-    """
+    """Divide sensors along their order into runs of equal lags."""
     levels = np.unique(lags)
     misfit = np.minimum(np.abs(lags[:, None] - levels), _MAX_MISFIT)
     cost, previous = misfit[0].copy(), []

@@ -34,16 +34,11 @@ _TOLERANCE = 1e-4  # of a share computed from readings without noise, stored as 
 class Leak:
     """A leak from each channel to the next.
 
-    Attributes
-    ----------
-    share : float
-        Share of the previous reading beyond rest that is added.
-    error : float
-        Its uncertainty.
-    n_pairs, n_forward : int
-        Pairs of adjacent channels that were compared, and those with more signal in the later one.
-    chained : bool
-        Whether what leaks is the reading of the previous channel including its own leak.
+    share: Share of the previous reading beyond rest that is added.
+    error: Its uncertainty.
+    n_pairs, n_forward: Pairs of adjacent channels that were compared, and those with more signal in
+        the later one.
+    chained: Whether what leaks is the reading of the previous channel including its own leak.
     """
 
     share: float
@@ -56,17 +51,8 @@ class Leak:
 def find_leak(readings: NDArray[Any]) -> Leak | None:
     """Find a leak from each channel to the next.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite; columns in the order in which they are read.
+    readings (T, N).
 
-    Returns
-    -------
-    Leak or None
-
-    Notes
-    -----
     Contacts only add to readings. Hence, while channel i - 1 is in contact, the lowest readings of
     channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise it in
     both directions alike, a leak in one: the signs of the differences are tested. They must also
@@ -107,19 +93,7 @@ def find_leak(readings: NDArray[Any]) -> Leak | None:
 
 
 def remove_leak(readings: NDArray[Any], leak: Leak) -> NDArray[Any]:
-    """Subtract a leak.
-
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-    leak : Leak
-        From `find_leak`.
-
-    Returns
-    -------
-    ndarray of shape (T, N)
-        Readings that are explained by the leak up to its uncertainty are set to rest.
-    """
+    """Subtract a leak. readings (T, N) -> (T, N)."""
     mended = np.array(readings)
     rest = estimate_rest(readings[:: -(-len(readings) // _MAX_EXCERPT)]).value.astype(
         readings.dtype

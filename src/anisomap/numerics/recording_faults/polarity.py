@@ -21,18 +21,8 @@ _MIN_CORRELATION = 0.2  # magnitude of correlations whose sign counts; chosen by
 def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
     """Find sensors on which contact has the opposite sign.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite.
+    readings (T, N).
 
-    Returns
-    -------
-    ndarray of int
-        Indices of the sensors: the smaller part, or, of equal parts, those that contact lowers.
-
-    Notes
-    -----
     Sensors are at rest most of the time, so contact skews readings to its own side. Sensors of both
     signs are a finding only if correlations agree: the signs of the strongest correlations must be
     negative between the two parts, and positive within them. If most readings are not skewed, such

@@ -30,12 +30,7 @@ _MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others
 class Spikes:
     """Spikes of a group of sensors.
 
-    Attributes
-    ----------
-    sensors : ndarray of int
-    frames : ndarray of int
-    height : float
-        Median height, in units of the readings.
+    height: Median height, in units of the readings.
     """
 
     sensors: NDArray[np.intp]
@@ -46,18 +41,8 @@ class Spikes:
 def find_spikes(readings: NDArray[Any]) -> tuple[Spikes, ...]:
     """Find spikes that groups of sensors share.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite.
+    readings (T, N).
 
-    Returns
-    -------
-    tuple of Spikes
-        One for each group.
-
-    Notes
-    -----
     A contact rises and falls over several frames or is highest in the middle; a spike of a board
     lasts one frame and is equally high in all of its sensors. Sensors are grouped by the
     correlation of their jumps, the excess of a reading over both readings beside it.

@@ -60,16 +60,10 @@ def blended_correlation(readings: ArrayLike) -> Reals:
 class SplitBlend:
     """A blended correlation of all frames, and those of the two halves of the frames.
 
-    Attributes
-    ----------
-    similarity : ndarray of shape (N, N)
-        See `blended_correlation`.
-    weights : tuple of float
-        Weight of Pearson's r, in [0, 1], in all frames and in each of the `halves`.
-    ranks : ndarray of shape (T, N)
-        Ranks of depths beyond rest, of float32 or float64.
-    halves : tuple of ndarray of shape (N, N)
-        Blended correlations of the halves of the frames
+    similarity (N, N): See `blended_correlation`.
+    weights: Weight of Pearson's r, in [0, 1], in all frames and in each of the `halves`.
+    ranks (T, N): Ranks of depths beyond rest, of float32 or float64.
+    halves (N, N): Blended correlations of the halves of the frames
         (`anisomap.numerics.reliability.split_half.split_blocks`), with ranks among all frames;
         empty if they were not asked for.
     """
@@ -84,17 +78,7 @@ class SplitBlend:
 def split_blend(readings: ArrayLike, *, halves: bool = False) -> SplitBlend:
     """Compute `blended_correlation` with what it was blended from, and that of halves.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings.
-    halves : bool
-        Whether to blend the halves of the frames, too. They take little longer, except for more
-        than 1,500 sensors, for which they are left out: their matrices take too much memory.
-
-    Returns
-    -------
-    SplitBlend
+    readings (T, N).
     """
     values = np.asarray(readings)
     rest, ranks = rest_and_ranks(values, single=True)
@@ -109,22 +93,14 @@ def split_blend(readings: ArrayLike, *, halves: bool = False) -> SplitBlend:
 class Blend:
     """A blended correlation, and what it was blended from.
 
-    Attributes
-    ----------
-    similarity : ndarray of shape (N, N)
-        See `blended_correlation`.
-    variance : ndarray of shape (N, N)
-        Its sampling variance for unrelated sensors.
-    weights : tuple of float
-        Weight of Pearson's r, in [0, 1], in all frames and in each of the `halves`.
-    ranks_of_all : ndarray of shape (T, N)
-        Ranks of depths beyond rest, in all frames of the recording.
-    halves : tuple of ndarray of shape (N, N)
-        See `SplitBlend`.
-    deviations : tuple of ndarray of shape (N, N)
-        Standard deviations of r and of rho of unrelated sensors; empty for short recordings.
-    frames : ndarray of int, optional
-        Frames of the half that was blended.
+    similarity (N, N): See `blended_correlation`.
+    variance (N, N): Its sampling variance for unrelated sensors.
+    weights: Weight of Pearson's r, in [0, 1], in all frames and in each of the `halves`.
+    ranks_of_all (T, N): Ranks of depths beyond rest, in all frames of the recording.
+    halves (N, N): See `SplitBlend`.
+    deviations (N, N): Standard deviations of r and of rho of unrelated sensors; empty for short
+        recordings.
+    frames: Frames of the half that was blended.
     """
 
     similarity: Reals
@@ -177,22 +153,8 @@ class Blend:
 def blend(readings: ArrayLike) -> Blend:
     """Compute `blended_correlation` and its sampling variance, with what they are computed from.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, T >= 2.
+    readings (T, N).
 
-    Returns
-    -------
-    Blend
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 2 frames.
-
-    Notes
-    -----
     The variance is ``(w sd(r) + (1 - w) sd(rho))^2``, with the standard deviations of
     `anisomap.numerics.reliability.sampling_noise.sampling_variance` for the readings and for the
     ranks: the errors of r and rho are taken to be proportional, as they nearly are.

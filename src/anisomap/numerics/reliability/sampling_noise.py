@@ -83,17 +83,7 @@ def sampling_variance(readings: ArrayLike) -> Reals:
 
 
 def typical_variance(variance: ArrayLike) -> float:
-    """Return the median of a variance over pairs of sensors.
-
-    Parameters
-    ----------
-    variance : array_like of shape (N, N)
-        The diagonal is ignored. For more than 4,000 sensors, a regular sample is used.
-
-    Returns
-    -------
-    float
-    """
+    """Return the median of a variance over pairs of sensors. variance (N, N)."""
     values = np.asarray(variance)
     step = -(-len(values) // _MAX_SENSORS)
     values = values[::step, ::step]
@@ -104,15 +94,7 @@ def typical_variance(variance: ArrayLike) -> float:
 def correlation_time(readings: ArrayLike) -> int:
     """Return the lag in frames at which the median autocorrelation of sensors falls below 0.1.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings. More than 128 sensors are sampled evenly.
-
-    Returns
-    -------
-    int
-        At most a quarter of the frames, and 4,096; plus 1 if it does not fall.
+    readings (T, N).
     """
     return _fading(np.asarray(readings))[2]
 
@@ -120,20 +102,8 @@ def correlation_time(readings: ArrayLike) -> int:
 def thinning(readings: ArrayLike) -> int:
     """Return the largest step between frames whose correlations vary hardly more than those of all.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, T >= 2. More than 32 sensors are sampled evenly.
+    readings (T, N).
 
-    Returns
-    -------
-    int
-        At most a twelfth of `correlation_time`, and such that the variance of a correlation of
-        unrelated sensors is about 1.1 times that of all frames at most: 1 where readings are noisy
-        or oscillate fast.
-
-    Notes
-    -----
     The variance of correlations of every s-th frame is proportional to ``s sum_l rho(s l)^2``, with
     the autocorrelations rho at all lags l, for two sensors with the same ones.
     """
@@ -173,18 +143,7 @@ def _largest_step(readings: NDArray[np.generic], sampled: NDArray[np.intp]) -> i
 def _fading(
     readings: NDArray[np.generic],
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], int, int]:
-    """Find the lag at which the median autocorrelation of sampled sensors fades.
-
-    Returns
-    -------
-    sampled : ndarray of int
-        Sensors.
-    autocorrelations : ndarray of float32
-        Theirs, at multiples of the step.
-    lag : int
-    step : int
-        Frames between those of the thinned readings; a power of 2.
-    """
+    """Find the lag at which the median autocorrelation of sampled sensors fades."""
     n_frames, n_sensors = readings.shape
     sampled = np.linspace(0, n_sensors - 1, min(n_sensors, _SAMPLED_SENSORS)).astype(np.intp)
     step = _largest_step(readings, sampled)
@@ -286,19 +245,8 @@ _MAX_SENSORS_BLOCK_BOOTSTRAP = (
 def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
     """Split a recording into blocks that are long against the autocorrelation of its readings.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, T >= 8.
+    readings (T, N).
 
-    Returns
-    -------
-    ndarray of int, shape (B + 1,)
-        First frame of each of B blocks, and T. Blocks are 4 times as long as the lag at which the
-        median autocorrelation falls below .1, but 8 to 100 in number.
-
-    Notes
-    -----
     Kuensch (1989), doi:10.1214/aos/1176347265: resampling blocks of frames estimates variances if
     blocks are long against the autocorrelation and few against the recording. Blocks of 2 to 8
     times that lag gave about equal variances on simulated skins, seeds 201 to 212.
@@ -314,18 +262,8 @@ def balanced_weights(
 ) -> NDArray[np.float64]:
     """Draw how often each block occurs in each resample.
 
-    Parameters
-    ----------
-    n_blocks, n_resamples : int
-    rng : numpy.random.Generator
+    Returns (R, B).
 
-    Returns
-    -------
-    ndarray of shape (R, B)
-        Whole numbers; each row sums to B, each column to R.
-
-    Notes
-    -----
     The balanced bootstrap of Davison, Hinkley & Schechtman (1986), doi:10.1093/biomet/73.3.555:
     every block is drawn equally often over all resamples, so that their mean is unbiased.
     """

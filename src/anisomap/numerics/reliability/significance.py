@@ -26,18 +26,7 @@ It is slightly below the geometric values: a half on a line, a third or more in 
 
 
 def count_shared_neighbours(graph: csr_array[Any, tuple[int, int]]) -> NDArray[np.int64]:
-    """Count the common neighbours of the two ends of each edge.
-
-    Parameters
-    ----------
-    graph : csr_array of shape (N, N)
-        Symmetric, without loops; every stored entry is an edge.
-
-    Returns
-    -------
-    ndarray of int64, shape (n_edges,)
-        In the order of ``graph.indices``.
-    """
+    """Count the common neighbours of the two ends of each edge. graph (N, N)."""
     shared = np.zeros(graph.nnz, dtype=np.int64)
     offsets, ends = graph.indptr.astype(np.int64), graph.indices.astype(np.uint32)
     load_loops("neighbours").count_shared(offsets, ends, shared)
@@ -84,21 +73,7 @@ def remove_insignificant_links(
 ) -> Reals:
     """Make dissimilarities infinite between components and along insignificant links.
 
-    Parameters
-    ----------
-    dissimilarity : ndarray of shape (N, N)
-        Finite; overwritten.
-    similarity : array_like of shape (N, N)
-        Correlations.
-    variance : array_like of shape (N, N)
-        Their sampling variances, above 0.
-    split_unrelated : bool
-        Whether to split sensors into `significant_components`.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Within components of more than 500 sensors, only `significant_links` are finite.
+    dissimilarity (N, N), similarity (N, N), variance (N, N) -> (N, N).
     """
     n_sensors = len(dissimilarity)
     component = np.zeros(n_sensors, dtype=np.intp)
@@ -118,20 +93,8 @@ def remove_insignificant_links(
 def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.intp]:
     """Label the components connected by statistically significant links.
 
-    Parameters
-    ----------
-    similarity : array_like of shape (N, N)
-        Correlations.
-    variance : array_like of shape (N, N)
-        Their sampling variances, above 0.
+    similarity (N, N), variance (N, N).
 
-    Returns
-    -------
-    ndarray of int, shape (N,)
-        Component of each sensor; 0 is the largest, ties by the first sensor.
-
-    Notes
-    -----
     Components grow along the strongest links, as in single linkage, where the strength of a link
     is Fisher's z of its correlation, ``artanh r``, in standard deviations of unrelated sensors
     (Fisher 1921, Metron 1: 3-32). A correlation is bounded, and so is its ratio to its standard
@@ -164,18 +127,6 @@ def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArra
 def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:
     """Select the links that show that two sensors of a large skin are close.
 
-    Parameters
-    ----------
-    similarity, variance
-        See `significant_components`.
-
-    Returns
-    -------
-    ndarray of bool, shape (N, N)
-        Symmetric, False on the diagonal; the links connect all sensors.
-
-    Notes
-    -----
     Among a million pairs of sensors, some hundreds are correlated by coincidence, and each shortens
     paths across the skin. A link is significant if it is 1.5 times as strong as the strongest of P
     unrelated pairs, ``sqrt(2 log P)`` standard deviations, and if its sensors have enough
@@ -204,21 +155,7 @@ def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.
 def links_with_shared_neighbours(
     links: NDArray[np.bool_], max_products: float = MAX_PRODUCTS
 ) -> NDArray[np.bool_]:
-    """Remove links between sensors with too few common neighbours, repeatedly.
-
-    Parameters
-    ----------
-    links : ndarray of bool, shape (N, N)
-        Symmetric, False on the diagonal.
-    max_products : float
-        Sum of the squared numbers of links per sensor above which nothing is removed.
-
-    Returns
-    -------
-    ndarray of bool, shape (N, N)
-        Removing links removes shared neighbours of others; after 4 rounds, the links are returned
-        as they are.
-    """
+    """Remove links between sensors with too few common neighbours, repeatedly."""
     kept = links
     for _ in range(MAX_ROUNDS):
         degree = np.count_nonzero(kept, axis=1)
@@ -270,8 +207,6 @@ def _expected_maximum(n_links: int) -> float:
 def _maximum_spanning_tree(links: Reals) -> Iterator[tuple[float, int, int]]:
     """Iterate over the strength and the sensors of the edges of the maximum spanning tree.
 
-    Notes
-    -----
     Prim (1957), Bell System Technical Journal 36: 1389-1401. Negative and zero links count, which
     sparse graphs of scipy cannot represent.
     """

@@ -28,18 +28,7 @@ def profile_agreement(
 ) -> NDArray[np.float64]:
     """Correlate the profile of each sensor in one similarity with each profile in another.
 
-    Parameters
-    ----------
-    first, second : ndarray of shape (N, N)
-        Similarities of the same sensors; symmetric.
-    known_first, known_second : ndarray of bool, shape (N, N)
-        Pairs that are known.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Fisher's z of the correlation of row i of `first` with row j of `second` over the other
-        sensors; 0 where a profile is constant.
+    first, second (N, N) -> (N, N).
     """
     others = ~np.eye(len(first), dtype=bool)
     a_known, b_known = (
@@ -76,21 +65,6 @@ def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
     Halves of alternating frames would be nearly equal, since contacts last several frames; halves
     of alternating blocks are nearly independent.
-
-    Parameters
-    ----------
-    n_frames : int
-        T >= 2.
-
-    Returns
-    -------
-    even, odd : ndarray of int
-        Frames of the even and the odd of `N_BLOCKS` blocks, or of T blocks if T is smaller.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 2 frames.
     """
     if n_frames < 2:
         raise InputError(f"split-half needs at least 2 frames, got {n_frames}")
@@ -99,20 +73,7 @@ def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def spread_frames(n_frames: int, most: int) -> NDArray[np.intp]:
-    """Choose frames from all parts of a recording such that no period of it is missed.
-
-    Parameters
-    ----------
-    n_frames : int
-    most : int
-        Maximum number of frames.
-
-    Returns
-    -------
-    ndarray of int
-        Increasing: all frames, or one in each of `most` equal parts. Their places within the parts
-        follow the golden ratio; every n-th frame could lie at one phase of a period.
-    """
+    """Choose frames from all parts of a recording such that no period of it is missed."""
     if n_frames <= most:
         return np.arange(n_frames)
     part = np.arange(most)
@@ -136,14 +97,9 @@ def at_frames(values: NDArray[Any], frames: NDArray[np.intp]) -> NDArray[Any]:
 class SplitCorrelation:
     """Pearson's r of all pairs of sensors, and how well it repeats.
 
-    Attributes
-    ----------
-    correlation : ndarray of shape (N, N)
-        Of all frames: see `anisomap.numerics.similarity.correlation.pearson`.
-    reliability : float
-        Correlation between the halves of the frames, over pairs of sensors, in [-1, 1].
-    halves : tuple of SplitCorrelation
-        Those of the two halves; empty if they were not asked for.
+    correlation (N, N): Of all frames: see `anisomap.numerics.similarity.correlation.pearson`.
+    reliability: Correlation between the halves of the frames, over pairs of sensors, in [-1, 1].
+    halves: Those of the two halves; empty if they were not asked for.
     """
 
     correlation: Reals
@@ -154,19 +110,7 @@ class SplitCorrelation:
 def correlation_and_reliability(readings: ArrayLike, *, halves: bool = False) -> SplitCorrelation:
     """Compute Pearson's r, and correlate it between the two halves, over pairs of sensors.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings.
-    halves : bool
-        Whether to return those of the halves, too; for at most 4,000 sensors. Quarters of the
-        frames are then multiplied in place of halves, which takes hardly longer.
-
-    Returns
-    -------
-    SplitCorrelation
-        With reliability 0 for fewer than 4 frames or 3 sensors that vary, and if all pairs of a
-        half are equal. For more than 4,000 sensors, it is that of a regular sample.
+    readings (T, N).
     """
     values = scale_extremes(readings)
     n_frames, n_sensors = values.shape

@@ -52,16 +52,10 @@ _SOLVER = SmacofOptions(solver="lbfgs", tolerance=1e-6)
 class DimensionChoice:
     """Number of dimensions of a metric.
 
-    Attributes
-    ----------
-    dimensions : int
-        2 or 3; 3 if it is not clear.
-    clear : bool
-        Whether the metric shows the number of dimensions.
-    line : bool
-        Whether one dimension appears to suffice.
-    stress : tuple of float
-        Stress-1 in 1 to 4 dimensions; empty if there are fewer than 8 points.
+    dimensions: 2 or 3; 3 if it is not clear.
+    clear: Whether the metric shows the number of dimensions.
+    line: Whether one dimension appears to suffice.
+    stress: Stress-1 in 1 to 4 dimensions; empty if there are fewer than 8 points.
     """
 
     dimensions: int = MAX_DIMENSIONS
@@ -70,19 +64,7 @@ class DimensionChoice:
     stress: tuple[float, ...] = ()
 
     def elbow(self, dimensions: int) -> float:
-        """Return how much more the last of some dimensions lowers the stress than the next one.
-
-        Parameters
-        ----------
-        dimensions : int
-            k, from 1 to 3.
-
-        Returns
-        -------
-        float
-            ``s[k-1] s[k+1] / s[k]^2``: the factor by which dimension k lowers the stress s, divided
-            by that of dimension k + 1. About 1 if both fit nothing but errors. NaN without stress.
-        """
+        """Return how much more the last of some dimensions lowers the stress than the next one."""
         if not self.stress:
             return float("nan")
         s = np.hypot((1.0, *self.stress), _FLOOR)  # in 0 dimensions, Stress-1 is 1
@@ -92,20 +74,8 @@ class DimensionChoice:
 def choose_dimensions(metric: ArrayLike, weights: Reals | None = None) -> DimensionChoice:
     """Choose between 2 and 3 dimensions by the elbow of the stress.
 
-    Parameters
-    ----------
-    metric : array_like of shape (N, N)
-        Distances, infinite between components, of which the largest is examined.
-    weights : ndarray of shape (N, N), optional
-        Weights of the distances; 0 marks an unknown distance.
+    metric (N, N), weights (N, N).
 
-    Returns
-    -------
-    DimensionChoice
-        The same for any order of the points and any unit.
-
-    Notes
-    -----
     More dimensions always lower the stress (Kruskal 1964, Psychometrika 29: 1-27,
     doi:10.1007/BF02289565). The fourth fits only errors, as skins lie in space, and the third is
     required if it lowers the stress by clearly more than the fourth does.

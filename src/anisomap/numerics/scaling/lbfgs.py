@@ -36,13 +36,9 @@ NEGLIGIBLE = 1e-30
 class SolverResult(NamedTuple):
     """Result of a minimisation.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (N, k)
-    trace : list of float
-        Raw stress of the start and after each step.
-    converged : bool
-        Whether the tolerance was met.
+    positions (N, k)
+    trace: Raw stress of the start and after each step.
+    converged: Whether the tolerance was met.
     """
 
     positions: Floats
@@ -75,22 +71,7 @@ def minimise_lbfgs(
 ) -> SolverResult:
     """Minimise a stress function by L-BFGS (Nocedal & Wright 2006, algorithms 7.4 and 7.5).
 
-    Parameters
-    ----------
-    stress : callable
-        Returns the raw stress and its gradient, shape (N, k), at positions of shape (N, k).
-    start : ndarray of shape (N, k)
-    scale : ndarray of shape (N, 1)
-        Diagonal of the first Hessian.
-    squares : float
-        Weighted sum of the squared distances, the scale of a negligible raw stress.
-    tolerance, max_iterations
-        See `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
-
-    Returns
-    -------
-    SolverResult
-        The trace never increases.
+    start (N, k), scale (N, 1).
     """
     negligible = NEGLIGIBLE * squares
     updates: deque[_Update] = deque(maxlen=MEMORY)

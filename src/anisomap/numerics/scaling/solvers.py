@@ -65,8 +65,6 @@ def lbfgs(
 ) -> SolverResult:
     """Minimise the raw stress by L-BFGS.
 
-    Notes
-    -----
     The first Hessian is twice the total weight of each point. Alone and with equal weights, it
     gives the steps of majorisation. With many minima, the result may differ from that of
     majorisation; its stress is then more often lower.

@@ -32,14 +32,10 @@ FLOAT32_RANGE = 1e9
 class Problem:
     """Distances to fit, and their weights.
 
-    Attributes
-    ----------
-    targets : ndarray of shape (N, N)
-        Symmetric, finite; 0 where unknown.
-    weights : ndarray of shape (N, N) or (1, N)
-        Symmetric; 0 where unknown and on the diagonal. One row of ones if all weights are equal.
-    compiled : bool, optional
-        Whether to use compiled loops; by default from 500 points on.
+    targets (N, N): Symmetric, finite; 0 where unknown.
+    weights (N, N): Symmetric; 0 where unknown and on the diagonal. One row of ones if all weights
+        are equal.
+    compiled: Whether to use compiled loops; by default from 500 points on.
     """
 
     targets: Reals
@@ -99,21 +95,6 @@ Objective = Callable[[Floats], tuple[float, Floats]]
 def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
     """Provide the raw stress and its gradient as a function of positions.
 
-    Parameters
-    ----------
-    problem : Problem
-        In float32 if `single`.
-    single : bool
-        Compute in float32, which is twice as fast: stresses are accurate to about 1e-6, and
-        their differences between near configurations to 1e-8. Compiled loops only.
-
-    Yields
-    ------
-    callable
-        See `Objective`.
-
-    Notes
-    -----
     Borg & Groenen (2005), section 8.6: the gradient is ``2 (V X - B(X) X)``, for point i
     ``2 sum_j w_ij (1 - D_ij / d_ij) (x_i - x_j)``.
     """

@@ -123,14 +123,9 @@ class Moments:
 class CoOccurrences:
     """Joint counts of binary series over T frames.
 
-    Attributes
-    ----------
-    n_frames : int
-        T.
-    first : ndarray of int, shape (N + 1,)
-        First series of each sensor: see `anisomap.numerics.similarity.co_occurrence.Layout`.
-    counts : ndarray of uint32 or uint64, shape (M, M)
-        Frames in which both series are on; symmetric.
+    n_frames: T.
+    first: First series of each sensor: see `anisomap.numerics.similarity.co_occurrence.Layout`.
+    counts: Frames in which both series are on; symmetric.
     """
 
     n_frames: int
@@ -153,12 +148,8 @@ class CoOccurrences:
 class StoredCodes:
     """Codes of all frames, which take less memory than joint counts of many sensors.
 
-    Attributes
-    ----------
-    n_frames : int
-        T.
-    parts : tuple of ndarray of int, shapes (t, N)
-        Small non-negative integers, in the order of the frames.
+    n_frames: T.
+    parts: Small non-negative integers, in the order of the frames.
     """
 
     n_frames: int
@@ -186,20 +177,7 @@ def correlation_of_comoments(comoment: NDArray[np.float64]) -> Reals:
 def correlation_of_blocks(
     squares: NDArray[Any], comoments: Callable[[slice], NDArray[np.float64]]
 ) -> Reals:
-    """Normalise co-moments to correlations, some rows at a time.
-
-    Parameters
-    ----------
-    squares : ndarray of shape (N,)
-        Diagonal of the co-moments.
-    comoments : callable
-        Returns the co-moments of some rows with all sensors, shape (n, N).
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        See `Moments.correlation`.
-    """
+    """Normalise co-moments to correlations, some rows at a time. squares (N,) -> (N, N)."""
     n_sensors = len(squares)
     spread = np.sqrt(squares)
     scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)

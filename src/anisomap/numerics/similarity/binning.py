@@ -26,26 +26,6 @@ _MAX_COST = 2.0**61  # of the integer costs of a division; their sums must fit i
 def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray[np.intp]:
     """Divide m ordered distinct values into the bins of greatest entropy.
 
-    Parameters
-    ----------
-    counts : array_like of int, shape (m,)
-        Number of occurrences of each distinct value, in increasing order of the values; positive.
-    bins : int
-        Maximum number of bins, b >= 2.
-
-    Returns
-    -------
-    ndarray of int, shape (m,)
-        Bin of each value, from 0, in increasing order: each bin is an interval of values. There
-        are min(b, m) bins, none empty.
-
-    Raises
-    ------
-    InputError
-        If `bins` is less than 2 or greater than 1,024.
-
-    Notes
-    -----
     McGregor et al. (2011), section "Information Distance", bin by maximum entropy. Quantile edges
     fail on tactile data: most readings are at rest, and every edge coincides with the rest value.
     Here the division is exactly optimal among all divisions into intervals: it has the least sum
@@ -66,16 +46,7 @@ def _checked(bins: int) -> int:
 def _divide(
     mass: NDArray[np.int64], bins: int, costs: NDArray[np.int64] | None = None
 ) -> NDArray[np.intp]:
-    """Divide values as `maximum_entropy_bins`.
-
-    Parameters
-    ----------
-    mass : ndarray of int, shape (m,)
-        Counts of the values.
-    bins : int
-    costs : ndarray of int, shape (T + 1,), optional
-        Cost of a bin of each size, for compiled loops.
-    """
+    """Divide values as `maximum_entropy_bins`."""
     if mass.size <= bins:
         return np.arange(mass.size)
     ends = np.concatenate([[0], np.cumsum(mass)])
@@ -122,25 +93,6 @@ def _with_another_bin(
 ) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
     """Find the best division of beginnings of the values into one more bin.
 
-    Parameters
-    ----------
-    least : ndarray of int, shape (m + 1,)
-        Least cost of the first j values without the bin, for j in `before`.
-    ends : ndarray of int, shape (m + 1,)
-        Cumulative counts, from 0 on.
-    before, after : (int, int)
-        First and last number of values in all bins, without and with the new one.
-    unit : float
-        See `_cost`.
-
-    Returns
-    -------
-    least, cut : ndarray of int, shape (m + 1,)
-        Least cost of the first j values with the bin, and the value at which it begins, the
-        smallest if several are equally good; for j in `after`.
-
-    Notes
-    -----
     The cost is Monge, since n log n is convex, so that the best cut never decreases with j (Knuth
     1971, Acta Informatica 1: 14-25). Every second j is solved first, recursively; its neighbours
     bound the cuts of the others.

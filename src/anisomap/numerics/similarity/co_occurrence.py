@@ -55,14 +55,9 @@ _SAMPLE_FRAMES = 1000  # frames from which the cheaper way to count is estimated
 class Layout:
     """Numbering of the series of N sensors.
 
-    Attributes
-    ----------
-    reference : ndarray of int, shape (N,)
-        Code of each sensor without a series.
-    position : ndarray of int, shape (N, b)
-        Series of each code of each sensor; -1 for references and codes that do not occur.
-    first : ndarray of int, shape (N + 1,)
-        First series of each sensor; the last entry is the number of series, M.
+    reference: Code of each sensor without a series.
+    position: Series of each code of each sensor; -1 for references and codes that do not occur.
+    first: First series of each sensor; the last entry is the number of series, M.
     """
 
     reference: NDArray[np.intp]
@@ -110,21 +105,7 @@ def code_counts(codes: Codes, n_codes: int) -> NDArray[np.int64]:
 
 
 def co_occurrences(codes: Codes, layout: Layout, counting: Counting = "auto") -> Counts:
-    """Count the frames in which both of two series are on.
-
-    Parameters
-    ----------
-    codes : ndarray of int, shape (T, N)
-        Small non-negative integers.
-    layout : Layout
-    counting : {"auto", "products", "bits", "entries"}
-        See `Counting`.
-
-    Returns
-    -------
-    ndarray of uint32, shape (M, M)
-        Symmetric; the diagonal contains the frames in which each series is on.
-    """
+    """Count the frames in which both of two series are on."""
     n_series = layout.n_series
     counts = np.zeros((n_series, n_series), dtype=np.uint32)
     if counting == "products" or (counting == "auto" and codes.shape[1] < MIN_COMPILED_SENSORS):
@@ -147,19 +128,7 @@ def joint_logarithms(
 ) -> NDArray[np.float64]:
     """Sum n log n over the joint counts of every pair of sensors, without storing the counts.
 
-    Parameters
-    ----------
-    codes : ndarray of int, shape (T, N)
-        From 0 to b - 1.
-    n_codes : int
-        b.
-    counting : {"auto", "bits", "entries"}
-        See `Counting`; always compiled.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Exactly symmetric. The diagonal contains the sums over the counts of each sensor's codes.
+    Returns (N, N).
     """
     n_frames, n_sensors = codes.shape
     counts = code_counts(codes, n_codes)
@@ -183,19 +152,7 @@ def joint_logarithms_of_counts(
 ) -> NDArray[np.float64]:
     """Sum n log n over the joint counts of every pair of sensors, given the counts.
 
-    Parameters
-    ----------
-    counts : ndarray of int, shape (M, M)
-        See `co_occurrences`.
-    first : ndarray of int, shape (N + 1,)
-        See `Layout`.
-    n_frames : int
-        T.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        See `joint_logarithms`.
+    Returns (N, N).
     """
     marginals = np.diag(counts).astype(np.int64)
     own = _marginal_logarithms(marginals, first, n_frames)

@@ -67,17 +67,7 @@ def co_activation(readings: ArrayLike) -> Reals:
 def phi_from_counts(counts: Counts, n_frames: int) -> Reals:
     """Compute the phi coefficient of every pair of binary series from their joint counts.
 
-    Parameters
-    ----------
-    counts : ndarray of int, shape (N, N)
-        Frames in which both series are on; on the diagonal, frames in which one is on.
-    n_frames : int
-        T.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        See `pearson`.
+    Returns (N, N).
     """
     on = np.diag(counts).astype(np.int64)
 

@@ -49,18 +49,8 @@ def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
 def information_from_codes(codes: ArrayLike) -> Reals:
     """Compute the mutual information of every pair of discrete series.
 
-    Parameters
-    ----------
-    codes : array_like of int, shape (T, N)
-        Small non-negative integers.
+    Returns (N, N).
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        See `mutual_information`.
-
-    Notes
-    -----
     With counts n over T frames, ``T I(A; B) = sum n_ab log n_ab - sum n_a log n_a
     - sum n_b log n_b + T log T``. Counts are exact integers.
     """
@@ -77,17 +67,7 @@ def information_from_codes(codes: ArrayLike) -> Reals:
 def information_from_logarithms(joint: NDArray[np.float64], n_frames: int) -> Reals:
     """Compute the mutual information from the sums of n log n over joint counts.
 
-    Parameters
-    ----------
-    joint : ndarray of shape (N, N)
-        See `anisomap.numerics.similarity.co_occurrence.joint_logarithms`.
-    n_frames : int
-        T.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        See `mutual_information`.
+    joint (N, N) -> (N, N).
     """
     # On the diagonal both codes are equal, so its entries are the marginal sums of n_a log n_a.
     marginal = np.diag(joint)

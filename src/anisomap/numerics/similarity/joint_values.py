@@ -27,12 +27,8 @@ _MIN_VALUES = 4  # minimum of the limit per sensor, for any number of sensors
 class JointValues:
     """Joint counts of the values of N sensors.
 
-    Attributes
-    ----------
-    single : ValueCounts
-        The values of each sensor, V in total; rounded if a sensor has too many.
-    counts : ndarray of uint32 or uint64, shape (V, V)
-        Number of frames with both values.
+    single: The values of each sensor, V in total; rounded if a sensor has too many.
+    counts: Number of frames with both values.
     """
 
     single: ValueCounts
@@ -69,19 +65,7 @@ class JointValues:
         return self.single.varying()
 
     def of_series(self, codes: list[NDArray[np.intp]], layout: Layout) -> CoOccurrences:
-        """Convert counts of values to counts of series.
-
-        Parameters
-        ----------
-        codes : list of ndarray of int
-            Code of each value of each sensor.
-        layout : Layout
-
-        Returns
-        -------
-        CoOccurrences
-            Equal to counts of the recoded frames.
-        """
+        """Convert counts of values to counts of series."""
         series = np.concatenate([layout.position[i][code] for i, code in enumerate(codes)])
         exists = np.flatnonzero(series >= 0)
         shape = (layout.n_series, series.size)
@@ -91,18 +75,7 @@ class JointValues:
         )
 
     def comoments(self, scores: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Compute the co-moments of scores that are assigned to the values.
-
-        Parameters
-        ----------
-        scores : list of ndarray
-            Score of each value of each sensor.
-
-        Returns
-        -------
-        ndarray of shape (N, N)
-            Sums over frames of products of deviations from the mean scores.
-        """
+        """Compute the co-moments of scores that are assigned to the values. Returns (N, N)."""
         means = [
             np.average(score, weights=counts)
             for score, counts in zip(scores, self.single.counts, strict=True)

@@ -19,20 +19,7 @@ def resampled_correlation(
 ) -> NDArray[np.float32]:
     """Compute Pearson's r of every pair of sensors over weighted blocks of frames.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite readings.
-    edges : ndarray of int, shape (B + 1,)
-        First frames of the blocks, and T.
-    weights : ndarray of shape (R, B)
-        Non-negative weight of the frames of each block, in each of R resamples.
-
-    Returns
-    -------
-    ndarray of shape (R, N, N)
-        Symmetric, ones on the diagonal; 0 for sensors that are constant in a resample. Accurate
-        to 1e-5.
+    readings (T, N), weights (R, B) -> (R, N, N).
     """
     scaled = _scaled(readings)
     n_sensors, n_blocks = len(scaled), len(edges) - 1

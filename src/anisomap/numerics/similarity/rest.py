@@ -34,17 +34,12 @@ _CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in t
 class Rest:
     """Rest of each of N sensors, in units of the readings.
 
-    Attributes
-    ----------
-    value : ndarray of shape (N,)
-        Most frequent reading; the median of continuous readings.
-    side : ndarray of shape (N,)
-        1 where contact raises the reading, -1 where it lowers it, as in raw capacitive skins.
-    threshold : ndarray of shape (N,)
-        Largest deviation from rest that is attributed to noise. 0 without readings on the side of
-        rest opposite to contact, and for sensors without a rest value.
-    known : ndarray of bool, shape (N,)
-        False for sensors without a rest value: see `estimate_rest`.
+    value (N,): Most frequent reading; the median of continuous readings.
+    side (N,): 1 where contact raises the reading, -1 where it lowers it, as in raw capacitive
+        skins.
+    threshold (N,): Largest deviation from rest that is attributed to noise. 0 without readings on
+        the side of rest opposite to contact, and for sensors without a rest value.
+    known: False for sensors without a rest value: see `estimate_rest`.
     """
 
     value: NDArray[np.float64]
@@ -140,20 +135,7 @@ def ranks_of_depths(readings: ArrayLike, *, single: bool = False) -> NDArray[Any
 def rest_and_ranks(readings: ArrayLike, *, single: bool = False) -> tuple[Rest, NDArray[Any]]:
     """Estimate the rest of each sensor, and rank its readings by their depth beyond rest.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings.
-    single : bool
-        Return float32, in which ranks are exact up to 8 million frames, in place of float64.
-
-    Returns
-    -------
-    rest : Rest
-        That of `estimate_rest`.
-    ranks : ndarray of shape (T, N)
-        Ranks of ``rest.depth(readings)`` among those of the sensor; ties share their mean.
-        Contiguous by column.
+    readings (T, N) -> rest, ranks (T, N).
     """
     values = np.asarray(readings)
     dtype = np.float32 if single and len(values) <= _MAX_EXACT_FRAMES else np.float64
@@ -180,18 +162,7 @@ def _rank_depths(column: NDArray[Any], ranks: NDArray[Any]) -> tuple[float, floa
 def rest_from_counts(
     values_and_counts: Iterable[tuple[NDArray[np.float64], NDArray[np.integer[Any]]]],
 ) -> Rest:
-    """Estimate the rest of each sensor from the counts of its values.
-
-    Parameters
-    ----------
-    values_and_counts : iterable of (ndarray, ndarray of int)
-        Distinct values of each sensor in increasing order, and their numbers of occurrences.
-
-    Returns
-    -------
-    Rest
-        See `estimate_rest`.
-    """
+    """Estimate the rest of each sensor from the counts of its values."""
     return _as_rest([_rest_of(*pair) for pair in values_and_counts])
 
 

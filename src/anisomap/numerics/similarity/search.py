@@ -32,26 +32,7 @@ def most_similar(
     groups: ArrayLike | None = None,
     sensors: ArrayLike | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Find, for each sensor, the sensors with the greatest inner products of rows.
-
-    Parameters
-    ----------
-    rows : ndarray of float32, shape (N, s)
-        One row per sensor, for example sketches of the readings.
-    count : int
-        Number of sensors to find.
-    groups : array_like of int, shape (N,), optional
-        Sensors of the same group are not matched. By default each sensor is its own group.
-    sensors : array_like of int, shape (n,), optional
-        Sensors to find matches for, in increasing order; by default all.
-
-    Returns
-    -------
-    found : ndarray of int, shape (n, count)
-        By decreasing inner product; -1 where there are fewer candidates.
-    products : ndarray of float32, shape (n, count)
-        Inner products; -inf where there are fewer candidates.
-    """
+    """Find, for each sensor, the sensors with the greatest inner products of rows."""
     n_sensors = len(rows)
     queries = np.arange(n_sensors) if sensors is None else np.asarray(sensors, dtype=np.int64)
     labels = np.arange(n_sensors) if groups is None else np.asarray(groups, dtype=np.int64)

@@ -32,17 +32,7 @@ def is_sparse(readings: NDArray[Any]) -> bool:
 def sparse_comoments(readings: NDArray[Any]) -> tuple[Floats, Floats]:
     """Compute means and co-moments from the readings that differ from rest.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (T, N)
-        Finite readings.
-
-    Returns
-    -------
-    mean : ndarray of shape (N,)
-    comoment : ndarray of shape (N, N)
-        Sums over frames of products of deviations from the means, in float64; exactly symmetric,
-        and exactly zero for constant sensors.
+    readings (T, N) -> mean (N,), comoment (N, N).
     """
     n_frames, n_sensors = readings.shape
     rest = _rest(readings)
@@ -64,16 +54,7 @@ def sparse_comoments(readings: NDArray[Any]) -> tuple[Floats, Floats]:
 def _active(
     readings: NDArray[Any], rest: NDArray[Any]
 ) -> tuple[NDArray[np.int64], NDArray[np.uint32], Floats]:
-    """Return the readings that differ from rest, frame by frame, as sparse matrices are stored.
-
-    Returns
-    -------
-    begins : ndarray of int64, shape (T + 1,)
-        Index of the first of each frame.
-    sensors : ndarray of uint32
-    depths : ndarray of float64
-        Relative to rest.
-    """
+    """Return the readings that differ from rest, frame by frame, as sparse matrices are stored."""
     by_sensor = readings.strides[0] < readings.strides[1]
     rows = readings.T if by_sensor else readings  # in the order of memory
     active = rows != (rest[:, None] if by_sensor else rest)

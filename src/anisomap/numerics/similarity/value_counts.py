@@ -29,19 +29,12 @@ _MAGNITUDE = np.int64(np.iinfo(np.int64).max)  # mask of all bits but the sign
 class ValueCounts:
     """Distinct values of each of N sensors, and their numbers of occurrences.
 
-    Attributes
-    ----------
-    n_frames : int
-        T.
-    values : tuple of ndarray
-        Distinct values of each sensor in increasing order; values rounded to the same number are
-        represented by the smallest of them.
-    counts : tuple of ndarray of int
-        Number of occurrences of each value.
-    n_rounded_bits : ndarray of int, shape (N,)
-        Number of bits rounded off the float64 values of each sensor; 0 if exact.
-    max_values : int
-        Maximum number of values per sensor.
+    n_frames: T.
+    values: Distinct values of each sensor in increasing order; values rounded to the same number
+        are represented by the smallest of them.
+    counts: Number of occurrences of each value.
+    n_rounded_bits: Number of bits rounded off the float64 values of each sensor; 0 if exact.
+    max_values: Maximum number of values per sensor.
     """
 
     n_frames: int
@@ -52,16 +45,7 @@ class ValueCounts:
 
     @classmethod
     def of(cls, readings: ArrayLike, max_values: int | None = None) -> ValueCounts:
-        """Count the values in an array.
-
-        Parameters
-        ----------
-        readings : array_like of shape (T, N)
-            Finite readings, T >= 1.
-        max_values : int, optional
-            Maximum number of values per sensor, at least 2; by default an equal share of
-            `MAX_VALUES`.
-        """
+        """Count the values in an array. readings (T, N)."""
         array = np.asarray(readings)
         limit = max_values or max(_MIN_VALUES, MAX_VALUES // array.shape[1])
         found = [_round_to(*count_values(column), 0, limit) for column in columns(array)]
@@ -118,12 +102,8 @@ class ValueCounts:
 class Recoding:
     """Step function of the readings of each of N sensors.
 
-    Attributes
-    ----------
-    starts : tuple of ndarray
-        Readings of each sensor at which the next outcome begins, in increasing order.
-    outcomes : tuple of ndarray
-        Outcomes of each sensor; one more than `starts`.
+    starts: Readings of each sensor at which the next outcome begins, in increasing order.
+    outcomes: Outcomes of each sensor; one more than `starts`.
     """
 
     starts: tuple[NDArray[np.float64], ...]

@@ -35,25 +35,14 @@ Trial = tuple[float, Recording, MethodOptions]
 class Parameter:
     """A parameter and the values to try.
 
-    Attributes
-    ----------
-    name : str
-        Name of the experiment.
-    title : str
-        Heading on the page.
-    label : str
-        Label of the x axis.
-    description : str
-        What the paper says about the parameter.
-    values, quick_values : tuple of float
-        In ascending order.
-    trials : callable
-        ``trials(case, settings, seed, values)`` yields values, recordings and options.
-    default : float
-        Value in all other experiments.
-    cases : tuple of Case
-    methods : tuple of str
-        Methods that depend on the parameter.
+    name: Name of the experiment.
+    title: Heading on the page.
+    label: Label of the x axis.
+    description: What the paper says about the parameter.
+    values, quick_values: In ascending order.
+    trials: ``trials(case, settings, seed, values)`` yields values, recordings and options.
+    default: Value in all other experiments.
+    methods: Methods that depend on the parameter.
     """
 
     name: str

@@ -39,17 +39,7 @@ _COLUMNS = {
 def radial_basis(readings: ArrayLike, quantile: float) -> NDArray[np.float64]:
     """Replace linear readings by Gaussian radial basis functions of the same quantity.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Readings of at least 0; 0 is rest.
-    quantile : float
-        Quantile, in [0, 1], of a sensor's positive readings at which its response is greatest.
-
-    Returns
-    -------
-    ndarray of shape (T, N)
-        In [0, 1]. With a quantile of 1, the response increases with the reading.
+    readings (T, N) -> (T, N).
     """
     values = np.asarray(readings, dtype=np.float64)
     touched = np.where(values > 0, values, np.nan)

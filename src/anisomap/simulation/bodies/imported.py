@@ -49,19 +49,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def check_model(path: Path) -> None:
-    """Check the numbers, sizes and files that a model declares.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        A model, whose included files are checked too.
-
-    Raises
-    ------
-    FileError
-        If the model has more than `MAX_ELEMENTS` elements, declares more memory than the `Budget`
-        of the file, refers to something that is not a regular file, or is not XML.
-    """
+    """Check the numbers, sizes and files that a model declares."""
     _Model(path, Budget(path)).read(path)
 
 

@@ -50,17 +50,6 @@ PLANE_THICKNESS = 0.2  # m
 def sphere(n_sensors: int = 60) -> Body:
     """Make a sphere with evenly spaced sensors.
 
-    Parameters
-    ----------
-    n_sensors : int
-        60 in the paper.
-
-    Returns
-    -------
-    Body
-
-    Notes
-    -----
     Sensors form a Fibonacci lattice (Gonzalez 2010, Mathematical Geosciences 42: 49-64,
     doi:10.1007/s11004-009-9257-x): each represents the same area, and distances between
     neighbours differ by a few per cent.
@@ -77,22 +66,7 @@ def sphere(n_sensors: int = 60) -> Body:
 
 
 def cylinder(n_sensors: int = 60, *, placement: str = "columns", seed: int = 0) -> Body:
-    """Make a cylinder with sensors on its side and none on its ends.
-
-    Parameters
-    ----------
-    n_sensors : int
-        60 in the paper, 6 per column. With columns, a multiple of 10, their number.
-    placement : str
-        A key of `CYLINDER_PLACEMENTS`: ``"columns"`` of equal spacing, as in the paper;
-        ``"fibonacci"``, even without columns or rings; or ``"random"``, uniform.
-    seed : int
-        Of random places.
-
-    Returns
-    -------
-    Body
-    """
+    """Make a cylinder with sensors on its side and none on its ends."""
     if placement not in CYLINDER_PLACEMENTS:
         raise InputError(
             f"there is no placement {placement!r}; choose from {', '.join(CYLINDER_PLACEMENTS)}"
@@ -132,17 +106,7 @@ CYLINDER_PLACEMENTS: Mapping[str, Callable[[int, np.random.Generator], tuple[Flo
 
 
 def y_shape(n_sensors: int = 105) -> Body:
-    """Make a Y-shape of three round arms with rings of sensors around each.
-
-    Parameters
-    ----------
-    n_sensors : int
-        A multiple of 15: three arms with rings of 5. 105 in the paper, 7 rings per arm.
-
-    Returns
-    -------
-    Body
-    """
+    """Make a Y-shape of three round arms with rings of sensors around each."""
     n_rings = _divided(n_sensors, Y_ARMS * Y_RING_SENSORS, "number of sensors per ring of 3 arms")
     arms = ring_directions(Y_ARMS)
     # A ring in the frame of its arm, which lies along x.
@@ -163,17 +127,7 @@ def y_shape(n_sensors: int = 105) -> Body:
 
 
 def plane(n_sensors: int = 169) -> Body:
-    """Make a cuboid with a square grid of sensors on its upper face.
-
-    Parameters
-    ----------
-    n_sensors : int
-        A square number. 169 = 13 x 13 in the paper.
-
-    Returns
-    -------
-    Body
-    """
+    """Make a cuboid with a square grid of sensors on its upper face."""
     check_count("n_sensors", n_sensors)
     side = round(np.sqrt(n_sensors))
     if side**2 != n_sensors:
@@ -258,23 +212,7 @@ _MM = 1e-3
 
 
 def hexagon(n_sensors: int = 60) -> Body:
-    """Make a hexagonal patch of six triangles with ten sensors each, as in the paper.
-
-    Parameters
-    ----------
-    n_sensors : int
-        Must be 60.
-
-    Returns
-    -------
-    Body
-        Sensors are named by triangle and pad, ``t0p0`` to ``t5p11``, without the thermal pads.
-
-    Raises
-    ------
-    InputError
-        If `n_sensors` is not 60.
-    """
+    """Make a hexagonal patch of six triangles with ten sensors each, as in the paper."""
     sensing = [pad for pad in range(_N_PADS) if pad not in THERMAL_PADS]
     expected = TRIANGLES * len(sensing)
     if n_sensors != expected:

@@ -117,26 +117,7 @@ def covered(
     density: Density | None = None,
     rng: np.random.Generator | int = _SEED,
 ) -> Body:
-    """Make a body from solids and spread sensors over it.
-
-    Parameters
-    ----------
-    name : str
-    parts : sequence of Solid
-    n_sensors : int
-    density : callable, optional
-        Relative density of sensors, see `anisomap.simulation.solids.spread`.
-    rng : numpy.random.Generator or int
-
-    Returns
-    -------
-    Body
-
-    Raises
-    ------
-    InputError
-        If `n_sensors` is not a positive integer, or there is no surface for the sensors.
-    """
+    """Make a body from solids and spread sensors over it."""
     check_count("n_sensors", n_sensors)
     positions, normals = spread(parts, n_sensors, np.random.default_rng(rng), density)
     return Body(name, positions, normals, parts)
