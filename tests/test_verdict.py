@@ -19,7 +19,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
-from skins import flat_skin, lattice
+from skins import flat_map, flat_skin, lattice
 
 quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
 
@@ -177,8 +177,8 @@ def test_insufficient_evidence_is_noted():
 
 @quiet
 def test_maps_of_noise_are_not_usable():
-    for seed in range(3):
-        noise = np.random.default_rng(seed).normal(size=(600, 30))
+    for seed in range(2):
+        noise = np.random.default_rng(seed).normal(size=(300, 20))
         unsplit = MethodOptions(split_unrelated=False)
         made = reconstruct(noise, dimensions=2, options=unsplit)
         assert diagnose(made, noise).verdict.level == "not usable"
@@ -201,12 +201,12 @@ def test_the_verdict_is_unknown_for_few_sensors_and_unequal_runs():
 
 @quiet
 def test_the_verdict_is_unknown_without_readings_or_refinement():
-    skin = flat_skin(n_frames=300)
-    assert reconstruct(skin).verdict.level == UNKNOWN
-    assert "r-anisomap" in str(verdict(reconstruct(skin, "r-anisomap"), skin))
+    skin, made = flat_skin(n_frames=300), flat_map(n_frames=300)
+    assert made.verdict.level == UNKNOWN
+    assert "r-anisomap" in str(verdict(flat_map("r-anisomap", n_frames=300), skin))
     similarity = np.corrcoef(skin.readings.T)
     assert reconstruct_from(similarity=similarity).verdict.level == UNKNOWN
-    assert diagnose(reconstruct(skin), skin, with_verdict=False).verdict == Verdict()
+    assert diagnose(made, skin, with_verdict=False).verdict == Verdict()
 
 
 def test_diagnosis_requires_the_sensors_of_the_map():
@@ -224,11 +224,11 @@ def test_maps_that_do_not_follow_from_the_recording_are_not_trusted():
     precomputed = {"similarity": np.corrcoef(skin.readings.T), "dissimilarity": noise + noise.T}
     for stage, matrix in precomputed.items():
         np.fill_diagonal(matrix, 1 if stage == "similarity" else 0)
-        made = reconstruct_from(dimensions=2, **{stage: matrix})
+        made = reconstruct_from(method="r-anisomap", dimensions=2, **{stage: matrix})
         assert verdict(made, skin).level == UNKNOWN
-    chunked = anisomap.large.reconstruct_chunks(skin.readings, dimensions=2)
+    chunked = anisomap.large.reconstruct_chunks(skin.readings, "r-anisomap", dimensions=2)
     assert verdict(chunked, skin).level == UNKNOWN
-    made = reconstruct(skin, dimensions=2)
+    made = flat_map()
     assert verdict(made, skin).level == "usable"
     shuffled = replace(made, positions=made.positions[rng.permutation(42)])
     assert verdict(shuffled, skin).level == "not usable"
@@ -239,7 +239,7 @@ def test_a_verdict_needs_complete_readings():
     readings = np.array(skin.readings)
     readings[7, 3] = np.nan
     with pytest.raises(InputError, match="sensor s3, frame 7"):
-        diagnose(reconstruct(skin, dimensions=2), readings)
+        diagnose(flat_map(n_frames=300), readings)
 
 
 @quiet
@@ -276,7 +276,7 @@ def test_a_diagnosis_alone_is_that_with_the_stages_of_the_map(method):
 
 @quiet
 def test_a_diagnosis_of_a_map_that_was_changed_does_not_use_its_stages():
-    skin = flat_skin(n_frames=800)
+    skin = flat_skin(n_frames=300)
     made, stages = reconstruct_with_stages(skin, dimensions=2)
     moved = made.positions + np.random.default_rng(0).normal(size=made.positions.shape)
     changed = diagnose(replace(made, positions=moved), skin, stages=stages)

@@ -29,7 +29,7 @@ from anisomap.numerics.scaling.classical import torgerson
 from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
-from anisomap.simulation import simulate
+from skins import flat_skin
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def always_float32(monkeypatch):
 
 @pytest.fixture(scope="module")
 def readings():
-    return simulate("plane", n_frames=700, seed=0).readings
+    return flat_skin(n_frames=700).readings
 
 
 @pytest.mark.parametrize("tile", [1, 2, 3, 50])

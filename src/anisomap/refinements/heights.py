@@ -113,11 +113,12 @@ def by_heights(
     curved = bool(local_dimension(final) < _MAX_CURVE_DIMENSION)
     distorted = curved or (found is not None and found.distorted)
     notes = () if found is None else found.notes
+    facts = {"contact_heights": applied, "curved": curved}
     return Proposal(
         final,
         EXACT if applied else 0.0,
         notes=(*notes, _CURVE) if curved else notes,
-        facts={"contact_heights": True} if applied else {},
+        facts={name: True for name, holds in facts.items() if holds},
         distorted=distorted,
         elongated=distorted or applied,
     )

@@ -30,11 +30,11 @@ def by_even_spacing(
         return None
     spaced = refine_by_even_spacing(readings, positions, similarity=pairs.correlation)
     if not spaced.applied:
-        return Proposal(positions, notes=(_NOT_EVEN,), facts={"even_spacing_used": False})
+        return Proposal(positions, notes=(_NOT_EVEN,), facts={"even_spacing": False})
     return Proposal(
         spaced.positions,
         EXACT,
         notes=(_EVEN,),
-        facts={"even_spacing_used": True},
+        facts={"even_spacing": True},
         elongated=True,
     )

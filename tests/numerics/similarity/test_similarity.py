@@ -12,6 +12,7 @@ from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
 from anisomap.numerics.similarity.accumulators import (
     CHUNK_FRAMES,
     MIN_FAST_PRODUCT_SENSORS,
+    SINGLE_FRAMES,
     Moments,
 )
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
@@ -166,7 +167,7 @@ def test_correlations_of_readings_with_a_large_offset_are_accurate(order):
     readings += rng.uniform(0, 500, readings.shape) * (rng.random(readings.shape) < 3e-4)
     readings = np.asarray(readings, np.float32, order=order)
     exact = np.corrcoef(readings.T.astype(np.float64))
-    np.testing.assert_allclose(pearson(readings), exact, atol=1e-5)
+    np.testing.assert_allclose(pearson(readings), exact, atol=SINGLE_FRAMES * 2.0**-24)
 
 
 @pytest.mark.parametrize("constant", [0.1, 1e9, -3.0])
