@@ -185,6 +185,7 @@ CHAOTIC: Mapping[str, tuple[float, str]] = MappingProxyType(
     {
         "lags": (0.1, _STEPS),
         "inverted": (0.1, _STEPS),
+        "hemisphere-roller": (0.1, _STEPS),
         "noisy-sphere": (0.1, _HALVES),
         "recordings/icub_palm": (0.1, _STEPS),
         "recordings/icub_torso": (0.1, _STEPS),

@@ -108,9 +108,10 @@ def displacement(old: Result, new: Result) -> float:
     """Return the largest displacement of a sensor, in spacings, after alignment.
 
     Components are aligned one by one, by a similarity transform with reflection. The displacement
-    is infinite if components or dimensions differ.
+    is infinite if dimensions, components or the sensors with a position differ.
     """
-    if old.positions.shape != new.positions.shape or (old.component != new.component).any():
+    before, after = np.isfinite(old.positions), np.isfinite(new.positions)
+    if not (np.array_equal(before, after) and np.array_equal(old.component, new.component)):
         return math.inf
     found = [0.0]
     for label in np.unique(old.component[old.component >= 0]):

@@ -78,6 +78,8 @@ def test_a_displaced_sensor_differs(result, sensor):
     assert 1e-3 < displacement(result, other) < 0.1
     assert "moved" in differences(result, other, SIMILAR)[0]
     assert not differences(result, other, 0.1)
+    positions[sensor] = np.nan
+    assert displacement(result, other) == np.inf
 
 
 @pytest.mark.parametrize("label", [0, -1])

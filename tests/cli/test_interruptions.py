@@ -36,7 +36,7 @@ MAP = ["map", "skin.npz", "-d", "2", "-m", "r-anisomap", "--no-verdict", "-o", "
 SIMULATE = ["simulate", "plane", "-s", "rubbing", "--frames", "300", "-o", "m.npz"]
 SIMULATE_PHYSICS = ["simulate", "sphere", "-s", "bombardment", "--frames", "9", "-o", "m.npz"]
 CONVERT = ["convert", "map.json", "m.urdf", "--spacing", "5mm"]
-PAPER = ["paper", "--only", "bins", "--quick", "--output-dir", "m"]
+PAPER = ["paper", "--only", "text-s3", "--only", "figure-2", "--quick", "--output-dir", "m"]
 
 
 @pytest.fixture
