@@ -27,6 +27,7 @@ from anisomap.numerics.reliability.split_half import at_frames, split_blocks, sp
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
+from anisomap.numerics.similarity.reference import without_common_signal
 from anisomap.numerics.similarity.rest import Rest, estimate_rest, rest_and_ranks
 from anisomap.recording import Recording
 
@@ -57,6 +58,7 @@ class Similarity:
     compute: Callable[[ArrayLike, int], Reals]
     scores: Callable[[NDArray[np.generic]], ArrayLike] | None = None
     blend: Callable[[ArrayLike], Blend] | None = None
+    refer: Callable[[NDArray[Any]], NDArray[Any]] | None = None
 
     def with_variance(self, readings: NDArray[np.generic], bins: int) -> tuple[Reals, Reals]:
         """Compute the similarity, and its sampling variance for unrelated sensors, (n, n) each."""
@@ -64,6 +66,10 @@ class Similarity:
             found = self.blend(readings)
             return found.similarity, found.variance
         return self.compute(readings, bins), self.variance(readings)
+
+    def referred(self, readings: NDArray[Any]) -> NDArray[Any]:
+        """Return the readings that are compared, shape (T, n)."""
+        return readings if self.refer is None else self.refer(readings)
 
     def variance(self, readings: NDArray[np.generic]) -> Reals:
         """Compute the sampling variance of the similarity for unrelated sensors, (n, n)."""
@@ -88,6 +94,7 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
             "linear correlation where it is reliable, else rank correlation",
             lambda x, _: blended_correlation(x),
             blend=blend,
+            refer=without_common_signal,
         ),
         "contact-agreement": Similarity(
             "agreement over distinct contacts (kappa), for readings that are on or off",
@@ -311,7 +318,7 @@ def compare(
         return statistic.compute(readings, bins), np.nan
 
     if len({frozenset(run.names) for run in runs}) == 1:
-        readings = _joined(runs, runs[0].names)
+        readings = statistic.referred(_joined(runs, runs[0].names))
         if with_noise and statistic.blend is not None:
             readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
             blended = statistic.blend(readings)
@@ -333,7 +340,7 @@ def compare(
     shared = _shared_runs(runs, names)
     values, noise = np.eye(len(names)), np.ones(shared.shape)
     for runs_of_pair, chosen, sensors in _groups(runs, shared):
-        readings = _joined(chosen, tuple(names[i] for i in sensors))
+        readings = statistic.referred(_joined(chosen, tuple(names[i] for i in sensors)))
         inside = np.ix_(sensors, sensors)
         in_group = shared[inside] == runs_of_pair
         found, variance = computed(readings)

@@ -7,10 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 from scipy.spatial.distance import pdist
 
-from anisomap import align
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
-from anisomap.numerics.contacts.contact_fit import refit_contacts
 from anisomap.numerics.contacts.detection import Contacts, assign_levels, find_contacts
 from anisomap.numerics.contacts.likelihood import (
     Profile,
@@ -218,29 +216,6 @@ def test_the_contact_fit_improves_on_the_covariogram(binary, left):
         assert found.used
         assert not found.reason
         assert 1 - mantel_r(found.positions, places) < left * (1 - mantel_r(rough, places))
-
-
-def test_a_fit_to_some_frames_continues_that_to_all():
-    places = lattice(7, 8)
-    readings = pressed(places, 800)
-    rough = places + np.random.default_rng(1).normal(0, 0.2, places.shape)
-    whole = fit_contacts(readings, rough, QUICK)
-    half = np.arange(0, 800, 2)
-    begun, continued = (
-        fit_contacts(readings[half], rough, QUICK),
-        refit_contacts(whole, rough, half),
-    )
-    assert continued.used
-    assert continued.n_contacts < whole.n_contacts
-    assert mantel_r(continued.positions, places) > mantel_r(rough, places)
-    apart = align(continued.positions, begun.positions).rms
-    assert apart < 0.3 * align(rough, begun.positions).rms
-    few = refit_contacts(whole, rough, half[:4])
-    assert not few.used
-    assert few.reason
-    np.testing.assert_array_equal(few.positions, rough)
-    with pytest.raises(InputError, match="was used"):
-        refit_contacts(few, rough, half)
 
 
 def test_unequal_gains_hardly_change_the_map():

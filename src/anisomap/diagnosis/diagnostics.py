@@ -111,11 +111,13 @@ def diagnose(
     kept = [sensor for i, sensor in enumerate(assessed) if i not in dropped]
     faults = find_faults(runs) if findings is None else findings
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
-    verdict, found = Verdict(), None
+    verdict, found, uneven = Verdict(), None, sensor_map.uneven
     if with_verdict:
         parts = _parts(sensor_map, runs, options, stages)
         found, repeatability = _uncertainty(sensor_map, parts, options, rng, progress)
-        verdict = judge(_evidence(sensor_map, parts, faults, repeatability))
+        evidence = _evidence(sensor_map, parts, faults, repeatability)
+        uneven |= any(doubt.kind == "distortion" for doubt in evidence.doubts)
+        verdict = judge(evidence)
     notes += [reason for reason in verdict.reasons if reason.startswith("insufficient evidence")]
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
@@ -125,6 +127,7 @@ def diagnose(
         health=tuple(sensor.status for sensor in assessed),
         verdict=verdict,
         covariances=found,
+        uneven=uneven,
         notes=(*sensor_map.notes, *notes),
         provenance={**sensor_map.provenance, "verdict": verdict.summary},
     )

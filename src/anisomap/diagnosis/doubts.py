@@ -25,7 +25,8 @@ from scipy.spatial.distance import pdist
 from anisomap.diagnosis.verdict import MAX_CHANCE, Doubt
 from anisomap.evaluation.scoring import align, median_spacing, spacing_variation
 from anisomap.health import Finding, spoiling
-from anisomap.numerics.geodesic.neighbours import neighbour_graph
+from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
+from anisomap.numerics.geodesic.path_lengths import GeodesicOptions
 from anisomap.numerics.graph.local_paths import local_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.stress_minimisation import smacof
@@ -45,10 +46,12 @@ class OtherMaps:
 
     paths: From the map of path lengths along the most similar sensors.
     even: From the map of the numbers of steps between sensors on a graph of adjacent sensors.
+    unevenness: Spread of the distances between adjacent sensors on the map itself.
     """
 
     paths: float
     even: float
+    unevenness: float = 0.0
 
 
 def compare_with_other_maps(
@@ -69,7 +72,11 @@ def compare_with_other_maps(
     )
     steps = shortest_path(graph.adjacency.astype(np.float64), unweighted=True)
     paths = local_path_lengths(values, min(N_NEIGHBOURS, len(points) - 1))
-    return OtherMaps(paths=_difference(points, paths), even=_difference(points, steps))
+    return OtherMaps(
+        paths=_difference(points, paths),
+        even=_difference(points, steps),
+        unevenness=unevenness(points, graph.adjacency) if points.shape[1] > 1 else 0.0,
+    )
 
 
 def _difference(positions: Reals, lengths: Reals) -> float:
@@ -108,7 +115,7 @@ really uneven get this doubt as well, as readings do not tell them apart.
 """
 
 DISTORTED = 0.3
-"""Error of maps that the method calls distorted, as a share of the extent of the map."""
+"""Error of distorted maps, as a share of the extent of the map."""
 
 SPOILT = 0.25
 """Error because of a fault that was found, or of several components, in spacings.
@@ -125,6 +132,11 @@ HARMLESS = ("clock-jitter",)
 LEAST_DISTORTED = 0.5
 """Least error, in spacings, of maps that the method calls distorted; maps of a torus on which a
 flat surface is pressed, which it does, have errors of 1.5 (seeds 105 and 232)."""
+
+_UNEVEN = (
+    "the map has very unequal distances between neighbours: do not trust the map's scale along one "
+    "direction relative to another"
+)
 
 # Shares of the sensors, chosen by hand: in the largest component of a whole map; of a map at all.
 _MIN_LARGEST, _MIN_SHARE = 0.9, 1 / 3
@@ -148,16 +160,17 @@ def systematic_doubts(
     """
     largest = sensor_map.component == 0
     positions = sensor_map.positions[largest]
-    found = [*_of_the_method(sensor_map), *_of_components(sensor_map)]
-    found += _of_faults(faults, positions)
+    found = [*_of_components(sensor_map), *_of_faults(faults, positions)]
+    uneven = False
     if readings is not None and similarity is not None:
         others = compare_with_other_maps(
             readings, positions, similarity, changes=changes, correlation=correlation
         )
+        uneven = others.unevenness > GeodesicOptions.max_unevenness
         found += _of_halves(halves, repeatability)
         found += _of_spacings(positions)
         found += _of_other_maps(others, max(repeatability, halves))
-    return tuple(found)
+    return (*_of_distortion(sensor_map, uneven=uneven), *found)
 
 
 def extent_in_spacings(positions: ArrayLike) -> float:
@@ -216,11 +229,17 @@ def _of_other_maps(others: OtherMaps, repeatability: float) -> Iterator[Doubt]:
     )
 
 
-def _of_the_method(sensor_map: SensorMap) -> Iterator[Doubt]:
-    if sensor_map.uneven:
-        reason = "the map is distorted: see its notes"
-        size = DISTORTED * extent_in_spacings(sensor_map.positions[sensor_map.component == 0])
-        yield Doubt("distortion", max(LEAST_DISTORTED, size), reason, keeps_neighbours=True)
+def _of_distortion(sensor_map: SensorMap, *, uneven: bool) -> Iterator[Doubt]:
+    if not (sensor_map.uneven or uneven):
+        return
+    said = [note for note in sensor_map.notes if "trust" in note] if sensor_map.uneven else []
+    size = DISTORTED * extent_in_spacings(sensor_map.positions[sensor_map.component == 0])
+    yield Doubt(
+        "distortion",
+        max(LEAST_DISTORTED, size),
+        said[0] if said else _UNEVEN,
+        keeps_neighbours=True,
+    )
 
 
 def _of_components(sensor_map: SensorMap) -> Iterator[Doubt]:

@@ -31,7 +31,6 @@ from anisomap.numerics.reliability.sampling_noise import (
     thinning,
     typical_variance,
 )
-from anisomap.numerics.similarity.reference import without_common_signal
 from anisomap.numerics.similarity.resampled import resampled_correlation
 from anisomap.options import MethodOptions
 from anisomap.refinements.chain import RefinedMap
@@ -250,7 +249,7 @@ def _similarities(
     blended *= found.weight
     rho *= 1 - found.weight
     blended += rho
-    return np.array([without_common_signal(one) for one in blended])
+    return blended
 
 
 def _scaled(positions: NDArray[np.float64], metric: Reals) -> NDArray[np.float64]:

@@ -13,7 +13,6 @@ from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.numerics.similarity.correlation import pearson
-from anisomap.numerics.similarity.reference import without_common_signal
 from anisomap.options import MethodOptions
 from anisomap.refinements.chain import MIN_SENSORS, Proposal
 
@@ -50,7 +49,7 @@ def by_paths(
         return None
     paths = _normalised_paths(pairs.similarity)
     if pairs.readings is not None:
-        paths = (paths + _normalised_paths(without_common_signal(pearson(pairs.ranks)))) / 2
+        paths = (paths + _normalised_paths(pearson(pairs.ranks))) / 2
     dimensions = positions.shape[1]
     distances = squareform(pdist(positions))
     lengths = distances.sum() / (len(paths) * (len(paths) - 1)) * paths
@@ -63,7 +62,7 @@ def by_paths(
         precision,
         notes=(_NOTE.format(share),),
         facts={"unexplained": share},
-        distorted=True,
+        distorted=precision == 1,
     )
 
 

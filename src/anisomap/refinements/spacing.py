@@ -25,7 +25,7 @@ def by_even_spacing(
         return None
     readings = pairs.readings
     if readings is None or len(readings) < MIN_FRAMES or len(positions) < MIN_SENSORS:
-        return Proposal(positions, notes=(_TOO_FEW,))
+        return Proposal(positions, notes=(_TOO_FEW,), facts={"even_spacing": False})
     if positions.shape[1] == 1:  # a line has no directions
         return None
     spaced = refine_by_even_spacing(readings, positions, similarity=pairs.correlation)

@@ -2,17 +2,15 @@
 
 import numpy as np
 import pytest
-from anisomap.numerics.geodesic.height_refinement import (
-    examined_heights,
-    refine_by_contact_heights,
-)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import maximum_filter1d
 from scipy.spatial.distance import cdist, pdist
 from scipy.stats import rankdata
 
+from anisomap import Recording
 from anisomap.errors import InputError
+from anisomap.evidence import compare
 from anisomap.numerics.geodesic.contact_heights import (
     ContactHeights,
     HeightSimilarity,
@@ -26,6 +24,9 @@ from anisomap.numerics.geodesic.height_map import (
     weakest_link,
 )
 from anisomap.numerics.geodesic.neighbours import local_dimension
+from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.options import MethodOptions
+from anisomap.refinements.heights import by_heights
 from skins import flat_skin, lattice, swept
 
 SEEDS = range(301, 304)
@@ -38,6 +39,16 @@ def mantel_r(x, y):
 def scattered(seed):
     """Return an uneven flat skin of 64 sensors, without columns."""
     return lattice(8, 8) + np.random.default_rng(seed).uniform(-0.3, 0.3, (64, 2))
+
+
+def heights_of(readings):
+    return ContactHeights.of(estimate_rest(readings).depth(readings))
+
+
+def corrected(readings, positions):
+    """Return what the heights of contacts propose in place of a map."""
+    pairs = compare([Recording(readings)], "blended-correlation", bins=4, with_noise=True)
+    return by_heights(pairs, pairs.similarity, positions, MethodOptions())
 
 
 def compressed(positions, factor=0.05):
@@ -60,7 +71,7 @@ def test_heights_resolve_the_direction_that_readings_do_not(seed):
     first, second = np.transpose(along)
     distance = np.abs(places[first, 1] - places[second, 1])
     by_reading = np.corrcoef(readings.T)[first, second]
-    by_height = ContactHeights.of(readings).compare().similarity[first, second]
+    by_height = heights_of(readings).compare().similarity[first, second]
     assert by_reading.min() > 0.6
     assert np.corrcoef(distance[distance < 3], by_height[distance < 3])[0, 1] < -0.85
 
@@ -70,15 +81,15 @@ def test_heights_resolve_the_direction_that_readings_do_not(seed):
 def test_heights_do_not_depend_on_gain_offset_and_sign(seed):
     readings, rng = swept(lattice(4, 4), 20, seed=seed), np.random.default_rng(seed)
     gains = 2.0 ** rng.integers(-5, 6, 16) * rng.choice([-1, 1], 16)
-    again = ContactHeights.of(readings * gains).compare()
-    found = ContactHeights.of(readings).compare()
+    again = heights_of(readings * gains).compare()
+    found = heights_of(readings).compare()
     np.testing.assert_allclose(again.similarity, found.similarity, atol=1e-9)
     np.testing.assert_allclose(again.partial, found.partial, atol=1e-9)
 
 
 def test_heights_are_equivariant_to_labels():
     readings, order = swept(lattice(4, 4), 30), np.random.default_rng(0).permutation(16)
-    found, again = (ContactHeights.of(x).compare() for x in (readings, readings[:, order]))
+    found, again = (heights_of(x).compare() for x in (readings, readings[:, order]))
     np.testing.assert_allclose(again.similarity, found.similarity[np.ix_(order, order)])
     np.testing.assert_allclose(again.partial, found.partial[np.ix_(order, order)], atol=1e-9)
 
@@ -88,7 +99,7 @@ def test_ranks_are_those_of_the_highest_reading_around_a_frame(half):
     """Contacts of 1 / .75 times `half` frames are compared over that many frames to each side."""
     rng = np.random.default_rng(half)
     lasting = round(half / 0.75)
-    readings = np.zeros((40 * lasting, 3))
+    readings = np.zeros((40 * lasting, 3))  # depths beyond rest
     for begin in range(0, len(readings), 4 * lasting):
         readings[begin + lasting : begin + 2 * lasting] = rng.integers(1, 9, (lasting, 3))
     found = ContactHeights.of(readings)
@@ -98,21 +109,16 @@ def test_ranks_are_those_of_the_highest_reading_around_a_frame(half):
 
 def test_thresholded_readings_have_no_heights():
     readings = swept(lattice(4, 4), 30)
-    assert ContactHeights.of(readings).usable
-    assert not ContactHeights.of(readings > 1).usable
-    assert not ContactHeights.of(np.zeros((50, 4))).usable
-
-
-def test_readings_of_one_dimension_are_refused():
-    with pytest.raises(InputError, match="shape"):
-        ContactHeights.of(np.zeros(5))
+    assert heights_of(readings).usable
+    assert not heights_of((readings > 1).astype(float)).usable
+    assert not heights_of(np.zeros((50, 4))).usable
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_map_explains_heights_unless_it_is_compressed_or_scrambled(seed):
     places = scattered(seed)
     readings = swept(places, seed=seed)
-    halves = height_halves(ContactHeights.of(readings), len(readings))
+    halves = height_halves(heights_of(readings), len(readings))
     sharing = np.corrcoef(readings.T) > 0.05
     right = explained_share(halves, places, sharing)
     assert right.reliability > 0.7
@@ -162,8 +168,8 @@ def test_linear_images_are_explained_and_other_maps_are_not(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_compressed_map_of_a_swept_skin_is_corrected(seed):
     places = scattered(seed)
-    found = refine_by_contact_heights(swept(places, seed=seed), compressed(places))
-    assert found.applied
+    found = corrected(swept(places, seed=seed), compressed(places))
+    assert found.precision == np.inf
     assert mantel_r(found.positions, places) > 0.95 > mantel_r(compressed(places), places) + 0.1
     # The direction that was not compressed keeps its size.
     assert np.ptp(found.positions @ np.linalg.svd(found.positions)[2][:2].T) < 3 * np.ptp(places)
@@ -176,9 +182,9 @@ def test_right_maps_and_skins_touched_by_compact_contacts_are_left_alone(seed):
         (swept(places, seed=seed), places),
         (flat_skin(seed=seed).readings, lattice()),
     ):
-        found = refine_by_contact_heights(readings, given_map)
-        assert not found.applied
-        assert found.trusted
+        found = corrected(readings, given_map)
+        assert found.precision == 0
+        assert not found.distorted
         np.testing.assert_array_equal(found.positions, given_map)
 
 
@@ -188,8 +194,8 @@ def test_spikes_of_boards_are_not_taken_for_heights(seed):
     skin = flat_skin(seed=seed)
     board = rng.permutation(42) % 4
     spikes = (rng.random((len(skin.readings), 4)) < 0.02) * rng.uniform(3, 9)
-    found = refine_by_contact_heights(skin.readings + spikes[:, board], lattice())
-    assert not found.applied
+    found = corrected(skin.readings + spikes[:, board], lattice())
+    assert found.precision == 0
 
 
 def test_a_curve_has_one_dimension_and_a_surface_two():
@@ -207,15 +213,3 @@ def test_a_curve_has_one_dimension_and_a_surface_two():
 def test_the_step_ratio_is_at_least_one():
     with pytest.raises(InputError, match="max_step_ratio"):
         HeightMapOptions(max_step_ratio=0.9)
-
-
-@pytest.mark.parametrize("factor", [0.05, 1.0])
-def test_blocks_of_a_long_recording_show_what_all_frames_do(factor):
-    places = scattered(302)
-    readings = swept(places, 400, seed=302)
-    some, every = examined_heights(readings), ContactHeights.of(readings)
-    assert len(some.ranks) < len(readings)
-    sharing = np.corrcoef(readings.T) > 0.05
-    shares = [explained_share(x.halves, compressed(places, factor), sharing) for x in (some, every)]
-    assert shares[0].reliability == pytest.approx(shares[1].reliability, abs=0.05)
-    assert shares[0].share == pytest.approx(shares[1].share, abs=0.05)

@@ -16,7 +16,6 @@ from anisomap.numerics.reliability.split_half import (
     at_frames,
     correlation_and_reliability,
 )
-from anisomap.numerics.similarity.reference import without_common_signal
 from anisomap.numerics.similarity.rest import Rest, rest_and_ranks
 
 # Tuned on simulated skins, seeds 101-105; 3 to 10 in place of 5 give about equal maps.
@@ -190,4 +189,4 @@ def _blended(linear: SplitCorrelation, by_rank: SplitCorrelation) -> tuple[Reals
     blended *= weight
     blended += (1 - weight) * by_rank.correlation
     np.fill_diagonal(blended, 1.0)
-    return without_common_signal(blended), weight
+    return blended, weight
