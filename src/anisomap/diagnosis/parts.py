@@ -83,13 +83,6 @@ With 300, differences of halves changed by less than .6 % (Nao's torso and head,
 and simulated skins, seeds 11 to 17).
 """
 
-_START_TOLERANCE = 1e-5
-"""Minimum tolerance of the scaling from which the covariogram fit of a half starts.
-
-With 1e-8, differences of halves changed by less than .7 % (an insole, Nao's torso and head, soles,
-retinas, and simulated skins, seeds 5 to 10).
-"""
-
 _SAME = 1e-6  # spacings; rounding errors of a map that was scaled or turned are far below
 
 
@@ -180,8 +173,7 @@ class MapParts:
 
     def _map_half(self, part: MapPart, frames: NDArray[np.intp]) -> NDArray[np.float64]:
         """Map a half of the frames from the beginning, as all of them; NaN for constant sensors."""
-        covariogram, smacof = self._options.covariogram, self._options.smacof
-        contacts = self._options.contacts
+        covariogram, contacts = self._options.covariogram, self._options.contacts
         options = replace(
             self._options,
             split_unrelated=False,
@@ -193,7 +185,6 @@ class MapParts:
                 max_readings=-(-contacts.max_readings // 2),
                 readings_per_sensor=-(-contacts.readings_per_sensor // 2),
             ),
-            smacof=replace(smacof, tolerance=max(smacof.tolerance, _START_TOLERANCE)),
         )
         # The half that begins with the first frame is the first.
         half = part.pairs.of_half(int(frames[0] > 0))
