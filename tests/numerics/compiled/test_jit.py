@@ -23,9 +23,3 @@ def test_loops_compile_without_a_cache_folder():
     values = np.arange(3.0)
     loop()(uncacheable_function())(values)
     np.testing.assert_array_equal(values, [0, 2, 4])
-
-
-def test_flags_are_passed_to_numba():
-    fast = loop(fastmath=True)(uncacheable_function())
-    assert fast.targetoptions["fastmath"]
-    assert fast.targetoptions["nogil"]

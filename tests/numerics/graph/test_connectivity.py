@@ -25,16 +25,6 @@ def test_the_neighbour_graph_is_the_smallest_connected_one(n, seed):
         assert components(np.where(fewer, 1.0, np.inf)).max() > 0
 
 
-def test_every_object_is_joined_to_its_most_similar_ones():
-    similarity = squareform(np.random.default_rng(0).uniform(size=45))
-    joined = neighbour_graph(similarity, 3)
-    np.testing.assert_array_equal(joined, joined.T)
-    assert not np.diag(joined).any()
-    for i in range(10):
-        nearest = np.argsort(np.where(np.arange(10) == i, np.inf, -similarity[i]))[:3]
-        assert joined[i, nearest].all()
-
-
 @given(st.integers(2, 12), st.integers(1, 14), st.integers(1, 3), st.integers(0, 10_000))
 def test_of_equally_similar_objects_the_first_are_joined(n, k, n_values, seed):
     similarity = squareform(np.random.default_rng(seed).integers(n_values, size=n * (n - 1) // 2))

@@ -77,13 +77,6 @@ def test_integer_lengths_are_exact(search, lengths):
     np.testing.assert_array_equal(search(lengths), oracle(lengths))
 
 
-@searches
-@given(lengths=graphs())
-def test_shortest_paths_are_a_fixed_point(search, lengths):
-    found = search(lengths)
-    np.testing.assert_allclose(search(found), found, rtol=1e-12)
-
-
 @given(graphs())
 def test_the_check_rejects_longer_paths_of_its_sources(lengths):
     shortest = oracle(lengths)
