@@ -11,7 +11,7 @@ PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
 # Without byte code on disk, every process that a test starts compiles the package again: .4 s.
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: help demo paper numbers test test-all test-random test-profiles coverage golden golden-accept check format bench quality faults trust dimension uncertainty fuzz tables docs clean
+.PHONY: help demo paper numbers test test-all test-random test-profiles coverage golden golden-accept check format bench quality faults trust dimension uncertainty fuzz tables docs size clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 15
@@ -103,6 +103,9 @@ fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/ (ARGS="--
 
 docs: $(READY)  ## build the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
+
+size: $(READY)  ## count lines, functions and modules, and those that a map passes
+	@$(BIN)/python -m benchmarks.size -o docs/size-table.md
 
 clean:  ## remove the output of all targets
 	rm -rf .venv .venv-lowest-versions demo bench fuzz quality faults trust dimension uncertainty paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov
