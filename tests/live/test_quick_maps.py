@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from anisomap import reconstruct
 from anisomap.evaluation import align
 from anisomap.health import SensorHealth
-from anisomap.health.activity import count_contacts, count_joint_contacts
+from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.live.coach import advise, confirmed_faults
 from anisomap.live.quick_map import (
     SAMPLE_FRAMES,

@@ -11,8 +11,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.health.activity import count_contacts, count_joint_contacts
-from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.recording import Recording, as_runs
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
@@ -140,9 +139,7 @@ def touch_coverage(
     contacts = np.zeros(sensor_map.n_sensors, dtype=np.intp)
     together = np.zeros(len(pairs), dtype=np.intp)
     for run in runs:
-        complete = run.complete("interpolate")
-        present = np.isfinite(run.readings)
-        active = estimate_rest(complete.readings).active(complete.readings) & present
+        active = run.complete("interpolate").signals.active & np.isfinite(run.readings)
         rows = np.array([row[name] for name in run.names])
         contacts[rows] += count_contacts(active)
         column = np.full(sensor_map.n_sensors, -1)

@@ -17,7 +17,6 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
-from anisomap.health.activity import count_contacts
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.layout.explanation import Explained, explain, module_members
 from anisomap.numerics.compiled.parallel import limited_blas
@@ -31,7 +30,6 @@ from anisomap.numerics.layout.chance import (
 from anisomap.numerics.layout.evidence import REACH, Evidence, Move, neighbour_spacing
 from anisomap.numerics.layout.moves import ModuleShapes
 from anisomap.numerics.layout.search import Search, Verdict
-from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.placement.modules import NO_MODULE, Modules
 from anisomap.recording import Recording, as_runs, join_runs
 from anisomap.sensor_map import SensorMap
@@ -268,7 +266,7 @@ def check_layout(
         known = statistics or reading_statistics(joined.readings, generator, n_shifts=n_shifts)
         checked = _Checked(
             stated,
-            joined.readings[:, columns],
+            joined.signals.contacts[columns],
             rows=rows,
             spacing=spacing,
             members=members,
@@ -283,7 +281,7 @@ class _Checked:
     def __init__(
         self,
         layout: SensorMap,
-        readings: NDArray[np.floating],
+        contacts: NDArray[np.intp],
         *,
         rows: NDArray[np.intp],
         spacing: float,
@@ -305,7 +303,7 @@ class _Checked:
             [inside for inside in present if len(inside)], self._positions
         )
         self._statistics = statistics
-        self._contacts = count_contacts(estimate_rest(readings).active(readings))
+        self._contacts = contacts
         self._usable = self._statistics.tested & (self._contacts >= MIN_CONTACTS)
         self._findings: list[LayoutFinding] = []
 

@@ -19,7 +19,6 @@ from anisomap.numerics.procrustes import (
     fit_similarity,
     noise_scale,
 )
-from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.placement.anchors import COVERAGE, fit_anchors
 from anisomap.placement.frames import METRES, median_spacing, pad_to_3d
 from anisomap.placement.handedness import Known
@@ -243,8 +242,8 @@ def _centres(
         raise InputError(
             f"the recording must have {_MIN_SENSORS} sensors of {what} or more, got {len(rows)}"
         )
-    readings = recording.readings[:, [columns[patch.names[i]] for i in rows]]
-    depth = estimate_rest(readings).depth(readings)
+    chosen = np.array([columns[patch.names[i]] for i in rows])
+    depth = recording.signals.rest.select(chosen).depth(recording.readings[:, chosen])
     deepest = float(np.quantile(depth.max(axis=1), _RANGE_QUANTILE))
     depth[depth <= _MIN_DEPTH * deepest] = 0.0
     total = depth.sum(axis=1)

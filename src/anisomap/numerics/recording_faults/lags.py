@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.columns import columns, rank_columns
-from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors, standardised
+from anisomap.numerics.signals import middle_frames, some_sensors, standardised
 
 MAX_LAG = 40
 """Greatest lag that is searched, in frames; chosen by hand."""

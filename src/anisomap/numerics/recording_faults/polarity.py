@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.graph.connectivity import greatest_of_rows
-from anisomap.numerics.recording_faults.excerpt import MAX_FRAMES, standardised
+from anisomap.numerics.signals import MAX_FRAMES, standardised
 
 _MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand
 _MIN_SHARE = 0.8  # of the sensors that must be skewed so; chosen by hand
