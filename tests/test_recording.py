@@ -15,6 +15,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import assess
 from anisomap.methods import MethodOptions
 from anisomap.numerics.contacts import ContactOptions
+from anisomap.recording import as_runs
 from skins import flat_skin
 
 

@@ -329,6 +329,27 @@ def find_sensors(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[
     return np.array(sorted(found), dtype=np.intp)
 
 
+def match_names(names: Iterable[str], among: Sequence[str]) -> NDArray[np.intp]:
+    """Find names among others: their indices, -1 for those that are not there."""
+    place = {name: i for i, name in enumerate(among)}
+    return np.array([place.get(name, -1) for name in names], dtype=np.intp)
+
+
+def match_sensors(
+    names: Sequence[str], among: Sequence[str], what: str
+) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """Match sensors by name, or by order if no name is shared; return indices, and a note then."""
+    found = match_names(names, among)
+    if (found >= 0).any():
+        return found, ()
+    if len(names) != len(among):
+        raise InputError(
+            f"{what} share no sensor name, and {len(names)} sensors cannot be matched with "
+            f"{len(among)} by order; use the same names"
+        )
+    return np.arange(len(names)), (f"{what} share no sensor name: matched by order",)
+
+
 def sensor_mask(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
     """Mark sensors given by name or index: a mask of shape (N,)."""
     mask = np.zeros(len(names), dtype=bool)

@@ -13,6 +13,7 @@ from scipy.special import ndtr, ndtri
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances, median_spacing
 from anisomap.numerics.procrustes import Similarity, fit_similarity_robustly
+from anisomap.recording import match_names, match_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
 
 MIN_COMPARED = 8
@@ -188,23 +189,16 @@ class _Pair:
 
 def _match(before: SensorMap, after: SensorMap) -> _Pair:
     """Match sensors by name, or by order if no name is shared."""
-    notes: tuple[str, ...] = ()
-    if not set(before.names) & set(after.names):
-        if before.n_sensors != after.n_sensors:
-            raise InputError(
-                f"the maps share no sensor name, and {before.n_sensors} sensors cannot be matched "
-                f"with {after.n_sensors} by order; use the same names"
-            )
+    _, notes = match_sensors(before.names, after.names, "the maps")
+    if notes:
         after = replace(after, names=before.names)
-        notes = ("the maps share no sensor name: matched by order",)
     names = tuple(dict.fromkeys((*before.names, *after.names)))
     dimensions = max(before.dimensions, after.dimensions)
     positions = np.full((2, len(names), dimensions), np.nan)
     component = np.full((2, len(names)), UNPLACED)
     working = np.zeros((2, len(names)), dtype=bool)
-    row = {name: i for i, name in enumerate(names)}
     for i, sensor_map in enumerate((before, after)):
-        rows = [row[name] for name in sensor_map.names]
+        rows = match_names(sensor_map.names, names)
         missing = dimensions - sensor_map.dimensions
         positions[i, rows] = np.pad(sensor_map.positions, ((0, 0), (0, missing)))
         component[i, rows] = sensor_map.component

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, PERMUTATIONS, Mantel, mantel
 from anisomap.numerics.procrustes import Similarity, fit_similarity
-from anisomap.recording import Recording
+from anisomap.recording import Recording, match_sensors
 from anisomap.sensor_map import SensorMap
 
 
@@ -364,7 +364,7 @@ def score(
         If the truth does not match the sensors of the map, an excluded sensor is unknown, or fewer
         than 4 sensors can be compared.
     """
-    notes = []
+    notes: tuple[str, ...] = ()
     if not isinstance(sensor_map, SensorMap):
         raise InputError(
             f"score takes a SensorMap first, got {type(sensor_map).__name__}; mantel and align "
@@ -374,11 +374,10 @@ def score(
         truth = _as_map(truth)
     if isinstance(truth, SensorMap):
         units = truth.units
-        true_positions, by_order = _matched(sensor_map, truth)
-        if by_order:
-            note = "map and truth share no sensor name: matched by order"
+        rows, notes = match_sensors(sensor_map.names, truth.names, "map and truth")
+        true_positions = np.where(rows[:, None] >= 0, truth.positions[rows], np.nan)
+        for note in notes:
             warnings.warn(note, AnisomapWarning, stacklevel=2)
-            notes.append(note)
     else:
         true_positions = np.asarray(truth, dtype=np.float64)
     if true_positions.ndim != 2 or len(true_positions) != sensor_map.n_sensors:
@@ -400,8 +399,8 @@ def score(
     generator = np.random.default_rng(0 if rng is None else rng)
     drawn = _sample(len(chosen), generator)
     if drawn.size < len(chosen):
-        notes.append(
-            f"Mantel r uses a random sample of {drawn.size} of the {len(chosen)} sensors compared"
+        notes += (
+            f"Mantel r uses a random sample of {drawn.size} of the {len(chosen)} sensors compared",
         )
     return Score(
         mantel=mantel(
@@ -418,7 +417,7 @@ def score(
         neighbours_kept=neighbour_agreement(positions, true_positions),
         excluded=np.flatnonzero(~included),
         units=units,
-        notes=tuple(notes),
+        notes=notes,
     )
 
 
@@ -430,7 +429,7 @@ def _as_map(recording: Recording) -> SensorMap:
 
 def _compared(
     sensor_map: SensorMap, known: NDArray[np.bool_], included: NDArray[np.bool_]
-) -> tuple[NDArray[np.intp], list[str]]:
+) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Return the sensors that can be compared, and notes on the others."""
     largest = sensor_map.component == 0
     reasons = {
@@ -439,11 +438,11 @@ def _compared(
         "outside the largest component": sensor_map.placed & ~largest & included,
         "no known true position": largest & included & ~known,
     }
-    notes = [
+    notes = tuple(
         f"{np.count_nonzero(mask)} of {sensor_map.n_sensors} sensors not compared: {why}"
         for why, mask in reasons.items()
         if mask.any()
-    ]
+    )
     return np.flatnonzero(largest & included & known), notes
 
 
@@ -451,18 +450,3 @@ def _sample(n_sensors: int, rng: np.random.Generator) -> NDArray[np.intp]:
     if n_sensors <= MAX_ALL_PAIRS:
         return np.arange(n_sensors)
     return np.sort(rng.choice(n_sensors, SAMPLED, replace=False))
-
-
-def _matched(sensor_map: SensorMap, truth: SensorMap) -> tuple[NDArray[np.float64], bool]:
-    """Return true positions in the order of the map, and whether they were matched by order."""
-    row = {name: i for i, name in enumerate(truth.names)}
-    rows = [row.get(name) for name in sensor_map.names]
-    if all(i is None for i in rows):
-        if truth.n_sensors != sensor_map.n_sensors:
-            raise InputError(
-                f"map and truth share no sensor name, and {sensor_map.n_sensors} sensors cannot be "
-                f"matched with {truth.n_sensors} by order; use the same names"
-            )
-        return truth.positions, True
-    unknown = np.full(truth.dimensions, np.nan)
-    return np.array([unknown if i is None else truth.positions[i] for i in rows]), False

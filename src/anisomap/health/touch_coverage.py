@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
-from anisomap.recording import Recording, as_runs
+from anisomap.recording import Recording, as_runs, match_names
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
 
@@ -129,8 +129,7 @@ def touch_coverage(
         If the recordings do not have the sensors of the map.
     """
     runs = as_runs(recording)
-    row = {name: i for i, name in enumerate(sensor_map.names)}
-    if {name for run in runs for name in run.names} != set(row):
+    if {name for run in runs for name in run.names} != set(sensor_map.names):
         raise InputError(
             f"the recording must have the sensors of the map, {sensor_map.n_sensors} sensors from "
             f"{sensor_map.names[0]!r} on"
@@ -140,10 +139,9 @@ def touch_coverage(
     together = np.zeros(len(pairs), dtype=np.intp)
     for run in runs:
         active = run.complete("interpolate").signals.active & np.isfinite(run.readings)
-        rows = np.array([row[name] for name in run.names])
+        rows = match_names(run.names, sensor_map.names)
         contacts[rows] += count_contacts(active)
-        column = np.full(sensor_map.n_sensors, -1)
-        column[rows] = np.arange(run.n_sensors)
+        column = match_names(sensor_map.names, run.names)
         inside = (column[pairs] >= 0).all(axis=1)
         together[inside] += count_joint_contacts(active, column[pairs[inside]])
     need = needed_evidence(contacts, pairs, together, sensor_map.component)

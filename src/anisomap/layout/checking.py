@@ -31,7 +31,7 @@ from anisomap.numerics.layout.evidence import REACH, Evidence, Move, neighbour_s
 from anisomap.numerics.layout.moves import ModuleShapes
 from anisomap.numerics.layout.search import Search, Verdict
 from anisomap.placement.modules import NO_MODULE, Modules
-from anisomap.recording import Recording, as_runs, join_runs
+from anisomap.recording import Recording, as_runs, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap
 from anisomap.wording import html_table, join_items
 
@@ -307,7 +307,7 @@ class _Checked:
         self._usable = self._statistics.tested & (self._contacts >= MIN_CONTACTS)
         self._findings: list[LayoutFinding] = []
 
-    def result(self, notes: list[str]) -> LayoutCheck:
+    def result(self, notes: tuple[str, ...]) -> LayoutCheck:
         """Carry out all steps."""
         self._find_dead()
         self._find_doubled()
@@ -422,7 +422,7 @@ class _Checked:
         self,
         proposed: NDArray[np.float64],
         stated_agreement: NDArray[np.float64],
-        notes: list[str],
+        notes: tuple[str, ...],
     ) -> LayoutCheck:
         n_sensors = self._layout.n_sensors
         status = [NOT_TESTED] * n_sensors
@@ -435,11 +435,10 @@ class _Checked:
                 status[self._rows[column]] = finding.kind
         untested = [self._layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
         if untested:
-            notes = [
-                *notes,
+            notes += (
                 f"{len(untested)} of {n_sensors} sensors are not tested, since the recording says "
                 f"nothing of them: {join_items(untested, _MAX_NAMED)}",
-            ]
+            )
         positions = self._layout.positions.copy()
         positions[self._rows] = proposed
         values = np.full(n_sensors, np.nan)
@@ -454,7 +453,7 @@ class _Checked:
             values,
             self._label,
             self._spacing,
-            tuple(notes),
+            notes,
         )
 
 
@@ -469,35 +468,21 @@ def _as_layout(positions: ArrayLike) -> SensorMap:
 
 def _matched(
     layout: SensorMap, recording: Recording
-) -> tuple[NDArray[np.intp], NDArray[np.intp], list[str]]:
+) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[str, ...]]:
     """Return rows of the layout, the columns of the same sensors, and notes."""
-    notes = []
-    column = {name: i for i, name in enumerate(recording.names)}
-    shared = [(i, column[name]) for i, name in enumerate(layout.names) if name in column]
-    if not shared:
-        if layout.n_sensors != recording.n_sensors:
-            raise InputError(
-                f"layout and recording share no sensor name, and {layout.n_sensors} positions "
-                f"cannot be matched with {recording.n_sensors} sensors by order; use the same names"
-            )
-        notes.append("layout and recording share no sensor name: matched by order")
-        shared = [(i, i) for i in range(layout.n_sensors)]
-    elif len(shared) < recording.n_sensors:
-        known = set(layout.names)
-        missing = [name for name in recording.names if name not in known]
-        notes.append(
-            f"{len(missing)} sensors of the recording have no position: "
-            f"{join_items(missing, _MAX_NAMED)}"
-        )
-    pairs = np.array(shared, dtype=np.intp)
-    pairs = pairs[layout.placed[pairs[:, 0]]]
-    if len(pairs) < MIN_SENSORS:
+    columns, notes = match_sensors(layout.names, recording.names, "layout and recording")
+    missing = np.flatnonzero(match_names(recording.names, layout.names) < 0)
+    if missing.size and not notes:
+        listed = join_items([recording.names[i] for i in missing], _MAX_NAMED)
+        notes = (f"{missing.size} sensors of the recording have no position: {listed}",)
+    rows = np.flatnonzero((columns >= 0) & layout.placed)
+    if len(rows) < MIN_SENSORS:
         raise InputError(
             f"a check needs at least {MIN_SENSORS} sensors with a position and readings, got "
-            f"{len(pairs)}"
+            f"{len(rows)}"
         )
-    order = np.argsort(pairs[:, 1], kind="stable")
-    return pairs[order, 0], pairs[order, 1], notes
+    rows = rows[np.argsort(columns[rows], kind="stable")]
+    return rows, columns[rows], notes
 
 
 def _mean(values: NDArray[np.float64]) -> float:

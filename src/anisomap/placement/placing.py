@@ -27,6 +27,7 @@ from anisomap.placement.surface import (
     fit_to_surface,
     surface_evidence,
 )
+from anisomap.recording import match_names
 from anisomap.scene import Mesh
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
@@ -353,11 +354,11 @@ def _rows(sensor_map: SensorMap, anchors: Anchors, shape: _Shape) -> NDArray[np.
         raise InputError("anchors of a map in 3D must have three coordinates")
     if shape.surface is not None and k < 3:
         raise InputError("anchors on a mesh must have three coordinates")
-    rows = {name: i for i, name in enumerate(sensor_map.names)}
-    unknown = [name for name in anchors.names if name not in rows]
-    if unknown:
+    rows = match_names(anchors.names, sensor_map.names)
+    if (rows < 0).any():
+        unknown = [anchors.names[i] for i in np.flatnonzero(rows < 0)]
         raise InputError(f"anchor {join_items(unknown)} is no sensor of the map")
-    return np.array([rows[name] for name in anchors.names], dtype=np.intp)
+    return rows
 
 
 def _rigid(positions: NDArray[np.float64], modules: Modules) -> NDArray[np.float64]:

@@ -23,7 +23,7 @@ from anisomap.placement.anchors import COVERAGE, fit_anchors
 from anisomap.placement.frames import METRES, median_spacing, pad_to_3d
 from anisomap.placement.handedness import Known
 from anisomap.placement.placing import Placement
-from anisomap.recording import Recording
+from anisomap.recording import Recording, match_names
 from anisomap.sensor_map import SensorMap
 
 # Chosen by hand.
@@ -236,13 +236,13 @@ def _centres(
     patch: SensorMap, recording: Recording, what: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the centre of contact in each frame, NaN without one, and the total depth."""
-    columns = {name: i for i, name in enumerate(recording.names)}
-    rows = [i for i in np.flatnonzero(patch.placed) if patch.names[i] in columns]
+    columns = match_names(patch.names, recording.names)
+    rows = np.flatnonzero(patch.placed & (columns >= 0))
     if len(rows) < _MIN_SENSORS:
         raise InputError(
             f"the recording must have {_MIN_SENSORS} sensors of {what} or more, got {len(rows)}"
         )
-    chosen = np.array([columns[patch.names[i]] for i in rows])
+    chosen = columns[rows]
     depth = recording.signals.rest.select(chosen).depth(recording.readings[:, chosen])
     deepest = float(np.quantile(depth.max(axis=1), _RANGE_QUANTILE))
     depth[depth <= _MIN_DEPTH * deepest] = 0.0
