@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, PERMUTATIONS, Mantel, mantel
+from anisomap.numerics.neighbours import nearest_distances, nearest_others, padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity
-from anisomap.recording import Recording, match_sensors
-from anisomap.sensor_map import SensorMap
+from anisomap.recording import Recording, default_names, match_sensors
+from anisomap.sensor_map import SensorMap, check_coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Alignment:
                 f"{points.shape}"
             )
         fit = Similarity(self.rotation, self.scale, self.translation)
-        return fit.apply(_padded(points, len(self.translation)))
+        return fit.apply(padded(points, len(self.translation)))
 
 
 def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
@@ -101,7 +101,8 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
     Raises
     ------
     InputError
-        If the numbers of sensors differ, or a configuration is a single point.
+        If the numbers of sensors differ, a coordinate is not finite or above 1e100, or a
+        configuration is a single point.
 
     Notes
     -----
@@ -114,7 +115,9 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
             f"positions and truth must have the same number of rows, got {x.shape} and {y.shape}"
         )
     dimensions = max(x.shape[1], y.shape[1])
-    x, y = _padded(x, dimensions), _padded(y, dimensions)
+    x, y = padded(x, dimensions), padded(y, dimensions)
+    for points, where in ((x, "on the map"), (y, "in truth")):
+        check_coordinates(points, default_names(len(points)), where)
     if (x == x[0]).all() or (y == y[0]).all():
         raise InputError("all positions coincide, so an alignment is undefined")
     fit = fit_similarity(x, y)
@@ -127,10 +130,6 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
         aligned=aligned,
         errors=np.linalg.norm(aligned - y, axis=1),
     )
-
-
-def _padded(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
-    return np.pad(points, ((0, 0), (0, dimensions - points.shape[1])))
 
 
 NEIGHBOURS = 6
@@ -148,20 +147,14 @@ _SHELLS = 16  # neighbours that are looked for around a tie, per neighbour asked
 
 def median_spacing(positions: ArrayLike) -> float:
     """Median distance from a sensor to its nearest neighbour, in the units of `positions`."""
-    return float(np.median(_nearest_distances(positions)))
+    return float(np.median(nearest_distances(np.asarray(positions, dtype=np.float64))))
 
 
 def spacing_variation(positions: ArrayLike) -> float:
     """Variation of the distances from sensors to their nearest neighbours. positions (N, k)."""
-    nearest = _nearest_distances(positions)
+    nearest = nearest_distances(np.asarray(positions, dtype=np.float64))
     mean = float(nearest.mean())
     return float(nearest.std()) / mean if mean > 0 else 0.0
-
-
-def _nearest_distances(positions: ArrayLike) -> NDArray[np.float64]:
-    """Return the distance from each sensor to its nearest neighbour."""
-    points = np.asarray(positions, dtype=np.float64)
-    return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
 
 
 def check_distances(positions: NDArray[np.float64], what: str) -> None:
@@ -207,12 +200,12 @@ def neighbour_agreement(
     """
     x, y = np.asarray(positions, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     count = min(n_neighbours, len(x) - 1)
-    reach = (1 + TIE) * _nearest(y, count)[0][:, -1]
-    distances, neighbours = _nearest(x, count + 1)
+    reach = (1 + TIE) * nearest_others(y, count)[0][:, -1]
+    distances, neighbours = nearest_others(x, count + 1)
     found = _share(distances, _near(y, neighbours, reach), count)
     tied = distances[:, -1] <= (1 + TIE) * distances[:, count - 1]
     if tied.any() and count < len(x) - 1:
-        distances, neighbours = _nearest(x, _SHELLS * count, np.flatnonzero(tied))
+        distances, neighbours = nearest_others(x, _SHELLS * count, np.flatnonzero(tied))
         found[tied] = _share(distances, _near(y, neighbours, reach, tied), count)
     return float(found.mean())
 
@@ -237,22 +230,6 @@ def _near(
     """Tell which of the listed neighbours of each point lie within its reach."""
     apart = np.linalg.norm(points[rows, None] - points[neighbours], axis=2)
     return np.asarray(apart <= reach[rows, None])
-
-
-def _nearest(
-    points: NDArray[np.float64], count: int, rows: NDArray[np.intp] | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Find the nearest neighbours of points, all by default, and their distances, nearest first.
-
-    A point is no neighbour of itself, even if others coincide with it.
-    """
-    rows = np.arange(len(points)) if rows is None else rows
-    count = min(count, len(points) - 1)
-    distances, found = KDTree(points).query(points[rows], k=count + 1)
-    itself = found == rows[:, None]
-    itself[~itself.any(axis=1), -1] = True  # crowded out by coincident points: drop the last
-    shape = (len(rows), count)
-    return np.asarray(distances)[~itself].reshape(shape), np.asarray(found)[~itself].reshape(shape)
 
 
 MAX_ALL_PAIRS = 4000
@@ -396,6 +373,9 @@ def score(
             f"a score requires at least {MIN_SENSORS_COMPARED} sensors with known true positions, "
             f"got {len(chosen)}" + (f" ({'; '.join(notes)})" if notes else "")
         )
+    compared = [sensor_map.names[i] for i in chosen]
+    check_coordinates(positions, compared, "on the map")
+    check_coordinates(true_positions, compared, "in truth")
     generator = np.random.default_rng(0 if rng is None else rng)
     drawn = _sample(len(chosen), generator)
     if drawn.size < len(chosen):

@@ -254,9 +254,9 @@ def check_layout(
     if stated.dimensions not in (2, 3):
         raise InputError(f"a layout must have 2 or 3 coordinates, got {stated.dimensions}")
     rows, columns, notes = _matched(stated, joined)
-    members = module_members(stated, modules)
     positions = stated.positions[rows]
     check_distances(positions, "the layout")
+    members = module_members(stated, modules)
     spacing = neighbour_spacing(positions)
     if not spacing > 0:
         raise InputError("most sensors of the layout have the same position; there is no distance")

@@ -20,6 +20,7 @@ from anisomap.evaluation.mantel_r import mantel
 from anisomap.evaluation.scoring import median_spacing
 from anisomap.health import assess
 from anisomap.numerics.kriging import Kernel, predict_field
+from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity, fit_similarity_robustly
 from anisomap.recording import Recording, as_runs, join_runs
 from anisomap.sensor_map import UNASSESSED, UNPLACED, SensorMap
@@ -62,7 +63,7 @@ class _Frame:
 
     def carry(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Transform points of the map of all evidence, shape (m, l), without corrections."""
-        return self.to_old.apply(_padded(self.to_before.apply(points), self.base.shape[1]))
+        return self.to_old.apply(padded(self.to_before.apply(points), self.base.shape[1]))
 
     def corrections(
         self, points: NDArray[np.float64], spacing: float
@@ -175,7 +176,7 @@ def _frame(
     fit = fit_similarity_robustly if len(new) >= MIN_COMPARED else fit_similarity
     to_before = fit(after.positions[new], before.positions[then])
     dimensions = old.dimensions
-    source, target = _padded(before.positions[then], dimensions), old.positions[there]
+    source, target = padded(before.positions[then], dimensions), old.positions[there]
     to_old = fit_similarity(source, target)
     base = to_old.apply(source)
     field = target - base
@@ -185,10 +186,6 @@ def _frame(
             "shape; give the file that was written with the map"
         )
     return _Frame(there, label, to_before, to_old, base, field)
-
-
-def _padded(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
-    return np.pad(points, ((0, 0), (0, dimensions - points.shape[1])))
 
 
 def _renumbered(component: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -307,6 +304,7 @@ def update_map(
     """
     if not 0 < level < 1:
         raise InputError(f"the level must be between 0 and 1, got {level:g}")
+    sensor_map.check_coordinates("on the map")
     evidence = replace(evidence, dimensions=sensor_map.dimensions)
     runs = as_runs(recording)
     joined = join_runs(runs)
