@@ -1,7 +1,4 @@
-"""A recording: the readings of all sensors of a skin, frame by frame. Immutable.
-
-Several recordings of one skin: sensors are matched by name.
-"""
+"""A recording: the readings of all sensors of a skin, frame by frame. Immutable."""
 
 from __future__ import annotations
 

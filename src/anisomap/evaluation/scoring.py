@@ -1,9 +1,4 @@
-"""Alignment of a map with the truth: Procrustes analysis with scaling and reflection.
-
-Nearest neighbours on the map and in the truth.
-
-The score of a map against the truth.
-"""
+"""Score of a map against the truth: Procrustes alignment, kept neighbours, Mantel r."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What a check of a layout finds.
-
-Check of stated positions against the readings of a recording.
-"""
+"""Check of stated positions against the readings of a recording."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Modules of a layout: given, by numbers in names, or found as rigid repeats.
-
-Findings that explain the difference between two sets of positions.
-"""
+"""Modules of a layout, and faults that explain why sensors have other places."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Procrustes analysis: the similarity or rigid transform between two sets of points.
-
-Poses of rigid bodies from the distances between points on different bodies.
-
-Pose of a patch of sensors on its link, from places where it was touched.
-"""
+"""Procrustes analysis: similarity transforms, and poses of rigid bodies and of patches."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Statistics of complete readings that several analyses use, each computed once.
-
-Excerpts of large recordings, in which faults are searched.
-"""
+"""Statistics of complete readings that several analyses use, each computed once; excerpts."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Surface normals estimated from points.
-
-Exact signed distances from triangle meshes, and the nearest points on them.
-"""
+"""Normals of a surface at points on it, and the nearest points of triangle meshes."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Lengths with units, and the scale of a map from the spacing of its sensors.
-
-Mirror image and surface normals of a map.
-
-Sensor poses in metres, as robot software represents them.
-"""
+"""Units, scale, mirror image and normals of maps, and poses of sensors for robot software."""
 
 from __future__ import annotations
 

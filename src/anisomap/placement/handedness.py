@@ -1,7 +1,4 @@
-"""A similarity and a smooth field of corrections, fitted to anchors.
-
-Evidence of anchors for a map or its mirror image.
-"""
+"""Whether anchors belong to a map or its mirror image, by the fields of errors of both."""
 
 from __future__ import annotations
 

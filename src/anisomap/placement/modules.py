@@ -1,9 +1,7 @@
-"""Rigid modules of a skin, such as the triangles of the iCub: which sensors share one, and where.
+"""Rigid modules of a skin, such as the triangles of the iCub, and maps fitted with them.
 
 All modules of a skin are alike: a template gives the positions of the pads in the frame of a
 module. A template need not be known, to compare modules or to exchange them.
-
-A map re-fitted with its rigid modules as a constraint.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What recordings tell of all pairs of sensors, in a form that adds up over recordings.
-
-Sensors that a recording shows at another place than a map.
-"""
+"""What recordings tell of all pairs of sensors, added up, and sensors that it shows elsewhere."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""New positions in the frame of an old map, with the corrections that the old map has.
-
-Update of a map by a new recording.
-"""
+"""Update of a map by a new recording, in the frame of the map and with its corrections."""
 
 from __future__ import annotations
 

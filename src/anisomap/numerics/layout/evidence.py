@@ -1,9 +1,4 @@
-"""How similarity falls with distance on a layout, and how likely a similarity is at a distance.
-
-Log-likelihood of the similarities of sensors at given positions, and its gain by moves.
-
-How well single sensors fit the places of others.
-"""
+"""Likelihood of similarities at distances on a layout, and its gain by moves of sensors."""
 
 from __future__ import annotations
 
