@@ -97,11 +97,11 @@ def test_a_sensor_that_cannot_be_aligned_is_named(wrong):
     moved = truth.copy()
     moved[3, 1] = wrong
     for pair in ((moved, truth), (truth, moved)):
-        with pytest.raises(InputError, match="s3 is at .* out of range"):
+        with pytest.raises(InputError, match=r"s3 is at .* out of range"):
             align(*pair)
     if np.isfinite(wrong):
         for compare in (score, compare_maps):
-            with pytest.raises(InputError, match="s3 is at .* out of range"):
+            with pytest.raises(InputError, match=r"s3 is at .* out of range"):
                 compare(SensorMap(truth), SensorMap(moved))
 
 

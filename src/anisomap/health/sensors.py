@@ -176,6 +176,13 @@ STATUSES = ("ok", "dead", "stuck", "saturating", "noisy", "intermittent", "isola
 MIN_CONTACTS = 5
 """Contacts below which statistics of a sensor are unreliable; chosen by hand."""
 
+_OF_CONSTANT_SENSORS = {
+    "distinct": 1,
+    "active": 0.0,
+    "contacts": 0,
+    "lag_correlation": float("nan"),
+    "best_match": float("nan"),
+}
 _SILENT = ("dead", "stuck", "isolated")
 # Limits; where no source is given they were chosen by hand: no false alarm on four real recordings.
 _OUTLIER = 5 * 1.4826  # 5 sd of a normal distribution, in median absolute deviations
@@ -283,28 +290,23 @@ def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth
         for status, test in reversed(_TESTS.items()):
             for i, reason in test(behaviour).items():
                 faults[int(active[i])] = (status, reason)
-    position = np.cumsum(varying) - 1
     lowest, highest = recording.extremes
-    result = []
-    for i, name in enumerate(recording.names):
-        status, reason = faults.get(i, ("ok", ""))
-        known = behaviour if varying[i] else None
-        at = position[i]
-        result.append(
-            SensorHealth(
-                name=name,
-                status=status,
-                reason=reason,
-                minimum=unit * float(lowest[i]),
-                maximum=unit * float(highest[i]),
-                distinct=int(known.distinct[at]) if known else 1,
-                active=float(known.active[at]) if known else 0.0,
-                contacts=int(known.contacts[at]) if known else 0,
-                lag_correlation=float(known.lag_correlation[at]) if known else float("nan"),
-                best_match=float(known.best_match[at]) if known else float("nan"),
-            )
+    columns = {
+        name: np.full(recording.n_sensors, constant)
+        for name, constant in _OF_CONSTANT_SENSORS.items()
+    }
+    for name, column in columns.items() if behaviour is not None else ():
+        column[varying] = getattr(behaviour, name)
+    return tuple(
+        SensorHealth(
+            name,
+            *faults.get(i, ("ok", "")),
+            minimum=unit * float(lowest[i]),
+            maximum=unit * float(highest[i]),
+            **{of: column[i].item() for of, column in columns.items()},
         )
-    return tuple(result)
+        for i, name in enumerate(recording.names)
+    )
 
 
 def _faults_of_constant(
@@ -331,41 +333,38 @@ def _faults_of_constant(
     return faults
 
 
-def _testable(b: Behaviour) -> NDArray[np.bool_]:
-    """Select sensors with enough contacts to be tested."""
-    return np.asarray(b.contacts >= MIN_CONTACTS)
+def _above(
+    values: NDArray[np.float64], limit: float, tested: NDArray[np.bool_], what: str
+) -> dict[int, str]:
+    """Report the tested sensors with shares above a limit, and the share of the typical sensor."""
+    reason = f"{what} (typical: {np.median(values):.0%})"
+    return {int(i): reason.format(values[i]) for i in np.flatnonzero(tested & (values > limit))}
+
+
+def _outlying(values: NDArray[np.float64], slack: float = 0.0) -> float:
+    """Return the limit of outliers, at least `slack` above the typical value."""
+    typical = float(np.median(values))
+    return typical + max(_OUTLIER * float(np.median(np.abs(values - typical))), slack)
 
 
 def _saturating(b: Behaviour) -> dict[int, str]:
-    typical = float(np.median(b.at_ceiling))
     often = b.at_ceiling * b.active * b.n_frames >= _MIN_CEILING_FRAMES
-    suspects = often & (b.at_ceiling > typical + _MAX_CEILING_EXCESS)
-    return {
-        int(i): f"at its extreme value in {b.at_ceiling[i]:.0%} of its active frames "
-        f"(typical: {typical:.0%})"
-        for i in np.flatnonzero(suspects)
-    }
+    limit = float(np.median(b.at_ceiling)) + _MAX_CEILING_EXCESS
+    return _above(b.at_ceiling, limit, often, "at its extreme value in {:.0%} of its active frames")
 
 
 def _noisy(b: Behaviour) -> dict[int, str]:
-    typical = float(np.median(b.noise_share))
-    slack = max(_OUTLIER * _spread(b.noise_share), _STANDARD_ERRORS / np.sqrt(b.n_frames))
-    suspects = _testable(b) & (b.noise_share > max(_MAX_NOISE, typical + slack))
-    return {
-        int(i): f"{b.noise_share[i]:.0%} of the variance is white noise (typical: {typical:.0%})"
-        for i in np.flatnonzero(suspects)
-    }
+    limit = max(_MAX_NOISE, _outlying(b.noise_share, _STANDARD_ERRORS / np.sqrt(b.n_frames)))
+    tested = b.contacts >= MIN_CONTACTS
+    return _above(b.noise_share, limit, tested, "{:.0%} of the variance is white noise")
 
 
 def _intermittent(b: Behaviour) -> dict[int, str]:
-    typical = float(np.median(b.unexplained))
-    limit = max(_MAX_UNEXPLAINED, typical + _OUTLIER * _spread(b.unexplained))
-    suspects = _testable(b) & (b.unexplained > limit)
-    return {
-        int(i): f"no similar sensor is active in {b.unexplained[i]:.0%} of its active frames "
-        f"(typical: {typical:.0%})"
-        for i in np.flatnonzero(suspects)
-    }
+    limit = max(_MAX_UNEXPLAINED, _outlying(b.unexplained))
+    tested = b.contacts >= MIN_CONTACTS
+    return _above(
+        b.unexplained, limit, tested, "no similar sensor is active in {:.0%} of its active frames"
+    )
 
 
 def _isolated(b: Behaviour) -> dict[int, str]:
@@ -384,7 +383,3 @@ _TESTS: dict[str, Callable[[Behaviour], dict[int, str]]] = {
     "intermittent": _intermittent,
     "isolated": _isolated,
 }
-
-
-def _spread(values: NDArray[np.float64]) -> float:
-    return float(np.median(np.abs(values - np.median(values))))
