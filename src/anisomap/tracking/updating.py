@@ -19,7 +19,7 @@ from anisomap.health import assess
 from anisomap.numerics.kriging import Kernel, predict_field
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity, fit_similarity_robustly
-from anisomap.recording import Recording, as_runs, join_runs
+from anisomap.recording import Recording, as_runs, join_runs, match_names
 from anisomap.sensor_map import UNASSESSED, UNPLACED, SensorMap
 from anisomap.tracking.evidence import (
     FAR,
@@ -155,19 +155,20 @@ def _frame(
     moved: Sequence[str],
 ) -> _Frame | None:
     """Find the frame of a component of the map of all evidence; None if it shares too little."""
-    rows = {name: i for i, name in enumerate(old.names)}
-    places = {name: i for i, name in enumerate(before.names)}
-    groups: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
-    for i in members.tolist():
-        name = after.names[i]
-        if name in rows and name in places and name not in moved:
-            key = int(old.component[rows[name]]), int(before.component[places[name]])
-            if UNPLACED not in key:
-                groups.setdefault(key, []).append((i, rows[name], places[name]))
-    if not groups:
+    names = [after.names[i] for i in members]
+    there, then = match_names(names, old.names), match_names(names, before.names)
+    labels = np.stack([old.component[there], before.component[then]])
+    shared = (np.minimum(there, then) >= 0) & (labels != UNPLACED).all(axis=0)
+    shared &= np.array([name not in moved for name in names])
+    if not shared.any():
         return None
-    (label, _), largest = max(groups.items(), key=lambda group: len(group[1]))
-    new, there, then = np.array(largest, dtype=np.intp).T
+    groups, group, counts = np.unique(
+        labels[:, shared], axis=1, return_inverse=True, return_counts=True
+    )
+    largest = int(counts.argmax())
+    label = int(groups[0, largest])
+    chosen = np.flatnonzero(shared)[group.ravel() == largest]
+    new, there, then = members[chosen], there[chosen], then[chosen]
     if len(new) <= after.dimensions:
         return None
     fit = fit_similarity_robustly if len(new) >= MIN_COMPARED else fit_similarity
