@@ -16,6 +16,7 @@ from anisomap import Recording, SensorMap, reconstruct
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import (
     align,
+    compare_maps,
     mantel,
     median_spacing,
     neighbour_agreement,
@@ -88,6 +89,20 @@ def test_alignment_inverts_a_similarity_transform_and_reports_reflection(seed):
     assert found.scale == pytest.approx(1 / 7.5)
     rotation = ortho_group.rvs(3, random_state=np.random.default_rng(seed))
     assert found.reflected == (np.linalg.det(rotation) < 0)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e200, -1.7e308])
+def test_a_sensor_that_cannot_be_aligned_is_named(wrong):
+    truth = lattice(4, 5)
+    moved = truth.copy()
+    moved[3, 1] = wrong
+    for pair in ((moved, truth), (truth, moved)):
+        with pytest.raises(InputError, match=r"s3 is at .* out of range"):
+            align(*pair)
+    if np.isfinite(wrong):
+        for compare in (score, compare_maps):
+            with pytest.raises(InputError, match=r"s3 is at .* out of range"):
+                compare(SensorMap(truth), SensorMap(moved))
 
 
 def test_alignment_is_as_good_as_scipys():

@@ -13,8 +13,8 @@ from hypothesis.extra.numpy import arrays
 import anisomap
 from anisomap import AnisomapWarning, Recording, assess, find_faults, repair, summarise
 from anisomap.health import CHECKS, STATUSES, spoiling, weaknesses
-from anisomap.health.activity import Activity, frames_in_contact
 from anisomap.numerics.recording_faults.gaps import find_bridged
+from anisomap.numerics.signals import Signals
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.simulation import FAULTS as FAULTS_OF_SIMULATION
 from anisomap.simulation import inject, injected_faults, parse_fault
@@ -157,14 +157,16 @@ def test_weak_recordings_give_a_warning(readings, doubt):
     sign=st.sampled_from([1, -1]),
 )
 @settings(max_examples=40)
-def test_frames_in_contact_are_those_beyond_the_threshold(column, sign):
+def test_signals_count_the_frames_beyond_the_threshold(column, sign):
     column = sign * column
-    whole = column[:, None]
-    expected = estimate_rest(whole).active(whole)[:, 0]
-    activity = Activity.of(column)
-    np.testing.assert_array_equal(activity.frames(column), expected)
-    np.testing.assert_array_equal(frames_in_contact(column), expected)
-    assert activity.n_active == np.count_nonzero(expected)
+    readings = column[:, None]
+    expected = estimate_rest(readings).active(readings)[:, 0]
+    signals = Signals(readings)
+    np.testing.assert_array_equal(signals.active[:, 0], expected)
+    assert signals.n_active == np.count_nonzero(expected)
+    assert signals.distinct == np.unique(column).size
+    extreme = column.max() if signals.rest.side[0] > 0 else column.min()
+    assert signals.at_extreme == np.count_nonzero(expected & (column == extreme))
 
 
 @cache
@@ -352,7 +354,7 @@ def test_tiny_recordings_are_examined(shape):
 
 
 @given(
-    gain=st.sampled_from([0.125, 4.0, 1024.0]),
+    gain=st.sampled_from([0.125, 1024.0, 2.0**-1000, 2.0**1000]),
     offset=st.sampled_from([0.0, 128.0]),
     kind=st.sampled_from(["leak", "copies", "inverted", "lags"]),
 )
@@ -360,8 +362,21 @@ def test_tiny_recordings_are_examined(shape):
 def test_findings_do_not_depend_on_units(gain, offset, kind):
     bad = spoilt(wired_at_random(), *FOUND[kind])
     readings = np.round(bad.readings * 1024) / 1024
-    plain, changed = (find_faults(Recording(r)) for r in (readings, gain * readings + offset))
+    plain, changed = (find_faults(Recording(r)) for r in (readings, gain * (readings + offset)))
     assert kinds(plain) == kinds(changed) == {kind}
+
+
+def test_some_sensors_are_left_of_a_recording_of_one_signal():
+    rng = np.random.default_rng(0)
+    found = repair(rng.random((300, 1)) * rng.random(40))
+    assert kinds(found.findings) == {"copies"}
+    assert found.recording.varying().any()
+
+
+def test_an_endless_gap_between_frames_is_found():
+    times = np.append(np.arange(299) * 0.01, 1e308)
+    found = find_faults(Recording(flat_skin().readings[:300], times=times))
+    assert "clock-jitter" in kinds(found)
 
 
 def test_what_spoils_a_map_is_among_its_notes():

@@ -15,6 +15,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import assess
 from anisomap.methods import MethodOptions
 from anisomap.numerics.contacts import ContactOptions
+from anisomap.recording import as_runs
 from skins import flat_skin
 
 
@@ -49,6 +50,7 @@ def test_recordings_are_immutable():
         ({"readings": [1, 2, 3]}, r"\(T, N\).*got shape \(3,\)"),
         ({"readings": np.zeros((0, 3))}, "must not be empty"),
         ({"readings": np.array([["a"]])}, "real numbers"),
+        ({"readings": [[1, 2], [3]]}, "rows of different lengths"),
         ({"readings": np.zeros((2, 2), complex)}, "complex"),
         ({"readings": np.zeros((2, 2), object)}, "object"),
         ({"names": ["a"]}, "2 sensors need 2 names, got 1"),
@@ -128,6 +130,14 @@ def test_missing_readings_are_named():
     readings[2, 1] = readings[3, 1] = np.nan
     with pytest.raises(InputError, match=r"2 readings .* sensor s1, frames 2, 3; .*drop-frames"):
         Recording(readings).complete()
+
+
+@pytest.mark.parametrize("dtype", [bool, np.uint8, np.int64, np.float32, float])
+def test_masked_readings_are_missing(dtype):
+    masked = np.ma.MaskedArray(np.ones((4, 3), dtype), mask=np.eye(4, 3))
+    expected = np.where(np.eye(4, 3), np.nan, 1)
+    for recording in (Recording(masked), *as_runs(masked)):
+        np.testing.assert_array_equal(recording.readings, expected)
 
 
 def test_recordings_can_be_pickled():

@@ -11,12 +11,12 @@ from hypothesis.extra.numpy import arrays
 
 from anisomap import InputError, Recording, SensorMap
 from anisomap.health import next_places, touch_coverage
-from anisomap.health.activity import count_contacts, count_joint_contacts
 from anisomap.health.touch_coverage import (
     ENOUGH_CONTACTS,
     needed_evidence,
     neighbouring_sensors,
 )
+from anisomap.numerics.signals import count_contacts, count_joint_contacts
 
 
 def lattice(rows, columns):

@@ -1,9 +1,7 @@
-"""Stock methods of scikit-learn and UMAP on correlations: baselines for comparison.
+"""Several methods on one recording with known positions, scored on the same sensors.
 
-They are no methods of anisomap: they are not tuned, and used by comparisons only. To add one, write
-a function of the correlations and add one line to `RIVALS`.
-
-Several methods on one recording with known positions, scored on the same sensors.
+Stock methods of scikit-learn and UMAP are baselines, not methods of anisomap: they are not tuned.
+To add one, write a function of the correlations and add one line to `RIVALS`.
 """
 
 from __future__ import annotations

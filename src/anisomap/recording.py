@@ -1,7 +1,4 @@
-"""A recording: the readings of all sensors of a skin, frame by frame. Immutable.
-
-Several recordings of one skin: sensors are matched by name.
-"""
+"""A recording: the readings of all sensors of a skin, frame by frame. Immutable."""
 
 from __future__ import annotations
 
@@ -18,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.gaps import fill_gaps
+from anisomap.numerics.signals import Signals
+from anisomap.numerics.similarity.correlation import MAX_SQUARED
 from anisomap.wording import html_table, noun_and_items
 
 Scalar: TypeAlias = str | int | float | bool
@@ -158,6 +157,11 @@ class Recording:
         """
         return _frozen(self.readings.min(axis=0)), _frozen(self.readings.max(axis=0))
 
+    @cached_property
+    def signals(self) -> Signals:
+        """Levels, rest and contacts of the sensors; requires complete readings."""
+        return Signals(self.readings)
+
     def varying(self) -> NDArray[np.bool_]:
         """Find the sensors that vary.
 
@@ -273,6 +277,19 @@ class Recording:
         )
 
 
+def in_range(recording: Recording) -> tuple[Recording, float]:
+    """Scale readings by a power of 2 if their squares overflow or underflow; return it as well.
+
+    Multiplied by it, the readings are those of the recording.
+    """
+    magnitude = np.abs(recording.extremes).astype(np.float64)
+    largest = magnitude.max(where=np.isfinite(magnitude), initial=0)
+    if not largest or 1 / MAX_SQUARED < largest < MAX_SQUARED:
+        return recording, 1.0
+    exponent = int(np.frexp(largest)[1]) - 1
+    return replace(recording, readings=np.ldexp(recording.readings, -exponent)), 2.0**exponent
+
+
 def default_names(n_sensors: int) -> tuple[str, ...]:
     """Return default sensor names: ``s0, s1, ...``."""
     return tuple(f"s{i}" for i in range(n_sensors))
@@ -309,6 +326,27 @@ def find_sensors(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[
     return np.array(sorted(found), dtype=np.intp)
 
 
+def match_names(names: Iterable[str], among: Sequence[str]) -> NDArray[np.intp]:
+    """Find names among others: their indices, -1 for those that are not there."""
+    place = {name: i for i, name in enumerate(among)}
+    return np.array([place.get(name, -1) for name in names], dtype=np.intp)
+
+
+def match_sensors(
+    names: Sequence[str], among: Sequence[str], what: str
+) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """Match sensors by name, or by order if no name is shared; return indices, and a note then."""
+    found = match_names(names, among)
+    if (found >= 0).any():
+        return found, ()
+    if len(names) != len(among):
+        raise InputError(
+            f"{what} share no sensor name, and {len(names)} sensors cannot be matched with "
+            f"{len(among)} by order; use the same names"
+        )
+    return np.arange(len(names)), (f"{what} share no sensor name: matched by order",)
+
+
 def sensor_mask(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
     """Mark sensors given by name or index: a mask of shape (N,)."""
     mask = np.zeros(len(names), dtype=bool)
@@ -317,7 +355,13 @@ def sensor_mask(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[n
 
 
 def _as_readings(values: ArrayLike) -> NDArray[np.floating]:
-    array = np.asarray(values)
+    values = _unmasked(values)
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise InputError(
+            "readings must be of shape (T, N) (frames x sensors), got rows of different lengths"
+        ) from None
     if array.dtype.kind not in "biuf":
         raise InputError(f"readings must be real numbers, got {array.dtype}")
     if array.ndim != 2:
@@ -333,6 +377,14 @@ def _as_readings(values: ArrayLike) -> NDArray[np.floating]:
     if array.dtype == dtype and array.base is None and not array.flags.writeable:
         return array  # already immutable: do not copy a large recording
     return _frozen(np.array(array, dtype=dtype))
+
+
+def _unmasked(values: Any) -> Any:
+    """Replace the masked values of a masked array by NaN."""
+    if not np.ma.is_masked(values) or values.dtype.kind not in "biuf":
+        return values
+    dtype = np.result_type(values.dtype, np.float16)
+    return values.astype(dtype).filled(np.nan)
 
 
 def _frozen(array: _Array) -> _Array:
@@ -386,7 +438,7 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
     if isinstance(recording, str | Path):
         raise InputError(f"read the file first: anisomap.read({str(recording)!r})")
     try:
-        readings = np.asarray(recording)
+        readings = np.asarray(_unmasked(recording))
     except ValueError:
         readings = np.empty(())
     if readings.ndim != 2:

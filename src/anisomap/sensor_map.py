@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -20,6 +20,9 @@ UNPLACED = -1
 
 UNSCALED = ("", "arbitrary")
 """Units of positions with unknown scale."""
+
+MAX_COORDINATE = 1e100
+"""Greatest coordinate of sensors that are aligned or placed: sums of squares are finite."""
 
 UNASSESSED = "unassessed"
 """Health of a sensor before `anisomap.diagnose`."""
@@ -242,6 +245,11 @@ class SensorMap:
         """Look sensors up by name or index; see `Recording.indices`."""
         return find_sensors(self.names, sensors)
 
+    def check_coordinates(self, what: str) -> None:
+        """Check that sensors can be aligned: see `check_coordinates`."""
+        placed = np.flatnonzero(self.placed)
+        check_coordinates(self.positions[placed], [self.names[i] for i in placed], what)
+
     def select(self, sensors: ArrayLike) -> SensorMap:
         """Keep some sensors.
 
@@ -301,6 +309,17 @@ def _as_normals(normals: ArrayLike, n_sensors: int) -> NDArray[np.float64]:
 
 def _rebuilt(fields: dict[str, Any]) -> SensorMap:
     return SensorMap(**fields)
+
+
+def check_coordinates(points: NDArray[np.float64], names: Sequence[str], what: str) -> None:
+    """Check that the coordinates of sensors are finite, and their squares as well."""
+    wrong = np.flatnonzero(~(np.abs(points) <= MAX_COORDINATE).all(axis=1))
+    if wrong.size:
+        first = int(wrong[0])
+        raise InputError(
+            f"{what}, sensor {names[first]} is at {points[first].tolist()}, which is out of range; "
+            "check the units, and leave out sensors without a position"
+        )
 
 
 def is_faulty(status: str) -> bool:

@@ -11,6 +11,7 @@ from anisomap.health import sensors as behaviour
 from anisomap.large import reconstruct_approximately
 from anisomap.large.approximation import build_similarity_graph
 from anisomap.large.sketch import ApproximateOptions
+from anisomap.numerics.signals import Signals
 from skins import lattice, rubbed
 
 PLACES = lattice(15, 16)
@@ -129,9 +130,9 @@ def test_health_of_many_sensors_is_assessed_from_an_excerpt(monkeypatch):
 def test_behaviour_of_many_sensors_is_that_of_few(monkeypatch):
     readings = READINGS[:, :40].astype(float)
     readings[:, 5] = np.random.default_rng(0).normal(size=len(readings))
-    whole = behaviour.observe(readings)
+    whole = behaviour.observe(Signals(readings))
     monkeypatch.setattr(behaviour, "MAX_ALL_PAIRS", 39)
-    many = behaviour.observe(readings)
+    many = behaviour.observe(Signals(readings))
     for name in ("active", "contacts", "at_ceiling", "unexplained", "lag_correlation"):
         np.testing.assert_allclose(getattr(many, name), getattr(whole, name), rtol=1e-12)
     np.testing.assert_allclose(many.best_match, whole.best_match, atol=1e-5)
@@ -141,7 +142,7 @@ def test_behaviour_of_many_sensors_is_that_of_few(monkeypatch):
 def test_known_matches_are_used():
     readings = READINGS[:, :6].astype(float)
     kin = np.array([[1, -1]] * 5 + [[-1, -1]])
-    known = behaviour.observe(readings, Matches(kin, np.full(6, 0.4)))
+    known = behaviour.observe(Signals(readings), Matches(kin, np.full(6, 0.4)))
     np.testing.assert_array_equal(known.best_match, 0.4)
     np.testing.assert_array_equal(known.shifted_match, -1)
     active = readings > 0

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from anisomap import reconstruct
 from anisomap.evaluation import align
 from anisomap.health import SensorHealth
-from anisomap.health.activity import count_contacts, count_joint_contacts
 from anisomap.live.coach import advise, confirmed_faults
 from anisomap.live.quick_map import (
     SAMPLE_FRAMES,
@@ -18,6 +17,7 @@ from anisomap.live.quick_map import (
     warm_start,
 )
 from anisomap.numerics.procrustes import fit_similarity
+from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.numerics.similarity.rest import estimate_rest
 from skins import flat_skin, lattice, rubbed

@@ -7,12 +7,13 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from scipy.special import ndtr, ndtri
 
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances, median_spacing
+from anisomap.numerics.neighbours import nearest_others, padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity_robustly
+from anisomap.recording import match_names, match_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
 
 MIN_COMPARED = 8
@@ -32,6 +33,8 @@ _UPPER_QUARTILE = float(ndtri(0.75))
 # Rayleigh's distribution, of the length of a normal vector in the plane, has this spread of its
 # logarithm between the median and the upper quartile. A smaller estimate comes from few sensors.
 _MIN_SPREAD: float = 0.5 * np.log(np.log(4) / np.log(2)) / _UPPER_QUARTILE
+
+_LARGEST_LOGARITHM = 700.0  # of a floating-point number
 
 Array = TypeVar("Array", bound=NDArray[np.generic])
 
@@ -125,6 +128,8 @@ def compare_maps(before: SensorMap, after: SensorMap, *, level: float = LEVEL) -
     """
     if not 0 < level < 1:
         raise InputError(f"the level must be between 0 and 1, got {level:g}")
+    before.check_coordinates("on the first map")
+    after.check_coordinates("on the second map")
     pair = _match(before, after)
     groups = _aligned_groups(pair)
     if not groups:
@@ -188,25 +193,17 @@ class _Pair:
 
 def _match(before: SensorMap, after: SensorMap) -> _Pair:
     """Match sensors by name, or by order if no name is shared."""
-    notes: tuple[str, ...] = ()
-    if not set(before.names) & set(after.names):
-        if before.n_sensors != after.n_sensors:
-            raise InputError(
-                f"the maps share no sensor name, and {before.n_sensors} sensors cannot be matched "
-                f"with {after.n_sensors} by order; use the same names"
-            )
+    _, notes = match_sensors(before.names, after.names, "the maps")
+    if notes:
         after = replace(after, names=before.names)
-        notes = ("the maps share no sensor name: matched by order",)
     names = tuple(dict.fromkeys((*before.names, *after.names)))
     dimensions = max(before.dimensions, after.dimensions)
     positions = np.full((2, len(names), dimensions), np.nan)
     component = np.full((2, len(names)), UNPLACED)
     working = np.zeros((2, len(names)), dtype=bool)
-    row = {name: i for i, name in enumerate(names)}
     for i, sensor_map in enumerate((before, after)):
-        rows = [row[name] for name in sensor_map.names]
-        missing = dimensions - sensor_map.dimensions
-        positions[i, rows] = np.pad(sensor_map.positions, ((0, 0), (0, missing)))
+        rows = match_names(sensor_map.names, names)
+        positions[i, rows] = padded(sensor_map.positions, dimensions)
         component[i, rows] = sensor_map.component
         working[i, rows] = [not is_faulty(status) for status in sensor_map.health]
     return _Pair(names, positions[0], positions[1], component, working, notes)
@@ -239,9 +236,7 @@ class _Chances:
         The former show patches that moved as a whole, the latter single sensors.
         """
         displacement = after - before
-        count = min(_NEIGHBOURS, len(before) - 1)
-        near = np.asarray(KDTree(before).query(before, k=count + 1)[1])
-        near = np.array([[j for j in row if j != i][:count] for i, row in enumerate(near.tolist())])
+        near = nearest_others(before, _NEIGHBOURS)[1]
         whole = np.linalg.norm(displacement, axis=1)
         tests = 2.0
         p_values = tests * _Tail.of(whole).p_values(whole)
@@ -275,7 +270,8 @@ class _Tail:
         return np.asarray(ndtr(-np.log(positive / self.median) / self.spread))
 
     def quantile(self, p_value: float) -> float:
-        return self.median * float(np.exp(self.spread * -ndtri(p_value)))
+        logarithm = np.log(self.median) - self.spread * ndtri(p_value)
+        return float(np.exp(min(logarithm, _LARGEST_LOGARITHM)))
 
 
 def _frozen(array: Array) -> Array:

@@ -1,7 +1,4 @@
-"""Mantel r: the correlation of two distance matrices, and its null distribution.
-
-Diagnostics of multidimensional scaling: stress per point, Shepard diagram, test by shifts.
-"""
+"""Mantel r with its null distribution, and diagnostics of multidimensional scaling."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Alignment of a map with the truth: Procrustes analysis with scaling and reflection.
-
-Nearest neighbours on the map and in the truth.
-
-The score of a map against the truth.
-"""
+"""Score of a map against the truth: Procrustes alignment, kept neighbours, Mantel r."""
 
 from __future__ import annotations
 
@@ -13,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, PERMUTATIONS, Mantel, mantel
+from anisomap.numerics.neighbours import nearest_distances, nearest_others, padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity
-from anisomap.recording import Recording
-from anisomap.sensor_map import SensorMap
+from anisomap.recording import Recording, default_names, match_sensors
+from anisomap.sensor_map import SensorMap, check_coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +77,7 @@ class Alignment:
                 f"{points.shape}"
             )
         fit = Similarity(self.rotation, self.scale, self.translation)
-        return fit.apply(_padded(points, len(self.translation)))
+        return fit.apply(padded(points, len(self.translation)))
 
 
 def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
@@ -101,7 +96,8 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
     Raises
     ------
     InputError
-        If the numbers of sensors differ, or a configuration is a single point.
+        If the numbers of sensors differ, a coordinate is not finite or above 1e100, or a
+        configuration is a single point.
 
     Notes
     -----
@@ -114,7 +110,9 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
             f"positions and truth must have the same number of rows, got {x.shape} and {y.shape}"
         )
     dimensions = max(x.shape[1], y.shape[1])
-    x, y = _padded(x, dimensions), _padded(y, dimensions)
+    x, y = padded(x, dimensions), padded(y, dimensions)
+    for points, where in ((x, "on the map"), (y, "in truth")):
+        check_coordinates(points, default_names(len(points)), where)
     if (x == x[0]).all() or (y == y[0]).all():
         raise InputError("all positions coincide, so an alignment is undefined")
     fit = fit_similarity(x, y)
@@ -127,10 +125,6 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
         aligned=aligned,
         errors=np.linalg.norm(aligned - y, axis=1),
     )
-
-
-def _padded(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
-    return np.pad(points, ((0, 0), (0, dimensions - points.shape[1])))
 
 
 NEIGHBOURS = 6
@@ -148,20 +142,14 @@ _SHELLS = 16  # neighbours that are looked for around a tie, per neighbour asked
 
 def median_spacing(positions: ArrayLike) -> float:
     """Median distance from a sensor to its nearest neighbour, in the units of `positions`."""
-    return float(np.median(_nearest_distances(positions)))
+    return float(np.median(nearest_distances(np.asarray(positions, dtype=np.float64))))
 
 
 def spacing_variation(positions: ArrayLike) -> float:
     """Variation of the distances from sensors to their nearest neighbours. positions (N, k)."""
-    nearest = _nearest_distances(positions)
+    nearest = nearest_distances(np.asarray(positions, dtype=np.float64))
     mean = float(nearest.mean())
     return float(nearest.std()) / mean if mean > 0 else 0.0
-
-
-def _nearest_distances(positions: ArrayLike) -> NDArray[np.float64]:
-    """Return the distance from each sensor to its nearest neighbour."""
-    points = np.asarray(positions, dtype=np.float64)
-    return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
 
 
 def check_distances(positions: NDArray[np.float64], what: str) -> None:
@@ -207,12 +195,12 @@ def neighbour_agreement(
     """
     x, y = np.asarray(positions, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     count = min(n_neighbours, len(x) - 1)
-    reach = (1 + TIE) * _nearest(y, count)[0][:, -1]
-    distances, neighbours = _nearest(x, count + 1)
+    reach = (1 + TIE) * nearest_others(y, count)[0][:, -1]
+    distances, neighbours = nearest_others(x, count + 1)
     found = _share(distances, _near(y, neighbours, reach), count)
     tied = distances[:, -1] <= (1 + TIE) * distances[:, count - 1]
     if tied.any() and count < len(x) - 1:
-        distances, neighbours = _nearest(x, _SHELLS * count, np.flatnonzero(tied))
+        distances, neighbours = nearest_others(x, _SHELLS * count, np.flatnonzero(tied))
         found[tied] = _share(distances, _near(y, neighbours, reach, tied), count)
     return float(found.mean())
 
@@ -237,22 +225,6 @@ def _near(
     """Tell which of the listed neighbours of each point lie within its reach."""
     apart = np.linalg.norm(points[rows, None] - points[neighbours], axis=2)
     return np.asarray(apart <= reach[rows, None])
-
-
-def _nearest(
-    points: NDArray[np.float64], count: int, rows: NDArray[np.intp] | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Find the nearest neighbours of points, all by default, and their distances, nearest first.
-
-    A point is no neighbour of itself, even if others coincide with it.
-    """
-    rows = np.arange(len(points)) if rows is None else rows
-    count = min(count, len(points) - 1)
-    distances, found = KDTree(points).query(points[rows], k=count + 1)
-    itself = found == rows[:, None]
-    itself[~itself.any(axis=1), -1] = True  # crowded out by coincident points: drop the last
-    shape = (len(rows), count)
-    return np.asarray(distances)[~itself].reshape(shape), np.asarray(found)[~itself].reshape(shape)
 
 
 MAX_ALL_PAIRS = 4000
@@ -364,7 +336,7 @@ def score(
         If the truth does not match the sensors of the map, an excluded sensor is unknown, or fewer
         than 4 sensors can be compared.
     """
-    notes = []
+    notes: tuple[str, ...] = ()
     if not isinstance(sensor_map, SensorMap):
         raise InputError(
             f"score takes a SensorMap first, got {type(sensor_map).__name__}; mantel and align "
@@ -374,11 +346,10 @@ def score(
         truth = _as_map(truth)
     if isinstance(truth, SensorMap):
         units = truth.units
-        true_positions, by_order = _matched(sensor_map, truth)
-        if by_order:
-            note = "map and truth share no sensor name: matched by order"
+        rows, notes = match_sensors(sensor_map.names, truth.names, "map and truth")
+        true_positions = np.where(rows[:, None] >= 0, truth.positions[rows], np.nan)
+        for note in notes:
             warnings.warn(note, AnisomapWarning, stacklevel=2)
-            notes.append(note)
     else:
         true_positions = np.asarray(truth, dtype=np.float64)
     if true_positions.ndim != 2 or len(true_positions) != sensor_map.n_sensors:
@@ -397,11 +368,14 @@ def score(
             f"a score requires at least {MIN_SENSORS_COMPARED} sensors with known true positions, "
             f"got {len(chosen)}" + (f" ({'; '.join(notes)})" if notes else "")
         )
+    compared = [sensor_map.names[i] for i in chosen]
+    check_coordinates(positions, compared, "on the map")
+    check_coordinates(true_positions, compared, "in truth")
     generator = np.random.default_rng(0 if rng is None else rng)
     drawn = _sample(len(chosen), generator)
     if drawn.size < len(chosen):
-        notes.append(
-            f"Mantel r uses a random sample of {drawn.size} of the {len(chosen)} sensors compared"
+        notes += (
+            f"Mantel r uses a random sample of {drawn.size} of the {len(chosen)} sensors compared",
         )
     return Score(
         mantel=mantel(
@@ -418,7 +392,7 @@ def score(
         neighbours_kept=neighbour_agreement(positions, true_positions),
         excluded=np.flatnonzero(~included),
         units=units,
-        notes=tuple(notes),
+        notes=notes,
     )
 
 
@@ -430,7 +404,7 @@ def _as_map(recording: Recording) -> SensorMap:
 
 def _compared(
     sensor_map: SensorMap, known: NDArray[np.bool_], included: NDArray[np.bool_]
-) -> tuple[NDArray[np.intp], list[str]]:
+) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Return the sensors that can be compared, and notes on the others."""
     largest = sensor_map.component == 0
     reasons = {
@@ -439,11 +413,11 @@ def _compared(
         "outside the largest component": sensor_map.placed & ~largest & included,
         "no known true position": largest & included & ~known,
     }
-    notes = [
+    notes = tuple(
         f"{np.count_nonzero(mask)} of {sensor_map.n_sensors} sensors not compared: {why}"
         for why, mask in reasons.items()
         if mask.any()
-    ]
+    )
     return np.flatnonzero(largest & included & known), notes
 
 
@@ -451,18 +425,3 @@ def _sample(n_sensors: int, rng: np.random.Generator) -> NDArray[np.intp]:
     if n_sensors <= MAX_ALL_PAIRS:
         return np.arange(n_sensors)
     return np.sort(rng.choice(n_sensors, SAMPLED, replace=False))
-
-
-def _matched(sensor_map: SensorMap, truth: SensorMap) -> tuple[NDArray[np.float64], bool]:
-    """Return true positions in the order of the map, and whether they were matched by order."""
-    row = {name: i for i, name in enumerate(truth.names)}
-    rows = [row.get(name) for name in sensor_map.names]
-    if all(i is None for i in rows):
-        if truth.n_sensors != sensor_map.n_sensors:
-            raise InputError(
-                f"map and truth share no sensor name, and {sensor_map.n_sensors} sensors cannot be "
-                f"matched with {truth.n_sensors} by order; use the same names"
-            )
-        return truth.positions, True
-    unknown = np.full(truth.dimensions, np.nan)
-    return np.array([unknown if i is None else truth.positions[i] for i in rows]), False

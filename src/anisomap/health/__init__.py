@@ -1,17 +1,8 @@
 """Summary of a recording, the health of its sensors, and the faults of the whole."""
 
-from anisomap.health.checks import Finding
-from anisomap.health.faults import (
-    CHECKS,
-    RecordingSummary,
-    Repair,
-    find_faults,
-    repair,
-    spoiling,
-    summarise,
-    weaknesses,
-)
+from anisomap.health.faults import CHECKS, Finding, Repair, find_faults, repair, spoiling
 from anisomap.health.sensors import STATUSES, Matches, SensorHealth, assess
+from anisomap.health.summary import RecordingSummary, summarise, weaknesses
 from anisomap.health.touch_coverage import Place, TouchCoverage, next_places, touch_coverage
 
 __all__ = [

@@ -1,162 +1,454 @@
-"""Summary of a recording, and reasons why a map of it may be unreliable.
+"""Faults of a recording as a whole: which there are, and their repair.
 
-Faults of a recording as a whole: which there are, and their repair.
-
-To add a fault, add a `Check` and one line to `CHECKS`.
+To add a fault, write a function that yields what it found, and add one line to `CHECKS`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from anisomap.health import checks as electronics
-from anisomap.health import checks as stimulation
-from anisomap.health.checks import Check, Finding, Subject
-from anisomap.health.sensors import MIN_CONTACTS, SensorHealth, assess
+from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.recording import Recording, as_runs
-from anisomap.wording import join_items
+from anisomap.numerics.recording_faults.common_mode import find_common_noise, find_hum
+from anisomap.numerics.recording_faults.copies import find_copies
+from anisomap.numerics.recording_faults.courses import find_clipped, find_one_period, find_regions
+from anisomap.numerics.recording_faults.drift import find_drift, remove_drift
+from anisomap.numerics.recording_faults.gaps import fill_from_others, find_bridged
+from anisomap.numerics.recording_faults.lags import align, find_lags
+from anisomap.numerics.recording_faults.leaks import find_leak, remove_leak
+from anisomap.numerics.recording_faults.polarity import find_inverted
+from anisomap.numerics.recording_faults.spikes import find_spikes, remove_spikes
+from anisomap.recording import Recording, as_runs, in_range
+from anisomap.wording import join_items, noun_and_items
 
-MIN_FRAMES = 500
-"""Frames below which a recording is short: about half of the paper's shortest run (1,054)."""
+_MAX_FRAMES = 8192  # in which regions are searched
+_ALL = 0.9  # share of the sensors above which a fault concerns the whole skin
+_EXACT = 1e-3  # share of noise in the variance below which copies are exact
+_MIN_MISSING = 0.02  # share of a sensor's readings; fewer change no correlation; chosen by hand
+_MIN_JITTER = 0.05  # of the interval between frames; chosen by hand
+_LOST_FRAME = 1.5  # intervals: a frame is missing
+_MAX_SHARE_RARE = 0.05  # of the sensors, that may be touched rarely; chosen by hand
 
 
 @dataclass(frozen=True)
-class RecordingSummary:
-    """Summary of a recording.
+class Finding:
+    """A fault of the read-out or of the stimulation that spoils maps.
 
     Attributes
     ----------
-    n_frames, n_sensors : int
-        Size.
-    rate_hz, duration : float or None
-        Frames per second, and seconds; None if unknown.
-    minimum, maximum : float
-        Range of all finite readings.
-    share_of_zeros : float
-        Share of readings that are exactly 0, in [0, 1].
-    distinct_values : int
-        Median number of distinct values per sensor.
-    missing : int
-        Number of readings that are NaN or infinite.
-    n_constant : int
-        Number of constant sensors.
-    warnings : tuple of str
-        Reasons why a map may be unreliable.
+    kind : str
+        A key of `CHECKS`, or ``"board-noise"``: common noise of a group of sensors.
+    sensors : tuple of str
+        Names of the affected sensors.
+    size : float
+        Size of the fault, in `unit`.
+    unit : str
+        Unit of `size`; ``"share"`` for shares in [0, 1].
+    what : str
+        Description with the size, without sensors.
+    consequence : str
+        What a map of the recording suffers.
+    mendable : bool
+        Whether `repair` mends it.
+    mended : str
+        What `repair` does or did; empty if it is not mendable.
     """
 
-    n_frames: int
-    n_sensors: int
-    rate_hz: float | None
-    duration: float | None
-    minimum: float
-    maximum: float
-    share_of_zeros: float
-    distinct_values: int
-    missing: int
-    n_constant: int
-    warnings: tuple[str, ...]
+    kind: str
+    sensors: tuple[str, ...]
+    size: float
+    unit: str
+    what: str
+    consequence: str
+    mendable: bool
+    mended: str = ""
+
+    def __str__(self) -> str:
+        """Return the finding as a sentence."""
+        listed = f": {noun_and_items('sensor', self.sensors)}" if self.sensors else ""
+        return f"{self.what} ({self.consequence}){listed}"
 
 
-def summarise(
-    recording: Recording, health: Sequence[SensorHealth] | None = None
-) -> RecordingSummary:
-    """Summarise a recording.
+@dataclass(frozen=True, eq=False)
+class Found:
+    """One fault of a recording.
 
-    Parameters
-    ----------
-    recording : Recording
-    health : sequence of SensorHealth, optional
-        From `assess`, if computed already.
-
-    Returns
-    -------
-    RecordingSummary
+    sensors: Their indices.
+    size, what: See `Finding`.
+    height: With which `what` ends, in units of the readings; none by default.
+    evidence: What the repair needs.
+    mended: What the repair does, if it differs from `Check.mended`; "" if it cannot be mended.
+    kind: If it differs from the key of the check.
     """
+
+    sensors: NDArray[np.intp] | Sequence[int]
+    size: float
+    what: str
+    evidence: Any = None
+    height: float | None = None
+    mended: str | None = None
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class Check:
+    """A fault that is searched in recordings.
+
+    find: Takes a recording, complete but for the first two checks, and yields its faults.
+    unit, consequence, mended: See `Finding`.
+    mend: Takes the recording and the evidence of all faults that can be mended.
+    """
+
+    find: Callable[[Recording], Iterator[Found]]
+    unit: str
+    consequence: str
+    mended: str = ""
+    mend: Callable[[Recording, Sequence[Any]], Recording] | None = None
+
+    def describe(self, kind: str, found: Found, names: Sequence[str], unit: float) -> Finding:
+        """Return what is said about a fault of readings in a unit."""
+        height = "" if found.height is None else f"{unit * found.height:.3g}"
+        mended = self.mended if found.mended is None else found.mended
+        return Finding(
+            kind=found.kind or kind,
+            sensors=tuple(names[int(i)] for i in found.sensors),
+            size=float(found.size),
+            unit=self.unit,
+            what=found.what + height,
+            consequence=self.consequence,
+            mendable=bool(mended),
+            mended=mended,
+        )
+
+
+def _in_readings(
+    remove: Callable[[NDArray[Any], Any], NDArray[Any]],
+) -> Callable[[Recording, Sequence[Any]], Recording]:
+    """Return a repair that removes one fault after the other from the readings."""
+
+    def mend(recording: Recording, faults: Sequence[Any]) -> Recording:
+        readings = recording.readings
+        for fault in faults:
+            readings = remove(readings, fault)
+        return replace(recording, readings=readings)
+
+    return mend
+
+
+def _clock_jitter(recording: Recording) -> Iterator[Found]:
+    if recording.times is None or recording.n_frames < 3:
+        return
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.diff(recording.times)
+        intervals = np.nan_to_num(steps / np.median(steps), posinf=np.finfo(float).max)
+        usual = intervals < _LOST_FRAME
+        jitter = float(np.std(intervals[usual])) if usual.any() else 0.0
+        lost = min(float(np.round(intervals[~usual] - 1).sum()), float(np.finfo(float).max))
+    if jitter >= _MIN_JITTER or lost >= _MIN_MISSING * recording.n_frames:
+        missing = f"; about {lost:.15g} frames are missing" if lost else ""
+        yield Found((), jitter, f"intervals between frames vary by {jitter:.0%}{missing}")
+
+
+def _gaps(recording: Recording) -> Iterator[Found]:
     readings = recording.readings
-    finite = np.isfinite(readings)
-    assessed = assess(recording) if health is None else health
-    return RecordingSummary(
-        n_frames=recording.n_frames,
-        n_sensors=recording.n_sensors,
-        rate_hz=recording.rate_hz,
-        duration=recording.duration,
-        minimum=float(readings.min(where=finite, initial=np.inf)),
-        maximum=float(readings.max(where=finite, initial=-np.inf)),
-        share_of_zeros=float(np.mean(readings == 0)),
-        distinct_values=int(np.median([sensor.distinct for sensor in assessed])),
-        missing=int(np.count_nonzero(~finite)),
-        n_constant=int(np.count_nonzero(~recording.varying())),
-        warnings=weaknesses(recording, assessed),
+    missing, bridged = ~np.isfinite(readings), find_bridged(readings)
+    if bridged is not None:
+        missing |= bridged
+    share = missing.mean(axis=0)
+    missing &= (share >= _MIN_MISSING) & (share < 1)
+    affected = np.flatnonzero(missing.any(axis=0))
+    if affected.size:
+        typical = float(np.median(share[affected]))
+        on_lines = np.isfinite(readings[missing]).any()
+        yield Found(
+            affected,
+            typical,
+            f"{typical:.0%} of the readings of {affected.size} of {recording.n_sensors} sensors "
+            f"are {'on straight lines, as if interpolated' if on_lines else 'missing'}",
+            missing,
+        )
+
+
+def _hum(recording: Recording) -> Iterator[Found]:
+    hum = find_hum(recording.readings, recording.signals.never_at_rest)
+    if hum is not None:
+        rate = recording.rate_hz
+        frequency = "" if rate is None else f" ({rate / hum.period:.3g} Hz)"
+        yield Found(
+            hum.sensors,
+            hum.share,
+            f"{hum.sensors.size} sensors hum with a period of {hum.period:.4g} frames{frequency}, "
+            f"{hum.share:.0%} of the standard deviation of a sensor",
+            hum,
+        )
+
+
+def _one_period(recording: Recording) -> Iterator[Found]:
+    found = find_one_period(recording.readings)
+    if found is not None:
+        period, share = found
+        yield Found(
+            range(recording.n_sensors),
+            share,
+            f"{share:.0%} of the variance of the readings is a sine of {period:.4g} frames",
+        )
+
+
+def _common_noise(recording: Recording) -> Iterator[Found]:
+    for noise in find_common_noise(recording.readings, recording.signals.never_at_rest):
+        everywhere = noise.sensors.size >= _ALL * recording.n_sensors
+        who = "all sensors" if everywhere else f"a group of {noise.sensors.size} sensors"
+        yield Found(
+            noise.sensors,
+            noise.share,
+            f"{who} share noise, {noise.share:.0%} of the standard deviation of a sensor",
+            noise,
+            mended=None if noise.separable else "",
+            kind="" if everywhere else "board-noise",
+        )
+
+
+def _spikes(recording: Recording) -> Iterator[Found]:
+    for spikes in find_spikes(recording.readings):
+        yield Found(
+            spikes.sensors,
+            spikes.frames.size / recording.n_frames,
+            f"a group of {spikes.sensors.size} sensors jumps for single frames, "
+            f"{spikes.frames.size} times by ",
+            spikes,
+            spikes.height,
+        )
+
+
+def _drift(recording: Recording) -> Iterator[Found]:
+    drift = find_drift(recording.readings, recording.signals.never_at_rest)
+    if drift is not None:
+        size = float(np.median(drift.sizes))
+        yield Found(
+            drift.sensors,
+            size,
+            f"the level at rest of {drift.sensors.size} of {recording.n_sensors} sensors drifts by "
+            f"{size:.2g} standard deviations of their readings (median)",
+            drift,
+        )
+
+
+def _saturation(recording: Recording) -> Iterator[Found]:
+    clipped = find_clipped(recording.readings)
+    if clipped:
+        share = float(np.median(list(clipped.values())))
+        yield Found(
+            list(clipped),
+            share,
+            f"{len(clipped)} of {recording.n_sensors} sensors are at the end of their range in "
+            f"{share:.1%} of the frames (median)",
+        )
+
+
+def _inverted(recording: Recording) -> Iterator[Found]:
+    found = find_inverted(recording.readings)
+    if found.size:
+        yield Found(
+            found,
+            found.size / recording.n_sensors,
+            f"contact has the opposite sign in {found.size} of {recording.n_sensors} sensors",
+            found,
+        )
+
+
+def _mirror(recording: Recording, faults: Sequence[NDArray[np.intp]]) -> Recording:
+    (inverted,) = faults
+    readings = np.array(recording.readings)
+    rest = recording.signals.rest.value[inverted].astype(readings.dtype)
+    readings[:, inverted] = 2 * rest - readings[:, inverted]
+    return replace(recording, readings=readings)
+
+
+def _lags(recording: Recording) -> Iterator[Found]:
+    found = find_lags(recording.readings, recording.varying())
+    if found is not None:
+        frames = found.frames
+        listed = join_items([f"{lag:+d}" for lag in np.unique(frames[frames != 0]).tolist()])
+        yield Found(
+            np.flatnonzero(frames),
+            float(np.abs(frames).max()),
+            f"groups of sensors lag the largest group by {listed} frames",
+            frames,
+            mended="each group was shifted by its lag; "
+            f"{int(np.ptp(frames))} frames at the ends were left out",
+        )
+
+
+def _shift(recording: Recording, faults: Sequence[NDArray[np.intp]]) -> Recording:
+    readings, times = align(recording.readings, faults[0]), recording.times
+    return replace(
+        recording, readings=readings, times=None if times is None else times[: len(readings)]
     )
 
 
-def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[str, ...]:
-    """List reasons why a map of a recording may be unreliable."""
-    found = []
-    if recording.n_frames < MIN_FRAMES:
-        found.append(
-            f"only {recording.n_frames} frames: statistics are unreliable; record {MIN_FRAMES} or "
-            "more"
+def _leak(recording: Recording) -> Iterator[Found]:
+    leak = find_leak(recording.readings)
+    if leak is not None:
+        yield Found(
+            range(1, recording.n_sensors),
+            leak.share,
+            f"{leak.share:.1%} of each channel leak into the next "
+            f"(seen in {leak.n_forward} of {leak.n_pairs} pairs, and not backwards)",
+            leak,
         )
-    groups = {
-        "never vary and carry no information": ("dead", "stuck"),
-        "look faulty and may distort the whole map; drop them": (
-            "saturating",
-            "intermittent",
-            "noisy",
-        ),
-        "have no significant correlation with another sensor, so their positions are arbitrary": (
-            "isolated",
-        ),
-    }
-    for fault, statuses in groups.items():
-        names = [sensor.name for sensor in health if sensor.status in statuses]
-        if names:
-            caution = (
-                "do not trust a map of this recording: " if 2 * len(names) > len(health) else ""
+
+
+def _copies(recording: Recording) -> Iterator[Found]:
+    names, groups = recording.names, find_copies(recording.readings, *recording.extremes)
+    left_out = sum(len(copies.sensors) - (copies.kept is not None) for copies in groups)
+    for copies in groups:
+        others = [i for i in copies.sensors if i != copies.kept]
+        listed = join_items([names[i] for i in others])
+        if left_out >= np.count_nonzero(recording.varying()):
+            mended = ""  # no sensor that varies would be left
+        elif copies.kept is None:
+            mended = f"all were left out, since it is unknown which of {listed} is real"
+        else:
+            mended = (
+                f"{names[copies.kept]} was kept, and {listed} left out, since their positions are "
+                "unknown"
             )
-            listed = join_items(names)
-            found.append(f"{caution}{len(names)} of {len(health)} sensors {fault}: {listed}")
-    rare = [s.name for s in health if 0 < s.contacts < MIN_CONTACTS and s.status == "ok"]
-    if rare:
-        found.append(
-            f"{len(rare)} of {len(health)} sensors were touched fewer than {MIN_CONTACTS} "
-            f"times: {join_items(rare)}"
+        noise = f", with up to {copies.noise:.1%} of noise of their own"
+        yield Found(
+            copies.sensors,
+            len(copies.sensors),
+            f"{len(copies.sensors)} sensors read one wire{noise if copies.noise >= _EXACT else ''}",
+            others,
+            mended=mended,
         )
-    return tuple(found)
 
 
-def spoiling(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """List what spoils a map among the faults of its recording."""
-    return tuple(
-        f"{finding}" + ("; repair the recording" if finding.mendable else "")
-        for finding in findings
-        if finding.kind != "few-contacts"
-    )
+def _leave_out(recording: Recording, faults: Sequence[list[int]]) -> Recording:
+    kept = np.ones(recording.n_sensors, dtype=bool)
+    kept[[i for others in faults for i in others]] = False
+    return recording.select(kept)
 
+
+def _separate_regions(recording: Recording) -> Iterator[Found]:
+    step = -(-recording.n_frames // _MAX_FRAMES)
+    found = find_regions(recording.signals.active[::step])
+    if found is not None:
+        yield Found(
+            min(found.before, found.after, key=len),
+            found.bridges.size,
+            f"two regions of {found.before.size} and {found.after.size} sensors were touched one "
+            f"after the other, the second from frame {found.frame * step} on, and "
+            f"{found.bridges.size or 'no'} sensors with both",
+        )
+
+
+def _few_contacts(recording: Recording) -> Iterator[Found]:
+    rare = np.flatnonzero((recording.signals.contacts < MIN_CONTACTS) & recording.varying())
+    if rare.size > _MAX_SHARE_RARE * recording.n_sensors:
+        yield Found(
+            rare,
+            rare.size / recording.n_sensors,
+            f"{rare.size} of {recording.n_sensors} sensors were touched fewer than "
+            f"{MIN_CONTACTS} times",
+        )
+
+
+_ALIKE = "they look alike wherever they are"
 
 CHECKS: Mapping[str, Check] = MappingProxyType(
     {
-        "clock-jitter": stimulation.CLOCK_JITTER,
-        "gaps": stimulation.GAPS,
-        "hum": electronics.HUM,
-        "one-period": stimulation.ONE_PERIOD,
-        "common-noise": electronics.COMMON_NOISE,
-        "spikes": electronics.SPIKES,
-        "drift": electronics.DRIFT,
-        "saturation": stimulation.SATURATION,
-        "inverted": electronics.INVERTED,
-        "lags": electronics.LAGS,
-        "leak": electronics.LEAK,
-        "copies": electronics.COPIES,
-        "separate-regions": stimulation.SEPARATE_REGIONS,
-        "few-contacts": stimulation.FEW_CONTACTS,
+        "clock-jitter": Check(
+            _clock_jitter,
+            "share of the interval",
+            "maps do not depend on intervals; only lags in seconds do",
+        ),
+        "gaps": Check(
+            _gaps,
+            "share",
+            "contacts in the gaps are lost, so these sensors seem less similar to their neighbours",
+            "these readings were estimated from the most similar sensors",
+            _in_readings(lambda readings, missing: fill_from_others(readings, missing)[0]),
+        ),
+        "hum": Check(
+            _hum,
+            "share of the standard deviation",
+            _ALIKE,
+            "a sine was fitted to each of them and subtracted",
+            _in_readings(lambda readings, hum: hum.removed_from(readings)),
+        ),
+        "one-period": Check(
+            _one_period,
+            "share of the variance",
+            "similarity depends on phase alone; there is nothing to map",
+        ),
+        "common-noise": Check(
+            _common_noise,
+            "share of the standard deviation",
+            _ALIKE,
+            "the common signal was estimated in each frame and subtracted",
+            _in_readings(lambda readings, noise: noise.removed_from(readings)),
+        ),
+        "spikes": Check(
+            _spikes,
+            "share of the frames",
+            _ALIKE,
+            "these frames were replaced by the mean of the frames beside them",
+            _in_readings(remove_spikes),
+        ),
+        "drift": Check(
+            _drift,
+            "standard deviations",
+            "sensors that drift alike look related, and contacts are hidden",
+            "their level at rest was estimated over time and subtracted",
+            _in_readings(remove_drift),
+        ),
+        "saturation": Check(
+            _saturation,
+            "share of the frames",
+            "heights of contacts are cut off; lengths that follow from heights are wrong",
+        ),
+        "inverted": Check(
+            _inverted,
+            "share",
+            "they look unrelated to their neighbours",
+            "these sensors were mirrored at their rest value",
+            _mirror,
+        ),
+        "lags": Check(
+            _lags,
+            "frames",
+            "sensors of different groups seem less similar than they are",
+            "",
+            _shift,
+        ),
+        "leak": Check(
+            _leak,
+            "share",
+            "sensors that are adjacent in the order of the channels look like neighbours",
+            "the leak was subtracted from each channel",
+            _in_readings(remove_leak),
+        ),
+        "copies": Check(
+            _copies,
+            "sensors",
+            "sensors at one place distort the map around them; at most one of them is right",
+            "",
+            _leave_out,
+        ),
+        "separate-regions": Check(
+            _separate_regions,
+            "sensors touched with both",
+            "the relative position of the regions is unknown; touch the skin between them",
+        ),
+        "few-contacts": Check(
+            _few_contacts, "share", "their positions are unreliable; touch them again"
+        ),
     }
 )
 """Checks in the order in which they are made.
@@ -167,6 +459,17 @@ the order is opposite to that in which faults arise, from contact to file.
 
 FINAL = ("one-period",)
 """Findings after which nothing else is searched."""
+
+_BEFORE_COMPLETION = ("clock-jitter", "gaps")  # these look at missing readings
+
+
+def spoiling(findings: Sequence[Finding]) -> tuple[str, ...]:
+    """List what spoils a map among the faults of its recording."""
+    return tuple(
+        f"{finding}" + ("; repair the recording" if finding.mendable else "")
+        for finding in findings
+        if finding.kind != "few-contacts"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,22 +553,27 @@ def find_faults(
 
 def _examined(recording: Recording) -> Repair:
     findings: list[Finding] = []
+    scaled, unit = in_range(recording)
     with limited_blas(recording.n_sensors):
-        current, subject = recording, Subject(recording)
+        current = scaled
         for kind, check in CHECKS.items():
-            if kind not in _BEFORE_COMPLETION and current is subject.recording:
+            if kind not in _BEFORE_COMPLETION:
                 current = current.complete("interpolate")
-            if current is not subject.recording:
-                subject = Subject(current)
-            evidence = check.find(subject)
-            if evidence is None:
-                continue
-            findings += check.describe(current, evidence)
-            if kind in FINAL:
+            found = list(check.find(current))
+            described = [check.describe(kind, one, current.names, unit) for one in found]
+            findings += described
+            if found and kind in FINAL:
                 break
-            if check.mend is not None:
+            evidence = [
+                one.evidence for one, said in zip(found, described, strict=True) if said.mendable
+            ]
+            if check.mend is not None and evidence:
                 current = check.mend(current, evidence)
+    if unit != 1:
+        current = recording if current is scaled else _times(current, unit)
     return Repair(current, tuple(findings))
 
 
-_BEFORE_COMPLETION = ("clock-jitter", "gaps")  # these look at missing readings
+def _times(recording: Recording, unit: float) -> Recording:
+    with np.errstate(over="ignore"):  # of differences, which are twice as large
+        return replace(recording, readings=recording.readings * unit)

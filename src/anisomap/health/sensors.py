@@ -1,6 +1,4 @@
-"""Statistics of single sensors, from which sensor health is assessed.
-
-Health of sensors: dead, stuck, saturating, noisy, intermittent or isolated.
+"""Health of sensors: dead, stuck, saturating, noisy, intermittent or isolated.
 
 Each sensor is compared with the other sensors of the recording, since typical values differ between
 skins. To add a fault, add one function and one line to `_TESTS`.
@@ -14,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.health.activity import Activity, count_runs, join_rests
-from anisomap.numerics.columns import columns
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.connectivity import greatest_of_rows
+from anisomap.numerics.signals import Signals, some_sensors, unit_rows
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.rest import Rest
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
-from anisomap.recording import Recording, as_runs
+from anisomap.recording import Recording, as_runs, in_range
 
 MAX_ALL_PAIRS = 4096
 """Number of sensors above which no matrix of all pairs is computed: 128 MB of float64."""
@@ -81,67 +78,30 @@ class Matches:
         return Matches(number[self.nearest[chosen]], self.best[chosen])
 
 
-def observe(readings: NDArray[np.floating], matches: Matches | None = None) -> Behaviour:
-    """Compute the statistics of sensors.
-
-    readings (T, n).
+def observe(signals: Signals, matches: Matches | None = None) -> Behaviour:
+    """Compute the statistics of n varying sensors.
 
     For more than 4096 sensors, no matrix of all pairs is computed, and circular shifts are compared
     with 4096 evenly chosen sensors.
     """
-    n_frames, n_sensors = readings.shape
-    series = np.empty((n_sensors, n_frames), dtype=bool)
-    courses = []
-    for column, in_contact in zip(columns(readings), series, strict=True):
-        activity = Activity.of(column)
-        in_contact[:] = activity.frames(column)
-        courses.append(_Course.of(column, activity, in_contact))
-    at_one, at_two = np.array([one.lag_correlations for one in courses]).T
+    readings, n_frames = signals.readings, len(signals.readings)
+    at_one, at_two = signals.autocorrelation(1, 2)
     found = matches or _find_matches(readings)
     return Behaviour(
-        rest=join_rests([one.rest for one in courses]),
-        distinct=np.array([one.distinct for one in courses]),
-        active=np.array([one.active for one in courses]),
-        contacts=np.array([one.contacts for one in courses]),
-        at_ceiling=np.array([one.at_ceiling for one in courses]),
-        unexplained=_unexplained(series, found.nearest),
+        rest=signals.rest,
+        distinct=signals.distinct,
+        active=signals.n_active / n_frames,
+        contacts=signals.contacts,
+        at_ceiling=signals.at_extreme / np.maximum(signals.n_active, 1),
+        unexplained=_unexplained(np.ascontiguousarray(signals.active.T), found.nearest),
         lag_correlation=at_one,
         noise_share=_noise_share(at_one, at_two),
         best_match=found.best,
         shifted_match=(
-            np.full(n_sensors, -1.0) if matches else _match_after_shifts(readings, found.best)
+            np.full(len(found.best), -1.0) if matches else _match_after_shifts(readings, found.best)
         ),
         n_frames=n_frames,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Course:
-    """Statistics of one sensor; see `Behaviour`."""
-
-    rest: Rest
-    distinct: int
-    active: float
-    contacts: int
-    at_ceiling: float
-    lag_correlations: tuple[float, float]
-
-    @classmethod
-    def of(
-        cls, column: NDArray[np.floating], activity: Activity, in_contact: NDArray[np.bool_]
-    ) -> _Course:
-        """Compute the statistics of readings of shape (T,)."""
-        # A saturating sensor stays at the end of its range on the side of contact.
-        end = -1 if activity.rest.side[0] > 0 else 0
-        n_highest = int(activity.counts[end]) if activity.active[end] else 0
-        return cls(
-            rest=activity.rest,
-            distinct=activity.values.size,
-            active=activity.n_active / column.size,
-            contacts=count_runs(in_contact),
-            at_ceiling=n_highest / max(1, activity.n_active),
-            lag_correlations=_lag_correlations(column, activity),
-        )
 
 
 def _find_matches(readings: NDArray[np.floating]) -> Matches:
@@ -150,7 +110,7 @@ def _find_matches(readings: NDArray[np.floating]) -> Matches:
     if count < 1:
         return Matches(np.full((n_sensors, 1), NO_SENSOR), np.full(n_sensors, np.nan))
     if n_sensors > MAX_ALL_PAIRS:
-        found, r = most_similar(_standardised(readings), count)
+        found, r = most_similar(unit_rows(readings), count)
         return Matches(found, r[:, 0].astype(np.float64))
     correlation = pearson(readings)
     np.fill_diagonal(correlation, -np.inf)
@@ -166,20 +126,6 @@ def _unexplained(series: NDArray[np.bool_], nearest: NDArray[np.int64]) -> NDArr
     ]
     counted = np.where((nearest != NO_SENSOR).any(axis=1), alone, 0)
     return np.asarray(counted / np.maximum(np.count_nonzero(series, axis=1), 1))
-
-
-def _lag_correlations(column: NDArray[np.floating], activity: Activity) -> tuple[float, float]:
-    """Return the autocorrelations of one sensor, shape (T,), at lags of one and two frames."""
-    mean = activity.counts @ activity.values / column.size
-    deviations = activity.values - mean
-    largest = max(deviations[-1], -deviations[0])
-    centred = column - mean
-    centred /= largest
-    sum_of_squares = activity.counts @ (deviations / largest) ** 2
-    return (
-        float(centred[1:] @ centred[:-1] / sum_of_squares),
-        float(centred[2:] @ centred[:-2] / sum_of_squares),
-    )
 
 
 def _noise_share(at_one: NDArray[np.float64], at_two: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -206,13 +152,13 @@ def _match_after_shifts(
     suspects = np.flatnonzero(best_match < _MIN_CLEAR_R)
     if not suspects.size or n_frames < 2 * _N_SHIFTS:
         return highest
-    others = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, MAX_ALL_PAIRS)).astype(int))
+    others = some_sensors(n_sensors, MAX_ALL_PAIRS)
     every = others.size == n_sensors
-    standard = _standardised(readings if every else readings[:, others])
+    standard = unit_rows(readings if every else readings[:, others])
     shifts = [step * n_frames // (_N_SHIFTS + 1) for step in range(1, _N_SHIFTS + 1)]
     for start in range(0, suspects.size, MAX_ALL_PAIRS):
         part = suspects[start : start + MAX_ALL_PAIRS]
-        mine = standard[part] if every else _standardised(readings[:, part])
+        mine = standard[part] if every else unit_rows(readings[:, part])
         itself = part[:, None] == others
         n_at_once = max(1, _ROWS_AT_ONCE // part.size)
         for begin in range(0, _N_SHIFTS, n_at_once):
@@ -224,23 +170,19 @@ def _match_after_shifts(
     return highest
 
 
-def _standardised(readings: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Scale every sensor to mean 0 and norm 1, shape (n, T)."""
-    standard = np.empty(readings.shape[::-1], dtype=np.float32)
-    for column, row in zip(columns(readings), standard, strict=True):
-        # Differences of float32 numbers are rounded relative to themselves.
-        centred = column - column.mean(dtype=np.float64).astype(column.dtype)
-        centred /= max(centred.max(), -centred.min())
-        np.divide(centred, np.sqrt(centred @ centred), out=row, casting="same_kind")
-    return standard
-
-
 STATUSES = ("ok", "dead", "stuck", "saturating", "noisy", "intermittent", "isolated")
 """All statuses; a sensor with several faults has the first of them."""
 
 MIN_CONTACTS = 5
 """Contacts below which statistics of a sensor are unreliable; chosen by hand."""
 
+_OF_CONSTANT_SENSORS = {
+    "distinct": 1,
+    "active": 0.0,
+    "contacts": 0,
+    "lag_correlation": float("nan"),
+    "best_match": float("nan"),
+}
 _SILENT = ("dead", "stuck", "isolated")
 # Limits; where no source is given they were chosen by hand: no false alarm on four real recordings.
 _OUTLIER = 5 * 1.4826  # 5 sd of a normal distribution, in median absolute deviations
@@ -334,45 +276,41 @@ def _informative(sensor: SensorHealth) -> tuple[bool, int]:
 
 
 def _assess(recording: Recording, matches: Matches | None) -> tuple[SensorHealth, ...]:
-    recording = recording.complete("interpolate")
-    readings = recording.readings
+    recording, unit = in_range(recording.complete("interpolate"))
     varying = recording.varying()
     behaviour = None
     if varying.any():
         nearest = None if matches is None else matches.among(varying)
-        behaviour = observe(readings if varying.all() else readings[:, varying], nearest)
-    faults = _faults_of_constant(recording, varying, behaviour)
+        whole = varying.all()
+        signals = recording.signals if whole else Signals(recording.readings[:, varying])
+        behaviour = observe(signals, nearest)
+    faults = _faults_of_constant(recording, varying, behaviour, unit)
     if behaviour is not None:
         active = np.flatnonzero(varying)
         for status, test in reversed(_TESTS.items()):
             for i, reason in test(behaviour).items():
                 faults[int(active[i])] = (status, reason)
-    position = np.cumsum(varying) - 1
     lowest, highest = recording.extremes
-    result = []
-    for i, name in enumerate(recording.names):
-        status, reason = faults.get(i, ("ok", ""))
-        known = behaviour if varying[i] else None
-        at = position[i]
-        result.append(
-            SensorHealth(
-                name=name,
-                status=status,
-                reason=reason,
-                minimum=float(lowest[i]),
-                maximum=float(highest[i]),
-                distinct=int(known.distinct[at]) if known else 1,
-                active=float(known.active[at]) if known else 0.0,
-                contacts=int(known.contacts[at]) if known else 0,
-                lag_correlation=float(known.lag_correlation[at]) if known else float("nan"),
-                best_match=float(known.best_match[at]) if known else float("nan"),
-            )
+    columns = {
+        name: np.full(recording.n_sensors, constant)
+        for name, constant in _OF_CONSTANT_SENSORS.items()
+    }
+    for name, column in columns.items() if behaviour is not None else ():
+        column[varying] = getattr(behaviour, name)
+    return tuple(
+        SensorHealth(
+            name,
+            *faults.get(i, ("ok", "")),
+            minimum=unit * float(lowest[i]),
+            maximum=unit * float(highest[i]),
+            **{of: column[i].item() for of, column in columns.items()},
         )
-    return tuple(result)
+        for i, name in enumerate(recording.names)
+    )
 
 
 def _faults_of_constant(
-    recording: Recording, varying: NDArray[np.bool_], behaviour: Behaviour | None
+    recording: Recording, varying: NDArray[np.bool_], behaviour: Behaviour | None, unit: float
 ) -> dict[int, tuple[str, str]]:
     """Return the status and the reason of each constant sensor."""
     rests = behaviour.rest.value if behaviour is not None else np.zeros(1)
@@ -385,51 +323,48 @@ def _faults_of_constant(
         if low - slack <= value <= high + slack:
             faults[int(i)] = (
                 "dead",
-                f"constant at {value:g}, a rest value: never touched, or dead",
+                f"constant at {unit * value:g}, a rest value: never touched, or dead",
             )
         else:
             faults[int(i)] = (
                 "stuck",
-                f"constant at {value:g}, which is not a rest value of other sensors",
+                f"constant at {unit * value:g}, which is not a rest value of other sensors",
             )
     return faults
 
 
-def _testable(b: Behaviour) -> NDArray[np.bool_]:
-    """Select sensors with enough contacts to be tested."""
-    return np.asarray(b.contacts >= MIN_CONTACTS)
+def _above(
+    values: NDArray[np.float64], limit: float, tested: NDArray[np.bool_], what: str
+) -> dict[int, str]:
+    """Report the tested sensors with shares above a limit, and the share of the typical sensor."""
+    reason = f"{what} (typical: {np.median(values):.0%})"
+    return {int(i): reason.format(values[i]) for i in np.flatnonzero(tested & (values > limit))}
+
+
+def _outlying(values: NDArray[np.float64], slack: float = 0.0) -> float:
+    """Return the limit of outliers, at least `slack` above the typical value."""
+    typical = float(np.median(values))
+    return typical + max(_OUTLIER * float(np.median(np.abs(values - typical))), slack)
 
 
 def _saturating(b: Behaviour) -> dict[int, str]:
-    typical = float(np.median(b.at_ceiling))
     often = b.at_ceiling * b.active * b.n_frames >= _MIN_CEILING_FRAMES
-    suspects = often & (b.at_ceiling > typical + _MAX_CEILING_EXCESS)
-    return {
-        int(i): f"at its extreme value in {b.at_ceiling[i]:.0%} of its active frames "
-        f"(typical: {typical:.0%})"
-        for i in np.flatnonzero(suspects)
-    }
+    limit = float(np.median(b.at_ceiling)) + _MAX_CEILING_EXCESS
+    return _above(b.at_ceiling, limit, often, "at its extreme value in {:.0%} of its active frames")
 
 
 def _noisy(b: Behaviour) -> dict[int, str]:
-    typical = float(np.median(b.noise_share))
-    slack = max(_OUTLIER * _spread(b.noise_share), _STANDARD_ERRORS / np.sqrt(b.n_frames))
-    suspects = _testable(b) & (b.noise_share > max(_MAX_NOISE, typical + slack))
-    return {
-        int(i): f"{b.noise_share[i]:.0%} of the variance is white noise (typical: {typical:.0%})"
-        for i in np.flatnonzero(suspects)
-    }
+    limit = max(_MAX_NOISE, _outlying(b.noise_share, _STANDARD_ERRORS / np.sqrt(b.n_frames)))
+    tested = b.contacts >= MIN_CONTACTS
+    return _above(b.noise_share, limit, tested, "{:.0%} of the variance is white noise")
 
 
 def _intermittent(b: Behaviour) -> dict[int, str]:
-    typical = float(np.median(b.unexplained))
-    limit = max(_MAX_UNEXPLAINED, typical + _OUTLIER * _spread(b.unexplained))
-    suspects = _testable(b) & (b.unexplained > limit)
-    return {
-        int(i): f"no similar sensor is active in {b.unexplained[i]:.0%} of its active frames "
-        f"(typical: {typical:.0%})"
-        for i in np.flatnonzero(suspects)
-    }
+    limit = max(_MAX_UNEXPLAINED, _outlying(b.unexplained))
+    tested = b.contacts >= MIN_CONTACTS
+    return _above(
+        b.unexplained, limit, tested, "no similar sensor is active in {:.0%} of its active frames"
+    )
 
 
 def _isolated(b: Behaviour) -> dict[int, str]:
@@ -448,7 +383,3 @@ _TESTS: dict[str, Callable[[Behaviour], dict[int, str]]] = {
     "intermittent": _intermittent,
     "isolated": _isolated,
 }
-
-
-def _spread(values: NDArray[np.float64]) -> float:
-    return float(np.median(np.abs(values - np.median(values))))

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
-from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.health.activity import count_contacts, count_joint_contacts
-from anisomap.numerics.similarity.rest import estimate_rest
-from anisomap.recording import Recording, as_runs
+from anisomap.numerics.neighbours import nearest_others
+from anisomap.numerics.signals import count_contacts, count_joint_contacts
+from anisomap.recording import Recording, as_runs, match_names
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
 
@@ -130,8 +129,7 @@ def touch_coverage(
         If the recordings do not have the sensors of the map.
     """
     runs = as_runs(recording)
-    row = {name: i for i, name in enumerate(sensor_map.names)}
-    if {name for run in runs for name in run.names} != set(row):
+    if {name for run in runs for name in run.names} != set(sensor_map.names):
         raise InputError(
             f"the recording must have the sensors of the map, {sensor_map.n_sensors} sensors from "
             f"{sensor_map.names[0]!r} on"
@@ -140,13 +138,10 @@ def touch_coverage(
     contacts = np.zeros(sensor_map.n_sensors, dtype=np.intp)
     together = np.zeros(len(pairs), dtype=np.intp)
     for run in runs:
-        complete = run.complete("interpolate")
-        present = np.isfinite(run.readings)
-        active = estimate_rest(complete.readings).active(complete.readings) & present
-        rows = np.array([row[name] for name in run.names])
+        active = run.complete("interpolate").signals.active & np.isfinite(run.readings)
+        rows = match_names(run.names, sensor_map.names)
         contacts[rows] += count_contacts(active)
-        column = np.full(sensor_map.n_sensors, -1)
-        column[rows] = np.arange(run.n_sensors)
+        column = match_names(sensor_map.names, run.names)
         inside = (column[pairs] >= 0).all(axis=1)
         together[inside] += count_joint_contacts(active, column[pairs[inside]])
     need = needed_evidence(contacts, pairs, together, sensor_map.component)
@@ -165,7 +160,7 @@ def neighbouring_sensors(
     points = np.asarray(positions, dtype=np.float64)
     found = [np.empty((0, 2), dtype=np.intp)]
     for members in _components(points, component):
-        distances, near = _nearest(points[members], _MAX_NEIGHBOURS)
+        distances, near = nearest_others(points[members], _MAX_NEIGHBOURS)
         if not near.size:
             continue
         nearest = distances[:, 0]
@@ -268,7 +263,7 @@ def _components(points: NDArray[np.float64], component: ArrayLike | None) -> lis
 def _area(points: NDArray[np.float64]) -> csr_array:
     """Sensors within two spacings of each sensor, itself included: a matrix of zeros and ones."""
     n_sensors = len(points)
-    distances, near = _nearest(points, _MAX_IN_PLACE)
+    distances, near = nearest_others(points, _MAX_IN_PLACE)
     spacing = np.median(distances[:, 0]) if near.size else 0.0
     first, which = np.nonzero(distances <= _PLACE_RADIUS * spacing)
     rows = np.concatenate([np.arange(n_sensors), first])
@@ -276,17 +271,3 @@ def _area(points: NDArray[np.float64]) -> csr_array:
     area = csr_array((np.ones(len(rows)), (rows, others)), shape=(n_sensors, n_sensors))
     area.sum_duplicates()
     return area
-
-
-def _nearest(
-    points: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Find the other points nearest to each, and their distances, nearest first."""
-    count = min(count, len(points) - 1)
-    if count < 1:
-        return np.empty((len(points), 0)), np.empty((len(points), 0), dtype=np.intp)
-    distances, near = KDTree(points).query(points, k=count + 1)
-    itself = near == np.arange(len(points))[:, None]
-    itself[~itself.any(axis=1), -1] = True  # crowded out by coincident points: drop the last
-    shape = (len(points), count)
-    return np.asarray(distances)[~itself].reshape(shape), np.asarray(near)[~itself].reshape(shape)

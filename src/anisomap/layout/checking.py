@@ -1,7 +1,4 @@
-"""What a check of a layout finds.
-
-Check of stated positions against the readings of a recording.
-"""
+"""Check of stated positions against the readings of a recording."""
 
 from __future__ import annotations
 
@@ -17,7 +14,6 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
-from anisomap.health.activity import count_contacts
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.layout.explanation import Explained, explain, module_members
 from anisomap.numerics.compiled.parallel import limited_blas
@@ -31,9 +27,8 @@ from anisomap.numerics.layout.chance import (
 from anisomap.numerics.layout.evidence import REACH, Evidence, Move, neighbour_spacing
 from anisomap.numerics.layout.moves import ModuleShapes
 from anisomap.numerics.layout.search import Search, Verdict
-from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.placement.modules import NO_MODULE, Modules
-from anisomap.recording import Recording, as_runs, join_runs
+from anisomap.recording import Recording, as_runs, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap
 from anisomap.wording import html_table, join_items
 
@@ -256,9 +251,9 @@ def check_layout(
     if stated.dimensions not in (2, 3):
         raise InputError(f"a layout must have 2 or 3 coordinates, got {stated.dimensions}")
     rows, columns, notes = _matched(stated, joined)
-    members = module_members(stated, modules)
     positions = stated.positions[rows]
     check_distances(positions, "the layout")
+    members = module_members(stated, modules)
     spacing = neighbour_spacing(positions)
     if not spacing > 0:
         raise InputError("most sensors of the layout have the same position; there is no distance")
@@ -268,7 +263,7 @@ def check_layout(
         known = statistics or reading_statistics(joined.readings, generator, n_shifts=n_shifts)
         checked = _Checked(
             stated,
-            joined.readings[:, columns],
+            joined.signals.contacts[columns],
             rows=rows,
             spacing=spacing,
             members=members,
@@ -283,7 +278,7 @@ class _Checked:
     def __init__(
         self,
         layout: SensorMap,
-        readings: NDArray[np.floating],
+        contacts: NDArray[np.intp],
         *,
         rows: NDArray[np.intp],
         spacing: float,
@@ -305,11 +300,11 @@ class _Checked:
             [inside for inside in present if len(inside)], self._positions
         )
         self._statistics = statistics
-        self._contacts = count_contacts(estimate_rest(readings).active(readings))
+        self._contacts = contacts
         self._usable = self._statistics.tested & (self._contacts >= MIN_CONTACTS)
         self._findings: list[LayoutFinding] = []
 
-    def result(self, notes: list[str]) -> LayoutCheck:
+    def result(self, notes: tuple[str, ...]) -> LayoutCheck:
         """Carry out all steps."""
         self._find_dead()
         self._find_doubled()
@@ -424,7 +419,7 @@ class _Checked:
         self,
         proposed: NDArray[np.float64],
         stated_agreement: NDArray[np.float64],
-        notes: list[str],
+        notes: tuple[str, ...],
     ) -> LayoutCheck:
         n_sensors = self._layout.n_sensors
         status = [NOT_TESTED] * n_sensors
@@ -437,11 +432,10 @@ class _Checked:
                 status[self._rows[column]] = finding.kind
         untested = [self._layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
         if untested:
-            notes = [
-                *notes,
+            notes += (
                 f"{len(untested)} of {n_sensors} sensors are not tested, since the recording says "
                 f"nothing of them: {join_items(untested, _MAX_NAMED)}",
-            ]
+            )
         positions = self._layout.positions.copy()
         positions[self._rows] = proposed
         values = np.full(n_sensors, np.nan)
@@ -456,7 +450,7 @@ class _Checked:
             values,
             self._label,
             self._spacing,
-            tuple(notes),
+            notes,
         )
 
 
@@ -471,35 +465,21 @@ def _as_layout(positions: ArrayLike) -> SensorMap:
 
 def _matched(
     layout: SensorMap, recording: Recording
-) -> tuple[NDArray[np.intp], NDArray[np.intp], list[str]]:
+) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[str, ...]]:
     """Return rows of the layout, the columns of the same sensors, and notes."""
-    notes = []
-    column = {name: i for i, name in enumerate(recording.names)}
-    shared = [(i, column[name]) for i, name in enumerate(layout.names) if name in column]
-    if not shared:
-        if layout.n_sensors != recording.n_sensors:
-            raise InputError(
-                f"layout and recording share no sensor name, and {layout.n_sensors} positions "
-                f"cannot be matched with {recording.n_sensors} sensors by order; use the same names"
-            )
-        notes.append("layout and recording share no sensor name: matched by order")
-        shared = [(i, i) for i in range(layout.n_sensors)]
-    elif len(shared) < recording.n_sensors:
-        known = set(layout.names)
-        missing = [name for name in recording.names if name not in known]
-        notes.append(
-            f"{len(missing)} sensors of the recording have no position: "
-            f"{join_items(missing, _MAX_NAMED)}"
-        )
-    pairs = np.array(shared, dtype=np.intp)
-    pairs = pairs[layout.placed[pairs[:, 0]]]
-    if len(pairs) < MIN_SENSORS:
+    columns, notes = match_sensors(layout.names, recording.names, "layout and recording")
+    missing = np.flatnonzero(match_names(recording.names, layout.names) < 0)
+    if missing.size and not notes:
+        listed = join_items([recording.names[i] for i in missing], _MAX_NAMED)
+        notes = (f"{missing.size} sensors of the recording have no position: {listed}",)
+    rows = np.flatnonzero((columns >= 0) & layout.placed)
+    if len(rows) < MIN_SENSORS:
         raise InputError(
             f"a check needs at least {MIN_SENSORS} sensors with a position and readings, got "
-            f"{len(pairs)}"
+            f"{len(rows)}"
         )
-    order = np.argsort(pairs[:, 1], kind="stable")
-    return pairs[order, 0], pairs[order, 1], notes
+    rows = rows[np.argsort(columns[rows], kind="stable")]
+    return rows, columns[rows], notes
 
 
 def _mean(values: NDArray[np.float64]) -> float:

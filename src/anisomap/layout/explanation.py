@@ -1,7 +1,4 @@
-"""Modules of a layout: given, by numbers in names, or found as rigid repeats.
-
-Findings that explain the difference between two sets of positions.
-"""
+"""Modules of a layout, and faults that explain why sensors have other places."""
 
 from __future__ import annotations
 
@@ -90,7 +87,7 @@ def _channels(layout: SensorMap, sensors: NDArray[np.intp]) -> NDArray[np.intp]:
 
 _SAME = 1e-6  # spacings between places that count as the same: places of others are taken exactly
 _MIN_RUN = 4  # sensors; fewer are swaps and cycles
-_MAX_STEP = 2  # channels by which a run may be shifted; as `permutations.cable_shifts`
+_MAX_STEP = 2  # channels by which a run may be shifted; as `cable_shifts`
 _MIN_SHARE = 0.7  # of the sensors of cycles that must be shifted equally; chosen by hand
 _MAX_NAMED = 6
 

@@ -128,7 +128,9 @@ class KinematicTree:
             fixed, revolute, continuous nor prismatic.
         """
         to_link, to_other = self.path(link, other)
-        return np.asarray(_inverse(self._along(to_link, angles)) @ self._along(to_other, angles))
+        return np.asarray(
+            np.linalg.inv(self._along(to_link, angles)) @ self._along(to_other, angles)
+        )
 
     def _chain(self, link: str) -> list[Joint]:
         if link not in self._links:
@@ -180,13 +182,4 @@ def _motion(joint: Joint, angle: NDArray[np.float64]) -> NDArray[np.float64]:
             f"joint {joint.name!r} between the links is {joint.kind}; only fixed, revolute, "
             "continuous and prismatic joints can be used"
         )
-    return found
-
-
-def _inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Invert rigid transforms, shape (T, 4, 4)."""
-    found = np.tile(np.eye(4), (len(pose), 1, 1))
-    turned = pose[:, :3, :3].transpose(0, 2, 1)
-    found[:, :3, :3] = turned
-    found[:, :3, 3] = -np.einsum("tij,tj->ti", turned, pose[:, :3, 3])
     return found

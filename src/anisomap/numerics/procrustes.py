@@ -1,9 +1,4 @@
-"""Procrustes analysis: the similarity or rigid transform between two sets of points.
-
-Poses of rigid bodies from the distances between points on different bodies.
-
-Pose of a patch of sensors on its link, from places where it was touched.
-"""
+"""Procrustes analysis: similarity transforms, and poses of rigid bodies and of patches."""
 
 from __future__ import annotations
 
@@ -68,7 +63,11 @@ def fit_similarity(
     shares = shares / shares.sum()
     source_mean, target_mean = shares @ source, shares @ target
     x, y = source - source_mean, target - target_mean
-    left, singular, right = np.linalg.svd((y * shares[:, None]).T @ x)
+    with np.errstate(over="ignore", invalid="ignore"):
+        covariance = (y * shares[:, None]).T @ x
+    if not np.isfinite(covariance).all():
+        raise InputError("positions that are aligned are not finite, or their squares are not")
+    left, singular, right = np.linalg.svd(covariance)
     sign = np.ones(len(singular))
     handed = np.linalg.det(left @ right) < 0
     wanted = handed and singular[-1] > SINGULAR * singular[0] if reflection is None else reflection
@@ -126,7 +125,7 @@ def fit_similarity_robustly(
     return min(fits, key=lambda found: found[:2])[2]
 
 
-_CONVERGED_RIGID_BODIES = 1e-8  # relative decrease of the objective
+_CONVERGED_POSES = 1e-8  # relative decrease of the objective
 _FIRST_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-9, 1e9  # as usual for Levenberg-Marquardt
 _DAMPING_STEP = 10.0
 
@@ -209,7 +208,7 @@ def fit_poses(
         decrease = (value - found_value) / value
         poses, residuals, jacobian, value = trial, found, found_jacobian, found_value
         damping = max(damping / _DAMPING_STEP, _MIN_DAMPING)
-        if decrease < _CONVERGED_RIGID_BODIES:
+        if decrease < _CONVERGED_POSES:
             break
     return poses
 

@@ -1,9 +1,8 @@
-"""Surface normals estimated from points.
-
-Exact signed distances from triangle meshes, and the nearest points on them.
-"""
+"""Normals of a surface at points on it, and the nearest points of triangle meshes."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -137,14 +136,16 @@ class TriangleSearch:
         Triangles that share a nearest edge or corner can differ in the sign. The one with the
         largest distance along its normal determines it.
         """
-        # The margin, far above rounding errors, keeps at least one candidate for every point.
-        bound = (np.asarray(self._vertices.query(points)[0]) + self._largest) * (1 + _ROUNDING)
         found = np.empty(len(points))
-        counts = np.asarray(self._centroids.query_ball_point(points, bound, return_length=True))
-        blocks = np.cumsum(counts) // _MAX_PAIRS
-        for block in np.unique(blocks):
-            chosen = np.flatnonzero(blocks == block)
-            found[chosen] = self._distance_in_block(points[chosen], bound[chosen])
+        for chosen, index, triangle, _, offset in self._candidates(points):
+            squared = np.einsum("pd,pd->p", offset, offset)
+            first = np.searchsorted(index, np.arange(len(chosen)))
+            least = np.minimum.reduceat(squared, first)
+            # Triangles with a common nearest point tie, up to rounding.
+            tied = squared <= least[index] * (1 + _ROUNDING) + 1e-300
+            above = np.where(tied, np.einsum("pd,pd->p", offset, self._normals[triangle]), 0.0)
+            highest, lowest = np.maximum.reduceat(above, first), np.minimum.reduceat(above, first)
+            found[chosen] = np.where(highest >= -lowest, 1.0, -1.0) * np.sqrt(least)
         return found
 
     def nearest(self, points: Points) -> tuple[Points, Points]:
@@ -152,41 +153,34 @@ class TriangleSearch:
 
         points (n, 3) -> nearest (n, 3), normals (n, 3).
         """
-        bound = (np.asarray(self._vertices.query(points)[0]) + self._largest) * (1 + _ROUNDING)
-        counts = np.asarray(self._centroids.query_ball_point(points, bound, return_length=True))
-        blocks = np.cumsum(counts) // _MAX_PAIRS
         found, normals = np.empty_like(points), np.empty_like(points)
-        for block in np.unique(blocks):
-            chosen = np.flatnonzero(blocks == block)
-            index, triangle, feet = self._feet(points[chosen], bound[chosen])
-            offset = points[chosen][index] - feet
+        for chosen, index, triangle, feet, offset in self._candidates(points):
             # Sorted by point, then by distance: the first of each point is the nearest.
             order = np.lexsort((np.einsum("pd,pd->p", offset, offset), index))
             best = order[np.searchsorted(index[order], np.arange(len(chosen)))]
             found[chosen], normals[chosen] = feet[best], self._normals[triangle[best]]
         return found, normals
 
-    def _feet(
-        self, points: Points, bound: NDArray[np.float64]
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp], Points]:
-        """Return pairs of a point and a triangle within its bound, and the nearest points on it."""
-        candidates = self._centroids.query_ball_point(points, bound)
-        counts = np.array([len(near) for near in candidates])
-        triangle = np.concatenate(candidates).astype(np.intp)
-        index = np.repeat(np.arange(len(points)), counts)
-        return index, triangle, nearest_on_triangles(points[index], self._corners[triangle])
+    def _candidates(
+        self, points: Points
+    ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Points, Points]]:
+        """Yield blocks of points, and the pairs of one of them and a triangle that may be nearest.
 
-    def _distance_in_block(self, points: Points, bound: NDArray[np.float64]) -> Points:
-        index, triangle, feet = self._feet(points, bound)
-        offset = points[index] - feet
-        squared = np.einsum("pd,pd->p", offset, offset)
-        first = np.searchsorted(index, np.arange(len(points)))
-        least = np.minimum.reduceat(squared, first)
-        # Triangles with a common nearest point tie, up to rounding.
-        tied = squared <= least[index] * (1 + _ROUNDING) + 1e-300
-        above = np.where(tied, np.einsum("pd,pd->p", offset, self._normals[triangle]), 0.0)
-        highest, lowest = np.maximum.reduceat(above, first), np.minimum.reduceat(above, first)
-        return np.asarray(np.where(highest >= -lowest, 1.0, -1.0) * np.sqrt(least))
+        These are the rows of the points; the point of each pair, numbered in the block; the
+        triangle; the nearest point on it; and the offset from there.
+        """
+        # The margin, far above rounding errors, keeps at least one candidate for every point.
+        bound = (np.asarray(self._vertices.query(points)[0]) + self._largest) * (1 + _ROUNDING)
+        counts = np.asarray(self._centroids.query_ball_point(points, bound, return_length=True))
+        blocks = np.cumsum(counts) // _MAX_PAIRS
+        for block in np.unique(blocks):
+            chosen = np.flatnonzero(blocks == block)
+            near = self._centroids.query_ball_point(points[chosen], bound[chosen])
+            triangle = np.concatenate(near).astype(np.intp)
+            index = np.repeat(np.arange(len(chosen)), counts[chosen])
+            here = points[chosen][index]
+            feet = nearest_on_triangles(here, self._corners[triangle])
+            yield chosen, index, triangle, feet, here - feet
 
 
 def _split_large(corners: Points) -> Points:

@@ -1,7 +1,4 @@
-"""Known positions of some sensors, and sensors of which the position is worth measuring.
-
-The transform from a map to the frame of its anchors, with an error for each sensor.
-"""
+"""Anchors, sensors with a known position, and the transform of a map to their frame."""
 
 from __future__ import annotations
 

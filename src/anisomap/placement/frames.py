@@ -1,9 +1,4 @@
-"""Lengths with units, and the scale of a map from the spacing of its sensors.
-
-Mirror image and surface normals of a map.
-
-Sensor poses in metres, as robot software represents them.
-"""
+"""Units, scale, mirror image and normals of maps, and poses of sensors for robot software."""
 
 from __future__ import annotations
 
@@ -13,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from anisomap.errors import InputError
+from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.surfaces import estimate_normals
 from anisomap.sensor_map import SensorMap
 
@@ -64,8 +59,7 @@ def median_spacing(sensor_map: SensorMap) -> float:
     nearest: list[float] = []
     for component in sensor_map.split():
         if component.n_sensors > 1:
-            distances = KDTree(component.positions).query(component.positions, k=[2])[0]
-            nearest += np.asarray(distances).ravel().tolist()
+            nearest += nearest_distances(component.positions).tolist()
     spacing = float(np.median(nearest)) if nearest else 0.0
     if not spacing > 0:
         raise InputError(
@@ -73,6 +67,31 @@ def median_spacing(sensor_map: SensorMap) -> float:
             "positions in one connected component"
         )
     return spacing
+
+
+def check_placeable(sensor_map: SensorMap, handedness: str) -> None:
+    """Check that a map can be brought into the frame of a robot."""
+    if handedness not in ("", "same", "mirrored"):
+        raise InputError(f"handedness must be same or mirrored, got {handedness!r}")
+    if sensor_map.anchored:
+        raise InputError("the map is in the frame of the robot already; place the original map")
+    if sensor_map.dimensions not in (2, 3):
+        raise InputError(
+            f"a map must have 2 or 3 dimensions to be placed, got {sensor_map.dimensions}"
+        )
+    sensor_map.check_coordinates("on the map")
+
+
+def rescaled(sensor_map: SensorMap, factor: float, units: str) -> SensorMap:
+    """Multiply all lengths of a map by a factor."""
+    covariances = sensor_map.covariances
+    return replace(
+        sensor_map,
+        positions=factor * sensor_map.positions,
+        errors=factor * sensor_map.errors,
+        covariances=None if covariances is None else factor**2 * covariances,
+        units=units,
+    )
 
 
 def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> SensorMap:
@@ -110,14 +129,8 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
             f"a spacing of {spacing:g} {units} takes the positions out of the range of "
             "floating-point numbers; check its unit"
         )
-    return replace(
-        sensor_map,
-        positions=factor * sensor_map.positions,
-        errors=factor * sensor_map.errors,
-        covariances=None if sensor_map.covariances is None else factor**2 * sensor_map.covariances,
-        units=units,
-        provenance={**sensor_map.provenance, "spacing": spacing, "scale": factor},
-    )
+    provenance = {**sensor_map.provenance, "spacing": spacing, "scale": factor}
+    return replace(rescaled(sensor_map, factor, units), provenance=provenance)
 
 
 def mirrored(sensor_map: SensorMap) -> SensorMap:
@@ -188,10 +201,9 @@ def pad_to_3d(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
     positions (N, k) -> (N, 3).
     """
-    missing = 3 - positions.shape[1]
-    if missing < 0:
+    if positions.shape[1] > 3:
         raise InputError(f"the map must have at most 3 dimensions, got {positions.shape[1]}")
-    return np.pad(positions, ((0, 0), (0, missing)))
+    return padded(positions, 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,4 @@
-"""A similarity and a smooth field of corrections, fitted to anchors.
-
-Evidence of anchors for a map or its mirror image.
-"""
+"""Whether anchors belong to a map or its mirror image, by the fields of errors of both."""
 
 from __future__ import annotations
 
@@ -14,6 +11,8 @@ from scipy.special import logsumexp
 from anisomap.errors import InputError
 from anisomap.numerics.kriging import Kernel
 from anisomap.numerics.procrustes import SINGULAR, Similarity, fit_similarity
+from anisomap.placement.frames import median_spacing
+from anisomap.sensor_map import SensorMap
 
 PRIOR_FREEDOM = 4.0
 """Degrees of freedom of the prior of the variance of a map (a scaled inverse chi-squared).
@@ -48,6 +47,20 @@ class Known:
     scale_sigma: float = np.inf
     evidence: float = 0.0
     handedness: bool | None = None
+
+    @classmethod
+    def of(
+        cls,
+        sensor_map: SensorMap,
+        handedness: bool | None,
+        scale_sigma: float = np.inf,
+        evidence: float = 0.0,
+    ) -> Known:
+        """Measure a map of one component."""
+        positions = sensor_map.positions[sensor_map.placed]
+        size = float(np.sqrt(np.sum(np.var(positions, axis=0))))
+        spacing = median_spacing(sensor_map)
+        return cls(spacing, size, sensor_map.uneven, scale_sigma, evidence, handedness)
 
     @property
     def sigma(self) -> float:

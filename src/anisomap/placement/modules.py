@@ -1,9 +1,7 @@
-"""Rigid modules of a skin, such as the triangles of the iCub: which sensors share one, and where.
+"""Rigid modules of a skin, such as the triangles of the iCub, and maps fitted with them.
 
 All modules of a skin are alike: a template gives the positions of the pads in the frame of a
 module. A template need not be known, to compare modules or to exchange them.
-
-A map re-fitted with its rigid modules as a constraint.
 """
 
 from __future__ import annotations
@@ -18,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.procrustes import Evidence, Poses, fit_poses, fit_similarity
 from anisomap.placement.frames import METRES, mirrored
 from anisomap.sensor_map import UNPLACED, SensorMap
@@ -376,7 +375,7 @@ def fit_modules(sensor_map: SensorMap, modules: Modules) -> ModuleFit:
 
 def _pitch(template: NDArray[np.float64]) -> float:
     pads = template[np.isfinite(template).all(axis=1)]
-    return float(np.median(np.asarray(KDTree(pads).query(pads, k=2)[0])[:, 1]))
+    return float(np.median(nearest_distances(pads)))
 
 
 def _handedness(

@@ -12,14 +12,15 @@ from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement.anchors import AnchorFit, Anchors, fit_anchors
 from anisomap.placement.frames import (
     METRES,
-    median_spacing,
+    check_placeable,
     mirrored,
     pad_to_3d,
+    rescaled,
     scaled_to_spacing,
     surface_normals,
 )
 from anisomap.placement.handedness import DECISIVE, Known, Normals
-from anisomap.placement.modules import NO_MODULE, ModuleFit, Modules, fit_modules
+from anisomap.placement.modules import NO_MODULE, Modules, fit_modules
 from anisomap.placement.surface import (
     Surface,
     bend_to_surface,
@@ -27,6 +28,7 @@ from anisomap.placement.surface import (
     fit_to_surface,
     surface_evidence,
 )
+from anisomap.recording import match_names
 from anisomap.scene import Mesh
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items
@@ -103,14 +105,7 @@ def place(
         If nothing gives a scale, an anchor is no sensor of the map, no component can be placed, or
         the handedness is not determined.
     """
-    if handedness not in ("", "same", "mirrored"):
-        raise InputError(f"handedness must be same or mirrored, got {handedness!r}")
-    if sensor_map.anchored:
-        raise InputError("the map is in the frame of the robot already; place the original map")
-    if sensor_map.dimensions not in (2, 3):
-        raise InputError(
-            f"a map must have 2 or 3 dimensions to be placed, got {sensor_map.dimensions}"
-        )
+    check_placeable(sensor_map, handedness)
     if mesh is not None and anchors is None:
         raise InputError("to place a map on a mesh, give at least 3 anchors")
     stated = None if not handedness else handedness == "mirrored"
@@ -136,24 +131,16 @@ class _Shape:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A component of the map: all sensors, placed or not, and what is known of it."""
+    """A component of the map: all sensors, placed or not, and what is known of it.
+
+    rigid: Whether it was fitted by its modules.
+    """
 
     map: SensorMap
-    scale_sigma: float
-    evidence: float
-    fit: ModuleFit | None
+    scale_sigma: float = np.inf
+    evidence: float = 0.0
     how: str = ""
-
-    def known(self, stated: bool | None) -> Known:
-        positions = self.map.positions[self.map.placed]
-        return Known(
-            spacing=median_spacing(self.map),
-            size=float(np.sqrt(np.sum(np.var(positions, axis=0)))),
-            uneven=self.map.uneven,
-            scale_sigma=self.scale_sigma,
-            evidence=self.evidence,
-            handedness=stated,
-        )
+    rigid: bool = False
 
 
 def _components(sensor_map: SensorMap) -> list[SensorMap]:
@@ -170,25 +157,17 @@ def _components(sensor_map: SensorMap) -> list[SensorMap]:
 
 def _scaled(part: SensorMap, modules: Modules | None, spacing: tuple[float, str] | None) -> _Part:
     """Scale a component by its modules, else by its spacing."""
-    elsewhere = part.placed
     if modules is not None and _has_module(part, modules):
         fit = fit_modules(part, modules)
-        return _Part(
-            _in_metres(fit.map), _MODULE_SCALE, abs(fit.evidence), fit, "scaled by its modules"
-        )
-    if spacing is not None and np.count_nonzero(elsewhere) > 1:
-        return _Part(
-            _in_metres(scaled_to_spacing(part, *spacing)),
-            _SPACING_SCALE,
-            0.0,
-            None,
-            "scaled by its spacing",
-        )
+        scaled, evidence = _in_metres(fit.map), abs(fit.evidence)
+        return _Part(scaled, _MODULE_SCALE, evidence, "scaled by its modules", rigid=True)
+    if spacing is not None and np.count_nonzero(part.placed) > 1:
+        scaled = _in_metres(scaled_to_spacing(part, *spacing))
+        return _Part(scaled, _SPACING_SCALE, how="scaled by its spacing")
     if part.units in METRES:
-        return _Part(
-            _in_metres(part), _SPACING_SCALE, 0.0, None, f"in {part.units}, converted to m"
-        )
-    return _Part(part, np.inf, 0.0, None)
+        how = f"in {part.units}, converted to m"
+        return _Part(_in_metres(part), _SPACING_SCALE, how=how)
+    return _Part(part)
 
 
 def _has_module(part: SensorMap, modules: Modules) -> bool:
@@ -197,14 +176,7 @@ def _has_module(part: SensorMap, modules: Modules) -> bool:
 
 
 def _in_metres(sensor_map: SensorMap) -> SensorMap:
-    factor = METRES[sensor_map.units]
-    return replace(
-        sensor_map,
-        positions=factor * sensor_map.positions,
-        errors=factor * sensor_map.errors,
-        covariances=None if sensor_map.covariances is None else factor**2 * sensor_map.covariances,
-        units="m",
-    )
+    return rescaled(sensor_map, METRES[sensor_map.units], "m")
 
 
 def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) -> Placement:
@@ -267,10 +239,10 @@ def _place_part(
     k = targets.shape[1]
     points = part.map.positions[members]
     points = points if k == points.shape[1] else pad_to_3d(points)
-    index, known = np.searchsorted(members, anchored), part.known(shape.mirrored)
+    index, evidence = np.searchsorted(members, anchored), part.evidence
     if shape.surface is not None and len(index) >= k:
-        evidence = surface_evidence(points, index, targets, shape.surface)
-        known = replace(known, evidence=known.evidence + evidence)
+        evidence += surface_evidence(points, index, targets, shape.surface)
+    known = Known.of(part.map, shape.mirrored, part.scale_sigma, evidence)
     measured = None
     if anchors.normals is not None:
         measured = Normals(surface_normals(part.map)[members], anchors.normals)
@@ -286,7 +258,7 @@ def _place_part(
         bent = bend_to_surface(positions, index, targets, shape.surface)
         positions, normals = shape.surface.nearest(bent)
         how += " on the mesh"
-    if part.fit is not None and shape.modules is not None:
+    if part.rigid and shape.modules is not None:
         how += " of rigid modules"
         positions = _rigid(positions, shape.modules.select(members))
     return _PlacedPart(fit, positions, normals, f"{how}, {len(index)} anchors")
@@ -353,11 +325,11 @@ def _rows(sensor_map: SensorMap, anchors: Anchors, shape: _Shape) -> NDArray[np.
         raise InputError("anchors of a map in 3D must have three coordinates")
     if shape.surface is not None and k < 3:
         raise InputError("anchors on a mesh must have three coordinates")
-    rows = {name: i for i, name in enumerate(sensor_map.names)}
-    unknown = [name for name in anchors.names if name not in rows]
-    if unknown:
+    rows = match_names(anchors.names, sensor_map.names)
+    if (rows < 0).any():
+        unknown = [anchors.names[i] for i in np.flatnonzero(rows < 0)]
         raise InputError(f"anchor {join_items(unknown)} is no sensor of the map")
-    return np.array([rows[name] for name in anchors.names], dtype=np.intp)
+    return rows
 
 
 def _rigid(positions: NDArray[np.float64], modules: Modules) -> NDArray[np.float64]:

@@ -19,12 +19,11 @@ from anisomap.numerics.procrustes import (
     fit_similarity,
     noise_scale,
 )
-from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.placement.anchors import COVERAGE, fit_anchors
-from anisomap.placement.frames import METRES, median_spacing, pad_to_3d
+from anisomap.placement.frames import METRES, check_placeable, median_spacing, pad_to_3d
 from anisomap.placement.handedness import Known
 from anisomap.placement.placing import Placement
-from anisomap.recording import Recording
+from anisomap.recording import Recording, match_names
 from anisomap.sensor_map import SensorMap
 
 # Chosen by hand.
@@ -148,7 +147,8 @@ def place_by_self_touch(
         used, residuals = pose.used, pose.residuals
         how, handed, reflected = "rigid pose", True, False
     else:
-        known = _known(sensor_map, handedness)
+        stated = handedness == "mirrored" if handedness else (False if sensor_map.handed else None)
+        known = Known.of(sensor_map, stated)
         used = _consistent(places, targets)
         members = np.flatnonzero(sensor_map.placed)
         points = np.vstack([pad_to_3d(sensor_map.positions[members]), places])
@@ -178,10 +178,8 @@ def place_by_self_touch(
 
 
 def _check(sensor_map: SensorMap, other: SensorMap, *, exact: bool, handedness: str) -> None:
-    if handedness not in ("", "same", "mirrored"):
-        raise InputError(f"handedness must be same or mirrored, got {handedness!r}")
-    if sensor_map.anchored:
-        raise InputError("the map is in the frame of the robot already; place the original map")
+    check_placeable(sensor_map, handedness)
+    other.check_coordinates("on the other patch")
     for patch, what in ((sensor_map, "the map"), (other, "the layout of the other patch")):
         if patch.dimensions not in (2, 3) or len(patch.component_sizes) != 1:
             raise InputError(
@@ -237,14 +235,14 @@ def _centres(
     patch: SensorMap, recording: Recording, what: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the centre of contact in each frame, NaN without one, and the total depth."""
-    columns = {name: i for i, name in enumerate(recording.names)}
-    rows = [i for i in np.flatnonzero(patch.placed) if patch.names[i] in columns]
+    columns = match_names(patch.names, recording.names)
+    rows = np.flatnonzero(patch.placed & (columns >= 0))
     if len(rows) < _MIN_SENSORS:
         raise InputError(
             f"the recording must have {_MIN_SENSORS} sensors of {what} or more, got {len(rows)}"
         )
-    readings = recording.readings[:, [columns[patch.names[i]] for i in rows]]
-    depth = estimate_rest(readings).depth(readings)
+    chosen = columns[rows]
+    depth = recording.signals.rest.select(chosen).depth(recording.readings[:, chosen])
     deepest = float(np.quantile(depth.max(axis=1), _RANGE_QUANTILE))
     depth[depth <= _MIN_DEPTH * deepest] = 0.0
     total = depth.sum(axis=1)
@@ -325,14 +323,3 @@ def _consistent(places: NDArray[np.float64], targets: NDArray[np.float64]) -> ND
             f"map, got {int(used.sum())} of {len(used)}"
         )
     return np.asarray(used)
-
-
-def _known(sensor_map: SensorMap, handedness: str) -> Known:
-    positions = sensor_map.positions[sensor_map.placed]
-    stated = handedness == "mirrored" if handedness else (False if sensor_map.handed else None)
-    return Known(
-        spacing=median_spacing(sensor_map),
-        size=float(np.sqrt(np.sum(np.var(positions, axis=0)))),
-        uneven=sensor_map.uneven,
-        handedness=stated,
-    )

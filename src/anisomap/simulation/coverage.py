@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import score
-from anisomap.health.activity import count_contacts
 from anisomap.health.touch_coverage import NEIGHBOUR_RADIUS
 from anisomap.methods import DEFAULT_METHOD, find_method
+from anisomap.numerics.signals import count_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording

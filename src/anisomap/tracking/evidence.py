@@ -1,7 +1,4 @@
-"""What recordings tell of all pairs of sensors, in a form that adds up over recordings.
-
-Sensors that a recording shows at another place than a map.
-"""
+"""What recordings tell of all pairs of sensors, added up, and sensors that it shows elsewhere."""
 
 from __future__ import annotations
 
@@ -29,7 +26,7 @@ from anisomap.numerics.contacts.contact_agreement import (
 from anisomap.numerics.reliability.split_half import profile_agreement
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from
-from anisomap.recording import Recording, as_runs, sensor_mask
+from anisomap.recording import Recording, as_runs, match_names, sensor_mask
 from anisomap.sensor_map import SensorMap
 from anisomap.tracking.pair_sums import PairSums
 
@@ -91,7 +88,7 @@ class Evidence:
             raise InputError("the recording is part of the evidence already; give another one")
         names = tuple(dict.fromkeys((*self.names, *other.names)))
         check_pair_memory(len(names), refined=True)
-        mine, others = _rows(self.names, names), _rows(other.names, names)
+        mine, others = (match_names(one.names, names) for one in (self, other))
         return replace(
             self,
             names=names,
@@ -244,11 +241,6 @@ def _has(run: Recording, sensor: str | int) -> bool:
     return not isinstance(sensor, str) or sensor in run.names
 
 
-def _rows(names: Sequence[str], among: Sequence[str]) -> NDArray[np.intp]:
-    row = {name: i for i, name in enumerate(among)}
-    return np.array([row[name] for name in names], dtype=np.intp)
-
-
 MIN_COMPARED = 8
 """Minimum number of sensors on the map and in the recording; fewer give no typical difference."""
 
@@ -335,8 +327,7 @@ def similarity_of(
 
     Returns similarity (n, n), known.
     """
-    row = {name: i for i, name in enumerate(evidence.names)}
-    rows = [row[name] for name in names]
+    rows = match_names(names, evidence.names)
     inside = np.ix_(rows, rows)
     pairs = evidence.sums[key].statistics(key)
     return pairs.similarity[inside], pairs.known[inside]

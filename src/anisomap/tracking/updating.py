@@ -1,7 +1,4 @@
-"""New positions in the frame of an old map, with the corrections that the old map has.
-
-Update of a map by a new recording.
-"""
+"""Update of a map by a new recording, in the frame of the map and with its corrections."""
 
 from __future__ import annotations
 
@@ -20,8 +17,9 @@ from anisomap.evaluation.mantel_r import mantel
 from anisomap.evaluation.scoring import median_spacing
 from anisomap.health import assess
 from anisomap.numerics.kriging import Kernel, predict_field
+from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity, fit_similarity_robustly
-from anisomap.recording import Recording, as_runs, join_runs
+from anisomap.recording import Recording, as_runs, join_runs, match_names
 from anisomap.sensor_map import UNASSESSED, UNPLACED, SensorMap
 from anisomap.tracking.evidence import (
     FAR,
@@ -62,7 +60,7 @@ class _Frame:
 
     def carry(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Transform points of the map of all evidence, shape (m, l), without corrections."""
-        return self.to_old.apply(_padded(self.to_before.apply(points), self.base.shape[1]))
+        return self.to_old.apply(padded(self.to_before.apply(points), self.base.shape[1]))
 
     def corrections(
         self, points: NDArray[np.float64], spacing: float
@@ -157,25 +155,26 @@ def _frame(
     moved: Sequence[str],
 ) -> _Frame | None:
     """Find the frame of a component of the map of all evidence; None if it shares too little."""
-    rows = {name: i for i, name in enumerate(old.names)}
-    places = {name: i for i, name in enumerate(before.names)}
-    groups: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
-    for i in members.tolist():
-        name = after.names[i]
-        if name in rows and name in places and name not in moved:
-            key = int(old.component[rows[name]]), int(before.component[places[name]])
-            if UNPLACED not in key:
-                groups.setdefault(key, []).append((i, rows[name], places[name]))
-    if not groups:
+    names = [after.names[i] for i in members]
+    there, then = match_names(names, old.names), match_names(names, before.names)
+    labels = np.stack([old.component[there], before.component[then]])
+    shared = (np.minimum(there, then) >= 0) & (labels != UNPLACED).all(axis=0)
+    shared &= np.array([name not in moved for name in names])
+    if not shared.any():
         return None
-    (label, _), largest = max(groups.items(), key=lambda group: len(group[1]))
-    new, there, then = np.array(largest, dtype=np.intp).T
+    groups, group, counts = np.unique(
+        labels[:, shared], axis=1, return_inverse=True, return_counts=True
+    )
+    largest = int(counts.argmax())
+    label = int(groups[0, largest])
+    chosen = np.flatnonzero(shared)[group.ravel() == largest]
+    new, there, then = members[chosen], there[chosen], then[chosen]
     if len(new) <= after.dimensions:
         return None
     fit = fit_similarity_robustly if len(new) >= MIN_COMPARED else fit_similarity
     to_before = fit(after.positions[new], before.positions[then])
     dimensions = old.dimensions
-    source, target = _padded(before.positions[then], dimensions), old.positions[there]
+    source, target = padded(before.positions[then], dimensions), old.positions[there]
     to_old = fit_similarity(source, target)
     base = to_old.apply(source)
     field = target - base
@@ -185,10 +184,6 @@ def _frame(
             "shape; give the file that was written with the map"
         )
     return _Frame(there, label, to_before, to_old, base, field)
-
-
-def _padded(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
-    return np.pad(points, ((0, 0), (0, dimensions - points.shape[1])))
 
 
 def _renumbered(component: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -307,6 +302,7 @@ def update_map(
     """
     if not 0 < level < 1:
         raise InputError(f"the level must be between 0 and 1, got {level:g}")
+    sensor_map.check_coordinates("on the map")
     evidence = replace(evidence, dimensions=sensor_map.dimensions)
     runs = as_runs(recording)
     joined = join_runs(runs)

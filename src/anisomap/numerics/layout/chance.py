@@ -1,7 +1,4 @@
-"""Similarities of all sensors, of halves of the frames, and after circular shifts in time.
-
-Agreement of sensors with those around a place, and what it gains by chance.
-"""
+"""Agreement of sensors with those around a place, and its gain by chance after shifts in time."""
 
 from __future__ import annotations
 

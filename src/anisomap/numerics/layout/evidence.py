@@ -1,9 +1,4 @@
-"""How similarity falls with distance on a layout, and how likely a similarity is at a distance.
-
-Log-likelihood of the similarities of sensors at given positions, and its gain by moves.
-
-How well single sensors fit the places of others.
-"""
+"""Likelihood of similarities at distances on a layout, and its gain by moves of sensors."""
 
 from __future__ import annotations
 
@@ -13,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
-from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist, pdist
 
+from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.precision import Reals
 
 _MIN_PAIRS = 6  # per bin, for a median and a spread; chosen by hand
@@ -70,8 +65,7 @@ def neighbour_spacing(positions: NDArray[np.float64]) -> float:
     places = np.unique(positions, axis=0)
     if len(places) < 2:
         return 0.0
-    nearest = np.asarray(KDTree(places).query(places, k=2)[0])
-    return float(np.median(nearest[:, 1]))
+    return float(np.median(nearest_distances(places)))
 
 
 def fit_falloff(similarity: Reals, positions: NDArray[np.float64], spacing: float) -> Falloff:

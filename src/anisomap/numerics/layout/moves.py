@@ -1,10 +1,8 @@
-"""Proposals that sensors change places: swaps, turned and exchanged modules, shifted cables.
+"""Proposals that sensors have other places: those of others, or places that no sensor has yet.
 
 Each function takes the evidence and returns the proposals that it finds best, whatever their gain,
 so that their gains on shifted readings give the null distribution. To add a kind of fault, add one
 function here and one line to `PROPOSERS`.
-
-Proposals that a patch of sensors belongs to another place, which no sensor may have yet.
 """
 
 from __future__ import annotations

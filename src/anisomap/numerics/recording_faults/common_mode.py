@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.numerics.columns import columns, count_values
-from anisomap.numerics.recording_faults.excerpt import (
+from anisomap.numerics.signals import (
     MAX_FRAMES,
     MAX_SENSORS,
     deviation_from_median,
     middle_frames,
     some_sensors,
 )
-from anisomap.numerics.similarity.rest import MIN_REST_SHARE
 
 _MIN_GROUP = 3  # sensors of a board
 _MIN_LINK = 0.3  # correlation of the fast noise of two sensors of a board; chosen by hand
@@ -67,25 +65,6 @@ class CommonSignal:
         mended = np.array(readings)
         mended[:, self.sensors] -= np.outer(self.course, self.gains).astype(readings.dtype)
         return mended
-
-
-def never_at_rest(readings: NDArray[Any]) -> NDArray[np.intp]:
-    """Find sensors that no value occurs often in: a signal that is always there leaves none.
-
-    readings (T, N).
-    """
-    part = readings[middle_frames(len(readings))]
-    limit = max(2, MIN_REST_SHARE * len(part))
-    return np.array(
-        [
-            i
-            for i, column in enumerate(columns(part))
-            # Most sensors rest at their lowest value.
-            if np.count_nonzero(column == column.min()) < limit
-            and count_values(column)[1].max() < limit
-        ],
-        dtype=np.intp,
-    )
 
 
 def find_common_noise(readings: NDArray[Any], free: NDArray[np.intp]) -> tuple[CommonSignal, ...]:
@@ -144,7 +123,7 @@ def find_hum(readings: NDArray[Any], free: NDArray[np.intp]) -> CommonSignal | N
         ]
     )
     steadiness = np.abs(quarters.sum()) / np.abs(quarters).sum()
-    if min(coherence, steadiness) < _MIN_COHERENCE:
+    if not min(coherence, steadiness) >= _MIN_COHERENCE:
         return None
     phase = np.angle(amplitude.sum())
     course = np.cos(2 * np.pi * frequency * np.arange(n_frames) + phase)

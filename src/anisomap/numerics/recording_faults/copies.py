@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.numerics.recording_faults.excerpt import (
+from anisomap.numerics.signals import (
     MAX_FRAMES,
     middle_frames,
     some_sensors,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.columns import columns, count_values
-from anisomap.numerics.recording_faults.excerpt import some_sensors
+from anisomap.numerics.signals import some_sensors
 
 _MIN_LINE_SHARE = 0.7  # share of the variance in one line; a contact once a turn has less; by hand
 _MIN_CYCLES = 3

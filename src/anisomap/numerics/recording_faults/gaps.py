@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 
 from anisomap.numerics.columns import columns
 from anisomap.numerics.gaps import fill_gaps
-from anisomap.numerics.recording_faults.excerpt import standardised
+from anisomap.numerics.signals import standardised
 from anisomap.numerics.similarity.rest import estimate_rest
 
 FALSE_ALARMS = 0.01

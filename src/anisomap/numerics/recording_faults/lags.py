@@ -1,7 +1,4 @@
-"""Correlations of sensors at lags between them.
-
-Lags: groups of channels, such as boards, that are read some frames later than others.
-"""
+"""Lags: groups of channels, such as boards, that are read some frames later than others."""
 
 from __future__ import annotations
 
@@ -14,7 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.columns import columns, rank_columns
-from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors, standardised
+from anisomap.numerics.signals import (
+    maximum_spanning_tree,
+    middle_frames,
+    some_sensors,
+    standardised,
+)
 
 MAX_LAG = 40
 """Greatest lag that is searched, in frames; chosen by hand."""
@@ -85,19 +87,10 @@ class LagCorrelations:
         return self.at(lags[j] - lags[i], i, j)
 
     def lags_along_tree(self) -> NDArray[np.intp]:
-        """Add up the lags of the links of a maximum spanning tree; Prim's algorithm."""
-        peak, lag = self.peak, self.peak_lag
-        n_sensors = len(peak)
-        outside = np.ones(n_sensors, dtype=bool)
-        outside[0] = False
-        strongest, towards = peak[0].copy(), np.zeros(n_sensors, dtype=np.intp)
-        lags = np.zeros(n_sensors, dtype=np.intp)
-        for _ in range(n_sensors - 1):
-            new = int(np.where(outside, strongest, -np.inf).argmax())
-            lags[new] = lags[towards[new]] + lag[towards[new], new]
-            outside[new] = False
-            closer = (peak[new] > strongest) & outside
-            strongest[closer], towards[closer] = peak[new][closer], new
+        """Add up the lags of the links of a maximum spanning tree."""
+        lags = np.zeros(len(self.peak), dtype=np.intp)
+        for new, joined in maximum_spanning_tree(self.peak):
+            lags[new] = lags[joined] + self.peak_lag[joined, new]
         return lags - int(np.median(lags))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtrc
 
 from anisomap.numerics.columns import columns
-from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors
+from anisomap.numerics.signals import middle_frames, some_sensors
 from anisomap.numerics.similarity.rest import estimate_rest
 
 LEVEL = 1e-4

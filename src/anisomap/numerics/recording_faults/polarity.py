@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.graph.connectivity import greatest_of_rows
-from anisomap.numerics.recording_faults.excerpt import MAX_FRAMES, standardised
+from anisomap.numerics.signals import MAX_FRAMES, maximum_spanning_tree, standardised
 
 _MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand
 _MIN_SHARE = 0.8  # of the sensors that must be skewed so; chosen by hand
@@ -62,18 +62,9 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
 
 def _signs_along_tree(correlation: NDArray[np.float32]) -> NDArray[np.float64]:
     """Multiply the signs of correlations along a maximum spanning tree of their magnitudes."""
-    strength = np.abs(correlation)
-    n_sensors = len(strength)
-    outside = np.ones(n_sensors, dtype=bool)
-    outside[0] = False
-    strongest, towards = strength[0].copy(), np.zeros(n_sensors, dtype=np.intp)
-    signs = np.ones(n_sensors)
-    for _ in range(n_sensors - 1):
-        new = int(np.where(outside, strongest, -np.inf).argmax())
-        signs[new] = signs[towards[new]] * (1 if correlation[towards[new], new] >= 0 else -1)
-        outside[new] = False
-        closer = (strength[new] > strongest) & outside
-        strongest[closer], towards[closer] = strength[new][closer], new
+    signs = np.ones(len(correlation))
+    for new, joined in maximum_spanning_tree(np.abs(correlation)):
+        signs[new] = signs[joined] if correlation[joined, new] >= 0 else -signs[joined]
     return signs
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.numerics.recording_faults.excerpt import middle_frames, some_sensors
+from anisomap.numerics.signals import middle_frames, some_sensors
 from anisomap.numerics.similarity.correlation import pearson
 
 _MIN_GROUP = 5  # sensors of a board; three or four may be touched alike by a flat object
