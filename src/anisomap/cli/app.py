@@ -1,7 +1,4 @@
-"""The application: its commands, and the conversion of errors to messages and exit codes.
-
-The process of a command line: what it does when it is interrupted or terminated.
-"""
+"""The application: its commands, its errors as messages and exit codes, and its signals."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ import signal
 import sys
 import warnings
 from _thread import interrupt_main
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from inspect import getdoc
 from threading import Timer, current_thread, main_thread
 from types import CodeType, FrameType, MappingProxyType
@@ -26,6 +23,7 @@ from anisomap.cli.console import (
     prepare_streams,
     print_error,
     print_warning,
+    stdout_failure,
 )
 from anisomap.errors import AnisomapError, AnisomapWarning
 
@@ -98,13 +96,8 @@ def describe(name: str) -> None:
     command.help = "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
 
 
-def main(arguments: Iterable[str] | None = None) -> None:
-    """Run a command; report any error as one sentence and an exit code."""
-    sys.exit(run(None if arguments is None else list(arguments)))
-
-
 def run(arguments: list[str] | None, received: Sequence[int] = ()) -> int:
-    """Run a command, report any error as one sentence, and return the exit code of `main`."""
+    """Run a command, report any error as one sentence, and return the exit code."""
     prepare_streams()
     try:
         return _run(arguments)
@@ -128,6 +121,8 @@ def _report(error: Exception) -> int:
         case BrokenPipeError():
             discard_stdout()  # the reader has closed the pipe, which is not an error
             return 0
+        case OSError() if failure := stdout_failure():
+            return _failed(failure, BAD_INPUT)
     if os.environ.get("ANISOMAP_DEBUG"):
         raise error
     description = f"{type(error).__name__}: {error}"

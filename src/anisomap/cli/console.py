@@ -8,7 +8,7 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,11 +28,12 @@ from rich.table import Table
 from rich.text import Text
 
 from anisomap.errors import MAX_CHARACTERS, FileError
-from anisomap.wording import printable, shortened
+from anisomap.wording import join_items, printable, shortened
 
 MAX_SHOWN = 50
 """Rows of a table, and names in a line; with --json, all are printed. Chosen by hand."""
 
+NO_OUTPUT = "cannot write to standard output: {}"
 _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
 
@@ -51,6 +52,16 @@ def _discard(stream: IO[str]) -> None:
 def discard_stdout() -> None:
     """Send the rest of standard output, buffered text included, to the null device."""
     _discard(sys.stdout)
+
+
+def stdout_failure() -> str:
+    """Return why standard output cannot be written, and discard the rest; empty if it can."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        discard_stdout()
+        return NO_OUTPUT.format(error.strerror)
+    return ""
 
 
 console = _Terminal(highlight=False, soft_wrap=False)
@@ -156,6 +167,29 @@ class Printer:
         if n_left_out:
             self.line(f"  ... and {n_left_out} more")
 
+    def rows(
+        self,
+        title: str,
+        columns: Mapping[str, tuple[str, Callable[[Any], str]]],
+        records: Sequence[Mapping[str, Any]],
+        *,
+        max_rows: int | None = None,
+    ) -> None:
+        """Print a table of records. columns: for each heading, a field of them and its format."""
+        rows = [[shown(one[name]) for name, shown in columns.values()] for one in records]
+        self.table(title, list(columns), rows, max_rows=max_rows)
+
+    def notes(self, notes: Iterable[str]) -> None:
+        """Print the notes on a result, one per line."""
+        for note in notes:
+            self.line(f"  note: {note}")
+
+    def names(self, lists: Mapping[str, Sequence[str]]) -> None:
+        """Print lists of names that are not empty, one per line."""
+        for kind, names in lists.items():
+            if names:
+                self.line(f"{kind}: {join_items(names, MAX_SHOWN)}")
+
     def line(self, text: str) -> None:
         """Print a line of plain text."""
         if self._prints_text:
@@ -175,7 +209,7 @@ class Printer:
                 text = json.dumps(values, indent=2)
             self._emit(console.out, text)
         if self.failure is not None:
-            raise FileError(f"cannot write to standard output: {self.failure.strerror}")
+            raise FileError(NO_OUTPUT.format(self.failure.strerror))
 
     def _emit(self, output: Callable[..., None], *arguments: Any, **settings: Any) -> None:
         """Print; after a failure, such as a full disk, print no more but let the command go on."""

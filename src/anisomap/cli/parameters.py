@@ -167,20 +167,31 @@ def _seconds(text: str) -> float:
 
 
 RecordingFile: TypeAlias = Annotated[Path, Parameter(help="File of a recording.")]
+MapFile: TypeAlias = Annotated[Path, Parameter(help="File of a map.")]
+
+Count: TypeAlias = Annotated[int, Parameter(validator=Number(gte=1))]
+Amount: TypeAlias = Annotated[int, Parameter(validator=Number(gte=0))]
+Words: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
+Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
+
+Output: TypeAlias = Annotated[
+    list[Path] | None, Parameter(alias="-o", group=outputs_group, negative=())
+]
+Picture: TypeAlias = Annotated[
+    Path | None,
+    Parameter(group=outputs_group, help="File for a figure: .png, .svg or .pdf."),
+]
+Report: TypeAlias = Annotated[
+    Path | None,
+    Parameter(group=outputs_group, help="File for a report: one HTML file that works offline."),
+]
 
 Seed: TypeAlias = Annotated[
-    int,
-    Parameter(
-        group=score_group, validator=Number(gte=0), help="Seed of the random number generator."
-    ),
+    Amount, Parameter(group=score_group, help="Seed of the random number generator.")
 ]
 Permutations: TypeAlias = Annotated[
-    int,
-    Parameter(
-        group=score_group,
-        validator=Number(gte=0),
-        help="Size of the null distribution of Mantel r; 0 skips it.",
-    ),
+    Amount,
+    Parameter(group=score_group, help="Size of the null distribution of Mantel r; 0 skips it."),
 ]
 Truth: TypeAlias = Annotated[
     Path | None,
@@ -241,6 +252,11 @@ Missing: TypeAlias = Annotated[
 Placing: TypeAlias = Annotated[PlacingOptions, Parameter(name="*", group=outputs_group)]
 Reporting: TypeAlias = Annotated[ReportingOptions, Parameter(name="*", group=reporting_group)]
 Reading: TypeAlias = Annotated[ReadingOptions, Parameter(name="*", group=reading_group)]
+
+
+def beside(path: Path, suffix: str) -> Path:
+    """Return the default name of an output, in the current folder: that of a file, and a suffix."""
+    return Path(path.name.split(".")[0] + suffix)
 
 
 def sensors(

@@ -1,7 +1,4 @@
-"""``anisomap demo``: simulate, map and score a skin.
-
-``anisomap paper``: reproduce the experiments of the paper.
-"""
+"""``anisomap demo`` and ``paper``: a simulated skin mapped, and the paper reproduced."""
 
 from __future__ import annotations
 
@@ -55,13 +52,12 @@ def demo(
         picture=output_dir / "map.png",
         report=output_dir / "report.html",
     )
-    outputs.check()
     with progress(f"simulating {frames} frames of a bombarded sphere") as report_progress:
         recording = simulate(
             "sphere", "bombardment", n_frames=frames, seed=seed, progress=report_progress
         )
         io.write(recording, output_dir / "recording.npz")
-    examined = pipeline.examine(recording)
+    examined = pipeline.examine([recording])
     with reporting.printer() as printer:
         printing.print_recording(printer, examined.recording, examined.summary)
         sensor_map = pipeline.make_map(examined, method, dimensions=3)
@@ -72,7 +68,7 @@ def demo(
             examined,
             permutations=permutations,
             seed=seed,
-            already_written=[("recording", output_dir / "recording.npz")],
+            written=[("recording", output_dir / "recording.npz")],
         )
         printer.line("\nMap the recording from its file:")
         printer.line(f"  anisomap map {output_dir / 'recording.npz'} -o map.csv")
