@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 from rich.console import Console
@@ -32,6 +32,9 @@ from anisomap.wording import join_items, printable, shortened
 
 MAX_SHOWN = 50
 """Rows of a table, and names in a line; with --json, all are printed. Chosen by hand."""
+
+Columns: TypeAlias = Mapping[str, tuple[str, Callable[[Any], str]]]
+"""For each heading of a table, a field of its records and the format of that."""
 
 NO_OUTPUT = "cannot write to standard output: {}"
 _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
@@ -170,12 +173,12 @@ class Printer:
     def rows(
         self,
         title: str,
-        columns: Mapping[str, tuple[str, Callable[[Any], str]]],
+        columns: Columns,
         records: Sequence[Mapping[str, Any]],
         *,
         max_rows: int | None = None,
     ) -> None:
-        """Print a table of records. columns: for each heading, a field of them and its format."""
+        """Print a table of records."""
         rows = [[shown(one[name]) for name, shown in columns.values()] for one in records]
         self.table(title, list(columns), rows, max_rows=max_rows)
 

@@ -98,7 +98,10 @@ class Outputs:
             report.check_writable(self.report)
 
     def write(
-        self, sensor_map: SensorMap, draw: Callable[[], Figure], content: str = "map"
+        self,
+        sensor_map: SensorMap,
+        draw: Callable[[], Figure] | None = None,
+        content: str = "map",
     ) -> list[tuple[str, Path]]:
         """Write the maps and the picture; return the files, each with its content."""
         written: list[tuple[str, Path]] = []
@@ -111,7 +114,7 @@ class Outputs:
                     inputs = list(filter(None, self.inputs))
                     files = self.placing.write(sensor_map, path, inputs)
                     written += [(content, file) for file in files]
-            if self.picture:
+            if self.picture and draw:
                 from anisomap.drawing import figures  # noqa: PLC0415, slow to import
 
                 figures.save_figure(draw(), self.picture)
@@ -307,7 +310,7 @@ def write_outputs(
 ) -> list[tuple[str, Path]]:
     """Write all files; return them, each with its content."""
     if not (outputs.picture or outputs.report):
-        return outputs.write(sensor_map, lambda: None)
+        return outputs.write(sensor_map)
     from anisomap.drawing import figures, report  # noqa: PLC0415, slow to import
 
     figure = figures.map_figure(sensor_map, result)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import io
-from anisomap.cli.console import Printer, number, percent
+from anisomap.cli.console import Columns, Printer, number, percent
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import Score
 from anisomap.health import Finding, RecordingSummary, SensorHealth, TouchCoverage, touch_coverage
@@ -30,7 +30,7 @@ def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
     contents = io.contents(path, options=how)
     if contents:
         records = [asdict(content) for content in contents]
-        columns = {
+        columns: Columns = {
             "name": ("name", str),
             "content": ("summary", str),
             "a recording": ("usable", lambda usable: "yes" if usable else "no"),
@@ -202,7 +202,7 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
         for i in result.worst()
     ]
     spacing = result.spacing if result.spacing > 0 else np.nan
-    columns = {
+    columns: Columns = {
         "sensor": ("sensor", str),
         f"error ({units})": ("error", number),
         "spacings": ("error", lambda error: number(error / spacing, 3)),
