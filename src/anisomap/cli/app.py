@@ -23,7 +23,6 @@ from anisomap.cli.console import (
     prepare_streams,
     print_error,
     print_warning,
-    stdout_failure,
 )
 from anisomap.errors import AnisomapError, AnisomapWarning
 
@@ -121,8 +120,6 @@ def _report(error: Exception) -> int:
         case BrokenPipeError():
             discard_stdout()  # the reader has closed the pipe, which is not an error
             return 0
-        case OSError() if failure := stdout_failure():
-            return _failed(failure, BAD_INPUT)
     if os.environ.get("ANISOMAP_DEBUG"):
         raise error
     description = f"{type(error).__name__}: {error}"

@@ -36,12 +36,19 @@ MAX_SHOWN = 50
 Columns: TypeAlias = Mapping[str, tuple[str, Callable[[Any], str]]]
 """For each heading of a table, a field of its records and the format of that."""
 
-NO_OUTPUT = "cannot write to standard output: {}"
 _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
 
 class _Terminal(Console):
     """A standard stream; if its reader closes the pipe, the command continues without it."""
+
+    def __exit__(self, *raised: Any) -> None:
+        """Write what was printed; what cannot be, as on a full disk, is dropped."""
+        try:
+            super().__exit__(*raised)
+        except OSError as error:
+            _discard(self.file)
+            raise FileError(f"cannot write to standard output: {error.strerror}") from error
 
     def on_broken_pipe(self) -> None:
         self.quiet = True
@@ -55,16 +62,6 @@ def _discard(stream: IO[str]) -> None:
 def discard_stdout() -> None:
     """Send the rest of standard output, buffered text included, to the null device."""
     _discard(sys.stdout)
-
-
-def stdout_failure() -> str:
-    """Return why standard output cannot be written, and discard the rest; empty if it can."""
-    try:
-        sys.stdout.flush()
-    except OSError as error:
-        discard_stdout()
-        return NO_OUTPUT.format(error.strerror)
-    return ""
 
 
 console = _Terminal(highlight=False, soft_wrap=False)
@@ -83,7 +80,7 @@ def print_warning(message: str) -> None:
 
 
 def _complain(text: Text) -> None:
-    with suppress(OSError):  # a full disk, about which nothing can be said either
+    with suppress(FileError):  # a full disk, about which nothing can be said either
         errors.print(text)
 
 
@@ -120,7 +117,7 @@ class Printer:
     quiet: bool = False
     as_json: bool = False
     values: dict[str, Any] = field(default_factory=dict)
-    failure: OSError | None = None
+    failure: FileError | None = None
 
     @property
     def _prints_text(self) -> bool:
@@ -212,7 +209,7 @@ class Printer:
                 text = json.dumps(values, indent=2)
             self._emit(console.out, text)
         if self.failure is not None:
-            raise FileError(NO_OUTPUT.format(self.failure.strerror))
+            raise self.failure
 
     def _emit(self, output: Callable[..., None], *arguments: Any, **settings: Any) -> None:
         """Print; after a failure, such as a full disk, print no more but let the command go on."""
@@ -220,12 +217,8 @@ class Printer:
             return
         try:
             output(*arguments, **settings)
-            sys.stdout.flush()
-        except BrokenPipeError:
-            console.on_broken_pipe()
-        except OSError as error:
+        except FileError as error:
             self.failure = error
-            discard_stdout()
 
 
 def _cell(text: str) -> Text:

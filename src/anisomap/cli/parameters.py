@@ -32,6 +32,12 @@ score_group = Group("Score", sort_key=3)
 reporting_group = Group("Reporting", sort_key=5)
 
 
+Count: TypeAlias = Annotated[int, Parameter(validator=Number(gte=1))]
+Amount: TypeAlias = Annotated[int, Parameter(validator=Number(gte=0))]
+Words: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
+Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
+
+
 @dataclass(frozen=True)
 class ReadingOptions:
     """Options of readers.
@@ -92,7 +98,7 @@ class ReportingOptions:
     """
 
     quiet: Annotated[bool, Parameter(name=("--quiet", "-q"), negative=())] = False
-    json: Annotated[bool, Parameter(negative=())] = False
+    json: Flag = False
 
     @contextmanager
     def printer(self) -> Iterator[Printer]:
@@ -124,9 +130,9 @@ class PlacingOptions:
     """
 
     spacing: str = ""
-    mirror: Annotated[bool, Parameter(negative=())] = False
+    mirror: Flag = False
     frame: str = ""
-    split_components: Annotated[bool, Parameter(negative=())] = False
+    split_components: Flag = False
 
     def check(self, outputs: Iterable[Path], units: str = "") -> None:
         """Check, before the map is computed, that the outputs can be written."""
@@ -187,10 +193,6 @@ def _seconds(text: str) -> float:
 RecordingFile: TypeAlias = Annotated[Path, Parameter(help="File of a recording.")]
 MapFile: TypeAlias = Annotated[Path, Parameter(help="File of a map.")]
 
-Count: TypeAlias = Annotated[int, Parameter(validator=Number(gte=1))]
-Amount: TypeAlias = Annotated[int, Parameter(validator=Number(gte=0))]
-Words: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
-Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
 
 Output: TypeAlias = Annotated[
     list[Path] | None, Parameter(alias="-o", group=outputs_group, negative=())

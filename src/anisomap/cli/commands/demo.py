@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from cyclopts.validators import Number
 
 from anisomap import io
 from anisomap.cli import parameters as options
@@ -24,7 +23,7 @@ from anisomap.simulation import simulate
 def demo(
     *,
     output_dir: Annotated[Path, Parameter(alias="-o")] = Path("demo"),
-    frames: Annotated[int, Parameter(validator=Number(gte=1))] = 2000,
+    frames: options.Count = 2000,
     method: Annotated[str, Parameter(alias="-m")] = DEFAULT_METHOD,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 1,
@@ -79,11 +78,11 @@ def paper(
     output_dir: Annotated[Path, Parameter(name=("--output-dir", "--output", "-o"))] = Path(
         "paper-out"
     ),
-    quick: Annotated[bool, Parameter(negative=())] = False,
-    seed: Annotated[int, Parameter(validator=Number(gte=0))] = 1,
-    workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
+    quick: options.Flag = False,
+    seed: options.Amount = 1,
+    workers: options.Count | None = None,
     recordings: Path | None = None,
-    only: Annotated[list[str] | None, Parameter(negative=())] = None,
+    only: options.Words = None,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Reproduce the figures, tables and claims of the paper, with a page of all results.

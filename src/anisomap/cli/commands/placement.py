@@ -69,11 +69,11 @@ class SelfTouchOptions:
     self_touch: Path | None = None
     urdf: Path | None = None
     joints: Path | None = None
-    degrees: Annotated[bool, Parameter(negative=())] = False
+    degrees: options.Flag = False
     link: str = ""
     other: Path | None = None
     other_link: str = ""
-    exact: Annotated[bool, Parameter(negative=())] = False
+    exact: options.Flag = False
 
     @property
     def files(self) -> list[Path | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -29,7 +29,7 @@ def info(
     recording: options.RecordingFile,
     /,
     *,
-    sensors: Annotated[bool, Parameter(negative=())] = False,
+    sensors: options.Flag = False,
     reading: options.Reading = options.DEFAULT_READING,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
@@ -92,6 +92,47 @@ def repair(
         printing.print_files(printer, [("recording", output)])
 
 
+@dataclass(frozen=True)
+class TuningOptions:
+    """Settings of the methods.
+
+    Parameters
+    ----------
+    mu
+        Regularisation of ANISOMAP's reciprocal; with 0, unrelated components stay separate.
+    bins
+        Bins per sensor for entropies.
+    n_neighbours
+        Neighbours per sensor in ISOMAP's graph. Default: the smallest number that connects all.
+    even_spacing
+        Declare that neighbouring sensors are evenly spaced; recorded as a note on the map.
+    tolerance
+        Stop scaling when an iteration lowers the stress by less than this share.
+    max_iterations
+        Maximum number of iterations of the scaling.
+    """
+
+    mu: float = MethodOptions.mu
+    bins: int = DEFAULT_BINS
+    n_neighbours: int | None = None
+    even_spacing: options.Flag = False
+    tolerance: float = SmacofOptions.tolerance
+    max_iterations: int = SmacofOptions.max_iterations
+
+    def checked(self) -> MethodOptions:
+        """Convert to the options of the library."""
+        return MethodOptions(
+            mu=self.mu,
+            bins=self.bins,
+            n_neighbours=self.n_neighbours,
+            even_spacing=self.even_spacing,
+            smacof=SmacofOptions(self.tolerance, self.max_iterations),
+        )
+
+
+_DEFAULT_TUNING = TuningOptions()
+
+
 def map_recording(
     recordings: Annotated[list[Path], Parameter(help="Recording files of one skin.")],
     /,
@@ -106,18 +147,13 @@ def map_recording(
     dimensions: options.MapDimensions = AUTO,
     drop: options.Drop = None,
     missing: options.Missing = "error",
-    repair: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
-    mu: Annotated[float, Parameter(group=options.method_group)] = MethodOptions.mu,
-    bins: Annotated[int, Parameter(group=options.method_group)] = DEFAULT_BINS,
-    n_neighbours: Annotated[int | None, Parameter(group=options.method_group)] = None,
-    even_spacing: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
-    tolerance: Annotated[float, Parameter(group=options.method_group)] = SmacofOptions.tolerance,
-    max_iterations: Annotated[
-        int, Parameter(group=options.method_group)
-    ] = SmacofOptions.max_iterations,
+    repair: Annotated[options.Flag, Parameter(group=options.method_group)] = False,
+    tuning: Annotated[
+        TuningOptions, Parameter(name="*", group=options.method_group)
+    ] = _DEFAULT_TUNING,
     reading: options.Reading = options.DEFAULT_READING,
     verdict: Annotated[bool, Parameter(group=options.method_group)] = True,
-    keep_statistics: Annotated[bool, Parameter(group=options.outputs_group, negative=())] = False,
+    keep_statistics: Annotated[options.Flag, Parameter(group=options.outputs_group)] = False,
     min_quality: Annotated[
         Literal["usable", "usable-locally"] | None, Parameter(group=options.method_group)
     ] = None,
@@ -150,18 +186,6 @@ def map_recording(
     repair
         Mend faults of the recording first: copies, inverted sensors, lags, leaks, noise and hum
         that sensors share, drift and gaps. `anisomap info` lists those that it finds.
-    mu
-        Regularisation of ANISOMAP's reciprocal; with 0, unrelated components stay separate.
-    bins
-        Bins per sensor for entropies.
-    n_neighbours
-        Neighbours per sensor in ISOMAP's graph. Default: the smallest number that connects all.
-    even_spacing
-        Declare that neighbouring sensors are evenly spaced; recorded as a note on the map.
-    tolerance
-        Stop scaling when an iteration lowers the stress by less than this share.
-    max_iterations
-        Maximum number of iterations of the scaling.
     verdict
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
         This takes about as long as the map.
@@ -185,13 +209,7 @@ def map_recording(
     )
     placing.check(maps)
     how = reading.checked()
-    chosen = MethodOptions(
-        mu=mu,
-        bins=bins,
-        n_neighbours=n_neighbours,
-        even_spacing=even_spacing,
-        smacof=SmacofOptions(tolerance, max_iterations),
-    )
+    chosen = tuning.checked()
     by = large.method(method)
     # Unknown methods and options are refused before the recording is read.
     find_method(by)
