@@ -15,7 +15,7 @@ import numpy as np
 from numpy.random import Generator
 
 from anisomap import io
-from anisomap.cli.app import main
+from anisomap.cli.app import run
 from anisomap.errors import AnisomapError, AnisomapWarning
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.recording import Recording
@@ -81,9 +81,7 @@ class Findings:
         """Run a command, which may end with 0 or 2; after 2 there is no output."""
         before, name = _files(self.folder), str(arguments[0])
         try:
-            main([str(argument) for argument in arguments])
-        except SystemExit as end:
-            code = int(end.code or 0)
+            code = run([str(argument) for argument in arguments])
         except MemoryError:
             code = 2
         except Exception as error:

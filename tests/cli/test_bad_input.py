@@ -94,7 +94,9 @@ convert pieces-1.csv pieces.csv --split-components        | pieces-1.csv is also
 convert map.csv {"b" * 300}.csv                           | too long
 check missing.csv skin.npz                                | missing.csv
 check layout.csv missing.npz                              | missing.npz
-check bare.npz layout.csv                                 | no positions
+check bare.npz layout.csv                                 | swap the arguments: anisomap check layout
+check skin.npz layout.csv                                 | swap the arguments
+check bare.npz strangers.csv                              | no positions
 check layout.csv short.npz                                | at least 40 frames
 check strangers.csv skin.npz                              | cannot be matched
 check layout.csv skin.npz -o layout.csv                   | also an input
@@ -127,6 +129,7 @@ update kept.csv skin.npz --level 2                        | level must be betwee
 update kept.csv zero.csv                                  | no evidence
 update kept.csv skin.npz -o a.xyz                         | suffix
 update kept.csv skin.npz -o a.urdf                        | place the map first
+repair nothing.npz                                        | there is no file nothing.npz
 repair skin.npz -o skin.npz                               | another file
 repair skin.npz -o a.csv                                  | .npz
 live                                                      | give either a source or --simulate BODY
@@ -235,6 +238,7 @@ def refused(folder, *words):
     assert found.err.startswith("error: ")
     assert found.err.count("\n") == 1
     assert len(found.err) < 310
+    assert not found.out
     assert contents(folder) == before
     return found.err
 

@@ -196,9 +196,8 @@ def test_commands_import_no_more_than_they_need(tmp_path, words, needed, unneede
     np.savez(tmp_path / "skin.npz", readings=flat_skin(n_frames=500).readings)
     code = (
         "import sys\n"
-        "from anisomap.cli.app import main\n"
-        "try: main(sys.argv[1:])\n"
-        "except SystemExit as end: assert end.code == 0\n"
+        "from anisomap.cli.app import run\n"
+        "assert run(sys.argv[1:]) == 0\n"
         "print('loaded', *sys.modules)\n"
     )
     command = [sys.executable, "-c", code, *words]

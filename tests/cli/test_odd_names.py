@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.cli.app import main
+from anisomap.cli.app import run as run_here
 from anisomap.wording import printable
 
 HOSTILE = "\x1b[31m\x9b2J\x07\u202egnp.\u2066[/bold][red]\r\n"
@@ -129,9 +129,7 @@ def test_an_encoding_without_the_character_shows_an_escape(
     path = skin_npz.rename(skin_npz.with_name("gr\u00fcn.npz"))
     output = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", output)
-    with pytest.raises(SystemExit) as end:
-        main(["info", str(path)])
-    assert not end.value.code
+    assert run_here(["info", str(path)]) == 0
     output.flush()
     assert rb"gr\xfcn.npz" in output.buffer.getvalue()
 

@@ -95,6 +95,9 @@ def test_a_full_standard_output_is_an_error_after_files_are_written(folder, caps
         ("formats >&- 2>&-", 0),
         ("info nothing.npz >&- 2>&-", 2),
         pytest.param("info nothing.npz 2>/dev/full", 2, marks=needs_full),
+        pytest.param("--help >/dev/full 2>/dev/null", 2, marks=needs_full),
+        pytest.param("map --help >/dev/full 2>/dev/null", 2, marks=needs_full),
+        pytest.param("--version >/dev/full 2>/dev/null", 2, marks=needs_full),
     ],
 )
 def test_standard_streams_that_are_closed_or_full(tmp_path, command, code):

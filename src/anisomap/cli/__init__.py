@@ -21,7 +21,7 @@ _BUSY_TICKS = "4"
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line of this process: see `anisomap.cli.app.main`.
+    """Run the command line of this process: see `anisomap.cli.app.run`.
 
     If the process is interrupted or terminated, temporary files are removed before it ends. The
     process should end with this call, which sets how often it collects garbage and how its threads

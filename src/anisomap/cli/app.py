@@ -1,7 +1,4 @@
-"""The application: its commands, and the conversion of errors to messages and exit codes.
-
-The process of a command line: what it does when it is interrupted or terminated.
-"""
+"""The application: its commands, its errors as messages and exit codes, and its signals."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ import signal
 import sys
 import warnings
 from _thread import interrupt_main
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from inspect import getdoc
 from threading import Timer, current_thread, main_thread
 from types import CodeType, FrameType, MappingProxyType
@@ -45,27 +42,33 @@ app = App(
 
 COMMANDS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
-        "map": ("map:map_recording", "Make a map from a recording."),
+        "map": ("recording:map_recording", "Make a map from a recording."),
         "live": ("live:live", "Map a skin while it is touched, and show where to touch next."),
-        "info": ("info:info", "Summarise a recording and flag faulty sensors."),
-        "score": ("score:score_map", "Score a map against reference positions."),
+        "info": ("recording:info", "Summarise a recording and flag faulty sensors."),
+        "score": ("comparison:score_map", "Score a map against reference positions."),
         "diff": (
-            "diff:diff",
+            "maps:diff",
             "Compare two maps of one skin: which sensors moved, appeared or were lost.",
         ),
-        "update": ("update:update", "Add the evidence of a new recording to a map."),
-        "place": ("place:place_map", "Place a map in the frame of the robot, in metres."),
-        "check": ("check:check", "Check sensor positions against a recording."),
-        "convert": ("convert:convert", "Write a map in another format, or in metres."),
-        "compare": ("compare:compare", "Score several methods on recordings with known positions."),
+        "update": ("maps:update", "Add the evidence of a new recording to a map."),
+        "place": ("placement:place_map", "Place a map in the frame of the robot, in metres."),
+        "check": ("layout:check", "Check sensor positions against a recording."),
+        "convert": ("maps:convert", "Write a map in another format, or in metres."),
+        "compare": (
+            "comparison:compare",
+            "Score several methods on recordings with known positions.",
+        ),
         "methods": ("listing:methods", "List the methods and the similarities."),
         "formats": ("listing:formats", "List the file formats."),
         "demo": ("demo:demo", "Simulate a skin, map it, and score the map."),
-        "simulate": ("simulate:simulate_body", "Simulate a recording with known sensor positions."),
-        "paper": ("paper:paper", "Reproduce every figure and table of the paper."),
-        "coverage": ("coverage:coverage", "Estimate how long a skin must be stimulated."),
-        "spoil": ("spoil:spoil", "Inject documented faults into a recording."),
-        "repair": ("repair:repair", "Mend the faults of a recording."),
+        "simulate": (
+            "simulation:simulate_body",
+            "Simulate a recording with known sensor positions.",
+        ),
+        "paper": ("demo:paper", "Reproduce every figure and table of the paper."),
+        "coverage": ("simulation:coverage", "Estimate how long a skin must be stimulated."),
+        "spoil": ("simulation:spoil", "Inject documented faults into a recording."),
+        "repair": ("recording:repair", "Mend the faults of a recording."),
         "bodies": ("listing:bodies", "List the bodies that can be simulated."),
         "scenarios": (
             "listing:scenarios",
@@ -92,13 +95,8 @@ def describe(name: str) -> None:
     command.help = "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
 
 
-def main(arguments: Iterable[str] | None = None) -> None:
-    """Run a command; report any error as one sentence and an exit code."""
-    sys.exit(run(None if arguments is None else list(arguments)))
-
-
 def run(arguments: list[str] | None, received: Sequence[int] = ()) -> int:
-    """Run a command, report any error as one sentence, and return the exit code of `main`."""
+    """Run a command, report any error as one sentence, and return the exit code."""
     prepare_streams()
     try:
         return _run(arguments)

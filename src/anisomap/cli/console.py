@@ -8,11 +8,11 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 from rich.console import Console
@@ -28,16 +28,27 @@ from rich.table import Table
 from rich.text import Text
 
 from anisomap.errors import MAX_CHARACTERS, FileError
-from anisomap.wording import printable, shortened
+from anisomap.wording import join_items, printable, shortened
 
 MAX_SHOWN = 50
 """Rows of a table, and names in a line; with --json, all are printed. Chosen by hand."""
+
+Columns: TypeAlias = Mapping[str, tuple[str, Callable[[Any], str]]]
+"""For each heading of a table, a field of its records and the format of that."""
 
 _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
 
 class _Terminal(Console):
     """A standard stream; if its reader closes the pipe, the command continues without it."""
+
+    def __exit__(self, *raised: Any) -> None:
+        """Write what was printed; what cannot be, as on a full disk, is dropped."""
+        try:
+            super().__exit__(*raised)
+        except OSError as error:
+            _discard(self.file)
+            raise FileError(f"cannot write to standard output: {error.strerror}") from error
 
     def on_broken_pipe(self) -> None:
         self.quiet = True
@@ -69,7 +80,7 @@ def print_warning(message: str) -> None:
 
 
 def _complain(text: Text) -> None:
-    with suppress(OSError):  # a full disk, about which nothing can be said either
+    with suppress(FileError):  # a full disk, about which nothing can be said either
         errors.print(text)
 
 
@@ -106,7 +117,7 @@ class Printer:
     quiet: bool = False
     as_json: bool = False
     values: dict[str, Any] = field(default_factory=dict)
-    failure: OSError | None = None
+    failure: FileError | None = None
 
     @property
     def _prints_text(self) -> bool:
@@ -156,6 +167,29 @@ class Printer:
         if n_left_out:
             self.line(f"  ... and {n_left_out} more")
 
+    def rows(
+        self,
+        title: str,
+        columns: Columns,
+        records: Sequence[Mapping[str, Any]],
+        *,
+        max_rows: int | None = None,
+    ) -> None:
+        """Print a table of records."""
+        rows = [[shown(one[name]) for name, shown in columns.values()] for one in records]
+        self.table(title, list(columns), rows, max_rows=max_rows)
+
+    def notes(self, notes: Iterable[str]) -> None:
+        """Print the notes on a result, one per line."""
+        for note in notes:
+            self.line(f"  note: {note}")
+
+    def names(self, lists: Mapping[str, Sequence[str]]) -> None:
+        """Print lists of names that are not empty, one per line."""
+        for kind, names in lists.items():
+            if names:
+                self.line(f"{kind}: {join_items(names, MAX_SHOWN)}")
+
     def line(self, text: str) -> None:
         """Print a line of plain text."""
         if self._prints_text:
@@ -175,7 +209,7 @@ class Printer:
                 text = json.dumps(values, indent=2)
             self._emit(console.out, text)
         if self.failure is not None:
-            raise FileError(f"cannot write to standard output: {self.failure.strerror}")
+            raise self.failure
 
     def _emit(self, output: Callable[..., None], *arguments: Any, **settings: Any) -> None:
         """Print; after a failure, such as a full disk, print no more but let the command go on."""
@@ -183,12 +217,8 @@ class Printer:
             return
         try:
             output(*arguments, **settings)
-            sys.stdout.flush()
-        except BrokenPipeError:
-            console.on_broken_pipe()
-        except OSError as error:
+        except FileError as error:
             self.failure = error
-            discard_stdout()
 
 
 def _cell(text: str) -> Text:

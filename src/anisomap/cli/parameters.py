@@ -32,21 +32,35 @@ score_group = Group("Score", sort_key=3)
 reporting_group = Group("Reporting", sort_key=5)
 
 
+Count: TypeAlias = Annotated[int, Parameter(validator=Number(gte=1))]
+Amount: TypeAlias = Annotated[int, Parameter(validator=Number(gte=0))]
+Words: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
+Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
+
+
 @dataclass(frozen=True)
 class ReadingOptions:
     """Options of readers.
 
-    select: Recording to read from a file that contains several: a topic (optionally with its field,
+    Parameters
+    ----------
+    select
+        Recording to read from a file that contains several: a topic (optionally with its field,
         as in /skin:data), a dataset, a column or a port; anisomap info lists them. Several topics
         or ports are separated by commas.
-    grid: Rows and columns of a rectangular array in row-major order, as in 32x64; gives the true
+    grid
+        Rows and columns of a rectangular array in row-major order, as in 32x64; gives the true
         positions.
-    msg: Message definition (.msg) for a bag without definitions; may be repeated.
-    preset: Robot with a known numbering of sensors: icub, icub-hand.
-    positions: File of true positions, matched by the names of the sensors or the numbers at their
+    msg
+        Message definition (.msg) for a bag without definitions; may be repeated.
+    preset
+        Robot with a known numbering of sensors: icub, icub-hand.
+    positions
+        File of true positions, matched by the names of the sensors or the numbers at their
         ends. Sensors that a list of contacts or spikes does not mention are added: they were
         silent.
-    bin: Width of the bins in which events are counted, such as 1s or 50ms.
+    bin
+        Width of the bins in which events are counted, such as 1s or 50ms.
     """
 
     select: Annotated[str, Parameter(name=("--select", "--topic", "--dataset", "--field"))] = ""
@@ -75,12 +89,16 @@ DEFAULT_READING = ReadingOptions()
 class ReportingOptions:
     """Format of the printed results.
 
-    quiet: Print no results; warnings and errors remain.
-    json: Print the results as one JSON object, for scripts.
+    Parameters
+    ----------
+    quiet
+        Print no results; warnings and errors remain.
+    json
+        Print the results as one JSON object, for scripts.
     """
 
     quiet: Annotated[bool, Parameter(name=("--quiet", "-q"), negative=())] = False
-    json: Annotated[bool, Parameter(negative=())] = False
+    json: Flag = False
 
     @contextmanager
     def printer(self) -> Iterator[Printer]:
@@ -97,18 +115,24 @@ DEFAULT_REPORTING = ReportingOptions()
 class PlacingOptions:
     """Scale, handedness and frame of a map.
 
-    spacing: Median distance between neighbouring sensors, such as 6.5mm: scales the map. Formats of
+    Parameters
+    ----------
+    spacing
+        Median distance between neighbouring sensors, such as 6.5mm: scales the map. Formats of
         robot software are in metres and require it.
-    mirror: Reflect the map: readings do not determine its handedness.
-    frame: Name of the coordinate frame.
-    split_components: Write each connected component of the map to a separate file: map-1.csv,
+    mirror
+        Reflect the map: readings do not determine its handedness.
+    frame
+        Name of the coordinate frame.
+    split_components
+        Write each connected component of the map to a separate file: map-1.csv,
         map-2.csv ...
     """
 
     spacing: str = ""
-    mirror: Annotated[bool, Parameter(negative=())] = False
+    mirror: Flag = False
     frame: str = ""
-    split_components: Annotated[bool, Parameter(negative=())] = False
+    split_components: Flag = False
 
     def check(self, outputs: Iterable[Path], units: str = "") -> None:
         """Check, before the map is computed, that the outputs can be written."""
@@ -167,20 +191,27 @@ def _seconds(text: str) -> float:
 
 
 RecordingFile: TypeAlias = Annotated[Path, Parameter(help="File of a recording.")]
+MapFile: TypeAlias = Annotated[Path, Parameter(help="File of a map.")]
+
+
+Output: TypeAlias = Annotated[
+    list[Path] | None, Parameter(alias="-o", group=outputs_group, negative=())
+]
+Picture: TypeAlias = Annotated[
+    Path | None,
+    Parameter(group=outputs_group, help="File for a figure: .png, .svg or .pdf."),
+]
+Report: TypeAlias = Annotated[
+    Path | None,
+    Parameter(group=outputs_group, help="File for a report: one HTML file that works offline."),
+]
 
 Seed: TypeAlias = Annotated[
-    int,
-    Parameter(
-        group=score_group, validator=Number(gte=0), help="Seed of the random number generator."
-    ),
+    Amount, Parameter(group=score_group, help="Seed of the random number generator.")
 ]
 Permutations: TypeAlias = Annotated[
-    int,
-    Parameter(
-        group=score_group,
-        validator=Number(gte=0),
-        help="Size of the null distribution of Mantel r; 0 skips it.",
-    ),
+    Amount,
+    Parameter(group=score_group, help="Size of the null distribution of Mantel r; 0 skips it."),
 ]
 Truth: TypeAlias = Annotated[
     Path | None,
@@ -241,6 +272,11 @@ Missing: TypeAlias = Annotated[
 Placing: TypeAlias = Annotated[PlacingOptions, Parameter(name="*", group=outputs_group)]
 Reporting: TypeAlias = Annotated[ReportingOptions, Parameter(name="*", group=reporting_group)]
 Reading: TypeAlias = Annotated[ReadingOptions, Parameter(name="*", group=reading_group)]
+
+
+def beside(path: Path, suffix: str) -> Path:
+    """Return the default name of an output, in the current folder: that of a file, and a suffix."""
+    return Path(path.name.split(".")[0] + suffix)
 
 
 def sensors(

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from anisomap import io
 from anisomap.cli import printing
-from anisomap.cli import printing as touches
 from anisomap.cli.console import Printer, print_warning, progress
-from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
+from anisomap.cli.parameters import PlacingOptions
 from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import Dimensions
 from anisomap.errors import FileError, InputError
 from anisomap.evaluation import Score, score
-from anisomap.files import check_distinct
+from anisomap.files import check_distinct, check_target
 from anisomap.health import (
     Finding,
     RecordingSummary,
@@ -27,6 +27,7 @@ from anisomap.health import (
     find_faults,
     repair,
     summarise,
+    touch_coverage,
 )
 from anisomap.large.approximation import SimilarityGraph, map_similarity_graph
 from anisomap.large.streaming import StreamedSimilarity, map_streamed_similarity
@@ -38,40 +39,55 @@ from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 from anisomap.wording import as_text
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from anisomap.drawing import report
+
 _SHARE_OF_MAP = 0.45
 """Share of the time of a map with its verdict that the map takes, for the progress display.
 
 .43 to .51 on eleven recordings, simulated and real; .24 to .34 on three others.
 """
 
-_OTHER_OUTPUTS = {
-    ".png": "--picture",
-    ".svg": "--picture",
-    ".pdf": "--picture",
-    ".html": "--report",
+_NOT_MAPS = {
+    **dict.fromkeys((".png", ".svg", ".pdf"), "a picture: name it by --picture"),
+    ".html": "a report: name it by --report of anisomap map",
 }
+
+Source: TypeAlias = Sequence[Recording] | StreamedSimilarity | SimilarityGraph
+"""Recordings of one skin, or what their frames were reduced to if they were read in blocks."""
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files to write: maps in any format, a picture, a report ...; and all inputs."""
+    """Files to write, and the inputs, which none may be; checked before anything is computed.
 
-    maps: tuple[Path, ...] = ()
+    maps: Maps, in any format.
+    recording: An NPZ file.
+    others: Files whose formats are not checked here.
+    placing: Scale and frame of the maps; if None, they are written as they are.
+    """
+
+    maps: Sequence[Path] = ()
+    recording: Path | None = None
     picture: Path | None = None
     report: Path | None = None
-    checkpoint: Path | None = None
-    statistics: Path | None = None
-    inputs: tuple[Path, ...] = ()
-    placing: PlacingOptions = DEFAULT_PLACING
+    others: Sequence[Path | None] = ()
+    inputs: Sequence[Path | None] = ()
+    placing: PlacingOptions | None = None
 
-    def check(self) -> None:
-        """Check, before the map is computed, that all files can be written."""
-        others = (self.picture, self.report, self.checkpoint, self.statistics)
-        check_distinct([path for path in (*self.maps, *others) if path], self.inputs)
+    def __post_init__(self) -> None:
+        every = (*self.maps, self.recording, self.picture, self.report, *self.others)
+        check_distinct(filter(None, every), filter(None, self.inputs))
         for path in self.maps:
-            if option := _OTHER_OUTPUTS.get(path.suffix.lower()):
-                raise FileError(f"{path} cannot hold a map: name it by {option}, not by --output")
+            if kind := _NOT_MAPS.get(path.suffix.lower()):
+                raise FileError(f"{path} would not hold a map but {kind}")
             io.check_writable(path)
+        if self.recording:
+            check_target(self.recording)
+            if self.recording.suffix.lower() != ".npz":
+                raise FileError(f"recordings are written as NPZ: {self.recording} must end in .npz")
         if self.picture:
             from anisomap.drawing import figures  # noqa: PLC0415, slow to import
 
@@ -81,16 +97,48 @@ class Outputs:
 
             report.check_writable(self.report)
 
+    def write(
+        self,
+        sensor_map: SensorMap,
+        draw: Callable[[], Figure] | None = None,
+        content: str = "map",
+    ) -> list[tuple[str, Path]]:
+        """Write the maps and the picture; return the files, each with its content."""
+        written: list[tuple[str, Path]] = []
+        with progress("writing"):
+            for path in self.maps:
+                if self.placing is None:
+                    io.write(sensor_map, path)
+                    written.append((content, path))
+                else:
+                    inputs = list(filter(None, self.inputs))
+                    files = self.placing.write(sensor_map, path, inputs)
+                    written += [(content, file) for file in files]
+            if self.picture and draw:
+                from anisomap.drawing import figures  # noqa: PLC0415, slow to import
+
+                figures.save_figure(draw(), self.picture)
+                written.append(("picture", self.picture))
+        return written
+
 
 @dataclass(frozen=True)
 class Examined:
-    """A recording, its sensor health, summary and faults, and the runs that it was joined from."""
+    """What a map is made from, with its sensor health, summary and faults.
 
+    recording: All runs as one, or segments of those that were read in blocks.
+    """
+
+    source: Source
     recording: Recording
     health: Sequence[SensorHealth]
     summary: RecordingSummary
-    runs: Sequence[Recording] = ()
     findings: Sequence[Finding] = ()
+
+    @property
+    def runs(self) -> Sequence[Recording]:
+        """The recordings, if they are in memory."""
+        return () if isinstance(self.source, StreamedSimilarity | SimilarityGraph) else self.source
 
 
 def read(path: Path, how: io.ReadOptions | None = None) -> Recording:
@@ -133,17 +181,23 @@ def repair_runs(runs: Sequence[Recording]) -> tuple[list[Recording], tuple[Findi
     return [one.recording for one in repaired], findings
 
 
-def examine(
-    runs: Recording | Sequence[Recording], findings: Sequence[Finding] | None = None
-) -> Examined:
-    """Assess one recording, or several as one, with progress."""
-    several = [runs] if isinstance(runs, Recording) else list(runs)
+def examine(source: Source, findings: Sequence[Finding] | None = None) -> Examined:
+    """Assess recordings of one skin, with progress; by default, their faults are searched for."""
+    if isinstance(source, StreamedSimilarity | SimilarityGraph):
+        rate_hz = source.excerpt.rate_hz
+        summary = replace(
+            summarise(source.excerpt, source.health),
+            n_frames=source.n_frames,
+            duration=None if rate_hz is None else source.n_frames / rate_hz,
+            n_constant=int(np.count_nonzero(~source.varying)),
+        )
+        return Examined(source, source.excerpt, source.health, summary)
     # Comparing all pairs of so many sensors that no map fits into memory takes hours.
-    check_pair_memory(max(run.n_sensors for run in several), refined=False)
+    check_pair_memory(max(run.n_sensors for run in source), refined=False)
     with progress("assessing sensors"):
-        joined, health = join_runs(several), assess(several)
-        found = find_faults(several) if findings is None else findings
-        return Examined(joined, health, summarise(joined, health), tuple(several), found)
+        joined, health = join_runs(source), assess(source)
+        found = find_faults(source) if findings is None else findings
+        return Examined(source, joined, health, summarise(joined, health), found)
 
 
 def make_map(
@@ -155,22 +209,22 @@ def make_map(
     drop: Sequence[str] = (),
     with_verdict: bool = True,
     seed: int = 0,
-    streamed: StreamedSimilarity | SimilarityGraph | None = None,
 ) -> SensorMap:
     """Reconstruct and diagnose a map, with progress; its notes are issued as warnings."""
+    source = examined.source
     with progress("making the map") as report_progress:
-        if isinstance(streamed, SimilarityGraph):
-            return map_similarity_graph(streamed, dimensions, options=options)
-        if streamed is not None:
-            return map_streamed_similarity(streamed, method, dimensions, options=options, drop=drop)
+        if isinstance(source, SimilarityGraph):
+            return map_similarity_graph(source, dimensions, options=options)
+        if isinstance(source, StreamedSimilarity):
+            return map_streamed_similarity(source, method, dimensions, options=options, drop=drop)
         made, stages = reconstruct_with_stages(
-            examined.runs, method, dimensions, options=options, drop=drop
+            source, method, dimensions, options=options, drop=drop
         )
         if with_verdict:
             report_progress(_SHARE_OF_MAP)
         return diagnose(
             made,
-            examined.runs,
+            source,
             options=options,
             drop=drop,
             health=examined.health,
@@ -199,7 +253,7 @@ def finish(
     permutations: int,
     seed: int,
     exclude: Sequence[str] = (),
-    already_written: Sequence[tuple[str, Path]] = (),
+    written: Sequence[tuple[str, Path]] = (),
     truth: SensorMap | None = None,
 ) -> None:
     """Score a map if the truth is known, write all files, and print the results."""
@@ -208,14 +262,14 @@ def finish(
         result = score_with_progress(
             sensor_map, truth or examined.recording, permutations, seed, exclude=exclude
         )
-    coverage = touches.coverage_of(sensor_map, examined.runs)
+    coverage = touch_coverage(sensor_map, examined.runs) if examined.runs else None
     files = write_outputs(outputs, sensor_map, result, examined, coverage)
     printing.print_health(printer, examined.health)
-    touches.print_touches(printer, coverage, sensor_map.names)
+    printing.print_touches(printer, coverage, sensor_map.names)
     printing.print_map(printer, sensor_map)
     if result is not None:
         printing.print_score(printer, result, sensor_map, "Score against the true positions")
-    printing.print_files(printer, [*already_written, *files])
+    printing.print_files(printer, [*written, *files])
 
 
 def score_with_progress(
@@ -254,43 +308,40 @@ def write_outputs(
     examined: Examined | None = None,
     coverage: TouchCoverage | None = None,
 ) -> list[tuple[str, Path]]:
-    """Write all files; return them, each with its kind."""
-    written: list[tuple[str, Path]] = []
-    with progress("writing"):
-        for path in outputs.maps:
-            files = outputs.placing.write(sensor_map, path, outputs.inputs)
-            written += [("map", file) for file in files]
-        if outputs.picture or outputs.report:
-            written += _draw(outputs, sensor_map, result, examined, coverage)
-    return written
-
-
-def _draw(
-    outputs: Outputs,
-    sensor_map: SensorMap,
-    result: Score | None,
-    examined: Examined | None,
-    coverage: TouchCoverage | None,
-) -> list[tuple[str, Path]]:
-    """Write the picture and the report; return them, each with its kind."""
+    """Write all files; return them, each with its content."""
+    if not (outputs.picture or outputs.report):
+        return outputs.write(sensor_map)
     from anisomap.drawing import figures, report  # noqa: PLC0415, slow to import
 
-    written: list[tuple[str, Path]] = []
     figure = figures.map_figure(sensor_map, result)
-    if outputs.picture:
-        figures.save_figure(figure, outputs.picture)
-        written.append(("picture", outputs.picture))
+    written = outputs.write(sensor_map, lambda: figure)
     if outputs.report:
-        report.write_report(
-            outputs.report,
-            sensor_map,
-            score=result,
-            health=() if examined is None else examined.health,
-            summary=None if examined is None else examined.summary,
-            figure_png=figures.figure_bytes(figure),
-            touches=None
-            if examined is None
-            else touches.section(sensor_map, examined.recording, examined.health, coverage),
-        )
+        with progress("writing"):
+            report.write_report(
+                outputs.report,
+                sensor_map,
+                score=result,
+                health=examined.health if examined else (),
+                summary=examined.summary if examined else None,
+                figure_png=figures.figure_bytes(figure),
+                touches=_touches(sensor_map, examined, coverage),
+            )
         written.append(("report", outputs.report))
     return written
+
+
+def _touches(
+    sensor_map: SensorMap, examined: Examined | None, coverage: TouchCoverage | None
+) -> report.Touches | None:
+    """Return the section of a report on contacts and doubted sensors; None without contacts."""
+    if examined is None or coverage is None:
+        return None
+    from anisomap.drawing import figures, report  # noqa: PLC0415, slow to import
+
+    doubted = [sensor for sensor in examined.health if sensor.status != "ok"]
+    series = figures.series_figure(examined.recording, doubted) if doubted else None
+    return report.Touches(
+        printing.touch_facts(coverage, sensor_map.names),
+        figures.figure_bytes(figures.touch_figure(sensor_map, coverage)),
+        None if series is None else figures.figure_bytes(series),
+    )

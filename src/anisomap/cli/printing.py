@@ -1,7 +1,4 @@
-"""Tables and facts that several commands print, as text and as records of the JSON output.
-
-How a skin was touched, on the command line and in reports.
-"""
+"""Tables and facts that several commands print, as text and as records of the JSON output."""
 
 from __future__ import annotations
 
@@ -10,12 +7,11 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from anisomap import io
-from anisomap.cli.console import Printer, number, percent
+from anisomap.cli.console import Columns, Printer, number, percent
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import Score
 from anisomap.health import Finding, RecordingSummary, SensorHealth, TouchCoverage, touch_coverage
@@ -25,9 +21,7 @@ from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.wording import join_items
 
-if TYPE_CHECKING:
-    from anisomap.drawing import report
-
+_WEIGHT = "weight_of_"  # of a step, in the provenance of a map
 _MAX_SHOWN = 12  # faulty sensors; --sensors of anisomap info shows all
 
 
@@ -35,9 +29,14 @@ def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
     """Print the contents of a file that may contain several recordings."""
     contents = io.contents(path, options=how)
     if contents:
-        rows = [(c.name, c.summary, "yes" if c.usable else "no") for c in contents]
-        printer.table(f"Contents of {path.name}", ("name", "content", "a recording"), rows)
-        printer.record(contents=[asdict(content) for content in contents])
+        records = [asdict(content) for content in contents]
+        columns: Columns = {
+            "name": ("name", str),
+            "content": ("summary", str),
+            "a recording": ("usable", lambda usable: "yes" if usable else "no"),
+        }
+        printer.rows(f"Contents of {path.name}", columns, records)
+        printer.record(contents=records)
 
 
 def print_recording(printer: Printer, recording: Recording, summary: RecordingSummary) -> None:
@@ -122,6 +121,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
     n_placed, sizes = int(np.count_nonzero(sensor_map.placed)), sensor_map.component_sizes
     approximate = ", approximate" if sensor_map.approximate else ""
     because = sensor_map.provenance.get("dimensions_because")
+    steps = _refinements(sensor_map)
     printer.facts(
         f"Map by {sensor_map.method}{approximate}",
         {
@@ -129,6 +129,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
             f"in {sensor_map.dimensions} dimensions"
             + (f", but only {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
             **({"dimensions": f"{sensor_map.dimensions}, chosen: {because}"} if because else {}),
+            **({"refined by": join_items(steps)} if steps else {}),
             "components": f"{len(sizes)}"
             + (f"; sensors in each: {join_items(sizes, max_items=12)}" if len(sizes) > 1 else ""),
             "Stress-1": f"{number(sensor_map.stress)} "
@@ -158,6 +159,19 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
     )
 
 
+def _refinements(sensor_map: SensorMap) -> list[str]:
+    """Name the steps that refined a map, each with its share of the map that it gave."""
+    weights = {
+        name.removeprefix(_WEIGHT): float(weight)
+        for name, weight in sensor_map.provenance.items()
+        if name.startswith(_WEIGHT)
+    }
+    return [
+        name if weight == 1 else f"{name} ({weight:.2f})".replace("(0.", "(.")
+        for name, weight in weights.items()
+    ]
+
+
 def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: str) -> None:
     """Print the comparison of a map with reference positions, and name the worst sensors."""
     units = result.units or "units of the reference"
@@ -179,29 +193,29 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
         "sensors compared": str(result.mantel.n_sensors),
     }
     printer.facts(title, facts)
-    for note in result.notes:
-        printer.line(f"  note: {note}")
+    printer.notes(result.notes)
     worst = [
-        (sensor_map.names[result.sensors[i]], float(result.alignment.errors[i]))
+        {
+            "sensor": sensor_map.names[result.sensors[i]],
+            "error": float(result.alignment.errors[i]),
+        }
         for i in result.worst()
     ]
-    rows = [
-        (name, number(error), number(error / result.spacing if result.spacing > 0 else None, 3))
-        for name, error in worst
-    ]
-    printer.table("Worst sensors", ("sensor", f"error ({units})", "spacings"), rows)
-    printer.record(
-        score={
-            **_score_values(result),
-            "worst": [{"sensor": name, "error": error} for name, error in worst],
-        }
-    )
+    spacing = result.spacing if result.spacing > 0 else np.nan
+    columns: Columns = {
+        "sensor": ("sensor", str),
+        f"error ({units})": ("error", number),
+        "spacings": ("error", lambda error: number(error / spacing, 3)),
+    }
+    printer.rows("Worst sensors", columns, worst)
+    printer.record(score={**_score_values(result), "worst": worst})
 
 
 def print_files(printer: Printer, files: Sequence[tuple[str, Path]]) -> None:
     """Print the files that were written."""
-    printer.table("Files", ("content", "path"), [(kind, str(path)) for kind, path in files])
-    printer.record(files=[{"content": kind, "path": str(path)} for kind, path in files])
+    records = [{"content": kind, "path": str(path)} for kind, path in files]
+    printer.rows("Files", {"content": ("content", str), "path": ("path", str)}, records)
+    printer.record(files=records)
 
 
 def _score_values(result: Score) -> dict[str, object]:
@@ -231,14 +245,6 @@ def _quantile_name(level: float) -> str:
 _MAX_QUICK = 1000  # sensors of which `anisomap info` makes a quick map, in about a second
 _PLACES_TOLD = 3
 _QUICK_METHOD = "r-anisomap"  # the fastest; neighbours suffice
-
-
-def coverage_of(
-    sensor_map: SensorMap, runs: Recording | Sequence[Recording]
-) -> TouchCoverage | None:
-    """Return how the sensors of a map were touched; None if the recordings are not in memory."""
-    several = (runs,) if isinstance(runs, Recording) else tuple(runs)
-    return touch_coverage(sensor_map, several) if several else None
 
 
 def coverage_without_map(recording: Recording) -> TouchCoverage | None:
@@ -273,26 +279,6 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
         "contacts": ", ".join(told),
         "touch next": around or (f"wherever {untouched} may be" if untouched else enough),
     }
-
-
-def section(
-    sensor_map: SensorMap,
-    recording: Recording,
-    health: Sequence[SensorHealth],
-    coverage: TouchCoverage | None,
-) -> report.Touches | None:
-    """Return the section of a report on contacts and doubted sensors; None without contacts."""
-    if coverage is None:
-        return None
-    doubted = [sensor for sensor in health if sensor.status != "ok"]
-    from anisomap.drawing import figures, report  # noqa: PLC0415, slow to import
-
-    series = figures.series_figure(recording, doubted) if doubted else None
-    return report.Touches(
-        touch_facts(coverage, sensor_map.names),
-        figures.figure_bytes(figures.touch_figure(sensor_map, coverage)),
-        None if series is None else figures.figure_bytes(series),
-    )
 
 
 def print_touches(printer: Printer, coverage: TouchCoverage | None, names: Sequence[str]) -> None:

@@ -18,9 +18,7 @@ from numpy.typing import NDArray
 from anisomap import io
 from anisomap.cli.console import progress
 from anisomap.cli.parameters import sensors
-from anisomap.cli.pipeline import Examined
 from anisomap.errors import InputError
-from anisomap.health import summarise
 from anisomap.io.presets import with_grid
 from anisomap.large.approximation import APPROXIMATED, SimilarityGraph, build_similarity_graph
 from anisomap.large.chunks import chunk_frames, complete_chunks
@@ -44,11 +42,17 @@ large_group = Group("Large recordings", sort_key=4)
 class LargeOptions:
     """Options for large recordings.
 
-    workers: Number of parallel threads; more than the number of cores bring no gain.
-    dask: Address of a Dask scheduler, as in tcp://host:8786; its workers are used instead of
+    Parameters
+    ----------
+    workers
+        Number of parallel threads; more than the number of cores bring no gain.
+    dask
+        Address of a Dask scheduler, as in tcp://host:8786; its workers are used instead of
         threads.
-    checkpoint: File for intermediate results; if it exists, the computation resumes from it.
-    approximate: Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
+    checkpoint
+        File for intermediate results; if it exists, the computation resumes from it.
+    approximate
+        Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
     """
 
     workers: Annotated[int, Parameter(validator=Number(gte=1))] = 1
@@ -99,7 +103,7 @@ def too_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
     return total > LARGE_BYTES
 
 
-def examine(
+def read_in_blocks(
     paths: Sequence[Path],
     how: io.ReadOptions,
     *,
@@ -109,11 +113,12 @@ def examine(
     large: LargeOptions,
     drop: list[str] | None = None,
     seed: int = 0,
-) -> tuple[Examined, StreamedSimilarity | SimilarityGraph]:
+) -> StreamedSimilarity | SimilarityGraph:
     """Read recordings of the same sensors in blocks, with progress, for a map.
 
     Dropped sensors and the seed affect approximate maps only.
     """
+    check_even_spacing(method, options, readings=False)
     with progress("inspecting the files"):
         like = _first_frame_of_all(paths, how)
     with progress("reading all frames") as report_progress:
@@ -122,32 +127,19 @@ def examine(
             like, kept = _apply_preset(files, like, how.preset)
             like = io.attach_positions(like, how.positions)
             files = replace(files, kept=kept)
-        found: StreamedSimilarity | SimilarityGraph
         if large.approximate:
-            check_even_spacing(method, options, readings=False)
-            found = build_similarity_graph(
-                files,
-                like=like,
-                drop=sensors(drop, like.names),
-                options=ApproximateOptions(seed=seed),
-            )
-        else:
-            found = stream_similarity(
-                files,
-                method,
-                options,
-                like=like,
-                pool=WorkerPool(large.workers, large.dask),
-                checkpoint=large.checkpoint,
-                source=_describe(paths, how, missing),
-            )
-    summary = replace(
-        summarise(found.excerpt, found.health),
-        n_frames=found.n_frames,
-        duration=None if like.rate_hz is None else found.n_frames / like.rate_hz,
-        n_constant=int(np.count_nonzero(~found.varying)),
-    )
-    return Examined(found.excerpt, found.health, summary), found
+            dropped = sensors(drop, like.names)
+            approximate = ApproximateOptions(seed=seed)
+            return build_similarity_graph(files, like=like, drop=dropped, options=approximate)
+        return stream_similarity(
+            files,
+            method,
+            options,
+            like=like,
+            pool=WorkerPool(large.workers, large.dask),
+            checkpoint=large.checkpoint,
+            source=_describe(paths, how, missing),
+        )
 
 
 def _first_frame_of_all(paths: Sequence[Path], how: io.ReadOptions) -> Recording:

@@ -1,9 +1,4 @@
-"""Tables of comparisons of methods: Markdown for documents, CSV for numbers.
-
-``anisomap compare``: several methods on recordings with known positions.
-
-``anisomap score``: a map against reference positions.
-"""
+"""``anisomap compare`` and ``score``: methods and maps against known positions."""
 
 from __future__ import annotations
 
@@ -38,6 +33,7 @@ from anisomap.io.parsing.delimited import guard_formula
 from anisomap.recording import Recording
 from anisomap.wording import printable
 
+_FACTS = ("recording", "sensors x frames", "map", "scored")
 _LEGEND = (
     "Each cell holds Mantel r and, in brackets, the RMS error in spacings of neighbouring sensors. "
     "All methods of a row are scored on the same sensors. Bold marks the best method of anisomap "
@@ -48,16 +44,14 @@ _LEGEND = (
 def to_markdown(comparisons: Sequence[Comparison]) -> str:
     """Format comparisons of the same methods as a Markdown table, followed by its losses."""
     methods = [s.method for s in comparisons[0].scores]
-    lines = [["recording", "sensors x frames", "map", "scored", *methods]]
+    lines = [[*_FACTS, *methods]]
     lines.append(["---"] * len(lines[0]))
     for comparison in comparisons:
         best = [comparison.best(stock=stock) for stock in (False, True)]
         lines.append(
             [
                 escape(printable(comparison.name), quote=False).replace("|", "\\|"),
-                f"{comparison.n_sensors} x {comparison.n_frames}",
-                f"{comparison.dimensions}D",
-                str(len(comparison.sensors)),
+                *_facts(comparison),
                 *(
                     f"**{_cell(s)}**" if any(s is one for one in best) else _cell(s)
                     for s in comparison.scores
@@ -70,11 +64,16 @@ def to_markdown(comparisons: Sequence[Comparison]) -> str:
     return "\n\n".join([table, _LEGEND, *(escape(text, quote=False) for text in said)]) + "\n"
 
 
+def _facts(comparison: Comparison) -> tuple[str, str, str]:
+    """Describe a row of a table: its values below `_FACTS`, after the name."""
+    size = f"{comparison.n_sensors} x {comparison.n_frames}"
+    return size, f"{comparison.dimensions}D", str(len(comparison.sensors))
+
+
 def columns(methods: Sequence[str]) -> list[str]:
     """Return the columns of `to_csv`."""
     errors = [f"{method}: error" for method in methods]
-    facts = ["recording", "sensors x frames", "map", "scored"]
-    return [*facts, *methods, *errors, "best stock", "best stock r", "margin"]
+    return [*_FACTS, *methods, *errors, "best stock", "best stock r", "margin"]
 
 
 def to_csv(comparisons: Sequence[Comparison]) -> str:
@@ -93,9 +92,7 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
         table.writerow(
             [
                 guard_formula(printable(comparison.name)),
-                f"{comparison.n_sensors} x {comparison.n_frames}",
-                f"{comparison.dimensions}D",
-                len(comparison.sensors),
+                *_facts(comparison),
                 *(_number(s.mantel_r) for s in comparison.scores),
                 *(_number(s.rms_in_spacings) for s in comparison.scores),
                 stock.method if stock else "-",
@@ -165,22 +162,16 @@ def compare(
     ],
     /,
     *,
-    method: Annotated[
-        list[str] | None, Parameter(alias="-m", group=options.method_group, negative=())
-    ] = None,
+    method: Annotated[options.Words, Parameter(alias="-m", group=options.method_group)] = None,
     dimensions: Annotated[
         list[int] | None,
         Parameter(alias="-d", group=options.method_group, negative=(), validator=Number(gte=1)),
     ] = None,
-    min_touches: Annotated[
-        int, Parameter(group=options.method_group, validator=Number(gte=0))
-    ] = MIN_TOUCHES,
+    min_touches: Annotated[options.Amount, Parameter(group=options.method_group)] = MIN_TOUCHES,
     missing: options.Missing = "error",
     seed: options.Seed = 0,
     reading: options.Reading = options.DEFAULT_READING,
-    output: Annotated[
-        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
-    ] = None,
+    output: options.Output = None,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Score several methods on recordings with known positions.
@@ -231,11 +222,9 @@ def compare(
             text = _WRITERS[path.suffix.lower()](comparisons)
             aside.write_text(text, encoding="utf-8")
     with reporting.printer() as printer:
-        printer.table(
-            "Scores",
-            ("recording", "sensors x frames", "map", "scored", "method", "Mantel r", "spacings"),
-            [row for comparison in comparisons for row in _rows(comparison)],
-        )
+        columns = [*_FACTS, "method", "Mantel r", "spacings"]
+        rows = [row for comparison in comparisons for row in _rows(comparison)]
+        printer.table("Scores", columns, rows)
         for sentence in sentences(comparisons):
             printer.line(sentence)
         printer.record(scores=[_values(comparison) for comparison in comparisons])
@@ -280,11 +269,9 @@ def _with_positions(
 
 
 def _rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
-    size = f"{comparison.n_sensors} x {comparison.n_frames}"
     for s in comparison.scores:
         r, error = ("-", "-") if s.reason else (f"{s.mantel_r:.3f}", f"{s.rms_in_spacings:.2f}")
-        scored = str(len(comparison.sensors))
-        yield comparison.name, size, f"{comparison.dimensions}D", scored, s.method, r, error
+        yield comparison.name, *_facts(comparison), s.method, r, error
 
 
 def _values(comparison: Comparison) -> dict[str, object]:
@@ -303,7 +290,7 @@ def _values(comparison: Comparison) -> dict[str, object]:
 
 
 def score_map(
-    map_file: Annotated[Path, Parameter(help="File of a map.")],
+    map_file: options.MapFile,
     reference_file: Annotated[
         Path | None,
         Parameter(
@@ -318,8 +305,8 @@ def score_map(
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
-    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
-    report: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    picture: options.Picture = None,
+    report: options.Report = None,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Score a map against reference positions of its sensors, and name the worst sensors.
@@ -332,10 +319,6 @@ def score_map(
         The same as the second argument.
     units
         Unit of the reference positions, if the file does not state it.
-    picture
-        File for a figure: .png, .svg or .pdf.
-    report
-        File for a report: one HTML file that works offline.
     """
     given = [path for path in (reference_file, truth) if path is not None]
     if len(given) != 1:
@@ -344,7 +327,6 @@ def score_map(
         )
     chosen = given[0]
     outputs = pipeline.Outputs(picture=picture, report=report, inputs=(map_file, chosen))
-    outputs.check()
     sensor_map, reference = io.read_map(map_file), pipeline.read_reference(chosen, units)
     left_out = options.sensors(exclude, sensor_map.names)
     with reporting.printer() as printer:

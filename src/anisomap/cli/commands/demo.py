@@ -1,7 +1,4 @@
-"""``anisomap demo``: simulate, map and score a skin.
-
-``anisomap paper``: reproduce the experiments of the paper.
-"""
+"""``anisomap demo`` and ``paper``: a simulated skin mapped, and the paper reproduced."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from cyclopts.validators import Number
 
 from anisomap import io
 from anisomap.cli import parameters as options
@@ -27,7 +23,7 @@ from anisomap.simulation import simulate
 def demo(
     *,
     output_dir: Annotated[Path, Parameter(alias="-o")] = Path("demo"),
-    frames: Annotated[int, Parameter(validator=Number(gte=1))] = 2000,
+    frames: options.Count = 2000,
     method: Annotated[str, Parameter(alias="-m")] = DEFAULT_METHOD,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 1,
@@ -55,13 +51,12 @@ def demo(
         picture=output_dir / "map.png",
         report=output_dir / "report.html",
     )
-    outputs.check()
     with progress(f"simulating {frames} frames of a bombarded sphere") as report_progress:
         recording = simulate(
             "sphere", "bombardment", n_frames=frames, seed=seed, progress=report_progress
         )
         io.write(recording, output_dir / "recording.npz")
-    examined = pipeline.examine(recording)
+    examined = pipeline.examine([recording])
     with reporting.printer() as printer:
         printing.print_recording(printer, examined.recording, examined.summary)
         sensor_map = pipeline.make_map(examined, method, dimensions=3)
@@ -72,7 +67,7 @@ def demo(
             examined,
             permutations=permutations,
             seed=seed,
-            already_written=[("recording", output_dir / "recording.npz")],
+            written=[("recording", output_dir / "recording.npz")],
         )
         printer.line("\nMap the recording from its file:")
         printer.line(f"  anisomap map {output_dir / 'recording.npz'} -o map.csv")
@@ -83,11 +78,11 @@ def paper(
     output_dir: Annotated[Path, Parameter(name=("--output-dir", "--output", "-o"))] = Path(
         "paper-out"
     ),
-    quick: Annotated[bool, Parameter(negative=())] = False,
-    seed: Annotated[int, Parameter(validator=Number(gte=0))] = 1,
-    workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
+    quick: options.Flag = False,
+    seed: options.Amount = 1,
+    workers: options.Count | None = None,
     recordings: Path | None = None,
-    only: Annotated[list[str] | None, Parameter(negative=())] = None,
+    only: options.Words = None,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Reproduce the figures, tables and claims of the paper, with a page of all results.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
@@ -12,18 +13,18 @@ from cyclopts.validators import Number
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, printing
-from anisomap.cli.console import MAX_SHOWN, Printer, number, percent, progress
+from anisomap.cli.console import MAX_SHOWN, Columns, Printer, number, percent, progress
 from anisomap.drawing import figures
-from anisomap.errors import InputError
-from anisomap.files import check_distinct
+from anisomap.errors import AnisomapError, AnisomapWarning, InputError
 from anisomap.layout import LayoutCheck, LayoutFinding, check_layout
 from anisomap.numerics.layout.chance import N_SHIFTS
-from anisomap.placement import Modules
-from anisomap.sensor_map import UNSCALED, SensorMap
+from anisomap.sensor_map import UNSCALED
 from anisomap.wording import join_items
 
 INCONSISTENT = 1
 """Exit code if readings of sensors contradict their positions."""
+
+_MEASURED = ("displacement", "agreement_stated", "agreement_proposed", "chance", "gain")
 
 
 def check(
@@ -31,20 +32,14 @@ def check(
     recording_file: options.RecordingFile,
     /,
     *,
-    output: Annotated[
-        Path | None, Parameter(alias="-o", group=options.outputs_group, show_default=False)
-    ] = None,
-    picture: Annotated[
-        Path | None, Parameter(group=options.outputs_group, show_default=False)
-    ] = None,
+    output: Annotated[Path | None, Parameter(alias="-o", group=options.outputs_group)] = None,
+    picture: options.Picture = None,
     modules: Annotated[Path | None, Parameter(group=options.method_group)] = None,
     module_size: Annotated[
         int | None, Parameter(group=options.method_group, validator=Number(gte=3))
     ] = None,
-    shifts: Annotated[
-        int, Parameter(group=options.method_group, validator=Number(gte=1))
-    ] = N_SHIFTS,
-    seed: Annotated[int, Parameter(group=options.method_group, validator=Number(gte=0))] = 0,
+    shifts: Annotated[options.Count, Parameter(group=options.method_group)] = N_SHIFTS,
+    seed: Annotated[options.Amount, Parameter(group=options.method_group)] = 0,
     missing: options.Missing = "error",
     reading: options.Reading = options.DEFAULT_READING,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
@@ -59,8 +54,6 @@ def check(
     ----------
     output
         File for the corrected positions, in any map format.
-    picture
-        File for a figure: .png, .svg or .pdf.
     modules
         Table of the modules: columns sensor, module and optionally pad. By default, modules are
         found as blocks of consecutive sensors whose shapes repeat.
@@ -72,25 +65,30 @@ def check(
     seed
         Seed of the shifts.
     """
-    outputs = [path for path in (output, picture) if path]
-    inputs = [path for path in (layout_file, recording_file, modules) if path]
-    check_distinct(outputs, [*inputs, *reading.inputs])
-    if output:
-        io.check_writable(output)
-    if picture:
-        figures.check_writable(picture)
     if modules and module_size:
         raise InputError("give the modules by --modules or by --module-size, not by both")
-    layout = io.read_map(layout_file)
-    if output:
-        options.DEFAULT_PLACING.check([output], layout.units)
-    chosen: Modules | int | None = (
-        io.read_modules(modules, layout.names) if modules else module_size
+    outputs = pipeline.Outputs(
+        maps=[output] if output else [],
+        picture=picture,
+        inputs=[layout_file, recording_file, modules, *reading.inputs],
     )
-    recording = pipeline.complete(pipeline.read(recording_file, reading.checked()), missing)
-    with progress("checking the layout"):
-        found = check_layout(layout, recording, modules=chosen, n_shifts=shifts, rng=seed)
-    files = _write(found, output, picture, f"{layout_file.name} and {recording_file.name}")
+    how = reading.checked()
+    try:
+        layout = io.read_map(layout_file)
+        options.DEFAULT_PLACING.check(outputs.maps, layout.units)
+        chosen = io.read_modules(modules, layout.names) if modules else module_size
+        recording = pipeline.complete(pipeline.read(recording_file, how), missing)
+        with progress("checking the layout"):
+            found = check_layout(layout, recording, modules=chosen, n_shifts=shifts, rng=seed)
+    except InputError as error:
+        if _are_swapped(layout_file, recording_file, how):
+            hint = f"swap the arguments: anisomap check {recording_file} {layout_file}"
+            raise InputError(f"{layout_file} is a recording, so {hint}") from error
+        raise
+    title = f"{layout_file.name} and {recording_file.name}"
+    files = outputs.write(
+        found.corrected, lambda: figures.layout_figure(found, title), "corrected positions"
+    )
     with reporting.printer() as printer:
         _print(printer, found, f"{layout_file.name} against {recording_file.name}")
         if files:
@@ -98,17 +96,15 @@ def check(
     return 0 if found.consistent else INCONSISTENT
 
 
-def _write(
-    found: LayoutCheck, output: Path | None, picture: Path | None, title: str
-) -> list[tuple[str, Path]]:
-    files = []
-    if output:
-        io.write(found.corrected, output)
-        files.append(("corrected positions", output))
-    if picture:
-        figures.save_figure(figures.layout_figure(found, title), picture)
-        files.append(("picture", picture))
-    return files
+def _are_swapped(layout_file: Path, recording_file: Path, how: io.ReadOptions) -> bool:
+    """Return whether the first file is a recording of sensors that the second one places."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AnisomapWarning)
+            recorded = io.read(layout_file, options=how).names
+            return not set(recorded).isdisjoint(io.read_map(recording_file).names)
+    except AnisomapError:
+        return False
 
 
 def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
@@ -125,20 +121,52 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
             f"({percent(accused / found.n_tested)}) contradict their positions",
         },
     )
-    if found.findings:
+    records = [_record(found, finding) for finding in found.findings]
+    if records:
         unit = "unit of the layout" if layout.units in UNSCALED else layout.units
-        printer.table(
-            "Findings",
-            ("kind", "sensors", f"off by ({unit})", "agreement", "corrected", "chance gains"),
-            [_row(found, finding) for finding in found.findings[:MAX_SHOWN]],
-        )
-        for finding in found.findings[:MAX_SHOWN]:
-            printer.line(f"  {finding.kind}: {finding.explanation}")
-        if len(found.findings) > MAX_SHOWN:
-            printer.line(f"  ... and {len(found.findings) - MAX_SHOWN} more findings")
-    for note in found.notes:
-        printer.line(f"  note: {note}")
-    printer.record(**_values(found))
+        columns: Columns = {
+            "kind": ("kind", str),
+            "sensors": ("sensors", lambda each: join_items([one["sensor"] for one in each], 3)),
+            f"off by ({unit})": ("displacement", lambda length: number(length, 3)),
+            "agreement": ("agreement_stated", lambda share: number(share, 2)),
+            "corrected": ("agreement_proposed", lambda share: number(share, 2)),
+            "chance gains": ("chance", lambda gain: number(gain, 2)),
+        }
+        printer.rows("Findings", columns, records[:MAX_SHOWN])
+        for one in records[:MAX_SHOWN]:
+            printer.line(f"  {one['kind']}: {one['explanation']}")
+        if len(records) > MAX_SHOWN:
+            printer.line(f"  ... and {len(records) - MAX_SHOWN} more findings")
+    printer.notes(found.notes)
+    printer.record(
+        consistent=found.consistent,
+        sensors=layout.n_sensors,
+        tested=found.n_tested,
+        modules=found.n_modules,
+        median_spacing=found.spacing,
+        units=layout.units,
+        findings=records,
+        status=dict(zip(layout.names, found.status, strict=True)),
+        agreement=dict(zip(layout.names, found.agreement.tolist(), strict=True)),
+        notes=found.notes,
+    )
+
+
+def _record(found: LayoutCheck, finding: LayoutFinding) -> dict[str, Any]:
+    sensors = [
+        {
+            "sensor": found.layout.names[i],
+            "stated": found.layout.positions[i],
+            "proposed": found.corrected.positions[i],
+        }
+        for i in finding.sensors.tolist()
+    ]
+    return {
+        "kind": finding.kind,
+        "explanation": finding.explanation,
+        "sensors": sensors,
+        **{name: getattr(finding, name) for name in _MEASURED},
+    }
 
 
 def _modules(found: LayoutCheck) -> str:
@@ -148,51 +176,3 @@ def _modules(found: LayoutCheck) -> str:
     smallest, largest = int(sizes.min()), int(sizes.max())
     size = f"{largest}" if smallest == largest else f"{smallest} to {largest}"
     return f"{found.n_modules} of {size} sensors"
-
-
-def _row(found: LayoutCheck, finding: LayoutFinding) -> tuple[str, ...]:
-    return (
-        finding.kind,
-        join_items(found.names(finding), 3),
-        number(finding.displacement, 3),
-        number(finding.agreement_stated, 2),
-        number(finding.agreement_proposed, 2),
-        number(finding.chance, 2),
-    )
-
-
-def _values(found: LayoutCheck) -> dict[str, object]:
-    def place(layout: SensorMap, i: int) -> object:
-        return layout.positions[i]
-
-    return {
-        "consistent": found.consistent,
-        "sensors": found.layout.n_sensors,
-        "tested": found.n_tested,
-        "modules": found.n_modules,
-        "median_spacing": found.spacing,
-        "units": found.layout.units,
-        "findings": [
-            {
-                "kind": finding.kind,
-                "explanation": finding.explanation,
-                "sensors": [
-                    {
-                        "sensor": found.layout.names[i],
-                        "stated": place(found.layout, i),
-                        "proposed": place(found.corrected, i),
-                    }
-                    for i in finding.sensors.tolist()
-                ],
-                "displacement": finding.displacement,
-                "agreement_stated": finding.agreement_stated,
-                "agreement_proposed": finding.agreement_proposed,
-                "chance": finding.chance,
-                "gain": finding.gain,
-            }
-            for finding in found.findings
-        ],
-        "status": dict(zip(found.layout.names, found.status, strict=True)),
-        "agreement": dict(zip(found.layout.names, found.agreement.tolist(), strict=True)),
-        "notes": found.notes,
-    }

@@ -15,14 +15,12 @@ import numpy as np
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
-from anisomap import io
 from anisomap.cli import bodies, pipeline, printing
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number, percent, print_warning, progress
 from anisomap.dimensions import AUTO
-from anisomap.drawing import report as reports
 from anisomap.errors import InputError
-from anisomap.files import check_distinct, check_target
+from anisomap.files import check_target
 from anisomap.io.presets import check_preset
 from anisomap.live import ExaminationOptions, LiveSession, open_source
 from anisomap.live.batches import Source
@@ -62,7 +60,7 @@ class PageOptions:
     port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535))] = 8765
     host: str = "127.0.0.1"
     browser: bool = True
-    headless: Annotated[bool, Parameter(negative=())] = False
+    headless: options.Flag = False
     until: Literal["usable", "usable locally"] | None = None
     duration: Annotated[float | None, Parameter(name="--for", validator=Number(gt=0))] = None
 
@@ -84,13 +82,11 @@ def live(
     simulate: Annotated[str | None, Parameter(group=_source)] = None,
     coached: Annotated[bool, Parameter(group=_source, negative=())] = False,
     speed: Annotated[float, Parameter(group=_source, validator=Number(gte=0))] = 1.0,
-    seed: Annotated[int, Parameter(group=_source, validator=Number(gte=0))] = 1,
+    seed: Annotated[options.Amount, Parameter(group=_source)] = 1,
     preset: Annotated[str, Parameter(group=_source)] = "",
     recording: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
-    output: Annotated[
-        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
-    ] = None,
-    report: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    output: options.Output = None,
+    report: options.Report = None,
     spacing: Annotated[str, Parameter(group=options.outputs_group)] = "",
     method: Annotated[str, Parameter(alias="-m", group=options.method_group)] = DEFAULT_METHOD,
     dimensions: Annotated[
@@ -124,8 +120,6 @@ def live(
     output
         File for the map; its suffix chooses the format. May be repeated. Default: the name of the
         recording with .map.csv.
-    report
-        File for a report: one HTML file that works offline.
     spacing
         Median distance between neighbouring sensors, such as 6.5mm: scales the written maps.
     method
@@ -139,18 +133,13 @@ def live(
     target = recording or Path(time.strftime("live-%Y%m%d-%H%M%S.csv"))
     if target.suffix.lower() != ".csv":
         raise InputError(f"the recording is written as CSV: {target} must end in .csv")
-    maps = output or [target.with_suffix(".map.csv")]
     check_target(target)
     if target.exists():
         raise InputError(f"{target} exists; a live session writes a new recording")
     given = Path(source) if source and Path(source).exists() else None
-    files = [*maps, target, *([report] if report else [])]
-    check_distinct(files, [path for path in (given, truth) if path])
-    for path in maps:
-        io.check_writable(path)
+    maps = output or [target.with_suffix(".map.csv")]
+    pipeline.Outputs(maps=maps, report=report, others=[target], inputs=[given, truth])
     options.PlacingOptions(spacing=spacing).check(maps)
-    if report:
-        reports.check_writable(report)
     find_method(method)
     if preset:
         check_preset(preset)
@@ -297,7 +286,7 @@ def _finish(
     """Make the final map, write all files, and say what was written."""
     with progress("making the final map"):
         final = session.finish()
-    written: list[tuple[str, Path]] = [("recording", s.path) for s in session.recorder.segments]
+    written = [("recording", segment.path) for segment in session.recorder.segments]
     if final is not None and final.sensor_map is not None:
         with progress("writing"):
             written += [("map", save_map(final, path, spacing=spacing)) for path in maps]

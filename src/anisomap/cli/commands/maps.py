@@ -1,16 +1,12 @@
-"""``anisomap convert``: a map in another format, or in metres.
-
-``anisomap diff``: two maps of one skin compared.
-
-``anisomap update``: a new recording added to a map.
-"""
+"""``anisomap convert``, ``diff`` and ``update``: maps rewritten, compared and added to."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
@@ -18,22 +14,20 @@ from cyclopts import Parameter
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, printing
-from anisomap.cli.console import MAX_SHOWN, Printer, number, progress
+from anisomap.cli.console import MAX_SHOWN, Columns, Printer, number, progress
 from anisomap.drawing import figures
 from anisomap.errors import InputError
 from anisomap.evaluation import Difference, compare_maps
 from anisomap.evaluation.difference import LEVEL
-from anisomap.files import check_distinct
 from anisomap.placement import METRES, median_spacing
 from anisomap.recording import join_runs
 from anisomap.sensor_map import UNSCALED
 from anisomap.tracking import Update, update_map
 from anisomap.tracking.updating import UPDATE_LEVEL
-from anisomap.wording import join_items
 
 
 def convert(
-    map_file: Annotated[Path, Parameter(help="File of a map.")],
+    map_file: options.MapFile,
     output: Annotated[Path, Parameter(help="File to write; its suffix chooses the format.")],
     /,
     *,
@@ -44,8 +38,7 @@ def convert(
 
     `anisomap formats` lists the formats.
     """
-    check_distinct([output], [map_file])
-    io.check_writable(output)
+    pipeline.Outputs(maps=[output], inputs=[map_file])
     sensor_map = io.read_map(map_file)
     placing.check([output], sensor_map.units)
     placed = placing.applied(sensor_map)
@@ -80,7 +73,7 @@ def diff(
     after_file: Annotated[Path, Parameter(help="File of the second map.")],
     /,
     *,
-    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    picture: options.Picture = None,
     level: float = LEVEL,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> int:
@@ -92,39 +85,32 @@ def diff(
 
     Parameters
     ----------
-    picture
-        File for a figure: .png, .svg or .pdf.
     level
         Probability that chance alone marks any sensor as moved.
     """
-    if picture:
-        check_distinct([picture], [before_file, after_file])
-        figures.check_writable(picture)
+    outputs = pipeline.Outputs(picture=picture, inputs=(before_file, after_file))
     before, after = io.read_map(before_file), io.read_map(after_file)
     found = compare_maps(before, after, level=level)
-    if picture:
-        title = f"{before_file.name} and {after_file.name}"
-        figures.save_figure(figures.difference_figure(found, title), picture)
+    title = f"{before_file.name} and {after_file.name}"
+    files = outputs.write(after, lambda: figures.difference_figure(found, title))
     with reporting.printer() as printer:
-        _print(printer, found, f"{after_file.name} compared with {before_file.name}")
-        if picture:
-            printing.print_files(printer, [("picture", picture)])
+        _print_difference(printer, found, f"{after_file.name} compared with {before_file.name}")
+        if files:
+            printing.print_files(printer, files)
     return DIFFERENT if found.found else 0
 
 
-def _print(printer: Printer, found: Difference, title: str) -> None:
+def _print_difference(printer: Printer, found: Difference, title: str) -> None:
     units = "units of the first map" if found.units in UNSCALED else found.units
     spacing = found.spacing  # 0 if most sensors have the place of another
-    counts = {
-        "moved": found.moved,
-        "appeared": found.appeared,
-        "lost": found.lost,
-    }
+    masks = {"moved": found.moved, "appeared": found.appeared, "lost": found.lost}
+    names = {kind: [found.names[i] for i in np.flatnonzero(m)] for kind, m in masks.items()}
+    n_compared = int(np.count_nonzero(found.compared))
     printer.facts(
         title,
         {
-            "sensors compared": str(np.count_nonzero(found.compared)),
-            **{kind: str(np.count_nonzero(mask)) for kind, mask in counts.items()},
+            "sensors compared": str(n_compared),
+            **{kind: str(len(listed)) for kind, listed in names.items()},
             "chance": f"explains up to {number(found.chance)} {units}"
             + (f", or {number(found.chance / spacing, 3)} spacings" if spacing else ""),
             "scale": f"{number(found.scale)} (second map to first)",
@@ -132,46 +118,28 @@ def _print(printer: Printer, found: Difference, title: str) -> None:
         },
     )
     moved = np.flatnonzero(found.moved)
-    moved = moved[np.argsort(-found.distance[moved], kind="stable")]
-    if moved.size:
-        printer.table(
-            "Sensors that moved",
-            ("sensor", f"distance ({units})", "spacings", "p"),
-            [
-                (
-                    found.names[i],
-                    number(found.distance[i]),
-                    number(found.distance[i] / spacing if spacing else np.nan, 3),
-                    number(found.p_values[i], 2),
-                )
-                for i in moved
-            ],
-            max_rows=MAX_SHOWN,
-        )
-    names = {kind: [found.names[i] for i in np.flatnonzero(m)] for kind, m in counts.items()}
-    for kind in ("appeared", "lost"):
-        if names[kind]:
-            printer.line(f"{kind}: {join_items(names[kind], MAX_SHOWN)}")
-    for note in found.notes:
-        printer.line(f"  note: {note}")
+    records = [
+        {
+            "sensor": found.names[i],
+            "distance": found.distance[i],
+            "spacings": found.distance[i] / spacing if spacing else np.nan,
+            "p_value": found.p_values[i],
+            "before": found.before[i],
+            "after": found.after[i],
+        }
+        for i in moved[np.argsort(-found.distance[moved], kind="stable")]
+    ]
+    _print_moved(printer, records, units)
+    printer.names({kind: names[kind] for kind in ("appeared", "lost")})
+    printer.notes(found.notes)
     printer.record(
         different=found.found,
-        sensors_compared=int(np.count_nonzero(found.compared)),
-        moved=[
-            {
-                "sensor": found.names[i],
-                "distance": found.distance[i],
-                "spacings": found.distance[i] / found.spacing,
-                "p_value": found.p_values[i],
-                "before": found.before[i],
-                "after": found.after[i],
-            }
-            for i in moved
-        ],
+        sensors_compared=n_compared,
+        moved=records,
         appeared=names["appeared"],
         lost=names["lost"],
         chance=found.chance,
-        median_spacing=found.spacing,
+        median_spacing=spacing,
         scale=found.scale,
         reflected=found.reflected,
         units=found.units,
@@ -179,15 +147,27 @@ def _print(printer: Printer, found: Difference, title: str) -> None:
     )
 
 
+def _print_moved(printer: Printer, records: Sequence[Mapping[str, Any]], units: str) -> None:
+    """Print a table of the sensors that moved, and what they moved like if that is known."""
+    columns: Columns = {
+        "sensor": ("sensor", str),
+        "like": ("like", str),
+        f"distance ({units})": ("distance", number),
+        "spacings": ("spacings", lambda spacings: number(spacings, 3)),
+        "p": ("p_value", lambda p: number(p, 2)),
+    }
+    if records:
+        known = {title: column for title, column in columns.items() if column[0] in records[0]}
+        printer.rows("Sensors that moved", known, records, max_rows=MAX_SHOWN)
+
+
 def update(
-    map_file: Annotated[Path, Parameter(help="File of the map.")],
+    map_file: options.MapFile,
     recordings: Annotated[list[Path], Parameter(help="Files of new recordings of the skin.")],
     /,
     *,
-    output: Annotated[
-        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
-    ] = None,
-    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    output: options.Output = None,
+    picture: options.Picture = None,
     statistics: Path | None = None,
     drop: options.Drop = None,
     missing: options.Missing = "error",
@@ -206,24 +186,20 @@ def update(
     output
         File for the map; its suffix chooses the format. May be repeated. Default: NAME.updated.csv
         in the current folder. The new statistics are written beside the first.
-    picture
-        File for a figure: .png, .svg or .pdf.
     statistics
         Statistics of the map. Default: NAME.statistics.npz beside the map.
     level
         Probability that chance alone marks any sensor as moved.
     """
-    outputs = output or [Path(f"{map_file.name.split('.')[0]}.updated.csv")]
+    maps = output or [options.beside(map_file, ".updated.csv")]
     old_statistics = statistics or io.statistics_beside(map_file)
-    new_statistics = io.statistics_beside(outputs[0])
-    check_distinct(
-        [*outputs, new_statistics, *([picture] if picture else [])],
-        [map_file, old_statistics, *recordings, *reading.inputs],
+    new_statistics = io.statistics_beside(maps[0])
+    outputs = pipeline.Outputs(
+        maps=maps,
+        picture=picture,
+        others=[new_statistics],
+        inputs=[map_file, old_statistics, *recordings, *reading.inputs],
     )
-    for path in outputs:
-        io.check_writable(path)
-    if picture:
-        figures.check_writable(picture)
     how = reading.checked()
     sensor_map = io.read_map(map_file)
     if not old_statistics.exists():
@@ -231,7 +207,7 @@ def update(
             f"there is no file {old_statistics} with the statistics of the map; make the map with "
             "anisomap map --keep-statistics, or name the file with --statistics"
         )
-    _check_scale(outputs, sensor_map.units)
+    _check_scale(maps, sensor_map.units)
     evidence = io.read_statistics(old_statistics)
     runs = pipeline.read_runs(recordings, how, missing)
     joined = join_runs(runs)
@@ -240,18 +216,12 @@ def update(
         found = update_map(sensor_map, evidence, runs, drop=dropped, level=level)
     provenance = {**found.map.provenance, "updated_by": joined.source}
     updated = replace(found.map, provenance=provenance)
-    files = [("statistics", new_statistics)]
     io.write_statistics(found.evidence, new_statistics)
-    for path in outputs:
-        io.write(updated, path)
-        files.append(("map", path))
-    if picture:
-        title = f"{map_file.name} and its update"
-        figures.save_figure(figures.difference_figure(found.difference, title), picture)
-        files.append(("picture", picture))
+    title = f"{map_file.name} and its update"
+    written = outputs.write(updated, lambda: figures.difference_figure(found.difference, title))
     with reporting.printer() as printer:
         _print_update(printer, found, map_file.name)
-        printing.print_files(printer, files)
+        printing.print_files(printer, [("statistics", new_statistics), *written])
 
 
 def _check_scale(outputs: list[Path], units: str) -> None:
@@ -283,29 +253,21 @@ def _print_update(printer: Printer, found: Update, name: str) -> None:
     printer.facts(f"Update of {name}", facts)
     tested = found.moves
     like = {} if tested is None else dict(zip(tested.names, tested.like, strict=True))
-    moved = [changes.names.index(sensor) for sensor in found.moved]
-    if moved:
-        printer.table(
-            "Sensors that moved",
-            ("sensor", "like", f"distance ({units})", "spacings", "p"),
-            [
-                (
-                    changes.names[i],
-                    like[changes.names[i]],
-                    number(changes.distance[i]),
-                    number(changes.distance[i] / changes.spacing, 3),
-                    number(changes.p_values[i], 2),
-                )
-                for i in moved
-            ],
-            max_rows=MAX_SHOWN,
-        )
-    lists = {"added": found.added, "not recorded": found.silent, "not placed": found.unplaced}
-    for kind, names in lists.items():
-        if names:
-            printer.line(f"{kind}: {join_items(names, MAX_SHOWN)}")
-    for note in found.notes:
-        printer.line(f"  note: {note}")
+    moved = [
+        {
+            "sensor": sensor,
+            "like": like[sensor],
+            "distance": float(changes.distance[i]),
+            "spacings": float(changes.distance[i] / changes.spacing),
+            "p_value": float(changes.p_values[i]),
+        }
+        for sensor, i in ((name, changes.names.index(name)) for name in found.moved)
+    ]
+    _print_moved(printer, moved, units)
+    printer.names(
+        {"added": found.added, "not recorded": found.silent, "not placed": found.unplaced}
+    )
+    printer.notes(found.notes)
     printer.record(
         recordings=len(total.recordings),
         frames=total.n_frames,
@@ -315,15 +277,7 @@ def _print_update(printer: Printer, found: Update, name: str) -> None:
         spacing=changes.spacing,
         agreement=found.agreement,
         added=found.added,
-        moved=[
-            {
-                "sensor": changes.names[i],
-                "like": like[changes.names[i]],
-                "distance": float(changes.distance[i]),
-                "p": float(changes.p_values[i]),
-            }
-            for i in moved
-        ],
+        moved=[{**one, "p": one["p_value"]} for one in moved],
         not_recorded=found.silent,
         not_placed=found.unplaced,
         shifts=dict(zip(changes.names, changes.distance.tolist(), strict=True)),

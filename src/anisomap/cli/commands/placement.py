@@ -1,13 +1,11 @@
-"""Options of ``anisomap place --self-touch``.
-
-``anisomap place``: a map in metres, in the frame of the robot.
-"""
+"""``anisomap place``: a map in metres, in the frame of the robot."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
@@ -15,11 +13,10 @@ from cyclopts.validators import Number
 
 from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import printing
-from anisomap.cli.console import MAX_SHOWN, Printer, number
+from anisomap.cli import pipeline, printing
+from anisomap.cli.console import MAX_SHOWN, Columns, Printer, number
 from anisomap.drawing import figures
 from anisomap.errors import InputError
-from anisomap.files import check_distinct
 from anisomap.mesh_files import read_mesh
 from anisomap.numerics.kinematics import TURNING, KinematicTree
 from anisomap.placement import (
@@ -72,54 +69,41 @@ class SelfTouchOptions:
     self_touch: Path | None = None
     urdf: Path | None = None
     joints: Path | None = None
-    degrees: Annotated[bool, Parameter(negative=())] = False
+    degrees: options.Flag = False
     link: str = ""
     other: Path | None = None
     other_link: str = ""
-    exact: Annotated[bool, Parameter(negative=())] = False
+    exact: options.Flag = False
 
     @property
-    def files(self) -> list[Path]:
+    def files(self) -> list[Path | None]:
         """Files that are read."""
-        given = (self.self_touch, self.urdf, self.joints, self.other)
-        return [path for path in given if path is not None]
+        return [self.self_touch, self.urdf, self.joints, self.other]
 
-    def check(self, *, alone: bool) -> bool:
-        """Return whether a map is to be placed by self-touch.
+    def read(self, *, alone: bool) -> tuple[SelfTouch, SensorMap] | None:
+        """Read the contacts and the other layout; None if no option is given.
 
-        Parameters
-        ----------
-        alone : bool
-            Whether nothing else is given that places the map.
-
-        Raises
-        ------
-        InputError
-            If an option is missing, or contradicts another one.
+        alone: Whether nothing else is given that places the map.
         """
+        recording, robot, joints, other = self.files
         required = {
-            "--self-touch": self.self_touch,
-            "--urdf": self.urdf,
-            "--joints": self.joints,
+            "--self-touch": recording,
+            "--urdf": robot,
+            "--joints": joints,
             "--link": self.link,
-            "--other": self.other,
+            "--other": other,
             "--other-link": self.other_link,
         }
         missing = [name for name, value in required.items() if not value]
         if len(missing) == len(required) and not (self.exact or self.degrees):
-            return False
-        if missing:
+            return None
+        if missing or not (recording and robot and joints and other):
             raise InputError(f"to place a map by self-touch, give {', '.join(missing)} as well")
         if not alone:
             raise InputError(
                 "a map is placed by self-touch alone; leave out anchors, modules, --mesh and "
                 "--spacing"
             )
-        return True
-
-    def place(self, sensor_map: SensorMap, handedness: str) -> TouchPlacement:
-        """Read the files and place a map; `check` must have returned True."""
-        recording, robot, joints, other = self.files
         tree = io.read_robot(robot)
         touches = SelfTouch(
             recording=io.read(recording).complete("error"),
@@ -128,9 +112,7 @@ class SelfTouchOptions:
             link=self.link,
             other_link=self.other_link,
         )
-        return place_by_self_touch(
-            sensor_map, touches, io.read_map(other), exact=self.exact, handedness=handedness
-        )
+        return touches, io.read_map(other)
 
     def _angles(self, path: Path, robot: KinematicTree) -> dict[str, np.ndarray]:
         table = io.read(path).complete("error")
@@ -235,20 +217,13 @@ class ModuleOptions:
         """Whether anything is known of modules."""
         return bool(self.module or self.modules or self.module_size)
 
-    @property
-    def files(self) -> list[Path]:
-        """Files that are read."""
-        return [path for path in (self.module, self.modules) if path is not None]
-
 
 def place_map(
-    map_file: Annotated[Path, Parameter(help="File of a map.")],
+    map_file: options.MapFile,
     /,
     *,
-    output: Annotated[
-        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
-    ] = None,
-    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    output: options.Output = None,
+    picture: options.Picture = None,
     frame: Annotated[str, Parameter(group=options.outputs_group)] = "",
     known: Annotated[AnchorOptions, Parameter(name="*", group=anchors_group)] = AnchorOptions(),
     rigid: Annotated[ModuleOptions, Parameter(name="*", group=modules_group)] = ModuleOptions(),
@@ -257,7 +232,7 @@ def place_map(
     mesh_units: str = "m",
     spacing: str = "",
     handedness: Literal["same", "mirrored"] | None = None,
-    suggest: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
+    suggest: options.Amount = 0,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Place a map in the frame of the robot, in metres, with an error for each sensor.
@@ -271,8 +246,6 @@ def place_map(
     output
         File for the map; its suffix chooses the format. May be repeated. Default: NAME.placed.csv
         in the current folder.
-    picture
-        File for a figure: .png, .svg or .pdf.
     frame
         Name of the frame of the anchors.
     mesh
@@ -294,20 +267,20 @@ def place_map(
             printer.line(f"measure the positions of {join_items(names, len(names))}")
             printer.record(suggested=names)
         return
-    outputs = output or [Path(f"{map_file.name.split('.')[0]}.placed.csv")]
+    outputs = pipeline.Outputs(
+        maps=output or [options.beside(map_file, ".placed.csv")],
+        picture=picture,
+        inputs=[map_file, rigid.module, rigid.modules, known.anchors, mesh, *touching.files],
+    )
     alone = not (known.anchor or known.anchors or rigid.given or mesh or spacing)
-    by_touch = touching.check(alone=alone)
-    inputs = [map_file, *rigid.files, *touching.files]
-    inputs += [path for path in (known.anchors, mesh) if path]
-    check_distinct([*outputs, *([picture] if picture else [])], inputs)
-    for path in outputs:
-        io.check_writable(path)
-    if picture:
-        figures.check_writable(picture)
+    touches = touching.read(alone=alone)
     sensor_map, anchors = io.read_map(map_file), known.read()
     surface = None if mesh is None else _read_mesh(mesh, mesh_units)
-    touched = touching.place(sensor_map, handedness or "") if by_touch else None
-    if touched is not None:
+    touched = None
+    if touches is not None:
+        touched = place_by_self_touch(
+            sensor_map, *touches, exact=touching.exact, handedness=handedness or ""
+        )
         placement = touched.placement
     else:
         placement = place(
@@ -320,13 +293,9 @@ def place_map(
         )
     if frame:
         placement = replace(placement, map=replace(placement.map, frame=frame))
-    files = []
-    for path in outputs:
-        io.write(placement.map, path)
-        files.append(("map", path))
-    if picture:
-        figures.save_figure(figures.placement_figure(placement, anchors, surface), picture)
-        files.append(("picture", picture))
+    files = outputs.write(
+        placement.map, lambda: figures.placement_figure(placement, anchors, surface)
+    )
     with reporting.printer() as printer:
         _print(printer, placement, map_file.name)
         if touched is not None:
@@ -368,25 +337,20 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
         )
     facts["known up to"] = placed.known_up_to
     printer.facts(f"Placement of {name}", facts)
-    if placement.anchors:
-        printer.table(
-            "Anchors",
-            ("sensor", "residual (mm)", "left out (mm)"),
-            [
-                (anchor, number(_MM * residual, 3), number(_MM * left_out, 3))
-                for anchor, residual, left_out in zip(
-                    placement.anchors,
-                    placement.residuals.tolist(),
-                    placement.left_out_errors.tolist(),
-                    strict=True,
-                )
-            ],
-            max_rows=MAX_SHOWN,
-        )
-    if placement.left_out:
-        printer.line(f"left out: {join_items(placement.left_out, MAX_SHOWN)}")
-    for note in placed.notes:
-        printer.line(f"  note: {note}")
+    anchors = _records(
+        sensor=placement.anchors,
+        residual=placement.residuals.tolist(),
+        left_out=placement.left_out_errors.tolist(),
+    )
+    if anchors:
+        columns: Columns = {
+            "sensor": ("sensor", str),
+            "residual (mm)": ("residual", _in_mm),
+            "left out (mm)": ("left_out", _in_mm),
+        }
+        printer.rows("Anchors", columns, anchors, max_rows=MAX_SHOWN)
+    printer.names({"left out": placement.left_out})
+    printer.notes(placed.notes)
     printer.record(
         sensors=placed.n_sensors,
         placed=int(placed.placed.sum()),
@@ -396,15 +360,7 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
         median_spacing=spacing / _MM,
         units=placed.units,
         errors=dict(zip(placed.names, placed.errors.tolist(), strict=True)),
-        anchors=[
-            {"sensor": anchor, "residual": residual, "left_out": left_out}
-            for anchor, residual, left_out in zip(
-                placement.anchors,
-                placement.residuals.tolist(),
-                placement.left_out_errors.tolist(),
-                strict=True,
-            )
-        ],
+        anchors=anchors,
         left_out=placement.left_out,
         notes=placed.notes,
     )
@@ -414,16 +370,19 @@ def _print_contacts(printer: Printer, touched: TouchPlacement) -> None:
     median = float(np.median(touched.residuals[touched.used]))
     printer.line(
         f"contacts: {int(touched.used.sum())} of {len(touched.used)} agree, "
-        f"{number(_MM * median, 3)} mm apart in the median"
+        f"{_in_mm(median)} mm apart in the median"
     )
-    printer.record(
-        contacts=[
-            {"frame": frame, "residual": residual, "used": used}
-            for frame, residual, used in zip(
-                touched.frames.tolist(),
-                touched.residuals.tolist(),
-                touched.used.tolist(),
-                strict=True,
-            )
-        ]
+    contacts = _records(
+        frame=touched.frames.tolist(),
+        residual=touched.residuals.tolist(),
+        used=touched.used.tolist(),
     )
+    printer.record(contacts=contacts)
+
+
+def _records(**columns: Sequence[Any]) -> list[dict[str, Any]]:
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def _in_mm(length: float) -> str:
+    return number(_MM * length, 3)

@@ -1,14 +1,9 @@
-"""``anisomap info``: a summary of a recording.
-
-``anisomap repair``: mend the faults of a recording.
-
-``anisomap map``: a map from a recording.
-"""
+"""``anisomap info``, ``repair`` and ``map``: a recording summarised, mended and mapped."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,15 +12,13 @@ from cyclopts import Parameter
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, printing, streams
-from anisomap.cli import printing as touches
 from anisomap.cli.console import print_warning, progress
 from anisomap.dimensions import AUTO
 from anisomap.errors import InputError
 from anisomap.evaluation import PERMUTATIONS
-from anisomap.files import check_distinct
 from anisomap.health import Finding
 from anisomap.io import ChoiceError
-from anisomap.methods import DEFAULT_METHOD, find_method
+from anisomap.methods import DEFAULT_METHOD, check_even_spacing, find_method
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.options import MethodOptions
@@ -36,7 +29,7 @@ def info(
     recording: options.RecordingFile,
     /,
     *,
-    sensors: Annotated[bool, Parameter(negative=())] = False,
+    sensors: options.Flag = False,
     reading: options.Reading = options.DEFAULT_READING,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
@@ -55,11 +48,11 @@ def info(
         except ChoiceError as error:
             print_warning(str(error))  # the contents are listed; the user must select one
             return
-        examined = pipeline.examine(found)
+        examined = pipeline.examine([found])
         printing.print_recording(printer, examined.recording, examined.summary)
         printing.print_findings(printer, examined.findings)
         printing.print_health(printer, examined.health, all_sensors=sensors)
-        touches.print_touches(printer, touches.coverage_without_map(found), found.names)
+        printing.print_touches(printer, printing.coverage_without_map(found), found.names)
         for weakness in examined.summary.warnings:
             print_warning(weakness)
         if examined.summary.missing:
@@ -73,7 +66,7 @@ def repair(
     recording: options.RecordingFile,
     /,
     *,
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
     reading: options.Reading = options.DEFAULT_READING,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
@@ -85,12 +78,10 @@ def repair(
     Parameters
     ----------
     output
-        NPZ file to write.
+        NPZ file to write. Default: NAME.repaired.npz in the current folder.
     """
-    check_distinct([output], [recording, *reading.inputs])
-    io.check_writable(output)
-    if output.suffix.lower() != ".npz":
-        raise InputError(f"recordings are written as NPZ: {output} must end in .npz")
+    output = output or options.beside(recording, ".repaired.npz")
+    pipeline.Outputs(recording=output, inputs=(recording, *reading.inputs))
     found = pipeline.read(recording, reading.checked())
     (repaired,), findings = pipeline.repair_runs([found])
     io.write(repaired, output)
@@ -101,15 +92,54 @@ def repair(
         printing.print_files(printer, [("recording", output)])
 
 
+@dataclass(frozen=True)
+class TuningOptions:
+    """Settings of the methods.
+
+    Parameters
+    ----------
+    mu
+        Regularisation of ANISOMAP's reciprocal; with 0, unrelated components stay separate.
+    bins
+        Bins per sensor for entropies.
+    n_neighbours
+        Neighbours per sensor in ISOMAP's graph. Default: the smallest number that connects all.
+    even_spacing
+        Declare that neighbouring sensors are evenly spaced; recorded as a note on the map.
+    tolerance
+        Stop scaling when an iteration lowers the stress by less than this share.
+    max_iterations
+        Maximum number of iterations of the scaling.
+    """
+
+    mu: float = MethodOptions.mu
+    bins: int = DEFAULT_BINS
+    n_neighbours: int | None = None
+    even_spacing: options.Flag = False
+    tolerance: float = SmacofOptions.tolerance
+    max_iterations: int = SmacofOptions.max_iterations
+
+    def checked(self) -> MethodOptions:
+        """Convert to the options of the library."""
+        return MethodOptions(
+            mu=self.mu,
+            bins=self.bins,
+            n_neighbours=self.n_neighbours,
+            even_spacing=self.even_spacing,
+            smacof=SmacofOptions(self.tolerance, self.max_iterations),
+        )
+
+
+_DEFAULT_TUNING = TuningOptions()
+
+
 def map_recording(
     recordings: Annotated[list[Path], Parameter(help="Recording files of one skin.")],
     /,
     *,
-    output: Annotated[
-        list[Path] | None, Parameter(alias="-o", group=options.outputs_group, negative=())
-    ] = None,
-    picture: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
-    report: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    output: options.Output = None,
+    picture: options.Picture = None,
+    report: options.Report = None,
     method: Annotated[
         str | None,
         Parameter(alias="-m", group=options.method_group, show_default=DEFAULT_METHOD),
@@ -117,18 +147,13 @@ def map_recording(
     dimensions: options.MapDimensions = AUTO,
     drop: options.Drop = None,
     missing: options.Missing = "error",
-    repair: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
-    mu: Annotated[float, Parameter(group=options.method_group)] = MethodOptions.mu,
-    bins: Annotated[int, Parameter(group=options.method_group)] = DEFAULT_BINS,
-    n_neighbours: Annotated[int | None, Parameter(group=options.method_group)] = None,
-    even_spacing: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
-    tolerance: Annotated[float, Parameter(group=options.method_group)] = SmacofOptions.tolerance,
-    max_iterations: Annotated[
-        int, Parameter(group=options.method_group)
-    ] = SmacofOptions.max_iterations,
+    repair: Annotated[options.Flag, Parameter(group=options.method_group)] = False,
+    tuning: Annotated[
+        TuningOptions, Parameter(name="*", group=options.method_group)
+    ] = _DEFAULT_TUNING,
     reading: options.Reading = options.DEFAULT_READING,
     verdict: Annotated[bool, Parameter(group=options.method_group)] = True,
-    keep_statistics: Annotated[bool, Parameter(group=options.outputs_group, negative=())] = False,
+    keep_statistics: Annotated[options.Flag, Parameter(group=options.outputs_group)] = False,
     min_quality: Annotated[
         Literal["usable", "usable-locally"] | None, Parameter(group=options.method_group)
     ] = None,
@@ -153,10 +178,6 @@ def map_recording(
     output
         File for the map; its suffix chooses the format. May be repeated. Default: NAME.map.csv in
         the current folder.
-    picture
-        File for a figure: .png, .svg or .pdf.
-    report
-        File for a report: one HTML file that works offline.
     method
         Reconstruction method: see `anisomap methods`.
     dimensions
@@ -165,18 +186,6 @@ def map_recording(
     repair
         Mend faults of the recording first: copies, inverted sensors, lags, leaks, noise and hum
         that sensors share, drift and gaps. `anisomap info` lists those that it finds.
-    mu
-        Regularisation of ANISOMAP's reciprocal; with 0, unrelated components stay separate.
-    bins
-        Bins per sensor for entropies.
-    n_neighbours
-        Neighbours per sensor in ISOMAP's graph. Default: the smallest number that connects all.
-    even_spacing
-        Declare that neighbouring sensors are evenly spaced; recorded as a note on the map.
-    tolerance
-        Stop scaling when an iteration lowers the stress by less than this share.
-    max_iterations
-        Maximum number of iterations of the scaling.
     verdict
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
         This takes about as long as the map.
@@ -188,34 +197,29 @@ def map_recording(
     """
     if min_quality and not verdict:
         raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
-    outputs_of_map = tuple(output or [Path(f"{recordings[0].name.split('.')[0]}.map.csv")])
+    maps = output or [options.beside(recordings[0], ".map.csv")]
+    statistics = io.statistics_beside(maps[0]) if keep_statistics else None
     outputs = pipeline.Outputs(
-        maps=outputs_of_map,
+        maps=maps,
         picture=picture,
         report=report,
-        checkpoint=large.checkpoint,
-        inputs=(*recordings, *reading.inputs, *([truth] if truth else [])),
+        others=(large.checkpoint, statistics),
+        inputs=(*recordings, *reading.inputs, truth),
         placing=placing,
-        statistics=io.statistics_beside(outputs_of_map[0]) if keep_statistics else None,
     )
-    outputs.check()
-    placing.check(outputs.maps)
+    placing.check(maps)
     how = reading.checked()
-    chosen = MethodOptions(
-        mu=mu,
-        bins=bins,
-        n_neighbours=n_neighbours,
-        even_spacing=even_spacing,
-        smacof=SmacofOptions(tolerance, max_iterations),
-    )
+    chosen = tuning.checked()
     by = large.method(method)
-    find_method(by)  # report an unknown method before the recording is read
+    # Unknown methods and options are refused before the recording is read.
+    find_method(by)
+    check_even_spacing(by, chosen, readings=True)
     reference = None if truth is None else pipeline.read_reference(truth)
-    streamed = None
+    source: pipeline.Source
     mended: Sequence[Finding] = ()
     if large.is_requested or streams.too_large(recordings, how):
         _check_in_blocks(repair=repair, keep_statistics=keep_statistics)
-        examined, streamed = streams.examine(
+        source = streams.read_in_blocks(
             recordings,
             how,
             missing=missing,
@@ -227,21 +231,20 @@ def map_recording(
         )
     elif repair:
         runs, mended = pipeline.repair_runs([pipeline.read(path, how) for path in recordings])
-        runs = [pipeline.complete(run, missing) for run in runs]
-        examined = pipeline.examine(runs, [one for one in mended if not one.mendable])
+        source = [pipeline.complete(run, missing) for run in runs]
     else:
-        examined = pipeline.examine(pipeline.read_runs(recordings, how, missing))
+        source = pipeline.read_runs(recordings, how, missing)
+    remaining = [one for one in mended if not one.mendable] if repair else None
+    examined = pipeline.examine(source, remaining)
     names = examined.recording.names
     left_out = options.sensors(exclude, names)
     dropped = options.sensors(drop, names, examined.recording.metadata)
-    examined.recording.indices(left_out)  # report unknown names before the map is computed
+    examined.recording.indices([*left_out, *dropped])  # unknown names are refused at once
     if left_out and examined.recording.positions is None and reference is None:
         print_warning(
             "--exclude has no effect: the recording has no true positions to score against"
         )
     with reporting.printer() as printer:
-        printing.print_recording(printer, examined.recording, examined.summary)
-        printing.print_findings(printer, mended if repair else examined.findings, repaired=repair)
         sensor_map = pipeline.make_map(
             examined,
             by,
@@ -250,19 +253,20 @@ def map_recording(
             drop=dropped,
             with_verdict=verdict,
             seed=seed,
-            streamed=streamed,
         )
+        printing.print_recording(printer, examined.recording, examined.summary)
+        printing.print_findings(printer, mended if repair else examined.findings, repaired=repair)
         if done := dict.fromkeys(one.kind for one in mended if one.mendable):
             provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
             sensor_map = replace(sensor_map, provenance=provenance)
         written = []
-        if outputs.statistics is not None:
+        if statistics is not None:
             with progress("gathering statistics"):
                 evidence = gather_evidence(
                     examined.runs, by, sensor_map.dimensions, options=chosen, drop=dropped
                 )
-            io.write_statistics(evidence, outputs.statistics)
-            written.append(("statistics", outputs.statistics))
+            io.write_statistics(evidence, statistics)
+            written.append(("statistics", statistics))
         pipeline.finish(
             printer,
             outputs,
@@ -271,7 +275,7 @@ def map_recording(
             permutations=permutations,
             seed=seed,
             exclude=left_out,
-            already_written=written,
+            written=written,
             truth=reference,
         )
     level = (min_quality or "").replace("-", " ")

@@ -1,9 +1,4 @@
-"""``anisomap simulate``: a recording of a simulated skin with known positions.
-
-``anisomap coverage``: the required length and density of a stimulation.
-
-``anisomap spoil``: inject documented faults into a recording.
-"""
+"""``anisomap simulate``, ``coverage`` and ``spoil``: recordings whose truth is known."""
 
 from __future__ import annotations
 
@@ -13,22 +8,21 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
-from cyclopts.validators import Number
+from numpy.typing import NDArray
 
 from anisomap import io
 from anisomap.cli import bodies, pipeline, printing
 from anisomap.cli import parameters as options
-from anisomap.cli.console import Printer, number, percent, print_warning, progress
+from anisomap.cli.console import Columns, Printer, number, percent, print_warning, progress
 from anisomap.drawing import figures
 from anisomap.drawing.figures import scenes
 from anisomap.drawing.figures.charts import coverage_figure
 from anisomap.errors import InputError
-from anisomap.files import atomic_write, check_distinct, check_target
+from anisomap.files import atomic_write, check_target
 from anisomap.methods import DEFAULT_METHOD
 from anisomap.scene import Scene
 from anisomap.simulation import (
     Body,
-    CoverageCurve,
     Simulation,
     coverage_curve,
     inject,
@@ -51,12 +45,12 @@ def simulate_body(
     *,
     scenario: Annotated[str, Parameter(alias="-s")] = "bombardment",
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
-    seed: Annotated[int, Parameter(validator=Number(gte=0))] = 1,
-    frames: Annotated[int, Parameter(validator=Number(gte=1))] = 2000,
+    seed: options.Amount = 1,
+    frames: options.Count = 2000,
     sensors: str | None = None,
     placement: str | None = None,
-    parameter: Annotated[list[str] | None, Parameter(alias="-p", negative=())] = None,
-    runs: Annotated[int, Parameter(validator=Number(gte=1))] = 1,
+    parameter: Annotated[options.Words, Parameter(alias="-p")] = None,
+    runs: options.Count = 1,
     picture: Annotated[Path | None, Parameter(group=_looks)] = None,
     video: Annotated[Path | None, Parameter(group=_looks)] = None,
     renderer: Annotated[Literal["drawing", "mujoco"], Parameter(group=_looks)] = "drawing",
@@ -99,7 +93,9 @@ def simulate_body(
     """
     skin = bodies.find(body, sensors, **({"placement": placement} if placement else {}))
     target = output or Path(f"{skin.name}-{scenario}.npz")
-    _check_outputs(target, picture, video, body)
+    pipeline.Outputs(recording=target, picture=picture, others=[video], inputs=[Path(body)])
+    if video:
+        scenes.check_animation(video)
     settings = {"n_frames": frames, **bodies.parse_parameters(parameter or [])}
     if runs > 1:
         if picture or video or view:
@@ -118,17 +114,6 @@ def simulate_body(
         printer.line(f"\nMap it:\n  anisomap map {target} -o map.csv")
     if view:
         _view(simulation.scene)
-
-
-def _check_outputs(target: Path, picture: Path | None, video: Path | None, body: str) -> None:
-    check_distinct([path for path in (target, picture, video) if path], [Path(body)])
-    io.check_writable(target)
-    if target.suffix.lower() != ".npz":
-        raise InputError(f"recordings are written as NPZ: {target} must end in .npz")
-    if picture:
-        figures.check_writable(picture)
-    if video:
-        scenes.check_animation(video)
 
 
 def _simulate_many(
@@ -210,7 +195,13 @@ def _view(scene: Scene) -> None:
         print_warning(f"{error}; --picture and --video work without one")
 
 
-_COLUMNS = ("frames", "seconds", "sensors touched", "neighbours touched together", "Mantel r")
+_COLUMNS: Columns = {
+    "frames": ("frames", str),
+    "seconds": ("seconds", number),
+    "sensors touched": ("sensors_touched", percent),
+    "neighbours touched together": ("neighbours_touched_together", percent),
+    "Mantel r": ("mantel_r", lambda each: number(_mean(each), 3)),
+}
 
 
 def coverage(
@@ -218,15 +209,15 @@ def coverage(
     /,
     *,
     scenario: Annotated[str, Parameter(alias="-s")] = "rubbing",
-    frames: Annotated[list[int] | None, Parameter(negative=(), validator=Number(gte=1))] = None,
-    runs: Annotated[int, Parameter(validator=Number(gte=1))] = 3,
-    seed: Annotated[int, Parameter(validator=Number(gte=0))] = 1,
+    frames: Annotated[list[options.Count] | None, Parameter(negative=())] = None,
+    runs: options.Count = 3,
+    seed: options.Amount = 1,
     sensors: str | None = None,
-    parameter: Annotated[list[str] | None, Parameter(alias="-p", negative=())] = None,
+    parameter: Annotated[options.Words, Parameter(alias="-p")] = None,
     method: Annotated[str, Parameter(alias="-m")] = DEFAULT_METHOD,
-    dimensions: Annotated[int, Parameter(alias="-d", validator=Number(gte=1))] = 3,
+    dimensions: Annotated[options.Count, Parameter(alias="-d")] = 3,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
-    picture: Path | None = None,
+    picture: options.Picture = None,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Estimate how long a skin must be stimulated: coverage as a function of recording length.
@@ -254,14 +245,10 @@ def coverage(
         Number of coordinates.
     output
         CSV file for the table.
-    picture
-        File for a figure of the curves: .png, .svg or .pdf.
     """
-    check_distinct([path for path in (output, picture) if path], [])
+    pipeline.Outputs(picture=picture, others=[output])
     if output:
         check_target(output)
-    if picture:
-        figures.check_writable(picture)
     skin = bodies.find(body, sensors)
     with progress(f"simulating {runs} runs of {scenario} of {skin.name}"):
         curve = coverage_curve(
@@ -273,11 +260,22 @@ def coverage(
             dimensions=dimensions,
             **bodies.parse_parameters(parameter or []),
         )
-    rows = _rows(curve)
+    records = [
+        {
+            "frames": int(n_frames),
+            "seconds": float(curve.seconds[i]),
+            "sensors_touched": float(curve.touched[i].mean()),
+            "neighbours_touched_together": float(curve.pairs[i].mean()) / max(curve.n_pairs, 1),
+            "mantel_r": curve.mantel_r[i],
+        }
+        for i, n_frames in enumerate(curve.n_frames)
+    ]
     with reporting.printer() as printer:
-        printer.table(f"Coverage of {skin.name} by {scenario}, mean of {runs} runs", _COLUMNS, rows)
-        printer.record(body=skin.name, scenario=scenario, runs=runs, coverage=_values(curve))
+        title = f"Coverage of {skin.name} by {scenario}, mean of {runs} runs"
+        printer.rows(title, _COLUMNS, records)
+        printer.record(body=skin.name, scenario=scenario, runs=runs, coverage=records)
     if output:
+        rows = [[shown(one[name]) for name, shown in _COLUMNS.values()] for one in records]
         with atomic_write(output) as aside:
             lines = [",".join(cells) for cells in (_COLUMNS, *rows)]
             aside.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -292,33 +290,10 @@ def coverage(
         figures.save_figure(figure, picture)
 
 
-def _rows(curve: CoverageCurve) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = []
-    for i, n_frames in enumerate(curve.n_frames):
-        maps = curve.mantel_r[i][np.isfinite(curve.mantel_r[i])]
-        rows.append(
-            (
-                str(n_frames),
-                number(float(curve.seconds[i])),
-                percent(float(curve.touched[i].mean())),
-                percent(float(curve.pairs[i].mean()) / max(curve.n_pairs, 1)),
-                number(float(maps.mean()), 3) if maps.size else "-",
-            )
-        )
-    return rows
-
-
-def _values(curve: CoverageCurve) -> list[dict[str, object]]:
-    return [
-        {
-            "frames": int(n_frames),
-            "seconds": float(curve.seconds[i]),
-            "sensors_touched": float(curve.touched[i].mean()),
-            "neighbours_touched_together": float(curve.pairs[i].mean()) / max(curve.n_pairs, 1),
-            "mantel_r": curve.mantel_r[i],
-        }
-        for i, n_frames in enumerate(curve.n_frames)
-    ]
+def _mean(values: NDArray[np.float64]) -> float:
+    """Return the mean of the values that are known; NaN if none is."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else np.nan
 
 
 def spoil(
@@ -327,7 +302,7 @@ def spoil(
     *,
     fault: Annotated[list[str], Parameter(alias="-f", negative=())],
     output: Annotated[Path, Parameter(alias="-o")],
-    seed: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
+    seed: options.Amount = 0,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Inject documented faults into a recording.
@@ -345,10 +320,7 @@ def spoil(
         The same seed gives the same faults.
     """
     requests = [parse_fault(text) for text in fault]
-    check_distinct([output], [recording])
-    io.check_writable(output)
-    if output.suffix.lower() != ".npz":
-        raise InputError(f"recordings are written as NPZ: {output} must end in .npz")
+    pipeline.Outputs(recording=output, inputs=[recording])
     spoilt = inject(pipeline.read(recording), requests, seed)
     io.write(spoilt, output)
     sensors: defaultdict[str, list[str]] = defaultdict(list)
@@ -356,16 +328,16 @@ def spoil(
     for done in injected_faults(spoilt):
         sensors[done.kind].append({ALL_SENSORS: "all", "": "-"}.get(done.sensor, done.sensor))
         frames[done.kind] += sum(stop - start for start, stop in done.spans)
+    records = [
+        {"fault": kind, "sensors": names, "readings_or_frames": frames[kind]}
+        for kind, names in sensors.items()
+    ]
+    columns: Columns = {
+        "fault": ("fault", str),
+        "sensors": ("sensors", join_items),
+        "readings or frames": ("readings_or_frames", str),
+    }
     with reporting.printer() as printer:
-        printer.table(
-            "Injected faults",
-            ("fault", "sensors", "readings or frames"),
-            [(kind, join_items(names), str(frames[kind])) for kind, names in sensors.items()],
-        )
-        printer.record(
-            faults=[
-                {"fault": kind, "sensors": names, "readings_or_frames": frames[kind]}
-                for kind, names in sensors.items()
-            ]
-        )
+        printer.rows("Injected faults", columns, records)
+        printer.record(faults=records)
         printing.print_files(printer, [("recording", output)])
