@@ -28,10 +28,10 @@ from anisomap.simulation.options import (
     ScenarioOptions,
     ScenarioResult,
     count,
+    count_steps,
     no_progress,
     positive,
     static_props,
-    steps_per_frame,
 )
 from anisomap.simulation.sensing import read_balls
 
@@ -156,7 +156,7 @@ class BombardmentOptions(ScenarioOptions):
     def steps_per_frame(self) -> int:
         """Number of physics steps per frame."""
         longest = self.timestep or self.shortest_contact / _STEPS_PER_CONTACT
-        return steps_per_frame(self.frame_interval, longest)
+        return count_steps(self.frame_interval, longest)
 
     @property
     def step(self) -> float:

@@ -34,9 +34,9 @@ from anisomap.simulation.options import (
     Progress,
     ScenarioOptions,
     ScenarioResult,
+    count_steps,
     no_progress,
     positive,
-    steps_per_frame,
 )
 
 _TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
@@ -210,7 +210,7 @@ class LocomotionOptions(ScenarioOptions):
     @property
     def steps_per_frame(self) -> int:
         """Number of physics steps per frame."""
-        return steps_per_frame(self.frame_interval, self.timestep)
+        return count_steps(self.frame_interval, self.timestep)
 
     @property
     def step(self) -> float:

@@ -112,9 +112,9 @@ def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = N
     return kind(**values)
 
 
-def steps_per_frame(frame_interval: float, longest_step: float) -> int:
-    """Return the number of equal physics steps in a frame, each at most `longest_step`."""
-    return max(1, math.ceil(frame_interval / longest_step * (1 - 1e-12)))
+def count_steps(length: float, longest: float) -> int:
+    """Return the number of equal steps in a length, each at most `longest` but for rounding."""
+    return max(1, math.ceil(length / longest * (1 - 1e-12)))
 
 
 Progress: TypeAlias = Callable[[float], None]

@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.simulation.bodies.body import ON_SURFACE, Body, nearest_neighbours
-from anisomap.simulation.options import REACH, ScenarioOptions, between, positive
+from anisomap.simulation.options import REACH, ScenarioOptions, between, count_steps, positive
 from anisomap.simulation.solids import Points, Solid, sample_surface
 
 _N_SAMPLES = 4000
@@ -204,7 +204,7 @@ class _Walk:
     def __init__(self, body: Body, sample: SurfaceSample, options: StrokeOptions) -> None:
         self.options = options
         self.stride = options.speed * options.frame_interval
-        self.n_steps = max(1, math.ceil(self.stride / (_MAX_STEP * body.reach)))
+        self.n_steps = count_steps(self.stride, _MAX_STEP * body.reach)
         self.sensors, self.sensor_normals = body.positions, body.normals
         self.visits = np.zeros(body.n_sensors)
         self._sensor_tree = KDTree(body.positions)
