@@ -23,7 +23,7 @@ from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.simulation.bodies import Body
-from anisomap.simulation.checks import check_count
+from anisomap.simulation.checks import COUNT
 from anisomap.simulation.scenarios import simulate_runs
 
 LENGTHS = (62, 125, 250, 500, 1000, 2000)
@@ -109,7 +109,7 @@ def coverage_curve(
         If there are no lengths or no seeds, or as `simulate` does.
     """
     for n in n_frames:
-        check_count("n_frames", n)
+        COUNT.check("n_frames", n)
     lengths = np.unique(np.array(n_frames, dtype=np.intp))
     chosen = list(seeds)
     if not (lengths.size and chosen):

@@ -1,8 +1,4 @@
-"""Uneven ground: a height field with MuJoCo's triangulation.
-
-Options of locomotion, and the driver that rolls the body.
-
-Locomotion: a sphere or cylinder rolls over uneven ground under gravity.
+"""Locomotion: a sphere or cylinder rolls over uneven ground under gravity.
 
 McGregor et al. (2011), section "Scenarios". The paper's parameters were in its Text S1, which is no
 longer available; defaults here were chosen for the reasons given. Lengths are in m, and the paper's
@@ -31,12 +27,12 @@ from anisomap.simulation.engine import geom_shape, load_mujoco
 from anisomap.simulation.options import (
     REACH,
     SPACING,
+    PhysicsOptions,
     Progress,
-    ScenarioOptions,
     ScenarioResult,
-    count_steps,
     no_progress,
     positive,
+    report_frames,
 )
 
 _TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
@@ -130,7 +126,7 @@ _ROUNDING = 1e-9  # relative error of scaled lengths
 
 
 @dataclass(frozen=True)
-class LocomotionOptions(ScenarioOptions):
+class LocomotionOptions(PhysicsOptions):
     """Options of locomotion. Defaults are for the paper's sphere.
 
     They scale with the body, see `anisomap.simulation.options`.
@@ -185,7 +181,6 @@ class LocomotionOptions(ScenarioOptions):
     gravity: float = positive(9.81, "m/s2", REACH)
     friction: float = positive(1.0)
     detection_radius: float = positive(0.44, "m", SPACING)
-    frame_interval: float = positive(0.05, "s")
     timestep: float = positive(0.005, "s")
 
     def __post_init__(self) -> None:
@@ -208,14 +203,9 @@ class LocomotionOptions(ScenarioOptions):
             )
 
     @property
-    def steps_per_frame(self) -> int:
-        """Number of physics steps per frame."""
-        return count_steps(self.frame_interval, self.timestep)
-
-    @property
-    def step(self) -> float:
-        """Effective step of the physics, in s."""
-        return self.frame_interval / self.steps_per_frame
+    def longest_step(self) -> float:
+        """Longest step of the physics, in s."""
+        return self.timestep
 
 
 class Driver:
@@ -472,14 +462,11 @@ def simulate_journey(
     driver = Driver(mujoco, body, terrain, options, rng)
     for _ in range(math.ceil(_SETTLING_TIME / options.step)):
         driver.step()
-    states = [driver.measure()]
-    report_interval = max(1, n_frames // 100)
-    for frame in range(1, n_frames):
-        for _ in range(options.steps_per_frame):
+    states = []
+    for frame in report_frames(n_frames, progress):
+        for _ in range(options.steps_per_frame if frame else 0):
             driver.step()
         states.append(driver.measure())
-        if frame % report_interval == 0:
-            progress(frame / n_frames)
     return Journey(terrain, *(np.array(column) for column in zip(*states, strict=True)))
 
 

@@ -12,11 +12,12 @@ from anisomap.errors import InputError
 from anisomap.scene import Prop
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body
+from anisomap.simulation.checks import between
 from anisomap.simulation.options import (
     REACH,
     ScenarioOptions,
     ScenarioResult,
-    between,
+    option,
     positive,
     static_props,
 )
@@ -60,10 +61,9 @@ class PressingOptions(ScenarioOptions):
 
     press_depth: float = positive(0.1, "m", REACH)
     press_interval: float = positive(0.5, "s")
-    tilt: float = between(0.3, 0, math.pi)
-    rocking: float = between(0.3, 0, math.pi)
+    tilt: float = option(0.3, between(0, math.pi))
+    rocking: float = option(0.3, between(0, math.pi))
     detection_radius: float = positive(0.3, "m", REACH)
-    frame_interval: float = positive(0.05, "s")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -21,11 +21,12 @@ from anisomap.errors import InputError
 from anisomap.scene import Prop
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body
+from anisomap.simulation.checks import COUNT
 from anisomap.simulation.options import (
     REACH,
     ScenarioOptions,
     ScenarioResult,
-    count,
+    option,
     positive,
     static_props,
 )
@@ -67,12 +68,11 @@ class PulsesOptions(ScenarioOptions):
         If an option is not positive, or there is no source.
     """
 
-    n_sources: int = count(3)
+    n_sources: int = option(3, COUNT)
     strength: float = positive(1.0)
     field_radius: float = positive(1.5, "m", REACH)
     half_distance: float = positive(0.4, "m", REACH)
     pulse_length: float = positive(0.4, "s")
-    frame_interval: float = positive(0.05, "s")
 
 
 def pulses(

@@ -23,7 +23,7 @@ from anisomap.scene import Scene
 from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bodies.body import surface_distances
 from anisomap.simulation.bombardment import BombardmentOptions, bombardment
-from anisomap.simulation.checks import check_count
+from anisomap.simulation.checks import COUNT
 from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomotion
 from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
@@ -184,7 +184,7 @@ def run_simulation(
     **parameters: Any,
 ) -> Simulation:
     """Simulate a recording and its scene; see `simulate`."""
-    check_count("n_frames", n_frames)
+    COUNT.check("n_frames", n_frames)
     chosen = find_scenario(scenario)
     given = find_body(body)
     options = options_for(chosen.options, given, parameters)

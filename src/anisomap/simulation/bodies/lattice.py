@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from anisomap.errors import InputError
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body, straight_lines
-from anisomap.simulation.checks import check_count
+from anisomap.simulation.checks import COUNT
 
 Floats = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def sphere(n_sensors: int = 60) -> Body:
     doi:10.1007/s11004-009-9257-x): each represents the same area, and distances between
     neighbours differ by a few per cent.
     """
-    check_count("n_sensors", n_sensors)
+    COUNT.check("n_sensors", n_sensors)
     normals = fibonacci_cap(n_sensors)
     return Body(
         name="sphere",
@@ -71,7 +71,7 @@ def cylinder(n_sensors: int = 60, *, placement: str = "columns", seed: int = 0) 
         raise InputError(
             f"there is no placement {placement!r}; choose from {', '.join(CYLINDER_PLACEMENTS)}"
         )
-    check_count("n_sensors", n_sensors)
+    COUNT.check("n_sensors", n_sensors)
     angles, heights = CYLINDER_PLACEMENTS[placement](n_sensors, np.random.default_rng(seed))
     around = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n_sensors)])
     return Body(
@@ -128,7 +128,7 @@ def y_shape(n_sensors: int = 105) -> Body:
 
 def plane(n_sensors: int = 169) -> Body:
     """Make a cuboid with a square grid of sensors on its upper face."""
-    check_count("n_sensors", n_sensors)
+    COUNT.check("n_sensors", n_sensors)
     side = round(np.sqrt(n_sensors))
     if side**2 != n_sensors:
         raise InputError(
@@ -174,7 +174,7 @@ def midpoints(n: int, length: float) -> NDArray[np.float64]:
 
 
 def _divided(n_sensors: int, groups: int, meaning: str) -> int:
-    check_count("n_sensors", n_sensors)
+    COUNT.check("n_sensors", n_sensors)
     if n_sensors % groups:
         raise InputError(
             f"n_sensors must be a multiple of {groups}, the {meaning}; got {n_sensors}"

@@ -21,7 +21,7 @@ from anisomap.simulation.bodies.lattice import (
     SPHERE_RADIUS,
     great_circles,
 )
-from anisomap.simulation.checks import check_count
+from anisomap.simulation.checks import COUNT
 from anisomap.simulation.solids import Density, Solid, spread
 
 TORUS_RADIUS, TORUS_TUBE = 0.75, 0.3
@@ -118,7 +118,7 @@ def covered(
     rng: np.random.Generator | int = _SEED,
 ) -> Body:
     """Make a body from solids and spread sensors over it."""
-    check_count("n_sensors", n_sensors)
+    COUNT.check("n_sensors", n_sensors)
     positions, normals = spread(parts, n_sensors, np.random.default_rng(rng), density)
     return Body(name, positions, normals, parts)
 
