@@ -48,9 +48,7 @@ _MESH_THICKNESS = 1e-6  # x reach
 
 @dataclass(frozen=True)
 class BombardmentOptions(PhysicsOptions):
-    """Options of a bombardment. Defaults are for the paper's sphere.
-
-    They scale with the body, see `anisomap.simulation.options`.
+    """Options of a bombardment. Defaults, for the paper's sphere, scale with the body.
 
     Parameters
     ----------
@@ -85,11 +83,6 @@ class BombardmentOptions(PhysicsOptions):
     timestep : float, optional
         Longest step of the physics, in s. It is shortened to divide a frame into equal steps.
         Default: a sixteenth of a contact, 1.1 ms with the other defaults.
-
-    Raises
-    ------
-    InputError
-        If an option is not positive, the balls are too soft, or the step is too long.
     """
 
     box_half_width: float = positive(3.0, "m", REACH)

@@ -127,9 +127,7 @@ _ROUNDING = 1e-9  # relative error of scaled lengths
 
 @dataclass(frozen=True)
 class LocomotionOptions(PhysicsOptions):
-    """Options of locomotion. Defaults are for the paper's sphere.
-
-    They scale with the body, see `anisomap.simulation.options`.
+    """Options of locomotion. Defaults, for the paper's sphere, scale with the body.
 
     Parameters
     ----------
@@ -164,12 +162,6 @@ class LocomotionOptions(PhysicsOptions):
     timestep : float
         Longest step of the physics, in s. It is shortened to divide a frame into equal steps.
         0.005: a quarter of the time constant of contacts with the ground, 0.02 s.
-
-    Raises
-    ------
-    InputError
-        If an option is not positive, the step is too long, the cells are too large for the bumps,
-        or the ground is too steep.
     """
 
     half_width: float = positive(8.0, "m", REACH)

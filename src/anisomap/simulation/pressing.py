@@ -30,9 +30,7 @@ _SLAB_HALF_THICKNESS = 0.02  # x reach; for drawing only
 
 @dataclass(frozen=True)
 class PressingOptions(ScenarioOptions):
-    """Options of pressing. Defaults are for the paper's sphere.
-
-    They scale with the body, see `anisomap.simulation.options`.
+    """Options of pressing. Defaults, for the paper's sphere, scale with the body.
 
     Parameters
     ----------
@@ -51,12 +49,6 @@ class PressingOptions(ScenarioOptions):
         Detection radius of the sensors, in m. 0.3: as in rubbing.
     frame_interval : float
         Time between frames, in s. 0.05: as in bombardment.
-
-    Raises
-    ------
-    InputError
-        If an option is not positive (`tilt` and `rocking` may be 0), or a press is shorter than
-        two frames.
     """
 
     press_depth: float = positive(0.1, "m", REACH)

@@ -38,9 +38,7 @@ _MAX_ROUNDS = 1000  # of rejection sampling
 
 @dataclass(frozen=True)
 class PulsesOptions(ScenarioOptions):
-    """Options of pulses. Defaults are for the paper's sphere.
-
-    They scale with the body, see `anisomap.simulation.options`.
+    """Options of pulses. Defaults, for the paper's sphere, scale with the body.
 
     Parameters
     ----------
@@ -61,11 +59,6 @@ class PulsesOptions(ScenarioOptions):
         Duration of a pulse with the shape of a squared sine, in s. 0.4: eight frames.
     frame_interval : float
         Time between frames, in s. 0.05: as in bombardment.
-
-    Raises
-    ------
-    InputError
-        If an option is not positive, or there is no source.
     """
 
     n_sources: int = option(3, COUNT)

@@ -57,12 +57,6 @@ class RubbingOptions(StrokeOptions):
         and .85, .88, .88, .85 on the cylinder (means of 3 to 5 seeds).
     n_hands : int
         Number of hands, which move independently. 1: as in the paper.
-
-    Raises
-    ------
-    InputError
-        As `StrokeOptions`, or if there is no hand, or `press_depth` exceeds the thickness of the
-        palm.
     """
 
     hand_size: float = positive(0.35, "m", REACH)
@@ -200,11 +194,6 @@ class RollerOptions(StrokeOptions):
         Length without the round caps, in m. 1.2: a few sensor spacings of the sphere.
     detection_radius : float
         Detection radius of the sensors, in m. 0.3: as in `RubbingOptions`.
-
-    Raises
-    ------
-    InputError
-        As `StrokeOptions`, or if `press_depth` is not below `roller_radius`.
     """
 
     press_depth: float = positive(0.1, "m", REACH, below="roller_radius")

@@ -51,12 +51,6 @@ class SelfTouchOptions(StrokeOptions):
     finger_detection_radius : float
         Detection radius of the fingertip's sensors, in m. 0.15: half of the finger radius, so that
         readings depend on the orientation of the fingertip.
-
-    Raises
-    ------
-    InputError
-        As `StrokeOptions`, or if there are no finger sensors, or `press_depth` is not below
-        `finger_radius`.
     """
 
     press_depth: float = positive(0.1, "m", REACH, below="finger_radius")

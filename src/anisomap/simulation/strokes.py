@@ -38,9 +38,7 @@ _LIFT_PROFILE = np.array([1, 2, 3]) / 3
 
 @dataclass(frozen=True)
 class StrokeOptions(ScenarioOptions):
-    """Options of strokes. Defaults are for the paper's sphere.
-
-    They scale with the body, see `anisomap.simulation.options`.
+    """Options of strokes. Defaults, for the paper's sphere, scale with the body.
 
     Parameters
     ----------
@@ -63,12 +61,6 @@ class StrokeOptions(ScenarioOptions):
     frame_interval : float
         Time between frames, in s. 0.05: the stimulus moves by a quarter of the sensor spacing of
         the sphere.
-
-    Raises
-    ------
-    InputError
-        If a length, the speed or the interval is not positive, a share is not in [0, 1], or a
-        stroke is shorter than a frame.
     """
 
     speed: float = positive(2.0, "m/s", REACH)

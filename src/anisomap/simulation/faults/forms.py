@@ -9,13 +9,14 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import wraps
+from functools import cached_property, wraps
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.errors import InputError
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 from anisomap.simulation.checks import Range
@@ -25,6 +26,7 @@ Column: TypeAlias = NDArray[np.floating]
 Readings: TypeAlias = NDArray[np.floating]
 Sensors: TypeAlias = Iterable[str | int]
 Randomness: TypeAlias = np.random.Generator | int
+Rewritten: TypeAlias = tuple[Readings, Sequence[int]]
 Injector: TypeAlias = Callable[..., Recording]
 
 _faults: dict[str, Injector] = {}
@@ -87,6 +89,51 @@ class Channel:
         return self.readings, spans
 
 
+@dataclass(frozen=True, eq=False)
+class Group:
+    """A recording before a fault, sensors of it as given, and a generator."""
+
+    recording: Recording
+    sensors: Sensors
+    rng: np.random.Generator
+
+    @property
+    def readings(self) -> Readings:
+        """Readings of all sensors, shape (T, N)."""
+        return self.recording.readings
+
+    @cached_property
+    def chosen(self) -> list[int]:
+        """Sorted indices of the sensors."""
+        return [int(i) for i in self.recording.indices(self.sensors)]
+
+    def in_order(self) -> list[int]:
+        """Look the sensors up in the given order; each must be listed once."""
+        found = [int(self.recording.indices([sensor])[0]) for sensor in self.sensors]
+        for i in found:
+            if found.count(i) > 1:
+                name = self.recording.names[i]
+                raise InputError(f"sensor {name} is listed twice; list each sensor once")
+        return found
+
+    def boards(self, size: int) -> list[list[int]]:
+        """Divide the chosen sensors into boards of a size; 0 makes one board of all."""
+        step = size or max(1, len(self.chosen))
+        return [self.chosen[start : start + step] for start in range(0, len(self.chosen), step)]
+
+    @property
+    def deviation(self) -> float:
+        """Median standard deviation of the chosen sensors; 1 if none varies."""
+        readings = self.readings[:, self.chosen].astype(np.float64)
+        known = np.isfinite(readings)
+        counts = np.maximum(known.sum(axis=0), 1)
+        centred = np.where(known, readings, 0)
+        centred -= centred.sum(axis=0) / counts
+        deviations = np.sqrt(np.where(known, centred**2, 0).sum(axis=0) / counts)
+        varying = deviations[deviations > 0]
+        return float(np.median(varying)) if varying.size else 1.0
+
+
 def finite_range(readings: Readings) -> tuple[float, float]:
     """Return the lowest and the highest finite reading; 0 and 0 if there are none."""
     finite = readings[np.isfinite(readings)]
@@ -125,20 +172,16 @@ def sensor_fault(
 
 def group_fault(
     **ranges: Range,
-) -> Callable[[Callable[..., tuple[Readings, Sequence[int]]]], Injector]:
-    """Enter a function of a recording, sensors and a generator.
+) -> Callable[[Callable[..., Rewritten]], Injector]:
+    """Enter a function of a `Group` that returns readings (T, N) and the affected sensors."""
 
-    It returns readings (T, N) and the affected sensors.
-    """
-
-    def enter(effect: Callable[..., tuple[Readings, Sequence[int]]]) -> Injector:
+    def enter(effect: Callable[..., Rewritten]) -> Injector:
         def fault(
             recording: Recording, sensors: Sensors, *, rng: Randomness = 0, **parameters: Any
         ) -> Recording:
             _check(parameters, ranges)
-            readings, affected = effect(
-                recording, sensors, np.random.default_rng(rng), **parameters
-            )
+            group = Group(recording, sensors, np.random.default_rng(rng))
+            readings, affected = effect(group, **parameters)
             spans = all_frames(recording.n_frames)
             faults = [Fault(_kind(effect), recording.names[i], spans) for i in affected]
             return with_faults(recording, readings, faults)
