@@ -1,8 +1,6 @@
-"""Solids with exact signed distances: primitives in closed form, and closed triangle meshes.
+"""Solids with exact signed distances, and random and evenly spread points on their surface.
 
-Distances are positive outside and negative inside.
-
-Random and evenly spread points on the surface of solids.
+Solids are primitives in closed form and closed triangle meshes. Distances are negative inside.
 """
 
 from __future__ import annotations

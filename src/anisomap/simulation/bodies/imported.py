@@ -1,9 +1,7 @@
-"""Check what a MuJoCo model declares before MuJoCo allocates it.
+"""Bodies from meshes, MuJoCo models and positions of sensors.
 
-A few characters can declare any number of elements (``replicate``) or values (``hfield``), and any
-file of the system as a part of the model.
-
-Bodies from meshes, MuJoCo models and positions of sensors.
+What a MuJoCo model declares is checked before MuJoCo allocates it: a few characters can declare any
+number of elements (``replicate``) or values (``hfield``), and any file as a part of the model.
 """
 
 from __future__ import annotations

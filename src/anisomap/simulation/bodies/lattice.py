@@ -1,14 +1,12 @@
-"""Bodies with sensors on regular lattices: sphere, cylinder, Y-shape and plane.
+"""Bodies with sensors on regular lattices: sphere, cylinder, Y-shape, plane and hexagon.
 
 These are the simulated bodies of McGregor et al. (2011), section "Geometries" and Figure 5. The
 paper gives no lengths; those here give each body a reach of about 1 m. All functions raise
 InputError if `n_sensors` does not fit the lattice.
 
-The hardware patch of McGregor et al. (2011): a hexagon of six IIT triangles.
-
-A triangle has 12 capacitive pads, two of which are thermal and not used as sensors. See Maiolino
-et al. (2013), "A flexible and robust large scale capacitive tactile system for robots", IEEE
-Sensors Journal 13(10): 3910-3917, doi:10.1109/JSEN.2013.2258149.
+The hardware patch is a hexagon of six IIT triangles, each with 12 capacitive pads, two of which are
+thermal and not used as sensors (Maiolino et al. 2013, "A flexible and robust large scale capacitive
+tactile system for robots", IEEE Sensors Journal 13(10): 3910-3917, doi:10.1109/JSEN.2013.2258149).
 """
 
 from __future__ import annotations
