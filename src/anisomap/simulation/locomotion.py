@@ -76,18 +76,6 @@ class Terrain:
         vertices = np.column_stack([x.ravel(), y.ravel(), self.heights.ravel()])
         return Mesh(vertices, np.vstack(faces))
 
-    def height(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Interpolate the height at places (n, 2); constant beyond the edges."""
-        scaled = (np.asarray(places, dtype=np.float64)[:, :2] + self.half_width) / self.cell
-        last = len(self.heights) - 1
-        scaled = np.clip(scaled, 0, last)
-        column, row = np.minimum(scaled.astype(np.intp), last - 1).T
-        right, up = scaled[:, 0] - column, scaled[:, 1] - row
-        corner, beyond = self.heights[row, column], self.heights[row + 1, column + 1]
-        third = np.where(right >= up, self.heights[row, column + 1], self.heights[row + 1, column])
-        most, least = np.maximum(right, up), np.minimum(right, up)
-        return np.asarray(corner + most * (third - corner) + least * (beyond - third))
-
     def distance(self, points: ArrayLike) -> Points:
         """Compute the exact distance of points from the surface. points (n, 3) -> (n,)."""
         return self._search.signed_distance(np.asarray(points, dtype=np.float64))
