@@ -404,13 +404,13 @@ def test_an_invalid_request_raises_an_error(text: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "name"), [(kind, name) for kind, ranges in RANGES.items() for name in ranges]
 )
-def test_every_parameter_of_a_fault_has_a_range(kind: str, name: str) -> None:
+def test_every_parameter_of_a_fault_refuses_nan(kind: str, name: str) -> None:
     sensors = (["s0"],) if kind in FAULTS else ()
     with pytest.raises(InputError, match=f"{name} must be .*, got nan"):
         broken(kind, random_touches(0), *sensors, **{name: float("nan")})
 
 
-def test_all_parameters_have_ranges() -> None:
+def test_the_parameters_of_every_fault_have_ranges() -> None:
     for kind, fault in {**FAULTS, **FRAME_FAULTS}.items():
         common = {"recording", "sensors", "rng", "source"}
         assert {*signature(fault).parameters} - common == {*RANGES[kind]}

@@ -29,6 +29,8 @@ Randomness: TypeAlias = np.random.Generator | int
 Rewritten: TypeAlias = tuple[Readings, Sequence[int]]
 Injector: TypeAlias = Callable[..., Recording]
 
+_OWN, _REST = inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.VAR_KEYWORD
+
 _faults: dict[str, Injector] = {}
 _frame_faults: dict[str, Injector] = {}
 _ranges: dict[str, Mapping[str, Range]] = {}
@@ -221,9 +223,6 @@ def _entered(
     registry[_kind(effect)] = wrapped
     _ranges[_kind(effect)] = ranges
     return wrapped
-
-
-_OWN, _REST = inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.VAR_KEYWORD
 
 
 def _kind(effect: Callable[..., Any]) -> str:
