@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bodies.lattice import plane, sphere, y_shape
-from anisomap.simulation.options import options_for
+from anisomap.simulation.options import count_steps, options_for
 from anisomap.simulation.strokes import (
     Cluster,
     StrokeOptions,
@@ -102,6 +102,15 @@ def test_a_stroke_is_truncated_at_the_last_frame() -> None:
     # Three points of a great circle and the centre lie in one plane.
     assert abs(np.linalg.det(path.points[[0, 10, 20]])) < 0.02
     assert path.n_strokes == 1
+
+
+@given(st.integers(1, 50), st.floats(1e-3, 1e3))
+def test_the_number_of_steps_does_not_depend_on_the_unit_of_length(
+    n_steps: int, unit: float
+) -> None:
+    # The quotient of the two products can exceed n_steps by a rounding error.
+    assert count_steps(n_steps * 0.02 * unit, 0.02 * unit) == n_steps
+    assert count_steps((n_steps + 0.5) * unit, unit) == n_steps + 1
 
 
 @given(st.integers(1, 300), st.floats(0.5, 50), seeds)

@@ -149,7 +149,7 @@ def test_readings_scale_with_the_body(scenario: str) -> None:
         ("bombardment", {"seed": None}, "seed must be .* got None"),
         ("bombardment", {"body": "teapot"}, "there is no body 'teapot'; choose from sphere"),
         ("rain", {}, "there is no scenario 'rain'; choose from bombardment"),
-        ("bombardment", {"n_bals": 3}, "has no parameter 'n_bals'; choose from box_half"),
+        ("bombardment", {"n_bals": 3}, "has no parameter 'n_bals'; choose from frame_interval"),
         ("bombardment", {"n_balls": 0}, "n_balls must be an integer of at least 1"),
         ("bombardment", {"n_balls": 2.5}, r"n_balls must be an integer of at least 1, got 2\.5"),
         ("bombardment", {"ball_radius": -0.1}, r"ball_radius must be positive, got -0\.1 m"),

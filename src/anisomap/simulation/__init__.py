@@ -22,7 +22,7 @@ from anisomap.simulation.faults import (
     injected_faults,
     parse_fault,
 )
-from anisomap.simulation.faults.sensors import dead, noisy, saturating
+from anisomap.simulation.faults.channels import dead, noisy, saturating
 from anisomap.simulation.locomotion import LocomotionOptions
 from anisomap.simulation.pressing import PressingOptions
 from anisomap.simulation.pulses import PulsesOptions

@@ -20,18 +20,18 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.scene import Prop
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.checks import check_positive
+from anisomap.simulation.checks import COUNT, at_least
 from anisomap.simulation.engine import ElasticContact, add_fixed_solids, load_mujoco, total_energy
 from anisomap.simulation.options import (
     REACH,
+    PhysicsOptions,
     Progress,
-    ScenarioOptions,
     ScenarioResult,
-    count,
     no_progress,
+    option,
     positive,
+    report_frames,
     static_props,
-    steps_per_frame,
 )
 from anisomap.simulation.sensing import read_balls
 
@@ -47,10 +47,8 @@ _MESH_THICKNESS = 1e-6  # x reach
 
 
 @dataclass(frozen=True)
-class BombardmentOptions(ScenarioOptions):
-    """Options of a bombardment. Defaults are for the paper's sphere.
-
-    They scale with the body, see `anisomap.simulation.options`.
+class BombardmentOptions(PhysicsOptions):
+    """Options of a bombardment. Defaults, for the paper's sphere, scale with the body.
 
     Parameters
     ----------
@@ -85,27 +83,19 @@ class BombardmentOptions(ScenarioOptions):
     timestep : float, optional
         Longest step of the physics, in s. It is shortened to divide a frame into equal steps.
         Default: a sixteenth of a contact, 1.1 ms with the other defaults.
-
-    Raises
-    ------
-    InputError
-        If an option is not positive, the balls are too soft, or the step is too long.
     """
 
     box_half_width: float = positive(3.0, "m", REACH)
-    n_balls: int = count(40)
+    n_balls: int = option(40, COUNT)
     ball_radius: float = positive(0.3, "m", REACH)
-    size_ratio: float = 1.0
+    size_ratio: float = option(1.0, at_least(1))
     speed: float = positive(3.0, "m/s", REACH)
     detection_radius: float = positive(0.44, "m", REACH)
-    frame_interval: float = positive(0.05, "s")
     softness: float = positive(0.02, "m", REACH)
-    timestep: float | None = None
+    timestep: float | None = positive(None, "s")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.size_ratio) and self.size_ratio >= 1):
-            raise InputError(f"size_ratio must be at least 1, got {self.size_ratio:g}")
         softest = _MAX_SOFTNESS * float(self.radii.min())
         if self.softness > softest * (1 + _ROUNDING):
             raise InputError(
@@ -114,7 +104,6 @@ class BombardmentOptions(ScenarioOptions):
             )
         if self.timestep is None:
             return
-        check_positive("timestep", self.timestep, "s")
         longest = self.shortest_contact / _MIN_STEPS_PER_CONTACT
         if self.timestep > longest * (1 + _ROUNDING):
             raise InputError(
@@ -153,15 +142,9 @@ class BombardmentOptions(ScenarioOptions):
         return self.contact.duration * math.sqrt(self.speed / float(self.speeds.max()))
 
     @property
-    def steps_per_frame(self) -> int:
-        """Number of physics steps per frame."""
-        longest = self.timestep or self.shortest_contact / _STEPS_PER_CONTACT
-        return steps_per_frame(self.frame_interval, longest)
-
-    @property
-    def step(self) -> float:
-        """Effective step of the physics, in s."""
-        return self.frame_interval / self.steps_per_frame
+    def longest_step(self) -> float:
+        """Longest step of the physics, in s."""
+        return self.timestep or self.shortest_contact / _STEPS_PER_CONTACT
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,16 +227,13 @@ def simulate_flight(
     flight = Flight(
         np.empty((n_frames, options.n_balls, 3)), np.empty(n_frames), np.empty(n_frames)
     )
-    report_interval = max(1, n_frames // 100)
-    for frame in range(n_frames):
+    for frame in report_frames(n_frames, progress):
         if frame:
             mujoco.mj_step(model, data, nstep=options.steps_per_frame)
         mujoco.mj_forward(model, data)
         flight.centres[frame] = data.qpos.reshape(-1, 3)
         flight.energies[frame] = total_energy(data, options.step, masses)
         flight.overlaps[frame] = max(0.0, -data.efc_pos.min(initial=0.0))
-        if frame % report_interval == 0:
-            progress(frame / n_frames)
     return flight
 
 

@@ -1,25 +1,50 @@
-"""Validation of numeric parameters."""
+"""Ranges of numeric parameters, and the message about a value outside its range."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from anisomap.errors import InputError
 
 
-def check_positive(name: str, value: float, unit: str = "") -> None:
-    """Check that a parameter is a finite, positive number."""
-    if not (np.isfinite(value) and value > 0):
-        raise InputError(f"{name} must be positive, got {value:g}{unit and ' ' + unit}")
+@dataclass(frozen=True)
+class Range:
+    """Finite values that a parameter may take; `text` follows "must be" in messages."""
+
+    text: str
+    contains: Callable[[float], bool]
+    whole: bool = False
+
+    def check(self, name: str, value: float, unit: str = "") -> None:
+        """Check that a parameter is within the range."""
+        if self.whole:
+            if _is_integer(value) and self.contains(value):
+                return
+            raise InputError(f"{name} must be {self.text}, got {value}")
+        if not (np.isfinite(value) and self.contains(value)):
+            raise InputError(f"{name} must be {self.text}, got {value:g}{unit and ' ' + unit}")
 
 
-def check_count(name: str, value: int) -> None:
-    """Check that a parameter is an integer of at least 1."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise InputError(f"{name} must be an integer of at least 1, got {value}")
+def at_least(low: float, *, whole: bool = False) -> Range:
+    """Return the range from `low` upwards."""
+    kind = "an integer of " if whole else ""
+    return Range(f"{kind}at least {low:g}", lambda value: value >= low, whole)
 
 
-def check_between(name: str, value: float, low: float, high: float) -> None:
-    """Check that a parameter lies in the closed interval from `low` to `high`."""
-    if not low <= value <= high:
-        raise InputError(f"{name} must be between {low:g} and {high:g}, got {value:g}")
+def between(low: float, high: float) -> Range:
+    """Return the closed interval from `low` to `high`."""
+    return Range(f"between {low:g} and {high:g}", lambda value: low <= value <= high)
+
+
+FINITE = Range("finite", lambda _: True)
+POSITIVE = Range("positive", lambda value: value > 0)
+COUNT = at_least(1, whole=True)
+SHARE = Range("above 0 and at most 1", lambda value: 0 < value <= 1)
+INNER_SHARE = Range("above 0 and below 1", lambda value: 0 < value < 1)
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)

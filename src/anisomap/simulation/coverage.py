@@ -18,12 +18,12 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import score
 from anisomap.health.touch_coverage import NEIGHBOUR_RADIUS
 from anisomap.methods import DEFAULT_METHOD, find_method
-from anisomap.numerics.signals import count_contacts
+from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.simulation.bodies import Body
-from anisomap.simulation.checks import check_count
+from anisomap.simulation.checks import COUNT
 from anisomap.simulation.scenarios import simulate_runs
 
 LENGTHS = (62, 125, 250, 500, 1000, 2000)
@@ -109,7 +109,7 @@ def coverage_curve(
         If there are no lengths or no seeds, or as `simulate` does.
     """
     for n in n_frames:
-        check_count("n_frames", n)
+        COUNT.check("n_frames", n)
     lengths = np.unique(np.array(n_frames, dtype=np.intp))
     chosen = list(seeds)
     if not (lengths.size and chosen):
@@ -132,7 +132,9 @@ def coverage_curve(
             [np.quantile(count_contacts(on), QUANTILES) for _, _, on in cells], (*shape, -1)
         ),
         n_pairs=len(neighbours),
-        pairs=_frozen([_count_coactive(on, neighbours) for _, _, on in cells], shape),
+        pairs=_frozen(
+            [np.count_nonzero(count_joint_contacts(on, neighbours)) for _, _, on in cells], shape
+        ),
         mantel_r=_frozen([_mantel_r(run, n, method, dimensions) for n, run, _ in cells], shape),
     )
 
@@ -148,12 +150,6 @@ def neighbouring_pairs(recording: Recording) -> NDArray[np.intp]:
     nearest = others.min(axis=1)
     within = others <= NEIGHBOUR_RADIUS * np.maximum(nearest[:, None], nearest)
     return np.argwhere(np.triu(within & np.isfinite(others), k=1))
-
-
-def _count_coactive(active: NDArray[np.bool_], pairs: NDArray[np.intp]) -> int:
-    """Count pairs that were active in the same frame at least once."""
-    counts = active.astype(np.float32)
-    return int(np.count_nonzero((counts.T @ counts)[tuple(pairs.T)]))
 
 
 def _mantel_r(recording: Recording, n_frames: int, method: str | None, dimensions: int) -> float:

@@ -1,7 +1,4 @@
-"""Import of the physics engine, deferred until a simulation runs.
-
-Contacts in MuJoCo that conserve energy.
-"""
+"""MuJoCo, imported when a simulation runs, and contacts that conserve energy."""
 
 from __future__ import annotations
 

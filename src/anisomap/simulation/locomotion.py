@@ -1,8 +1,4 @@
-"""Uneven ground: a height field with MuJoCo's triangulation.
-
-Options of locomotion, and the driver that rolls the body.
-
-Locomotion: a sphere or cylinder rolls over uneven ground under gravity.
+"""Locomotion: a sphere or cylinder rolls over uneven ground under gravity.
 
 McGregor et al. (2011), section "Scenarios". The paper's parameters were in its Text S1, which is no
 longer available; defaults here were chosen for the reasons given. Lengths are in m, and the paper's
@@ -31,12 +27,12 @@ from anisomap.simulation.engine import geom_shape, load_mujoco
 from anisomap.simulation.options import (
     REACH,
     SPACING,
+    PhysicsOptions,
     Progress,
-    ScenarioOptions,
     ScenarioResult,
     no_progress,
     positive,
-    steps_per_frame,
+    report_frames,
 )
 
 _TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
@@ -80,18 +76,6 @@ class Terrain:
         vertices = np.column_stack([x.ravel(), y.ravel(), self.heights.ravel()])
         return Mesh(vertices, np.vstack(faces))
 
-    def height(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Interpolate the height at places (n, 2); constant beyond the edges."""
-        scaled = (np.asarray(places, dtype=np.float64)[:, :2] + self.half_width) / self.cell
-        last = len(self.heights) - 1
-        scaled = np.clip(scaled, 0, last)
-        column, row = np.minimum(scaled.astype(np.intp), last - 1).T
-        right, up = scaled[:, 0] - column, scaled[:, 1] - row
-        corner, beyond = self.heights[row, column], self.heights[row + 1, column + 1]
-        third = np.where(right >= up, self.heights[row, column + 1], self.heights[row + 1, column])
-        most, least = np.maximum(right, up), np.minimum(right, up)
-        return np.asarray(corner + most * (third - corner) + least * (beyond - third))
-
     def distance(self, points: ArrayLike) -> Points:
         """Compute the exact distance of points from the surface. points (n, 3) -> (n,)."""
         return self._search.signed_distance(np.asarray(points, dtype=np.float64))
@@ -130,10 +114,8 @@ _ROUNDING = 1e-9  # relative error of scaled lengths
 
 
 @dataclass(frozen=True)
-class LocomotionOptions(ScenarioOptions):
-    """Options of locomotion. Defaults are for the paper's sphere.
-
-    They scale with the body, see `anisomap.simulation.options`.
+class LocomotionOptions(PhysicsOptions):
+    """Options of locomotion. Defaults, for the paper's sphere, scale with the body.
 
     Parameters
     ----------
@@ -168,12 +150,6 @@ class LocomotionOptions(ScenarioOptions):
     timestep : float
         Longest step of the physics, in s. It is shortened to divide a frame into equal steps.
         0.005: a quarter of the time constant of contacts with the ground, 0.02 s.
-
-    Raises
-    ------
-    InputError
-        If an option is not positive, the step is too long, the cells are too large for the bumps,
-        or the ground is too steep.
     """
 
     half_width: float = positive(8.0, "m", REACH)
@@ -185,7 +161,6 @@ class LocomotionOptions(ScenarioOptions):
     gravity: float = positive(9.81, "m/s2", REACH)
     friction: float = positive(1.0)
     detection_radius: float = positive(0.44, "m", SPACING)
-    frame_interval: float = positive(0.05, "s")
     timestep: float = positive(0.005, "s")
 
     def __post_init__(self) -> None:
@@ -208,14 +183,9 @@ class LocomotionOptions(ScenarioOptions):
             )
 
     @property
-    def steps_per_frame(self) -> int:
-        """Number of physics steps per frame."""
-        return steps_per_frame(self.frame_interval, self.timestep)
-
-    @property
-    def step(self) -> float:
-        """Effective step of the physics, in s."""
-        return self.frame_interval / self.steps_per_frame
+    def longest_step(self) -> float:
+        """Longest step of the physics, in s."""
+        return self.timestep
 
 
 class Driver:
@@ -472,14 +442,11 @@ def simulate_journey(
     driver = Driver(mujoco, body, terrain, options, rng)
     for _ in range(math.ceil(_SETTLING_TIME / options.step)):
         driver.step()
-    states = [driver.measure()]
-    report_interval = max(1, n_frames // 100)
-    for frame in range(1, n_frames):
-        for _ in range(options.steps_per_frame):
+    states = []
+    for frame in report_frames(n_frames, progress):
+        for _ in range(options.steps_per_frame if frame else 0):
             driver.step()
         states.append(driver.measure())
-        if frame % report_interval == 0:
-            progress(frame / n_frames)
     return Journey(terrain, *(np.array(column) for column in zip(*states, strict=True)))
 
 

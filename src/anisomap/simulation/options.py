@@ -1,17 +1,14 @@
-"""Options of scenarios: fields that validate themselves and scale with the body.
+"""Options of scenarios, which validate themselves and scale with the body, and their results.
 
 Documented defaults are for the paper's sphere, with a radius of 1 m and a sensor spacing of 0.43 m.
 For other bodies, lengths scale with the reach or the sensor spacing of the body.
-
-Return type of scenarios.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
 from typing import Any, Self, TypeAlias
 
 import numpy as np
@@ -22,80 +19,65 @@ from anisomap.recording import Scalar
 from anisomap.scene import Prop
 from anisomap.simulation.bodies.body import Body
 from anisomap.simulation.bodies.lattice import sphere
-from anisomap.simulation.checks import check_between, check_count, check_positive
+from anisomap.simulation.checks import POSITIVE, Range
 
 REACH = "reach"
 SPACING = "spacing"
 
 
-def positive(default: float, unit: str = "", per: str | None = None) -> Any:
-    """Declare an option that must be positive.
+@dataclass(frozen=True)
+class Limits:
+    """Range of an option, its unit in messages, and what it depends on.
 
-    Parameters
-    ----------
-    default : float
-        Value for the paper's sphere.
-    unit : str
-        Unit, for messages.
-    per : {"reach", "spacing"}, optional
-        Length of the body with which the default scales.
+    per: Length of the body with which the default scales: `REACH`, `SPACING` or none.
+    below: Name of an option that it must not reach, if any.
     """
-    check = partial(check_positive, unit=unit)
-    return field(default=default, metadata={"check": check, "per": per})
+
+    values: Range
+    unit: str = ""
+    per: str = ""
+    below: str = ""
 
 
-def count(default: int) -> Any:
-    """Declare an option that must be an integer of at least 1."""
-    return field(default=default, metadata={"check": check_count})
+def option(default: float | None, values: Range, *limits: str, **named: str) -> Any:
+    """Declare an option with a default for the paper's sphere; see `Limits`.
+
+    Without a default, it is derived from other options.
+    """
+    return field(default=default, metadata={"limits": Limits(values, *limits, **named)})
 
 
-def between(default: float, low: float, high: float) -> Any:
-    """Declare an option that must lie between `low` and `high`."""
-    return field(default=default, metadata={"check": partial(check_between, low=low, high=high)})
+def positive(default: float | None, *limits: str, **named: str) -> Any:
+    """Declare an option that must be positive; see `Limits`."""
+    return option(default, POSITIVE, *limits, **named)
 
 
 @dataclass(frozen=True)
 class ScenarioOptions:
-    """Base class of the options of a scenario. Subclasses have a field ``frame_interval``.
+    """Base class of the options of a scenario, all of which are declared by `option`."""
 
-    Raises
-    ------
-    InputError
-        If an option is outside its range.
-    """
+    frame_interval: float = positive(0.05, "s")
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            if "check" in entry.metadata:
-                entry.metadata["check"](entry.name, getattr(self, entry.name))
+            limits, value = entry.metadata["limits"], getattr(self, entry.name)
+            if value is None:
+                continue
+            limits.values.check(entry.name, value, limits.unit)
+            if limits.below and value >= (highest := getattr(self, limits.below)):
+                raise InputError(
+                    f"{entry.name} must be below {limits.below} ({highest:g} {limits.unit}), "
+                    f"got {value:g} {limits.unit}"
+                )
 
     def scaled(self, factor: float) -> Self:
         """Scale all lengths by `factor`, as for a larger body or another unit of length."""
-        lengths = [entry.name for entry in fields(self) if entry.metadata.get("per")]
+        lengths = [entry.name for entry in fields(self) if entry.metadata["limits"].per]
         return replace(self, **{name: factor * getattr(self, name) for name in lengths})
 
 
 def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = None) -> Any:
-    """Create the options of a scenario with defaults scaled to a body.
-
-    Parameters
-    ----------
-    kind : type
-        A subclass of `ScenarioOptions`.
-    body : Body
-    given : mapping of str to number, optional
-        Options that replace their defaults.
-
-    Returns
-    -------
-    ScenarioOptions
-        An instance of `kind`.
-
-    Raises
-    ------
-    InputError
-        If an option is unknown or outside its range.
-    """
+    """Create the options of a scenario, with defaults scaled to a body where none are given."""
     known = {entry.name: entry for entry in fields(kind)}
     values = dict(given or {})
     for name in values:
@@ -105,16 +87,36 @@ def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = N
             )
     reference = sphere()
     for name, entry in known.items():
-        per = entry.metadata.get("per")
+        per = entry.metadata["limits"].per
         if per and name not in values:
             growth = getattr(body, per) / getattr(reference, per)
             values[name] = entry.default * growth
     return kind(**values)
 
 
-def steps_per_frame(frame_interval: float, longest_step: float) -> int:
-    """Return the number of equal physics steps in a frame, each at most `longest_step`."""
-    return max(1, math.ceil(frame_interval / longest_step * (1 - 1e-12)))
+def count_steps(length: float, longest: float) -> int:
+    """Return the number of equal steps in a length, each at most `longest` but for rounding."""
+    return max(1, math.ceil(length / longest * (1 - 1e-12)))
+
+
+@dataclass(frozen=True)
+class PhysicsOptions(ScenarioOptions):
+    """Base class of the options of a scenario with physics."""
+
+    @property
+    def longest_step(self) -> float:
+        """Longest step of the physics, in s."""
+        raise NotImplementedError
+
+    @property
+    def steps_per_frame(self) -> int:
+        """Number of physics steps per frame."""
+        return count_steps(self.frame_interval, self.longest_step)
+
+    @property
+    def step(self) -> float:
+        """Effective step of the physics, in s."""
+        return self.frame_interval / self.steps_per_frame
 
 
 Progress: TypeAlias = Callable[[float], None]
@@ -125,23 +127,24 @@ def no_progress(share: float) -> None:
     """Ignore progress."""
 
 
+def report_frames(n_frames: int, progress: Progress) -> Iterator[int]:
+    """Count frames, and report the share that is done about a hundred times."""
+    interval = max(1, n_frames // 100)
+    for frame in range(n_frames):
+        yield frame
+        if frame % interval == 0:
+            progress(frame / n_frames)
+
+
 @dataclass(frozen=True, eq=False)
 class ScenarioResult:
     """Readings and geometry of one simulated run.
 
-    Attributes
-    ----------
-    readings : ndarray of shape (T, N)
-        One row per frame, one column per sensor.
-    props : tuple of Prop
-        Objects to draw.
-    facts : mapping of str to str, int, float or bool
-        Measured quantities and effective parameters, in addition to the options.
-    sensors : ndarray of shape (T, N, 3), optional
-        Sensor positions in each frame; T = 1 for sensors that do not move. Defaults to the
-        positions on the body.
-    body : Body, optional
-        Body with the sensors that were read, if the scenario added sensors to the given body.
+    readings (T, N)
+    props: Objects to draw.
+    facts: Measured quantities and effective parameters, in addition to the options.
+    sensors (T, N, 3): Positions of the sensors in each frame; by default, those on the body.
+    body: The body with the sensors that were read, if the scenario added sensors to the given body.
     """
 
     readings: NDArray[np.floating]

@@ -12,11 +12,12 @@ from anisomap.errors import InputError
 from anisomap.scene import Prop
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body
+from anisomap.simulation.checks import between
 from anisomap.simulation.options import (
     REACH,
     ScenarioOptions,
     ScenarioResult,
-    between,
+    option,
     positive,
     static_props,
 )
@@ -29,9 +30,7 @@ _SLAB_HALF_THICKNESS = 0.02  # x reach; for drawing only
 
 @dataclass(frozen=True)
 class PressingOptions(ScenarioOptions):
-    """Options of pressing. Defaults are for the paper's sphere.
-
-    They scale with the body, see `anisomap.simulation.options`.
+    """Options of pressing. Defaults, for the paper's sphere, scale with the body.
 
     Parameters
     ----------
@@ -50,20 +49,13 @@ class PressingOptions(ScenarioOptions):
         Detection radius of the sensors, in m. 0.3: as in rubbing.
     frame_interval : float
         Time between frames, in s. 0.05: as in bombardment.
-
-    Raises
-    ------
-    InputError
-        If an option is not positive (`tilt` and `rocking` may be 0), or a press is shorter than
-        two frames.
     """
 
     press_depth: float = positive(0.1, "m", REACH)
     press_interval: float = positive(0.5, "s")
-    tilt: float = between(0.3, 0, math.pi)
-    rocking: float = between(0.3, 0, math.pi)
+    tilt: float = option(0.3, between(0, math.pi))
+    rocking: float = option(0.3, between(0, math.pi))
     detection_radius: float = positive(0.3, "m", REACH)
-    frame_interval: float = positive(0.05, "s")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -21,11 +21,12 @@ from anisomap.errors import InputError
 from anisomap.scene import Prop
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body
+from anisomap.simulation.checks import COUNT
 from anisomap.simulation.options import (
     REACH,
     ScenarioOptions,
     ScenarioResult,
-    count,
+    option,
     positive,
     static_props,
 )
@@ -37,9 +38,7 @@ _MAX_ROUNDS = 1000  # of rejection sampling
 
 @dataclass(frozen=True)
 class PulsesOptions(ScenarioOptions):
-    """Options of pulses. Defaults are for the paper's sphere.
-
-    They scale with the body, see `anisomap.simulation.options`.
+    """Options of pulses. Defaults, for the paper's sphere, scale with the body.
 
     Parameters
     ----------
@@ -60,19 +59,13 @@ class PulsesOptions(ScenarioOptions):
         Duration of a pulse with the shape of a squared sine, in s. 0.4: eight frames.
     frame_interval : float
         Time between frames, in s. 0.05: as in bombardment.
-
-    Raises
-    ------
-    InputError
-        If an option is not positive, or there is no source.
     """
 
-    n_sources: int = count(3)
+    n_sources: int = option(3, COUNT)
     strength: float = positive(1.0)
     field_radius: float = positive(1.5, "m", REACH)
     half_distance: float = positive(0.4, "m", REACH)
     pulse_length: float = positive(0.4, "s")
-    frame_interval: float = positive(0.05, "s")
 
 
 def pulses(

@@ -2,11 +2,8 @@
 
 Models the hardware experiment of McGregor et al. (2011), section "Experimental Data": "an irregular
 rubbing motion ... circular and linear motions in various directions pressing the palm of the hand
-against the skin patch". Its runs had 1,054 to 2,128 frames.
-
-A hand that is told where to rub: by a coach, or not at all.
-
-Rolling: a roller moves along the skin and touches whole lines of sensors.
+against the skin patch". Its runs had 1,054 to 2,128 frames. A coach can tell the hand where to rub.
+A roller moves along the skin, too, and touches whole lines of sensors.
 """
 
 from __future__ import annotations
@@ -21,17 +18,17 @@ from anisomap.errors import InputError
 from anisomap.scene import Prop
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.options import REACH, ScenarioResult, count, positive, static_props
+from anisomap.simulation.checks import COUNT
+from anisomap.simulation.options import REACH, ScenarioResult, option, positive, static_props
 from anisomap.simulation.sensing import read_balls, read_capsules
 from anisomap.simulation.solids import Points
 from anisomap.simulation.strokes import (
-    LIFT_HEIGHT,
     Cluster,
     StrokeOptions,
     SurfaceSample,
     draw_strokes,
+    follow,
     sample_skin,
-    settle,
     smooth_random,
 )
 
@@ -60,17 +57,11 @@ class RubbingOptions(StrokeOptions):
         and .85, .88, .88, .85 on the cylinder (means of 3 to 5 seeds).
     n_hands : int
         Number of hands, which move independently. 1: as in the paper.
-
-    Raises
-    ------
-    InputError
-        As `StrokeOptions`, or if there is no hand, or `press_depth` exceeds the thickness of the
-        palm.
     """
 
     hand_size: float = positive(0.35, "m", REACH)
     detection_radius: float = positive(0.3, "m", REACH)
-    n_hands: int = count(1)
+    n_hands: int = option(1, COUNT)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -116,15 +107,17 @@ def move_hand(
     n_frames: int,
     options: RubbingOptions,
     rng: np.random.Generator,
+    *,
+    palm: tuple[Points, NDArray[np.float64]] | None = None,
+    visits: NDArray[np.float64] | None = None,
 ) -> HandMotion:
-    """Draw a hand and move it over a body."""
-    pads, radii = draw_palm(options.hand_size, rng)
-    path = draw_strokes(body, skin, n_frames, options, rng)
+    """Move a palm over a body; it is drawn if none is given. visits (N,): see `draw_strokes`."""
+    pads, radii = palm or draw_palm(options.hand_size, rng)
+    path = draw_strokes(body, skin, n_frames, options, rng, visits=visits)
     angles = draw_angles(n_frames, options.frame_interval, rng)
     cluster = Cluster(np.einsum("tij,pj->tpi", path.orientations(angles), pads), radii)
-    heights = settle(body, skin, path, cluster, options.press_depth * path.presses)
-    heights += path.lifts * LIFT_HEIGHT * options.detection_radius
-    return HandMotion(cluster.placed(path, heights), radii, path.n_strokes)
+    centres = follow(body, skin, path, cluster, options, detection_radius=options.detection_radius)
+    return HandMotion(centres, radii, path.n_strokes)
 
 
 def draw_palm(size: float, rng: np.random.Generator) -> tuple[Points, NDArray[np.float64]]:
@@ -161,7 +154,7 @@ class GuidedHand:
 
     def __post_init__(self) -> None:
         self._skin = sample_skin(self.body, self.rng)
-        self._pads, self._radii = draw_palm(self.options.hand_size, self.rng)
+        self._palm = draw_palm(self.options.hand_size, self.rng)
 
     def rub(
         self,
@@ -170,7 +163,7 @@ class GuidedHand:
         contacts: NDArray[np.intp] | None = None,
     ) -> NDArray[np.float32]:
         """Rub for some frames. Returns (n_frames, N)."""
-        n_sensors, options, rng = self.body.n_sensors, self.options, self.rng
+        n_sensors, options = self.body.n_sensors, self.options
         visits = np.zeros(n_sensors)
         if contacts is not None:
             visits += contacts
@@ -179,14 +172,12 @@ class GuidedHand:
             visits[first] = np.minimum(visits[first], 0)
             visits[first[0]] = -1  # the hand is set down at the least visited sensor
         n_rubbing = max(1, n_frames - TRAVEL_FRAMES)
-        path = draw_strokes(self.body, self._skin, n_rubbing, options, rng, visits=visits)
-        angles = draw_angles(n_rubbing, options.frame_interval, rng)
-        offsets = np.einsum("tij,pj->tpi", path.orientations(angles), self._pads)
-        cluster = Cluster(offsets, self._radii)
-        heights = settle(self.body, self._skin, path, cluster, options.press_depth * path.presses)
-        heights += path.lifts * LIFT_HEIGHT * options.detection_radius
-        pads = cluster.placed(path, heights)
-        touched = read_balls(self.body.positions, pads, self._radii, options.detection_radius)
+        hand = move_hand(
+            self.body, self._skin, n_rubbing, options, self.rng, palm=self._palm, visits=visits
+        )
+        touched = read_balls(
+            self.body.positions, hand.centres, hand.radii, options.detection_radius
+        )
         travel = np.zeros((n_frames - n_rubbing, n_sensors), dtype=np.float32)
         return np.concatenate([travel, touched])
 
@@ -203,24 +194,12 @@ class RollerOptions(StrokeOptions):
         Length without the round caps, in m. 1.2: a few sensor spacings of the sphere.
     detection_radius : float
         Detection radius of the sensors, in m. 0.3: as in `RubbingOptions`.
-
-    Raises
-    ------
-    InputError
-        As `StrokeOptions`, or if `press_depth` is not below `roller_radius`.
     """
 
+    press_depth: float = positive(0.1, "m", REACH, below="roller_radius")
     roller_radius: float = positive(0.2, "m", REACH)
     roller_length: float = positive(1.2, "m", REACH)
     detection_radius: float = positive(0.3, "m", REACH)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.press_depth >= self.roller_radius:
-            raise InputError(
-                f"press_depth must be below roller_radius ({self.roller_radius:g} m), "
-                f"got {self.press_depth:g} m"
-            )
 
 
 def roller(
@@ -236,8 +215,7 @@ def roller(
     across = np.cross(path.normals, path.headings)
     axes = options.roller_length / 2 * across[:, None]
     cluster = Cluster(np.zeros_like(axes), np.array([options.roller_radius]), axes)
-    heights = settle(body, skin, path, cluster, options.press_depth * path.presses)
-    centres = cluster.placed(path, heights + path.lifts * LIFT_HEIGHT * options.detection_radius)
+    centres = follow(body, skin, path, cluster, options, detection_radius=options.detection_radius)
     readings = read_capsules(
         body.positions,
         centres - axes,

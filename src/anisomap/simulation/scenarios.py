@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from inspect import signature
 from multiprocessing import get_context
 from types import MappingProxyType
@@ -23,7 +22,7 @@ from anisomap.scene import Scene
 from anisomap.simulation.bodies import BODIES, Body
 from anisomap.simulation.bodies.body import surface_distances
 from anisomap.simulation.bombardment import BombardmentOptions, bombardment
-from anisomap.simulation.checks import check_count
+from anisomap.simulation.checks import COUNT
 from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomotion
 from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
@@ -184,7 +183,7 @@ def run_simulation(
     **parameters: Any,
 ) -> Simulation:
     """Simulate a recording and its scene; see `simulate`."""
-    check_count("n_frames", n_frames)
+    COUNT.check("n_frames", n_frames)
     chosen = find_scenario(scenario)
     given = find_body(body)
     options = options_for(chosen.options, given, parameters)
@@ -248,13 +247,13 @@ def simulate_runs(
     list of Recording
         In the order of the seeds, identical to those of `simulate`.
     """
-    one = partial(_simulate_seed, body, scenario, settings)
     chosen = list(seeds)
     if workers == 1 or len(chosen) < 2:
-        return [one(seed) for seed in chosen]
+        return [simulate(body, scenario, seed=seed, **settings) for seed in chosen]
     # Spawned, since forked processes inherit the threads of numerical libraries.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(one, chosen))
+        runs = [pool.submit(simulate, body, scenario, seed=seed, **settings) for seed in chosen]
+        return [run.result() for run in runs]
 
 
 def find_scenario(name: str) -> Scenario:
@@ -293,12 +292,6 @@ def find_body(body: str | Body, n_sensors: int | None = None, **options: Any) ->
             f"the body {body} has no option {unknown[0]}; it has {join_items(known) or 'none'}"
         )
     return make(**options) if n_sensors is None else make(n_sensors, **options)
-
-
-def _simulate_seed(
-    body: str | Body, scenario: str, settings: Mapping[str, Any], seed: int
-) -> Recording:
-    return simulate(body, scenario, seed=seed, **settings)
 
 
 def _find(kind: str, registry: Mapping[str, Entry], name: str) -> Entry:

@@ -9,22 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anisomap.errors import InputError
 from anisomap.scene import Prop
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body
 from anisomap.simulation.bodies.lattice import fibonacci_cap, great_circles
-from anisomap.simulation.options import REACH, ScenarioResult, count, positive, static_props
+from anisomap.simulation.checks import COUNT
+from anisomap.simulation.options import REACH, ScenarioResult, option, positive, static_props
 from anisomap.simulation.sensing import read_balls
 from anisomap.simulation.solids import Points
 from anisomap.simulation.strokes import (
-    LIFT_HEIGHT,
     Cluster,
     StrokeOptions,
     StrokePath,
     draw_strokes,
+    follow,
     sample_skin,
-    settle,
     smooth_random,
 )
 
@@ -52,26 +51,13 @@ class SelfTouchOptions(StrokeOptions):
     finger_detection_radius : float
         Detection radius of the fingertip's sensors, in m. 0.15: half of the finger radius, so that
         readings depend on the orientation of the fingertip.
-
-    Raises
-    ------
-    InputError
-        As `StrokeOptions`, or if there are no finger sensors, or `press_depth` is not below
-        `finger_radius`.
     """
 
+    press_depth: float = positive(0.1, "m", REACH, below="finger_radius")
     finger_radius: float = positive(0.3, "m", REACH)
-    n_finger_sensors: int = count(16)
+    n_finger_sensors: int = option(16, COUNT)
     detection_radius: float = positive(0.4, "m", REACH)
     finger_detection_radius: float = positive(0.15, "m", REACH)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.press_depth >= self.finger_radius:
-            raise InputError(
-                f"press_depth must be below finger_radius ({self.finger_radius:g} m), "
-                f"got {self.press_depth:g} m"
-            )
 
 
 def self_touch(
@@ -126,10 +112,9 @@ def move_fingertip(
     skin = sample_skin(body, rng)
     path = draw_strokes(body, skin, n_frames, options, rng)
     cluster = Cluster(np.zeros((n_frames, 1, 3)), np.array([options.finger_radius]))
-    heights = settle(body, skin, path, cluster, options.press_depth * path.presses)
     detection_radius = max(options.detection_radius, options.finger_detection_radius)
-    heights += path.lifts * LIFT_HEIGHT * detection_radius
-    return cluster.placed(path, heights), _draw_rotations(path, options.frame_interval, rng)
+    centres = follow(body, skin, path, cluster, options, detection_radius=detection_radius)
+    return centres, _draw_rotations(path, options.frame_interval, rng)
 
 
 def _draw_rotations(

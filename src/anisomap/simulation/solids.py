@@ -1,8 +1,6 @@
-"""Solids with exact signed distances: primitives in closed form, and closed triangle meshes.
+"""Solids with exact signed distances, and random and evenly spread points on their surface.
 
-Distances are positive outside and negative inside.
-
-Random and evenly spread points on the surface of solids.
+Solids are primitives in closed form and closed triangle meshes. Distances are negative inside.
 """
 
 from __future__ import annotations
@@ -256,28 +254,33 @@ def _profile(kind: str, size: tuple[float, ...]) -> Points:
     return np.vstack([lower - [0, half_axis], (upper if half_axis else upper[1:]) + [0, half_axis]])
 
 
-def revolved(profile: ArrayLike, n_around: int = _CIRCLE_VERTICES) -> Mesh:
-    """Revolve an outline about the z axis into a closed mesh. profile (P, 2)."""
+def revolved(
+    profile: ArrayLike, n_around: int = _CIRCLE_VERTICES, *, is_ring: bool = False
+) -> Mesh:
+    """Revolve an outline (radius, height) about the z axis into a closed mesh. profile (P, 2).
+
+    The outline runs from the lower pole to the upper one; that of a ring is closed and does not
+    meet the axis.
+    """
     outline = np.asarray(profile, dtype=np.float64)
+    radius, height = np.hsplit(outline if is_ring else outline[1:-1], 2)
     angle = 2 * np.pi * np.arange(n_around) / n_around
-    circles = np.stack(
-        np.broadcast_arrays(
-            outline[1:-1, :1] * np.cos(angle), outline[1:-1, :1] * np.sin(angle), outline[1:-1, 1:]
-        ),
-        axis=-1,
-    )
-    n_circles = len(circles)
-    index = np.arange(n_circles * n_around).reshape(n_circles, n_around)
-    after = np.roll(index, -1, axis=1)
-    south, north = index.size, index.size + 1
+    circles = np.broadcast_arrays(radius * np.cos(angle), radius * np.sin(angle), height)
+    vertices = np.stack(circles, axis=-1).reshape(-1, 3)
+    index = np.arange(len(vertices)).reshape(-1, n_around)
+    low, high = (index, np.roll(index, -1, axis=0)) if is_ring else (index[:-1], index[1:])
+    after_low, after_high = (np.roll(circle, -1, axis=1) for circle in (low, high))
     faces = [
-        np.stack([np.full(n_around, south), after[0], index[0]], axis=1),
-        np.stack([index[:-1], after[:-1], after[1:]], axis=-1).reshape(-1, 3),
-        np.stack([index[:-1], after[1:], index[1:]], axis=-1).reshape(-1, 3),
-        np.stack([np.full(n_around, north), index[-1], after[-1]], axis=1),
+        np.stack([low, after_low, after_high], axis=-1).reshape(-1, 3),
+        np.stack([low, after_high, high], axis=-1).reshape(-1, 3),
     ]
+    if is_ring:
+        return Mesh(vertices, np.vstack(faces))
+    south, north = (np.full(n_around, len(vertices) + pole) for pole in (0, 1))
+    first = np.stack([south, np.roll(index[0], -1), index[0]], axis=1)
+    last = np.stack([north, index[-1], np.roll(index[-1], -1)], axis=1)
     poles = [[0, 0, outline[0, 1]], [0, 0, outline[-1, 1]]]
-    return Mesh(np.vstack([circles.reshape(-1, 3), poles]), np.vstack(faces))
+    return Mesh(np.vstack([vertices, poles]), np.vstack([first, *faces, last]))
 
 
 Density = Callable[[Points], NDArray[np.float64] | NDArray[np.bool_]]

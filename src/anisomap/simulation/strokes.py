@@ -1,10 +1,8 @@
-"""Paths of strokes over the skin: lines and circles in changing directions.
+"""Strokes over the skin, lines and circles in changing directions, and stimuli that follow them.
 
-All stimuli guided by hand (a palm, a roller, a fingertip) follow such a path. Pressure varies
+A palm, a roller and a fingertip follow such a path in contact with the body. Pressure varies
 slowly, and some strokes end with the stimulus lifted off and set down elsewhere. Parameters without
 a source were chosen by hand.
-
-Placement of a stimulus in contact with a body.
 """
 
 from __future__ import annotations
@@ -19,7 +17,8 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.simulation.bodies.body import ON_SURFACE, Body, nearest_neighbours
-from anisomap.simulation.options import REACH, ScenarioOptions, between, positive
+from anisomap.simulation.checks import between
+from anisomap.simulation.options import REACH, ScenarioOptions, count_steps, option, positive
 from anisomap.simulation.solids import Points, Solid, sample_surface
 
 _N_SAMPLES = 4000
@@ -39,9 +38,7 @@ _LIFT_PROFILE = np.array([1, 2, 3]) / 3
 
 @dataclass(frozen=True)
 class StrokeOptions(ScenarioOptions):
-    """Options of strokes. Defaults are for the paper's sphere.
-
-    They scale with the body, see `anisomap.simulation.options`.
+    """Options of strokes. Defaults, for the paper's sphere, scale with the body.
 
     Parameters
     ----------
@@ -64,20 +61,13 @@ class StrokeOptions(ScenarioOptions):
     frame_interval : float
         Time between frames, in s. 0.05: the stimulus moves by a quarter of the sensor spacing of
         the sphere.
-
-    Raises
-    ------
-    InputError
-        If a length, the speed or the interval is not positive, a share is not in [0, 1], or a
-        stroke is shorter than a frame.
     """
 
     speed: float = positive(2.0, "m/s", REACH)
     stroke_length: float = positive(1.2, "m", REACH)
-    circle_share: float = between(0.4, 0, 1)
-    lift_share: float = between(0.25, 0, 1)
+    circle_share: float = option(0.4, between(0, 1))
+    lift_share: float = option(0.25, between(0, 1))
     press_depth: float = positive(0.1, "m", REACH)
-    frame_interval: float = positive(0.05, "s")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -204,7 +194,7 @@ class _Walk:
     def __init__(self, body: Body, sample: SurfaceSample, options: StrokeOptions) -> None:
         self.options = options
         self.stride = options.speed * options.frame_interval
-        self.n_steps = max(1, math.ceil(self.stride / (_MAX_STEP * body.reach)))
+        self.n_steps = count_steps(self.stride, _MAX_STEP * body.reach)
         self.sensors, self.sensor_normals = body.positions, body.normals
         self.visits = np.zeros(body.n_sensors)
         self._sensor_tree = KDTree(body.positions)
@@ -373,6 +363,20 @@ def settle(
             heights[t] += rise if may_sink else max(rise, 0.0)
             may_sink = False
     return heights + _excess_depth(body, path, cluster, heights, depths)
+
+
+def follow(
+    body: Body,
+    sample: SurfaceSample,
+    path: StrokePath,
+    cluster: Cluster,
+    options: StrokeOptions,
+    *,
+    detection_radius: float,
+) -> Points:
+    """Move a cluster along a path, pressed into the skin or lifted out of range; (T, B, 3)."""
+    heights = settle(body, sample, path, cluster, options.press_depth * path.presses)
+    return cluster.placed(path, heights + path.lifts * LIFT_HEIGHT * detection_radius)
 
 
 def _excess_depth(

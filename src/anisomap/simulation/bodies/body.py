@@ -1,7 +1,4 @@
-"""Body: solids with sensors on their surface.
-
-Geodesic distances along the surface of a body.
-"""
+"""Solids with sensors on their surface, and geodesic distances between the sensors."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""Check what a MuJoCo model declares before MuJoCo allocates it.
+"""Bodies from meshes, MuJoCo models and positions of sensors.
 
-A few characters can declare any number of elements (``replicate``) or values (``hfield``), and any
-file of the system as a part of the model.
-
-Bodies from meshes, MuJoCo models and positions of sensors.
+What a MuJoCo model declares is checked before MuJoCo allocates it: a few characters can declare any
+number of elements (``replicate``) or values (``hfield``), and any file as a part of the model.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ from anisomap.numerics.surfaces import estimate_normals
 from anisomap.recording import default_names
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body, nearest_neighbours
-from anisomap.simulation.checks import check_count
+from anisomap.simulation.checks import COUNT
 from anisomap.simulation.engine import load_mujoco, silent_compiler
 from anisomap.simulation.solids import Points, Solid, spread
 
@@ -426,7 +424,7 @@ def _with_sensors(
     origin = (corners.min(axis=0) + corners.max(axis=0)) / 2
     centred = [part.moved(np.eye(3), -origin) for part in parts]
     if isinstance(sensors, int | np.integer):
-        check_count("sensors", int(sensors))
+        COUNT.check("sensors", int(sensors))
         positions, normals = spread(centred, int(sensors), np.random.default_rng(_SEED))
     else:
         places = np.asarray(sensors, dtype=np.float64)

@@ -1,14 +1,12 @@
-"""Bodies with sensors on regular lattices: sphere, cylinder, Y-shape and plane.
+"""Bodies with sensors on regular lattices: sphere, cylinder, Y-shape, plane and hexagon.
 
 These are the simulated bodies of McGregor et al. (2011), section "Geometries" and Figure 5. The
 paper gives no lengths; those here give each body a reach of about 1 m. All functions raise
 InputError if `n_sensors` does not fit the lattice.
 
-The hardware patch of McGregor et al. (2011): a hexagon of six IIT triangles.
-
-A triangle has 12 capacitive pads, two of which are thermal and not used as sensors. See Maiolino
-et al. (2013), "A flexible and robust large scale capacitive tactile system for robots", IEEE
-Sensors Journal 13(10): 3910-3917, doi:10.1109/JSEN.2013.2258149.
+The hardware patch is a hexagon of six IIT triangles, each with 12 capacitive pads, two of which are
+thermal and not used as sensors (Maiolino et al. 2013, "A flexible and robust large scale capacitive
+tactile system for robots", IEEE Sensors Journal 13(10): 3910-3917, doi:10.1109/JSEN.2013.2258149).
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from numpy.typing import NDArray
 from anisomap.errors import InputError
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body, straight_lines
-from anisomap.simulation.checks import check_count
+from anisomap.simulation.checks import COUNT
 
 Floats = NDArray[np.float64]
 
@@ -54,7 +52,7 @@ def sphere(n_sensors: int = 60) -> Body:
     doi:10.1007/s11004-009-9257-x): each represents the same area, and distances between
     neighbours differ by a few per cent.
     """
-    check_count("n_sensors", n_sensors)
+    COUNT.check("n_sensors", n_sensors)
     normals = fibonacci_cap(n_sensors)
     return Body(
         name="sphere",
@@ -71,7 +69,7 @@ def cylinder(n_sensors: int = 60, *, placement: str = "columns", seed: int = 0) 
         raise InputError(
             f"there is no placement {placement!r}; choose from {', '.join(CYLINDER_PLACEMENTS)}"
         )
-    check_count("n_sensors", n_sensors)
+    COUNT.check("n_sensors", n_sensors)
     angles, heights = CYLINDER_PLACEMENTS[placement](n_sensors, np.random.default_rng(seed))
     around = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n_sensors)])
     return Body(
@@ -128,7 +126,7 @@ def y_shape(n_sensors: int = 105) -> Body:
 
 def plane(n_sensors: int = 169) -> Body:
     """Make a cuboid with a square grid of sensors on its upper face."""
-    check_count("n_sensors", n_sensors)
+    COUNT.check("n_sensors", n_sensors)
     side = round(np.sqrt(n_sensors))
     if side**2 != n_sensors:
         raise InputError(
@@ -174,7 +172,7 @@ def midpoints(n: int, length: float) -> NDArray[np.float64]:
 
 
 def _divided(n_sensors: int, groups: int, meaning: str) -> int:
-    check_count("n_sensors", n_sensors)
+    COUNT.check("n_sensors", n_sensors)
     if n_sensors % groups:
         raise InputError(
             f"n_sensors must be a multiple of {groups}, the {meaning}; got {n_sensors}"

@@ -9,6 +9,7 @@ chosen by hand.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from anisomap.simulation.bodies.lattice import (
     SPHERE_RADIUS,
     great_circles,
 )
-from anisomap.simulation.checks import check_count
+from anisomap.simulation.checks import COUNT
 from anisomap.simulation.solids import Density, Solid, spread
 
 TORUS_RADIUS, TORUS_TUBE = 0.75, 0.3
@@ -41,7 +42,7 @@ def torus(n_sensors: int = 120) -> Body:
     profile = np.column_stack(
         [TORUS_RADIUS + TORUS_TUBE * np.cos(angle), TORUS_TUBE * np.sin(angle)]
     )
-    return covered("torus", [_revolved_ring(profile)], n_sensors)
+    return covered("torus", [_ring(profile)], n_sensors)
 
 
 def cube(n_sensors: int = 120) -> Body:
@@ -90,7 +91,7 @@ def holed_plate(n_sensors: int = 120) -> Body:
     corners = [(HOLE_RADIUS, -top), (PLATE_RADIUS, -top), (PLATE_RADIUS, top), (HOLE_RADIUS, top)]
     return covered(
         "holed-plate",
-        [_revolved_ring(np.array(corners))],
+        [_ring(np.array(corners))],
         n_sensors,
         lambda points: points[:, 2] > top - _FACE_MARGIN,
     )
@@ -107,7 +108,7 @@ def uneven_sphere(n_sensors: int = 100) -> Body:
         n_sensors,
         lambda points: 1 + (MAX_DENSITY - 1) * (points[:, 2] / SPHERE_RADIUS + 1) / 2,
     )
-    return Body(body.name, body.positions, body.normals, body.solids, geodesic=great_circles)
+    return replace(body, geodesic=great_circles)
 
 
 def covered(
@@ -118,24 +119,12 @@ def covered(
     rng: np.random.Generator | int = _SEED,
 ) -> Body:
     """Make a body from solids and spread sensors over it."""
-    check_count("n_sensors", n_sensors)
+    COUNT.check("n_sensors", n_sensors)
     positions, normals = spread(parts, n_sensors, np.random.default_rng(rng), density)
     return Body(name, positions, normals, parts)
 
 
-def _revolved_ring(profile: NDArray[np.float64]) -> Solid:
+def _ring(profile: NDArray[np.float64]) -> Solid:
     """Revolve a closed outline (radius, height) that does not meet the axis about z."""
-    n_points = len(profile)
-    angle = 2 * np.pi * np.arange(_MESH_AROUND) / _MESH_AROUND
-    radius, height = profile[:, :1], np.tile(profile[:, 1:], _MESH_AROUND)
-    vertices = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
-    index = np.arange(n_points * _MESH_AROUND).reshape(n_points, _MESH_AROUND)
-    up, around = np.roll(index, -1, axis=0), np.roll(index, -1, axis=1)
-    diagonal = np.roll(up, -1, axis=1)
-    faces = np.vstack(
-        [
-            np.stack([index, around, diagonal], axis=-1).reshape(-1, 3),
-            np.stack([index, diagonal, up], axis=-1).reshape(-1, 3),
-        ]
-    )
-    return solids.mesh(vertices.reshape(-1, 3), faces)
+    surface = solids.revolved(profile, _MESH_AROUND, is_ring=True)
+    return solids.mesh(surface.vertices, surface.faces)

@@ -1,8 +1,11 @@
 """Documented, reproducible faults for any recording.
 
-To add a fault, add one function and one line to `FAULTS` or `FRAME_FAULTS`.
+To add a fault, add one function with a decorator of `anisomap.simulation.faults.forms` to
+`channels`, `electronics` or `timing`.
 """
 
+from anisomap.simulation.faults import channels, electronics, timing
+from anisomap.simulation.faults.forms import FAULTS, FRAME_FAULTS
 from anisomap.simulation.faults.log import (
     ALL_SENSORS,
     METADATA_KEY,
@@ -11,8 +14,6 @@ from anisomap.simulation.faults.log import (
     injected_faults,
 )
 from anisomap.simulation.faults.request import (
-    FAULTS,
-    FRAME_FAULTS,
     FaultRequest,
     inject,
     parse_fault,
@@ -25,8 +26,11 @@ __all__ = [
     "METADATA_KEY",
     "Fault",
     "FaultRequest",
+    "channels",
+    "electronics",
     "fault_mask",
     "inject",
     "injected_faults",
     "parse_fault",
+    "timing",
 ]

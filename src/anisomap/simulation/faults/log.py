@@ -111,18 +111,7 @@ def fault_mask(recording: Recording, kinds: Sequence[str] = ()) -> NDArray[np.bo
 def with_faults(
     recording: Recording, readings: NDArray[np.floating], faults: Iterable[Fault]
 ) -> Recording:
-    """Replace the readings of a recording and append faults to its log.
-
-    Parameters
-    ----------
-    recording : Recording
-    readings : ndarray of shape (T, N)
-    faults : iterable of Fault
-
-    Returns
-    -------
-    Recording
-    """
+    """Replace the readings of a recording and append faults to its log."""
     faulty = replace(recording, readings=readings)
     return with_log(faulty, [*injected_faults(recording), *faults])
 

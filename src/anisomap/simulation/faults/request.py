@@ -1,67 +1,16 @@
-"""Registry of faults, and requests for faults written as text."""
+"""Requests for faults written as text."""
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
 from anisomap.errors import InputError
 from anisomap.recording import Recording
-from anisomap.simulation.faults import electronics as boards
-from anisomap.simulation.faults import electronics as wiring
-from anisomap.simulation.faults import sensors, timing
-from anisomap.simulation.faults import sensors as signals
+from anisomap.simulation.faults.forms import FAULTS, FRAME_FAULTS, RANGES, Randomness
 from anisomap.simulation.faults.log import ALL_SENSORS
-from anisomap.simulation.faults.sensors import Randomness
-
-FAULTS: Mapping[str, Callable[..., Recording]] = MappingProxyType(
-    {
-        "dead": sensors.dead,
-        "stuck": sensors.stuck,
-        "saturating": sensors.saturating,
-        "noisy": sensors.noisy,
-        "drifting": sensors.drifting,
-        "gain-spread": sensors.gain_spread,
-        "hysteresis": sensors.hysteresis,
-        "quantised": sensors.quantised,
-        "thresholded": sensors.thresholded,
-        "nan-bursts": sensors.nan_bursts,
-        "inverted": signals.inverted,
-        "warming": signals.warming,
-        "clipped": signals.clipped,
-        "bridged-gaps": signals.bridged_gaps,
-        "rarely-touched": signals.rarely_touched,
-        "cycling": signals.cycling,
-        "crosstalk": wiring.crosstalk,
-        "swapped": wiring.swapped,
-        "mirrored": wiring.mirrored,
-        "duplicated": wiring.duplicated,
-        "leaking": boards.leaking,
-        "lagging": boards.lagging,
-        "common-noise": boards.common_noise,
-        "spiking": boards.spiking,
-        "humming": boards.humming,
-    }
-)
-"""Faults of sensors: functions ``fault(recording, sensors, *, rng=0, **parameters)``.
-
-``sensors`` are names or indices, ``rng`` is a numpy Generator or a seed, and all further parameters
-have defaults.
-"""
-
-FRAME_FAULTS: Mapping[str, Callable[..., Recording]] = MappingProxyType(
-    {
-        "dropped-frames": timing.dropped_frames,
-        "repeated-frames": timing.repeated_frames,
-        "clock-jitter": timing.clock_jitter,
-        "separate-regions": timing.separate_regions,
-    }
-)
-"""Faults of whole frames: functions ``fault(recording, *, rng=0, **parameters)``."""
 
 
 @dataclass(frozen=True)
@@ -83,22 +32,7 @@ class FaultRequest:
     parameters: tuple[tuple[str, float], ...] = ()
 
     def inject(self, recording: Recording, rng: Randomness) -> Recording:
-        """Inject the fault into a recording.
-
-        Parameters
-        ----------
-        recording : Recording
-        rng : numpy.random.Generator or int
-
-        Returns
-        -------
-        Recording
-
-        Raises
-        ------
-        InputError
-            If a sensor does not exist, or the fault does not apply to this recording.
-        """
+        """Inject the fault into a recording."""
         generator = np.random.default_rng(rng)
         parameters = dict(self.parameters)
         if self.kind in FRAME_FAULTS:
@@ -126,12 +60,11 @@ def parse_fault(text: str) -> FaultRequest:
     """
     kind, _, rest = text.partition(":")
     kind = kind.strip()
-    known = {**FAULTS, **FRAME_FAULTS}
-    if kind not in known:
-        raise InputError(f"there is no fault {kind!r}; choose from {', '.join(known)}")
+    if kind not in RANGES:
+        raise InputError(f"there is no fault {kind!r}; choose from {', '.join(RANGES)}")
     items = [item.strip() for item in rest.split(",") if item.strip()]
     chosen = tuple(item for item in items if "=" not in item)
-    parameters = tuple(_parse_parameter(kind, known[kind], item) for item in items if "=" in item)
+    parameters = tuple(_parse_parameter(kind, item) for item in items if "=" in item)
     if kind in FRAME_FAULTS and chosen:
         raise InputError(f"the fault {kind} affects all sensors; leave out {', '.join(chosen)}")
     if kind in FAULTS and not chosen:
@@ -168,16 +101,13 @@ def inject(
     return recording
 
 
-def _parse_parameter(kind: str, function: Callable[..., Recording], item: str) -> tuple[str, float]:
+def _parse_parameter(kind: str, item: str) -> tuple[str, float]:
     name, _, value = (part.strip() for part in item.partition("="))
     name = name.replace("-", "_")
-    known = [
-        other
-        for other in inspect.signature(function).parameters
-        if other not in ("recording", "sensors", "rng", "source")
-    ]
-    if name not in known:
-        choices = f"choose from {', '.join(known)}" if known else "it has no parameters"
+    if name not in RANGES[kind]:
+        choices = (
+            f"choose from {', '.join(RANGES[kind])}" if RANGES[kind] else "it has no parameters"
+        )
         raise InputError(f"the fault {kind} has no parameter {name!r}; {choices}")
     try:
         return name, int(value) if value.lstrip("+-").isdecimal() else float(value)
