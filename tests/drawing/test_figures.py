@@ -245,7 +245,7 @@ def test_the_same_map_gives_the_same_bytes_whatever_the_settings(kind, tmp_path)
 def test_matplotlib_is_imported_when_something_is_drawn():
     code = (
         "import sys, numpy, anisomap.drawing.figures as f;"
-        "from anisomap.drawing.figures import charts, coverage, gallery, scenes;"
+        "from anisomap.drawing.figures import charts, displacements, panels, scenes, touches;"
         "from anisomap.sensor_map import SensorMap;"
         "assert 'matplotlib' not in sys.modules;"
         "f.map_figure(SensorMap(numpy.eye(3)));"
