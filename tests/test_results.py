@@ -23,9 +23,7 @@ from benchmarks import (
 
 from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.comparison import COMPARED
-from anisomap.paper import accuracy, claims
-from anisomap.paper import bodies as shape_distortion
-from anisomap.paper.experiments import dimensionality
+from anisomap.paper import accuracy, bodies, claims, dimensionality
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 
@@ -45,8 +43,8 @@ HEADERS = {
     "dimensions": dimensionality.COLUMNS,
     "faults": columns(faults.Result),
     "figure-3": accuracy.SUMMARY_COLUMNS,
-    "figure-4": shape_distortion.AXIAL_COLUMNS,
-    "figure-7": shape_distortion.ROUNDNESS_COLUMNS,
+    "figure-4": bodies.AXIAL_COLUMNS,
+    "figure-7": bodies.ROUNDNESS_COLUMNS,
     "limits": columns(limits.Limits),
     "live-memory": live.MEMORY_COLUMNS,
     "placement": columns(placement.Figure),
