@@ -65,13 +65,8 @@ def send(port: int, n_sensors: int, rate: float, seconds: float) -> None:
 class Watcher:
     """A page of the session: counts the states of the readings, and notes the age of the map.
 
-    Attributes
-    ----------
-    readings : list of float
-        When the states of the readings came.
-    ages : list of (float, float)
-        Time, and age of the map in seconds.
-    frames : list of int
+    readings: When the states of the readings came.
+    ages: Time, and age of the map in seconds.
     """
 
     url: str
@@ -138,14 +133,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 class Memory:
     """Memory of the processes of a session at one time.
 
-    Attributes
-    ----------
-    seconds : float
-        Since the first frame.
-    n_frames : int
-        Frames that the page knew of.
-    mib : tuple of float
-        Proportional set size of each of `ROLES`, in MiB.
+    seconds: Since the first frame.
+    n_frames: Frames that the page knew of.
+    mib: Proportional set size of each of `ROLES`, in MiB.
     """
 
     seconds: float
