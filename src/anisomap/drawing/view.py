@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from anisomap.covariance_ellipses import ellipses, radius
-from anisomap.evaluation import Alignment, Score
+from anisomap.evaluation import Score
 from anisomap.sensor_map import SensorMap
 
 View: TypeAlias = tuple[float, float]
@@ -226,7 +226,7 @@ def printable(text: str, max_length: int | None = None) -> str:
 def _aligned(sensor_map: SensorMap, sensors: NDArray[np.intp], score: Score) -> Component:
     sensors = np.concatenate([score.sensors, np.setdiff1d(sensors, score.sensors)])
     alignment = score.alignment
-    points = place_aligned(sensor_map.positions[sensors], alignment)
+    points = alignment.apply(sensor_map.positions[sensors])
     dimensions = min(max(points.shape[1], 2), 3)
     if max(_true_dimensions(score), sensor_map.dimensions) < 3:
         dimensions = 2
@@ -300,12 +300,6 @@ def _with_gaps(lines: NDArray[np.float64]) -> NDArray[np.float64]:
     """Concatenate lines into one, separated by NaN. lines (E, L, k) -> (E (L + 1), k)."""
     gaps = np.full((len(lines), 1, lines.shape[2]), np.nan)
     return np.concatenate([lines, gaps], axis=1).reshape(-1, lines.shape[2])
-
-
-def place_aligned(positions: NDArray[np.float64], alignment: Alignment) -> NDArray[np.float64]:
-    """Move positions of a map into the frame of the truth. positions (n, j) -> (n, k)."""
-    padded = _with_axes(positions, len(alignment.translation))
-    return np.asarray(alignment.scale * padded @ alignment.rotation.T + alignment.translation)
 
 
 def _covariances(

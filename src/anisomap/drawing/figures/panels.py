@@ -33,7 +33,6 @@ from anisomap.drawing.view import (
     best_view,
     box_around,
     neighbour_pairs,
-    place_aligned,
     place_colours,
     segments,
     view_axes,
@@ -299,7 +298,7 @@ def map_panel(
     places = np.asarray(truth, dtype=np.float64)
     return _panel(
         title,
-        place_aligned(sensor_map.positions, score.alignment)[:, : places.shape[1]],
+        score.alignment.apply(sensor_map.positions)[:, : places.shape[1]],
         places,
         placed=sensor_map.placed & (sensor_map.component == 0),
         excluded=np.isin(np.arange(sensor_map.n_sensors), score.excluded),
