@@ -9,7 +9,6 @@ page receives per second, the age of the map, and the memory of all processes of
 from __future__ import annotations
 
 import argparse
-import csv
 import http.client
 import json
 import os
@@ -27,6 +26,8 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
+
+from benchmarks.harness import write_csv
 
 _SETTLING_S = 5.0  # after the first map, before measurements begin
 _KIB = 1024
@@ -207,12 +208,11 @@ def processes(pid: int) -> list[int]:
 
 def write_memory(memory: Sequence[Memory], path: Path) -> None:
     """Write the memory over time as CSV, in equal steps."""
-    with path.with_suffix(".csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(MEMORY_COLUMNS)
-        for one in memory[:: max(1, len(memory) // _N_TIMES)]:
-            sizes = (round(size, 1) for size in one.mib)
-            writer.writerow([round(one.seconds), one.n_frames, *sizes])
+    rows = (
+        [round(one.seconds), one.n_frames, *(round(size, 1) for size in one.mib)]
+        for one in memory[:: max(1, len(memory) // _N_TIMES)]
+    )
+    write_csv(path.with_suffix(".csv"), MEMORY_COLUMNS, rows)
 
 
 def draw_memory(memory: Sequence[Memory], path: Path) -> None:
