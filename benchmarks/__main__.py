@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.comparison import Row, Setting, run
-from benchmarks.picture import draw
 from benchmarks.stages import STAGES
-from benchmarks.tables import markdown, significant, write_csv
+from benchmarks.tables import draw, markdown, significant, write_csv
 
 SIZES = (256, 1000, 4000)
 LARGE = 20_000

@@ -11,7 +11,6 @@ import argparse
 import resource
 import tempfile
 import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,13 +19,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from threadpoolctl import threadpool_limits
 
 from anisomap import SensorMap, read, reconstruct_from, score
-from anisomap.errors import AnisomapWarning
 from anisomap.evaluation import Score
 from anisomap.large import reconstruct_approximately
 from anisomap.numerics.similarity.correlation import pearson
+from benchmarks.harness import files_in, heading, line, quietly
 
 Matrix = NDArray[np.float64]
 
@@ -104,20 +102,18 @@ def touch(
 
 def losses(sizes: Sequence[int], n_frames: int, seeds: int) -> None:
     """Print scores of exact and approximate maps of the same recordings."""
-    print(
-        "| skin | sensors | exact | approximate | lost | worst | agreement "
-        "| exact (s) | approximate (s) |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
+    _print_heading(
+        "skin", "sensors", "exact", "approximate", "lost", "worst", "agreement", "exact (s)",
+        "approximate (s)",
+    )  # fmt: skip
     for skin in SKINS:
         for n_sensors in sizes:
             rows = np.array([_loss(skin, n_sensors, n_frames, seed) for seed in range(seeds)])
             exact, approximate, agreement, slow, fast = rows.mean(axis=0)
-            print(
-                f"| {skin.name} | {n_sensors} | {exact:.4f} | {approximate:.4f} "
-                f"| {exact - approximate:.4f} | {(rows[:, 0] - rows[:, 1]).max():.4f} "
-                f"| {agreement:.4f} | {slow:.1f} | {fast:.1f} |",
-                flush=True,
+            worst = (rows[:, 0] - rows[:, 1]).max()
+            scores = (exact, approximate, exact - approximate, worst, agreement)
+            _print(
+                skin.name, n_sensors, *(f"{r:.4f}" for r in scores), f"{slow:.1f}", f"{fast:.1f}"
             )
 
 
@@ -150,19 +146,23 @@ def _compare(
 
 def real_losses(folder: Path) -> None:
     """Print scores of exact and approximate 2D maps of real recordings."""
-    print("| recording | sensors | exact | approximate | lost | agreement |")
-    print("|---|---|---|---|---|---|")
-    for path in sorted(folder.glob("*.npz")):
+    _print_heading("recording", "sensors", "exact", "approximate", "lost", "agreement")
+    for path in files_in([folder]):
         recording = read(path)
         if recording.positions is not None:
             exact, approximate, agreement, _, _ = _compare(
                 recording.readings, recording.positions, 2
             )
-            print(
-                f"| {path.stem} | {recording.n_sensors} | {exact:.4f} | {approximate:.4f} "
-                f"| {exact - approximate:.4f} | {agreement:.4f} |",
-                flush=True,
-            )
+            scores = (exact, approximate, exact - approximate, agreement)
+            _print(path.stem, recording.n_sensors, *(f"{r:.4f}" for r in scores))
+
+
+def _print_heading(*names: str) -> None:
+    print(*heading(names), sep="\n")
+
+
+def _print(*cells: object) -> None:
+    print(line(cells), flush=True)
 
 
 def _score(found: SensorMap, truth: Matrix) -> Score:
@@ -171,16 +171,15 @@ def _score(found: SensorMap, truth: Matrix) -> Score:
 
 def _timed(make: Callable[[], SensorMap]) -> tuple[float, SensorMap]:
     begin = time.process_time()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)
-        made = make()
+    made = make()
     return time.process_time() - begin, made
 
 
 def costs(sizes: Sequence[int], n_frames: int) -> None:
     """Print time, memory and scores of approximate maps of recordings on disk."""
-    print("| skin | sensors x frames | CPU (s) | peak memory (GB) | Mantel r | neighbours kept |")
-    print("|---|---|---|---|---|---|")
+    _print_heading(
+        "skin", "sensors x frames", "CPU (s)", "peak memory (GB)", "Mantel r", "neighbours kept"
+    )
     for n_sensors in sizes:
         for skin in SKINS[3:]:
             with tempfile.TemporaryDirectory() as folder:
@@ -190,11 +189,10 @@ def costs(sizes: Sequence[int], n_frames: int) -> None:
                 seconds, found = _timed(partial(reconstruct_approximately, mapped, skin.dimensions))
             result = _score(found, sensors)
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-            print(
-                f"| {skin.name} | {n_sensors} x {n_frames} | {seconds:.0f} | {peak:.1f} "
-                f"| {result.mantel.r:.4f} | {result.neighbours_kept:.0%} |",
-                flush=True,
-            )
+            _print(
+                skin.name, f"{n_sensors} x {n_frames}", f"{seconds:.0f}", f"{peak:.1f}",
+                f"{result.mantel.r:.4f}", f"{result.neighbours_kept:.0%}",
+            )  # fmt: skip
 
 
 def _written(path: Path, skin: Skin, n_sensors: int, n_frames: int) -> Matrix:
@@ -218,7 +216,7 @@ def main() -> None:
     parser.add_argument("--large", action="store_true")
     parser.add_argument("--recordings", type=Path)
     arguments = parser.parse_args()
-    with threadpool_limits(1):
+    with quietly():
         if arguments.large:
             costs([20_000, 100_000], arguments.frames)
         elif arguments.recordings:

@@ -26,10 +26,7 @@ def find_chromium() -> str | None:
 class Page:
     """A page in the browser.
 
-    Attributes
-    ----------
-    errors : list of str
-        Errors of scripts, of the content security policy, and of requests that failed.
+    errors: Errors of scripts, of the content security policy, and of requests that failed.
     """
 
     def __init__(self, connection: Any) -> None:

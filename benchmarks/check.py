@@ -16,11 +16,8 @@ only the table is written.
 
 from __future__ import annotations
 
-import argparse
-import csv
-import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +30,7 @@ from anisomap.layout.checking import NOT_TESTED
 from anisomap.numerics.layout.chance import reading_statistics
 from anisomap.numerics.layout.congruence import congruent, symmetries
 from anisomap.numerics.layout.evidence import neighbour_spacing
+from benchmarks.harness import heading, line, options, quietly, read_rows, write_rows
 
 FIRST_SEED = 1001
 SHARES = (0.01, 0.05, 0.1)
@@ -40,6 +38,9 @@ MIN_SWAPPED = 3.0  # spacings
 MIN_RUN = 8  # sensors of a shifted cable
 MIN_PATCH = 4
 MOVED = (4.0, 10.0)  # spacings
+HEADER = (
+    "recording", "frames", "fault", "share", "faults", "found", "placed", "right sensors accused",
+)  # fmt: skip
 
 Points = NDArray[np.float64]
 Groups = list[NDArray[np.intp]]
@@ -73,21 +74,19 @@ class Result:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Check all recordings, write the scores and print a summary."""
-    parser = argparse.ArgumentParser(prog="benchmarks.check", description=__doc__)
+    parser = options(__doc__, "check.csv", seeds=5, recordings=False)
     parser.add_argument("recordings", type=Path, nargs="*", help="NPZ files with positions")
-    parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--kinds", nargs="+", choices=(*LAYOUT_FAULTS, *READING_FAULTS))
-    parser.add_argument("-o", "--output", type=Path, default=Path("check.csv"))
     parser.add_argument("--table", type=Path, help="file for a summary in Markdown")
     chosen = parser.parse_args(arguments)
     kinds = chosen.kinds or (*LAYOUT_FAULTS, *READING_FAULTS)
-    warnings.simplefilter("ignore", anisomap.AnisomapWarning)
     renewed = {path.stem for path in chosen.recordings}
-    results = [r for r in read_csv(chosen.output) if r.recording not in renewed]
-    for path in chosen.recordings:
-        for result in checks(path, kinds, range(FIRST_SEED, FIRST_SEED + chosen.seeds)):
-            results.append(result)
-            write_csv(results, chosen.output)
+    results = [r for r in read_rows(chosen.output, Result) if r.recording not in renewed]
+    with quietly():
+        for path in chosen.recordings:
+            for result in checks(path, kinds, range(FIRST_SEED, FIRST_SEED + chosen.seeds)):
+                results.append(result)
+                write_rows(chosen.output, results)
     text = "\n".join(table(results))
     if chosen.table:
         chosen.table.write_text(text + "\n", encoding="utf-8")
@@ -305,10 +304,7 @@ READING_FAULTS: dict[
 
 def table(results: Sequence[Result]) -> list[str]:
     """Return a table in Markdown: one row per recording, number of frames and kind."""
-    lines = [
-        "| recording | frames | fault | share | faults | found | placed | right sensors accused |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    lines = heading(HEADER)
     order = [*LAYOUT_FAULTS, *READING_FAULTS]
     keys = sorted(
         {(r.recording, r.n_frames, r.kind) for r in results},
@@ -316,7 +312,7 @@ def table(results: Sequence[Result]) -> list[str]:
     )
     for key in keys:
         rows = [r for r in results if (r.recording, r.n_frames, r.kind) == key]
-        lines.append(f"| {key[0]} | {key[1]:,} | {' | '.join(cells(rows))} |")
+        lines.append(line((key[0], f"{key[1]:,}", *cells(rows))))
     return lines
 
 
@@ -335,26 +331,6 @@ def cells(rows: Sequence[Result]) -> tuple[str, ...]:
         )),
         f"{accused:.2%}",
     )  # fmt: skip
-
-
-def read_csv(path: Path) -> list[Result]:
-    """Read scores; none if there is no file."""
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as stream:
-        types = {"recording": str, "kind": str, "share": float}
-        return [
-            Result(**{name: types.get(name, int)(value) for name, value in row.items()})
-            for row in csv.DictReader(stream)
-        ]
-
-
-def write_csv(results: Sequence[Result], path: Path) -> None:
-    """Write all scores."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        rows = csv.writer(stream)
-        rows.writerow([field.name for field in fields(Result)])
-        rows.writerows(astuple(result) for result in results)
 
 
 if __name__ == "__main__":

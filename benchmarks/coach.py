@@ -12,11 +12,9 @@ compares how evenly the uncoached hand touches with recordings of rubbed skins i
 
 from __future__ import annotations
 
-import argparse
-import csv
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -33,6 +31,7 @@ from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body
 from anisomap.simulation.options import options_for
 from anisomap.simulation.rubbing import TRAVEL_FRAMES, GuidedHand, RubbingOptions
+from benchmarks.harness import options, read_rows, write_csv, write_rows
 
 BODIES = ("sphere", "hand", "hexagon")
 DIMENSIONS = {"hexagon": 2}  # the others are bodies in 3D
@@ -54,14 +53,8 @@ FINGERTIP = 0.3  # x the size of the palm of `RubbingOptions`: it touches a few 
 class Row:
     """Error of a map.
 
-    Attributes
-    ----------
-    body, stimulus, way : str
-    seed, n_frames : int
-    error : float
-        RMS error in spacings: see `error_of`.
-    touched : float
-        Share of the sensors touched.
+    error: RMS error in spacings: see `error_of`.
+    touched: Share of the sensors touched.
     """
 
     body: str
@@ -71,9 +64,6 @@ class Row:
     n_frames: int
     error: float
     touched: float
-
-
-COLUMNS = tuple(field.name for field in fields(Row))
 
 
 def rows_of(body: Body, dimensions: int, stimulus: str, way: str, *, seed: int) -> list[Row]:
@@ -106,8 +96,8 @@ def hand_on(body: Body, stimulus: str, seed: int) -> GuidedHand:
     chosen = options_for(RubbingOptions, body)
     factor = {"palm": 1.0, "fingertip": FINGERTIP}[stimulus]
     size, depth = factor * chosen.hand_size, factor * chosen.press_depth
-    options = replace(chosen, hand_size=size, press_depth=depth)
-    return GuidedHand(body, options, np.random.default_rng(seed))
+    resized = replace(chosen, hand_size=size, press_depth=depth)
+    return GuidedHand(body, resized, np.random.default_rng(seed))
 
 
 def uncoached(hand: GuidedHand, n_frames: int) -> NDArray[np.float32]:
@@ -118,12 +108,8 @@ def uncoached(hand: GuidedHand, n_frames: int) -> NDArray[np.float32]:
 def evenness(readings: NDArray[np.floating], mean: float) -> tuple[float, float]:
     """Return how evenly a skin was touched when sensors had some contacts on average.
 
-    Returns
-    -------
-    share : float
-        Of the sensors that were touched by then; NaN if there are fewer contacts.
-    variation : float
-        Standard deviation of the contacts of the sensors over their mean.
+    The share of the sensors that were touched by then, and the standard deviation of their contacts
+    over the mean; NaN if there are fewer contacts.
     """
     active = estimate_rest(readings).active(readings)
     fresh = active & ~np.vstack([np.zeros_like(active[:1]), active[:-1]])
@@ -215,55 +201,34 @@ def summary(rows: Sequence[Row]) -> list[dict[str, object]]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, and write the rows, the summary and the figure."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path("coach"))
+    parser = options(__doc__, "coach", recordings=False)
     parser.add_argument("--seeds", type=int, nargs="*", default=list(SEEDS))
     parser.add_argument("--bodies", nargs="*", default=list(BODIES))
     parser.add_argument("--read", type=Path, nargs="*", help="rows of earlier runs, to be joined")
     parser.add_argument("--evenness", type=Path, help="folder of recordings of rubbed skins")
     given = parser.parse_args(arguments)
     given.output.mkdir(exist_ok=True)
-    rows = [row for path in given.read or () for row in read(path)]
+    rows = [row for path in given.read or () for row in read_rows(path, Row)]
     if given.evenness is not None:
         evenly = evenness_table(given.evenness, given.seeds[:3])
-        write(given.output / "coach-evenness.csv", evenly, EVENNESS_COLUMNS)
+        write(given.output / "coach-evenness.csv", EVENNESS_COLUMNS, evenly)
         return
     for name in () if rows else given.bodies:
         body, dimensions = find_body(name), DIMENSIONS.get(name, 3)
         for stimulus, seed, way in itertools.product(STIMULI, given.seeds, WAYS):
             rows += rows_of(body, dimensions, stimulus, way, seed=seed)
-            write(given.output / "coach.csv", [vars(row) for row in rows], COLUMNS)
-    write(given.output / "coach.csv", [vars(row) for row in rows], COLUMNS)
+            write_rows(given.output / "coach.csv", rows)
+    write_rows(given.output / "coach.csv", rows)
     results = summary(rows)
-    write(given.output / "coach-summary.csv", results, SUMMARY_COLUMNS)
+    write(given.output / "coach-summary.csv", SUMMARY_COLUMNS, results)
     for result in results:
         print(result)
     draw(rows, given.output / "coach.png")
 
 
-def read(path: Path) -> list[Row]:
-    """Read rows from CSV."""
-    with path.open(encoding="utf-8") as stream:
-        return [
-            Row(
-                row["body"],
-                row["stimulus"],
-                row["way"],
-                int(row["seed"]),
-                int(row["n_frames"]),
-                float(row["error"]),
-                float(row["touched"]),
-            )
-            for row in csv.DictReader(stream)
-        ]
-
-
-def write(path: Path, rows: Sequence[dict[str, object]], columns: Sequence[str]) -> None:
+def write(path: Path, names: Sequence[str], rows: Sequence[dict[str, object]]) -> None:
     """Write rows as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(path, names, ([row[name] for name in names] for row in rows))
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:

@@ -24,16 +24,10 @@ MIN_GOAL_SENSORS = 4000
 class Setting:
     """Size and inputs of a run of the benchmarks.
 
-    Parameters
-    ----------
-    n_sensors, n_frames : int
-    torso : Path, optional
-        Real recording, tiled to the number of sensors.
-    max_slow_sensors : int
-        Number of sensors up to which the slowest comparisons are made: scikit-learn's MDS and the
-        scaling with missing pairs.
-    more : bool
-        Whether to make comparisons that are similar to others, too.
+    torso: Real recording, tiled to the number of sensors.
+    max_slow_sensors: Number of sensors up to which the slowest comparisons are made: scikit-learn's
+        MDS and the scaling with missing pairs.
+    more: Whether to make comparisons that are similar to others, too.
     """
 
     n_sensors: int
@@ -47,20 +41,12 @@ class Setting:
 class Reference:
     """A reference implementation and its cost.
 
-    Parameters
-    ----------
-    name : str
-    cost : Cost
-        On one thread.
-    same : callable
-        ``same(result)`` returns whether anisomap's result is correct, or a description if the two
+    cost: On one thread.
+    same: ``same(result)`` returns whether anisomap's result is correct, or a description if the two
         are not expected to agree.
-    goal : float, optional
-        Required ratio of CPU times, from `MIN_GOAL_SENSORS` sensors on.
-    details : str
-        Parameters, and how the time was estimated.
-    estimated : bool
-        Whether the time is extrapolated from a share of the work.
+    goal: Required ratio of CPU times, from `MIN_GOAL_SENSORS` sensors on.
+    details: Parameters, and how the time was estimated.
+    estimated: Whether the time is extrapolated from a share of the work.
     """
 
     name: str
@@ -75,14 +61,8 @@ class Reference:
 class Comparison:
     """A stage on one input, with its references.
 
-    Parameters
-    ----------
-    stage, dataset : str
-    compute : callable
-        Runs anisomap.
-    references : tuple of Reference
-    drawn : bool
-        Whether it is drawn in the figure, which shows one of several similar comparisons.
+    compute: Runs anisomap.
+    drawn: Whether it is drawn in the figure, which shows one of several similar comparisons.
     """
 
     stage: str
@@ -178,17 +158,9 @@ def timed_reference(
 ) -> Reference:
     """Time a reference on the whole work or a share of it, and keep its result for comparison.
 
-    Parameters
-    ----------
-    name : str
-    compute : callable
-    same : callable
-        ``same(result, expected)``.
-    share : str
-        Description of the share.
-    factor : float
-        Cost of the whole in units of the share; 1 if the whole is timed.
-    goal : float, optional
+    same: ``same(result, expected)``.
+    share: Description of the share.
+    factor: Cost of the whole in units of the share; 1 if the whole is timed.
     """
     cost, expected = measure_on_one_thread(compute)
     return Reference(

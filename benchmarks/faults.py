@@ -8,22 +8,18 @@ accuracy (Mantel r) of maps of the undamaged, the damaged and the repaired recor
 
 from __future__ import annotations
 
-import argparse
-import csv
 import math
-import os
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 import anisomap
+from anisomap.comparison import spanned_dimensions
 from anisomap.simulation import inject, parse_fault
+from benchmarks.harness import files_in, heading, in_parallel, line, options, write_rows
 
 BODIES = (
     ("sphere", "bombardment"),
@@ -40,15 +36,10 @@ FRAMES = 2000
 class Damage:
     """A fault with its size.
 
-    Attributes
-    ----------
-    kind : str
-        Kind of the finding that is right.
-    fault : str
-        As for ``anisomap spoil``; ``{sd}`` stands for one standard deviation of the median sensor
-        as a share of the range of the recording, times the number after it.
-    also : tuple of str
-        Further kinds of findings that are right.
+    kind: Kind of the finding that is right.
+    fault: As for ``anisomap spoil``; ``{sd}`` stands for one standard deviation of the median
+        sensor as a share of the range of the recording, times the number after it.
+    also: Further kinds of findings that are right.
     """
 
     kind: str
@@ -112,80 +103,65 @@ class Result:
     share_of_sensors: float
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Damage, examine, repair and map all recordings, and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--recordings", type=Path, help="folder of NPZ files with positions")
-    parser.add_argument("-o", "--output", type=Path, default=Path("faults"))
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    chosen = parser.parse_args()
-    chosen.output.mkdir(parents=True, exist_ok=True)
-    files = sorted(chosen.recordings.glob("*.npz")) if chosen.recordings else []
+    parser = options(__doc__, "faults", seeds=2, workers=True)
+    chosen = parser.parse_args(arguments)
     seeds = range(FIRST_SEED, FIRST_SEED + chosen.seeds)
+    sources: list[tuple[tuple[str, str], int] | Path]
+    sources = [*((body, seed) for seed in seeds for body in BODIES), *files_in(chosen.recordings)]
     results: list[Result] = []
-    with ProcessPoolExecutor(chosen.workers) as pool:
-        jobs = [
-            *(pool.submit(of_simulation, *body, seed) for seed in seeds for body in BODIES),
-            *(pool.submit(of_file, path) for path in files),
-        ]
-        for number, job in enumerate(jobs, start=1):
-            results += job.result()
-            write_csv(results, chosen.output / "faults.csv")
-            print(f"\r{number} of {len(jobs)} recordings", end="", flush=True)
-    print()
+    for found in in_parallel(examined, sources, chosen.workers):
+        results += found
+        write_rows(chosen.output / "faults.csv", results)
     text = table(results)
     (chosen.output / "faults-table.md").write_text(text, encoding="utf-8")
     print(text)
 
 
-def of_simulation(body: str, scenario: str, seed: int) -> list[Result]:
-    """Examine one simulated skin, wired at random, with every damage."""
+def examined(source: tuple[tuple[str, str], int] | Path) -> list[Result]:
+    """Examine a recording, or a simulated skin that is wired at random, with every damage."""
+    if isinstance(source, Path):
+        recording = anisomap.read(source)
+        if recording.positions is None or not np.isfinite(recording.positions).all():
+            return []
+        return list(
+            examinations(source.stem, recording, 1, spanned_dimensions(recording.positions))
+        )
+    (body, scenario), seed = source
     recording = anisomap.simulate(body, scenario, n_frames=FRAMES, seed=seed)
     order = np.random.default_rng(seed).permutation(recording.n_sensors)
     name = f"{body}, {scenario}, seed {seed}"
-    return list(examined(name, recording.select(order), seed, dimensions=3))
+    return list(examinations(name, recording.select(order), seed, dimensions=3))
 
 
-def of_file(path: Path) -> list[Result]:
-    """Examine a recording with known positions with every damage; its order is kept."""
-    recording = anisomap.read(path)
-    if recording.positions is None or not np.isfinite(recording.positions).all():
-        return []
-    size = np.linalg.svd(recording.positions - recording.positions.mean(axis=0))[1]
-    dimensions = int(np.count_nonzero(size > 0.02 * size[0]))
-    return list(examined(path.stem, recording, 1, dimensions))
-
-
-def examined(
+def examinations(
     name: str, recording: anisomap.Recording, seed: int, dimensions: int
 ) -> Iterator[Result]:
     """Yield the result of a sound recording, and of each damage."""
-    with warnings.catch_warnings(), threadpool_limits(1):
-        warnings.simplefilter("ignore", anisomap.AnisomapWarning)
-        sound = accuracy(recording, dimensions)
-        kinds = sorted({one.kind for one in anisomap.find_faults(recording)})
+    sound = accuracy(recording, dimensions)
+    kinds = sorted({one.kind for one in anisomap.find_faults(recording)})
+    yield Result(
+        name, "none", found=False, falsely_found=" ".join(kinds), undamaged=sound,
+        damaged=sound, repaired=sound, share_of_sensors=1.0,
+    )  # fmt: skip
+    for text, damage in DAMAGES.items():
+        try:
+            damaged = inject(recording, [parse_fault(sized(damage.fault, recording))], seed)
+        except anisomap.InputError:
+            continue  # no positions or times
+        repaired = anisomap.repair(damaged)
+        found = {one.kind for one in repaired.findings}
         yield Result(
-            name, "none", found=False, falsely_found=" ".join(kinds), undamaged=sound,
-            damaged=sound, repaired=sound, share_of_sensors=1.0,
-        )  # fmt: skip
-        for text, damage in DAMAGES.items():
-            try:
-                damaged = inject(recording, [parse_fault(sized(damage.fault, recording))], seed)
-            except anisomap.InputError:
-                continue  # no positions or times
-            repaired = anisomap.repair(damaged)
-            found = {one.kind for one in repaired.findings}
-            yield Result(
-                recording=name,
-                damage=text,
-                found=damage.kind in found,
-                falsely_found=" ".join(sorted(found - {damage.kind, *damage.also})),
-                undamaged=sound,
-                damaged=accuracy(damaged, dimensions),
-                repaired=accuracy(repaired.recording, dimensions),
-                share_of_sensors=repaired.recording.n_sensors / recording.n_sensors,
-            )
+            recording=name,
+            damage=text,
+            found=damage.kind in found,
+            falsely_found=" ".join(sorted(found - {damage.kind, *damage.also})),
+            undamaged=sound,
+            damaged=accuracy(damaged, dimensions),
+            repaired=accuracy(repaired.recording, dimensions),
+            share_of_sensors=repaired.recording.n_sensors / recording.n_sensors,
+        )
 
 
 def sized(fault: str, recording: anisomap.Recording) -> str:
@@ -212,7 +188,7 @@ def table(results: Sequence[Result]) -> str:
         "fault", "recordings", "found", "something else found", "r undamaged", "r damaged",
         "r repaired", "worst loss after repair", "sensors mapped",
     ]  # fmt: skip
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    lines = heading(header)
     for text in dict.fromkeys(one.damage for one in results):
         group = [one for one in results if one.damage == text]
         r = np.array([(one.undamaged, one.damaged, one.repaired) for one in group])
@@ -227,16 +203,8 @@ def table(results: Sequence[Result]) -> str:
             f"{np.nanmax(r[:, 0] - r[:, 2]):.3f}",
             f"{share:.0%}",
         ]
-        lines.append("| " + " | ".join(cells) + " |")
+        lines.append(line(cells))
     return "\n".join(lines) + "\n"
-
-
-def write_csv(results: Sequence[Result], path: Path) -> None:
-    """Write all results."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow([field.name for field in fields(Result)])
-        writer.writerows(astuple(one) for one in results)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,6 @@ busy processes, and the growth with sensors and frames; ``make bench`` runs it.
 
 from __future__ import annotations
 
-import argparse
-import csv
 import math
 import os
 import subprocess
@@ -17,7 +15,7 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +23,7 @@ import numpy as np
 from anisomap import AnisomapWarning, Recording, diagnose
 from anisomap.health import assess, find_faults
 from anisomap.reconstruction import reconstruct_with_stages
+from benchmarks.harness import markdown_table, options, write_rows
 from benchmarks.inputs import rubbed_skin
 from benchmarks.measuring import threads
 from benchmarks.tables import growth_exponent, significant
@@ -45,6 +44,11 @@ BUSY_SENSORS, BUSY_FRAMES = 220, 3170
 SHELL_SENSORS, SHELL_FRAMES = 60, 2000
 """Size of the recording that is mapped from the shell: that of ``anisomap demo``."""
 
+HEADER = (
+    "journey", "sensors", "frames", "faults, s", "health, s", "map, s", "verdict, s", "CPU, s",
+    "clock, s",
+)  # fmt: skip
+
 _LEVELS = 255  # of readings of 8 bits
 _SETTINGS = (
     "OMP_NUM_THREADS",
@@ -62,14 +66,8 @@ _DIMENSIONS = 3
 class Journey:
     """CPU seconds of the parts of a journey.
 
-    Parameters
-    ----------
-    journey : str
-    n_sensors, n_frames : int
-    cpu, clock : float
-        Seconds of the whole: CPU time of all threads, and wall-clock time.
-    faults, health, map, verdict : float
-        CPU seconds of the parts; NaN if they were not timed separately.
+    cpu, clock: Seconds of the whole: CPU time of all threads, and wall-clock time.
+    faults, health, map, verdict: CPU seconds of the parts; NaN if they were not timed separately.
     """
 
     journey: str
@@ -91,16 +89,7 @@ def readings_of_8_bits(n_sensors: int, n_frames: int) -> Recording:
 
 
 def travel(name: str, recording: Recording, method: str = "covariogram") -> Journey:
-    """Make a journey in this process as ``anisomap map`` does, and time its parts.
-
-    Parameters
-    ----------
-    name : str
-        Name of the journey in the table.
-    recording : Recording
-    method : str
-        A key of `anisomap.METHODS`.
-    """
+    """Make a journey in this process as ``anisomap map`` does, and time its parts."""
     laps, clock = [time.process_time()], time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)
@@ -165,14 +154,9 @@ def journeys(
 ) -> Iterator[Journey]:
     """Make all journeys.
 
-    Parameters
-    ----------
-    sensors : sequence of int
-        Numbers of sensors, of 4,000 frames each.
-    frames : sequence of int
-        Numbers of frames, of 250 sensors each.
-    rubbed : sequence of (int, int)
-        Numbers of sensors and frames of further recordings.
+    sensors: Numbers of sensors, of 4,000 frames each.
+    frames: Numbers of frames, of 250 sensors each.
+    rubbed: Numbers of sensors and frames of further recordings.
     """
     with threads(1):
         for n_sensors in _WARM_UPS:
@@ -211,28 +195,24 @@ def slopes(made: Sequence[Journey]) -> dict[str, float]:
 def markdown(made: Sequence[Journey]) -> str:
     """Write the table of journeys, and their growth."""
     parts = ("faults", "health", "map", "verdict", "cpu", "clock")
-    lines = [
-        "| journey | sensors | frames | faults, s | health, s | map, s | verdict, s | CPU, s "
-        "| clock, s |",
-        "|---|" + "--:|" * 8,
-    ]
-    for journey in made:
-        cells = [significant(getattr(journey, part)) for part in parts]
-        sizes = f"{journey.n_sensors:,} | {journey.n_frames:,}"
-        lines.append(f"| {journey.journey} | {sizes} | {' | '.join(cells)} |")
+    rows = [
+        (one.journey, f"{one.n_sensors:,}", f"{one.n_frames:,}",
+         *(significant(getattr(one, part)) for part in parts))
+        for one in made
+    ]  # fmt: skip
+    lines = markdown_table(HEADER, rows, HEADER[:1])
     growth = [f"{name}: exponent {value:.2f}" for name, value in slopes(made).items()]
     return "\n".join([*lines, "", "Growth of the CPU time: " + "; ".join(growth) + ".", ""])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Make all journeys, and write ``journeys-table.md`` and ``journeys.csv``."""
-    parser = argparse.ArgumentParser(prog="benchmarks.journeys", description=__doc__)
+    parser = options(__doc__, "bench", recordings=False)
     parser.add_argument(
         "--large", action="store_true", help="more sizes, also 4,000 sensors x 30,000 frames"
     )
     parser.add_argument("--sensors", type=int, nargs="+", help="numbers of sensors, increasing")
     parser.add_argument("--frames", type=int, nargs="+", help="numbers of frames, increasing")
-    parser.add_argument("-o", "--output", type=Path, default=Path("bench"), help="output folder")
     chosen = parser.parse_args(arguments)
     sensors = chosen.sensors or (MORE_SENSORS if chosen.large else SENSORS)
     frames = chosen.frames or FRAMES
@@ -244,18 +224,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"of CPU, {journey.clock:.3g} s",
             flush=True,
         )
-    _write(made, chosen.output)
+    write_rows(chosen.output / "journeys.csv", made)
+    (chosen.output / "journeys-table.md").write_text(markdown(made), encoding="utf-8")
     print(f"wrote {chosen.output / 'journeys-table.md'}")
     return 0
-
-
-def _write(made: Sequence[Journey], folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "journeys-table.md").write_text(markdown(made), encoding="utf-8")
-    with (folder / "journeys.csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [field.name for field in fields(Journey)])
-        writer.writeheader()
-        writer.writerows(asdict(journey) for journey in made)
 
 
 if __name__ == "__main__":

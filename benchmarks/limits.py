@@ -11,19 +11,14 @@ The table shows, beside the default map of each real recording,
 
 from __future__ import annotations
 
-import argparse
-import csv
 import math
-import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass, fields
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist, squareform
 from sklearn.isotonic import IsotonicRegression
-from threadpoolctl import threadpool_limits
 
 import anisomap
 from anisomap.comparison import MIN_TOUCHES, spanned_dimensions, touched
@@ -34,9 +29,15 @@ from anisomap.methods import DEFAULT_METHOD, METHODS
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
 from anisomap.scaling import Configuration, refine_components
+from benchmarks.harness import files_in, markdown_table, options, quietly, write_rows
 
 FRAMES_FOR_HALVES = 1000
 """Shorter recordings are not halved: their halves hold too few contacts for a map."""
+
+HEADER = (
+    "recording", "sensors x frames", "map", "default", "started from the truth",
+    "function of the similarity", "first half", "second half", "between halves",
+)  # fmt: skip
 
 Array = NDArray[np.float64]
 
@@ -59,21 +60,13 @@ class Limits:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure all recordings and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, nargs="+", required=True, help="folders of NPZ")
-    parser.add_argument("-o", "--output", type=Path, default=Path("quality"))
-    chosen = parser.parse_args(arguments)
-    chosen.output.mkdir(parents=True, exist_ok=True)
-    results = []
-    for path in (path for folder in chosen.recordings for path in sorted(folder.glob("*.npz"))):
-        with threadpool_limits(1), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+    chosen = options(__doc__, "quality").parse_args(arguments)
+    results: list[Limits] = []
+    for path in files_in(chosen.recordings):
+        with quietly():
             results.append(limits_of(anisomap.read(path), path.stem))
         print(results[-1], flush=True)
-    with (chosen.output / "limits.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(field.name for field in fields(Limits))
-        writer.writerows(astuple(result) for result in results)
+    write_rows(chosen.output / "limits.csv", results)
     (chosen.output / "limits-table.md").write_text(markdown(results), encoding="utf-8")
 
 
@@ -145,19 +138,12 @@ def _r(first: Array, second: Array) -> float:
 
 def markdown(results: Sequence[Limits]) -> str:
     """Format the results as a table."""
-    return "\n".join(_lines(results)) + "\n"
-
-
-def _lines(results: Sequence[Limits]) -> Iterator[str]:
-    yield (
-        "| recording | sensors x frames | map | default | started from the truth "
-        "| function of the similarity | first half | second half | between halves |"
-    )
-    yield "| --- | --- | --- | --- | --- | --- | --- | --- | --- |"
+    rows = []
     for found in results:
         name, sensors, frames, k, *values = astuple(found)
         cells = (f"{value:.3f}" if math.isfinite(value) else "-" for value in values)
-        yield f"| {name} | {sensors} x {frames} | {k}D | {' | '.join(cells)} |"
+        rows.append((name, f"{sensors} x {frames}", f"{k}D", *cells))
+    return "\n".join(markdown_table(HEADER, rows)) + "\n"
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ page receives per second, the age of the map, and the memory of all processes of
 from __future__ import annotations
 
 import argparse
-import csv
 import http.client
 import json
 import os
@@ -27,6 +26,8 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
+
+from benchmarks.harness import write_csv
 
 _SETTLING_S = 5.0  # after the first map, before measurements begin
 _KIB = 1024
@@ -65,13 +66,8 @@ def send(port: int, n_sensors: int, rate: float, seconds: float) -> None:
 class Watcher:
     """A page of the session: counts the states of the readings, and notes the age of the map.
 
-    Attributes
-    ----------
-    readings : list of float
-        When the states of the readings came.
-    ages : list of (float, float)
-        Time, and age of the map in seconds.
-    frames : list of int
+    readings: When the states of the readings came.
+    ages: Time, and age of the map in seconds.
     """
 
     url: str
@@ -138,14 +134,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 class Memory:
     """Memory of the processes of a session at one time.
 
-    Attributes
-    ----------
-    seconds : float
-        Since the first frame.
-    n_frames : int
-        Frames that the page knew of.
-    mib : tuple of float
-        Proportional set size of each of `ROLES`, in MiB.
+    seconds: Since the first frame.
+    n_frames: Frames that the page knew of.
+    mib: Proportional set size of each of `ROLES`, in MiB.
     """
 
     seconds: float
@@ -217,12 +208,11 @@ def processes(pid: int) -> list[int]:
 
 def write_memory(memory: Sequence[Memory], path: Path) -> None:
     """Write the memory over time as CSV, in equal steps."""
-    with path.with_suffix(".csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(MEMORY_COLUMNS)
-        for one in memory[:: max(1, len(memory) // _N_TIMES)]:
-            sizes = (round(size, 1) for size in one.mib)
-            writer.writerow([round(one.seconds), one.n_frames, *sizes])
+    rows = (
+        [round(one.seconds), one.n_frames, *(round(size, 1) for size in one.mib)]
+        for one in memory[:: max(1, len(memory) // _N_TIMES)]
+    )
+    write_csv(path.with_suffix(".csv"), MEMORY_COLUMNS, rows)
 
 
 def draw_memory(memory: Sequence[Memory], path: Path) -> None:

@@ -35,12 +35,8 @@ _KIBIBYTES_PER_MEGABYTE = 1000 / 1.024
 class Cost:
     """Cost of a run.
 
-    Parameters
-    ----------
-    cpu, clock : float
-        Seconds: CPU time of all threads, and wall-clock time.
-    memory : float
-        Peak memory in megabytes above that before the run, including the result; NaN where the
+    cpu, clock: Seconds: CPU time of all threads, and wall-clock time.
+    memory: Peak memory in megabytes above that before the run, including the result; NaN where the
         system does not report it.
     """
 

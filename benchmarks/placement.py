@@ -8,11 +8,8 @@ real recordings and simulations of seeds 201 to 203 and 211.
 
 from __future__ import annotations
 
-import argparse
-import csv
-import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -21,7 +18,7 @@ from numpy.typing import NDArray
 
 import anisomap
 from anisomap import Recording, SensorMap, align, reconstruct, simulate
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.errors import InputError
 from anisomap.evaluation import compare_maps, median_spacing
 from anisomap.placement import (
     Anchors,
@@ -33,6 +30,7 @@ from anisomap.placement import (
 )
 from anisomap.scene import Mesh
 from anisomap.simulation import Body, find_body
+from benchmarks.harness import options, quietly, write_rows
 
 Result = TypeVar("Result")
 
@@ -57,14 +55,10 @@ _ANCHORS = 4
 class Figure:
     """A measured number.
 
-    Attributes
-    ----------
-    subject, measure : str
-        What was placed or compared, and what was measured.
-    median, worst : float
-        Over draws of anchors or faults: the median, and the quantile of 90 % (10 % for shares).
-    draws, refused : int
-        Number of draws, and of those that were refused.
+    subject, measure: What was placed or compared, and what was measured.
+    median, worst: Over draws of anchors or faults: the median, and the quantile of 90 % (10 % for
+        shares).
+    draws, refused: Number of draws, and of those that were refused.
     """
 
     subject: str
@@ -77,24 +71,17 @@ class Figure:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, print and write all figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options(__doc__, "placement.csv", recordings=False)
     parser.add_argument("--shared", type=Path, help="folder with recordings/ and geometry/")
     parser.add_argument("--draws", type=int, default=DRAWS)
     parser.add_argument("--bodies", nargs="+", default=BODIES, choices=BODIES)
-    parser.add_argument("-o", "--output", type=Path, default=Path("placement.csv"))
     chosen = parser.parse_args(arguments)
     found: list[Figure] = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)
+    with quietly():
         for figure in _figures(chosen.shared, chosen.draws, chosen.bodies):
             print(*astuple(figure), sep=", ", flush=True)
             found.append(figure)
-    with chosen.output.open("w", encoding="utf-8", newline="") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow([field.name for field in fields(Figure)])
-        for figure in found:
-            row = astuple(figure)
-            table.writerow([f"{v:.4g}" if isinstance(v, float) else v for v in row])
+    write_rows(chosen.output, found, digits=4)
 
 
 def _figures(shared: Path | None, draws: int, bodies: Sequence[str]) -> Iterator[Figure]:

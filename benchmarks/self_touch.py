@@ -7,8 +7,7 @@ joint angles errors of 0.1 degrees, and in some frames something else touches th
 
 from __future__ import annotations
 
-import argparse
-import csv
+import itertools
 import tempfile
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -23,6 +22,7 @@ from anisomap.errors import InputError
 from anisomap.io import read_robot
 from anisomap.numerics.kinematics import KinematicTree
 from anisomap.placement import SelfTouch, place_by_self_touch
+from benchmarks.harness import options, write_csv
 
 SEEDS = tuple(range(401, 421))
 """Tuned on seeds 1 to 20."""
@@ -66,12 +66,8 @@ URDF = """<?xml version="1.0"?>
 class Patch:
     """Taxels on a surface, in its own frame: a lattice in the plane, bent to it.
 
-    Attributes
-    ----------
-    flat : ndarray of shape (N, 2)
-        In metres along the surface.
-    radii : (float, float)
-        Of curvature, along both coordinates.
+    flat (N, 2): In metres along the surface.
+    radii: Of curvature, along both coordinates.
     """
 
     flat: NDArray[np.float64]
@@ -109,17 +105,10 @@ class Patch:
 class Scene:
     """A recording of self-touch, and the truth.
 
-    Attributes
-    ----------
-    touches : SelfTouch
-    shape : SensorMap
-        Taxels of patch A in a frame of their own, in metres.
-    truth : ndarray of shape (N, 3)
-        The same in the frame of link ``left``.
-    other : SensorMap
-        Taxels of patch B in the frame of link ``right``, with normals.
-    rubbing : Recording
-        Of patch A alone, to map it.
+    shape: Taxels of patch A in a frame of their own, in metres.
+    truth (N, 3): The same in the frame of link ``left``.
+    other: Taxels of patch B in the frame of link ``right``, with normals.
+    rubbing: Of patch A alone, to map it.
     """
 
     touches: SelfTouch
@@ -294,21 +283,14 @@ def measure(form: str, exact: bool, contacts: int, seeds: tuple[int, ...]) -> Re
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, print and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path("self-touch.csv"))
-    parser.add_argument("--seeds", type=int, default=len(SEEDS))
+    parser = options(__doc__, "self-touch.csv", seeds=len(SEEDS), recordings=False)
     parser.add_argument("--contacts", type=int, nargs="*", default=list(CONTACTS))
     chosen = parser.parse_args(arguments)
-    with chosen.output.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(HEADER)
-        for form in RADII:
-            for exact in (True, False):
-                for contacts in chosen.contacts:
-                    found = measure(form, exact, contacts, SEEDS[: chosen.seeds])
-                    print(found, flush=True)
-                    table.writerow(astuple(found))
-                    file.flush()
+    results = []
+    for form, exact, contacts in itertools.product(RADII, (True, False), chosen.contacts):
+        results.append(measure(form, exact, contacts, SEEDS[: chosen.seeds]))
+        print(results[-1], flush=True)
+        write_csv(chosen.output, HEADER, map(astuple, results))
 
 
 if __name__ == "__main__":

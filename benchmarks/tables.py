@@ -1,19 +1,23 @@
-"""Results as tables in Markdown and CSV, with the growth of times."""
+"""Times as tables in Markdown and CSV, with their growth, and as a figure."""
 
 from __future__ import annotations
 
-import csv
+import itertools
 import math
 import platform
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple, fields
+from dataclasses import astuple
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from threadpoolctl import threadpool_info
 
 from benchmarks.comparison import Row
+from benchmarks.harness import COLOURS, columns, markdown_table
+from benchmarks.harness import write_csv as write_table
 from benchmarks.measuring import n_cores
 
 _HEADER = (
@@ -35,11 +39,13 @@ _TEXT_COLUMNS = ("N", "stage", "input", "reference", "same result")
 
 def markdown(rows: Sequence[Row], n_frames: int) -> str:
     """Return the machine, the times and their growth as Markdown."""
-    lines = [machine(n_frames), "", *_table(_HEADER, map(_cells, rows))]
+    lines = [machine(n_frames), "", *markdown_table(_HEADER, map(_cells, rows), _TEXT_COLUMNS)]
     if growth := list(_growth(rows)):
         lines += ["", "Growth of CPU times: exponent of N", ""]
-        lines += _table(
-            ("stage", "input", "from N", "to N", "anisomap", "reference", "its exponent"), growth
+        lines += markdown_table(
+            ("stage", "input", "from N", "to N", "anisomap", "reference", "its exponent"),
+            growth,
+            _TEXT_COLUMNS,
         )
     return "\n".join(lines) + "\n"
 
@@ -104,17 +110,6 @@ def _megabytes(value: float) -> str:
     return "" if math.isnan(value) else f"{value:,.0f}"
 
 
-def _table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> Iterator[str]:
-    """Yield the lines of a Markdown table, texts aligned left and numbers right."""
-    yield _line(header)
-    yield _line([":---" if name in _TEXT_COLUMNS else "---:" for name in header])
-    yield from map(_line, lines)
-
-
-def _line(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
 def _growth(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
     """Yield the growth of times between the two largest sizes, for both implementations."""
     for (stage, dataset, reference), group in grouped(rows).items():
@@ -154,7 +149,47 @@ def growth_exponent(sizes: Sequence[float], times: Sequence[float]) -> float:
 
 def write_csv(rows: Iterable[Row], path: Path) -> None:
     """Write all rows, unrounded."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow([*(field.name for field in fields(Row)), "ratio"])
-        table.writerows((*astuple(row), row.ratio) for row in rows)
+    write_table(path, [*columns(Row), "ratio"], ((*astuple(row), row.ratio) for row in rows))
+
+
+_MARKS = ("o", "s", "^", "D", "v", "P", "X")
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw one panel per family of stages: references dashed, hollow markers if estimated."""
+    drawn = [row for row in rows if row.drawn]
+    families = list(dict.fromkeys(row.family for row in drawn))
+    figure = Figure(figsize=(14, 7 * -(-len(families) // 2)), layout="constrained")
+    panels = figure.subplots(-(-len(families) // 2), min(2, len(families)), squeeze=False).flat
+    for family, axes in zip(families, panels, strict=False):
+        _draw_family(axes, [row for row in drawn if row.family == family])
+        axes.set_title(family)
+    for unused in panels:
+        unused.set_axis_off()
+    figure.suptitle(
+        "CPU time on one thread: anisomap solid, references dashed, hollow where estimated"
+    )
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+
+
+def _draw_family(axes: Axes, rows: Sequence[Row]) -> None:
+    looks = itertools.cycle(zip(COLOURS, _MARKS, strict=True))
+    for ((stage, dataset, reference), group), (colour, mark) in zip(
+        grouped(rows).items(), looks, strict=False
+    ):
+        sizes = [row.n_sensors for row in group]
+        label = f"{stage}: {dataset}" + (f"  (dashed: {reference})" if reference else "")
+        axes.plot(sizes, [row.cpu for row in group], "-", color=colour, marker=mark, label=label)
+        if reference:
+            axes.plot(sizes, [row.reference_cpu for row in group], "--", color=colour)
+            for row in group:
+                fill = "white" if row.estimated else colour
+                axes.plot(
+                    row.n_sensors, row.reference_cpu, mark, color=colour, markerfacecolor=fill
+                )
+    sizes = sorted({row.n_sensors for row in rows})
+    axes.set(xscale="log", yscale="log", xlabel="sensors", ylabel="CPU time (s)")
+    axes.set_xticks(sizes, [f"{size:,}" for size in sizes])
+    axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
+    axes.grid(visible=True, alpha=0.3)
+    axes.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.1), frameon=False)

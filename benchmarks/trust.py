@@ -9,29 +9,26 @@ all results with all evidence as CSV. A run that was interrupted continues where
 
 from __future__ import annotations
 
-import argparse
 import csv
 import logging
 import math
-import multiprocessing
-import os
-import threading
 import time
-import warnings
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from matplotlib.figure import Figure
 
 import anisomap
 from anisomap.diagnosis import judge
 from anisomap.diagnosis.diagnostics import collect_evidence
 from anisomap.reconstruction import reconstruct_with_stages
+from benchmarks.harness import heading, in_parallel, line, options, quietly, write_csv
 from benchmarks.trust_recordings import Case, cases_of_file, cases_of_seed
-from benchmarks.trust_tables import Outcome, draw, number, table
 
 FIRST_SEED = 3001
 SEEDS = 130
@@ -47,64 +44,93 @@ REFUSED = "refused"
 """Level of a recording of which no map is made."""
 
 
+MIN_R, MAX_ERROR = 0.9, 1.0
+"""A map with a smaller Mantel r, or a larger error in spacings, must not be called usable."""
+
+GOOD_R, GOOD_ERROR = 0.97, 0.5
+"""A map with at least this r, and a smaller error in spacings, should not be called not usable."""
+
+LEVELS = ("usable", "usable locally", "not usable", "unknown", "refused")
+
+
+_LOOKS = (("#0072B2", "o"), ("#E69F00", "s"), ("#D55E00", "x"))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A verdict, and the truth about the map.
+
+    source: Seed or file.
+    name: Of the recording.
+    fault: That was injected.
+    level: Of the verdict, or ``"refused"``.
+    expected: Expected error in spacings.
+    r, error, kept: Mantel r, RMS error in spacings, and share of neighbours kept.
+    evidence: What the verdict follows from, and properties of the recording.
+    """
+
+    FIXED: ClassVar = (
+        "source", "name", "fault", "level", "expected", "r", "error", "kept", "reasons",
+    )  # fmt: skip
+    NUMBERS: ClassVar = ("expected", "r", "error", "kept")
+
+    source: str
+    name: str
+    fault: str
+    level: str
+    expected: float
+    r: float
+    error: float
+    kept: float
+    reasons: str
+    evidence: Mapping[str, float]
+
+    @property
+    def is_bad(self) -> bool:
+        """Whether the map is too wrong to be called usable."""
+        return self.r < MIN_R or self.error > MAX_ERROR
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the map is too good to be called not usable."""
+        return self.r >= GOOD_R and self.error < GOOD_ERROR
+
+    @property
+    def is_false_reassurance(self) -> bool:
+        """Whether a bad map is called usable."""
+        return self.is_bad and self.level == "usable"
+
+    @property
+    def is_false_alarm(self) -> bool:
+        """Whether a good map is called not usable."""
+        return self.is_good and self.level == "not usable"
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Map all recordings and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="0 maps real skins only")
+    parser = options(__doc__, "trust", seeds=SEEDS, first_seed=FIRST_SEED, workers=True)
     parser.add_argument(
         "--shard", default="1/1", help="such as 2/3: the second third of the seeds and files"
     )
-    parser.add_argument(
-        "--recordings", type=Path, nargs="+", default=(), help="folders of NPZ files with positions"
-    )
-    parser.add_argument("-o", "--output", type=Path, default=Path("trust"))
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--cases", help="only recordings whose name contains this text")
     chosen = parser.parse_args(arguments)
-    chosen.output.mkdir(parents=True, exist_ok=True)
     part, parts = (int(text) for text in chosen.shard.split("/"))
     # Real skins first: the largest take minutes, and would keep one process busy at the end.
     files = [path for folder in chosen.recordings for path in folder.glob("*.npz")]
     every: list[int | Path] = [*sorted(files, key=lambda path: -path.stat().st_size)]
     every += range(chosen.first_seed, chosen.first_seed + chosen.seeds)
     path = chosen.output / "trust.csv"
-    outcomes = read_csv(path) if path.exists() else []
+    outcomes = read_outcomes(path) if path.exists() else []
     done = {outcome.source for outcome in outcomes}
     todo = [source for source in every[part - 1 :: parts] if str(source_name(source)) not in done]
-    started = time.monotonic()
-    with ProcessPoolExecutor(chosen.workers, initializer=_end_with_parent) as pool:
-        jobs = [
-            pool.submit(outcomes_of, source, chosen.output / "recordings", chosen.cases)
-            for source in todo
-        ]
-        for n_done, job in enumerate(as_completed(jobs), start=1):
-            outcomes += job.result()
-            write_csv(outcomes, path)
-            left = (time.monotonic() - started) / n_done * (len(jobs) - n_done)
-            print(
-                f"\r{n_done} of {len(jobs)} skins, {len(outcomes)} recordings, "
-                f"{left / 60:.0f} min left ",
-                end="",
-                flush=True,
-            )
-    print()
+    judge_all = partial(outcomes_of, folder=chosen.output / "recordings", chosen=chosen.cases)
+    for found in in_parallel(judge_all, todo, chosen.workers, ordered=False):
+        outcomes += found
+        write_outcomes(outcomes, path)
     text = table(outcomes)
     (chosen.output / "trust-table.md").write_text(text, encoding="utf-8")
     draw(outcomes, chosen.output / "trust.png")
     print(text)
-
-
-def _end_with_parent() -> None:
-    """End this worker when the process that started it ends, even if that one is killed."""
-    parent = multiprocessing.parent_process()
-
-    def watch() -> None:
-        if parent is not None:
-            parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def source_name(source: int | Path) -> str:
@@ -118,10 +144,9 @@ def outcomes_of(source: int | Path, folder: Path, chosen: str | None = None) -> 
     cases: Iterator[Case] = (
         cases_of_file(source) if isinstance(source, Path) else cases_of_seed(source, folder)
     )
-    with threadpool_limits(1):
-        return [
-            judged(case, source_name(source)) for case in cases if not chosen or chosen in case.name
-        ]
+    return [
+        judged(case, source_name(source)) for case in cases if not chosen or chosen in case.name
+    ]
 
 
 def judged(case: Case, source: str = "") -> Outcome:
@@ -132,8 +157,7 @@ def judged(case: Case, source: str = "") -> Outcome:
         "frames": float(recording.n_frames),
         "dimensions": float(case.dimensions),
     }
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", anisomap.AnisomapWarning)
+    with quietly():
         try:
             begun = time.process_time()
             made, stages = reconstruct_with_stages(recording, dimensions=case.dimensions)
@@ -173,20 +197,18 @@ def judged(case: Case, source: str = "") -> Outcome:
     )
 
 
-def write_csv(outcomes: Sequence[Outcome], path: Path) -> None:
+def write_outcomes(outcomes: Sequence[Outcome], path: Path) -> None:
     """Write all outcomes; columns of evidence follow the others."""
     evidence = list(dict.fromkeys([*FACTS, *(name for one in outcomes for name in one.evidence)]))
-    partial = path.with_suffix(".part")
-    with partial.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow([*Outcome.FIXED, *evidence])
-        for one in outcomes:
-            fixed = [getattr(one, name) for name in Outcome.FIXED]
-            writer.writerow([*fixed, *(one.evidence.get(name, "") for name in evidence)])
-    partial.replace(path)
+    rows = (
+        [*(getattr(one, name) for name in Outcome.FIXED),
+         *(one.evidence.get(name, "") for name in evidence)]
+        for one in outcomes
+    )  # fmt: skip
+    write_csv(path, [*Outcome.FIXED, *evidence], rows)
 
 
-def read_csv(path: Path) -> list[Outcome]:
+def read_outcomes(path: Path) -> list[Outcome]:
     """Read the outcomes of an earlier run."""
     outcomes = []
     with path.open(newline="", encoding="utf-8") as stream:
@@ -196,6 +218,111 @@ def read_csv(path: Path) -> list[Outcome]:
             evidence = {name: number(text) for name, text in row.items() if text}
             outcomes.append(Outcome(**fixed, evidence=evidence))
     return outcomes
+
+
+def number(text: str) -> float:
+    """Return a number of a CSV file; an empty text is NaN, and a truth value 0 or 1."""
+    if text in ("True", "False"):
+        return float(text == "True")
+    return float(text) if text else math.nan
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """Return the results in Markdown: figures, levels by quality, and all failures by name."""
+    mapped = [one for one in outcomes if not math.isnan(one.r)]
+    bad = [one for one in mapped if one.is_bad]
+    good = [one for one in mapped if one.is_good]
+    reassured = [one for one in mapped if one.is_false_reassurance]
+    alarms = [one for one in mapped if one.is_false_alarm]
+    ratios = np.array(
+        [
+            one.expected / one.error
+            for one in mapped
+            if math.isfinite(one.expected) and one.error > 0
+        ]
+    )
+    cost = [
+        one.evidence["cpu verdict"] / one.evidence["cpu map"]
+        for one in mapped
+        if one.evidence.get("cpu map", 0) > 0
+    ]
+    lines = heading(("figure", "value", "goal"))
+    seeds = [int(one.source) for one in outcomes if one.source.isdecimal()]
+    real = len(outcomes) - len(seeds)
+    lines += [f"| recordings | {len(outcomes)} | at least 500 |"]
+    if seeds:
+        lines.append(f"| of simulated skins, seeds {min(seeds)} to {max(seeds)} | {len(seeds)} | |")
+    if real:
+        lines.append(f"| of real skins, which were seen during development | {real} | |")
+    lines += [
+        f"| maps | {len(mapped)} | |",
+        f"| false reassurance: called usable, but r < {MIN_R} or error > {MAX_ERROR:g} spacing | "
+        f"{len(reassured)} of {len(bad)} | none |",
+        f"| false alarm: called not usable, but r >= {GOOD_R} and error < {GOOD_ERROR:g} spacing | "
+        f"{len(alarms)} of {len(good)} ({len(alarms) / max(1, len(good)):.1%}) | at most 5 % |",
+    ]
+    if ratios.size:
+        within = np.mean((ratios >= 1 / 2) & (ratios <= 2))
+        lines += [
+            f"| expected error over true error, median | {np.median(ratios):.2f} | 0.67 to 1.5 |",
+            f"| expected error within a factor of 2 of the true error | {within:.0%} | |",
+            f"| true error above the expected | {np.mean(ratios < 1):.0%} | |",
+        ]
+    if cost:
+        lines.append(
+            "| CPU time of the search for faults and the verdict over that of the map, median | "
+            f"{np.median(cost):.1f} | |"
+        )
+    lines += ["", *heading(("maps", "number", *LEVELS[:-1]))]
+    between = [one for one in mapped if not one.is_bad and not one.is_good]
+    for title, group in (
+        (f"good: r >= {GOOD_R}, error < {GOOD_ERROR:g}", good),
+        ("between", between),
+        (f"bad: r < {MIN_R} or error > {MAX_ERROR:g}", bad),
+    ):
+        counts = Counter(one.level for one in group)
+        cells = [title, str(len(group)), *(str(counts[level]) for level in LEVELS[:-1])]
+        lines.append(line(cells))
+    for title, group in (("False reassurance", reassured), ("False alarms", alarms)):
+        lines += ["", f"{title}: {'none' if not group else ''}".rstrip()]
+        lines += [""] if group else []
+        lines += [
+            f"- {one.name}: r {one.r:.3f}, error {one.error:.2f}, expected {one.expected:.2f}"
+            for one in sorted(group, key=lambda one: one.r)
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def draw(outcomes: Sequence[Outcome], path: Path) -> None:
+    """Draw expected against true errors, coloured by level."""
+    figure = Figure(figsize=(6, 5.5), layout="constrained")
+    axes = figure.subplots()
+    for level, (colour, marker) in zip(LEVELS, _LOOKS, strict=False):
+        chosen = [one for one in outcomes if one.level == level and math.isfinite(one.expected)]
+        axes.scatter(
+            [one.error for one in chosen],
+            [one.expected for one in chosen],
+            s=14,
+            color=colour,
+            marker=marker,
+            alpha=0.6,
+            linewidths=0.8,
+            label=f"{level} ({len(chosen)})",
+        )
+    ends = np.array([0.03, 30])
+    axes.plot(ends, ends, color="0.4", linewidth=0.8)
+    axes.axvline(MAX_ERROR, color="0.7", linewidth=0.8)
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlim=ends,
+        ylim=ends,
+        aspect="equal",
+        xlabel="true RMS error (spacings)",
+        ylabel="expected error (spacings)",
+    )
+    axes.legend(title="verdict")
+    figure.savefig(path, dpi=120)
 
 
 if __name__ == "__main__":

@@ -80,16 +80,10 @@ class Setting:
 class Case:
     """A recording to map.
 
-    Attributes
-    ----------
-    name : str
-        Unique in the suite.
-    recording : Recording
-        With true positions.
-    dimensions : int
-        Of its map.
-    fault : str
-        That was injected; empty if none.
+    name: Unique in the suite.
+    recording: With true positions.
+    dimensions: Of its map.
+    fault: That was injected; empty if none.
     """
 
     name: str

@@ -13,18 +13,14 @@ Procrustes, and the covariance of their positions. It is judged by the mean of i
 
 from __future__ import annotations
 
-import argparse
-import csv
 import math
 import time
-import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 import anisomap
 from anisomap.covariance_ellipses import radius
@@ -34,6 +30,7 @@ from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.split_half import split_blocks
 from anisomap.numerics.scaling.stress_minimisation import smacof
 from anisomap.numerics.similarity.correlation import pearson
+from benchmarks.harness import files_in, heading, line, options, quietly, write_rows
 
 SKINS = (
     ("sphere", "bombardment"),
@@ -77,39 +74,25 @@ class _Made:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Map all recordings, and write the table and all results."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="0 maps real skins only")
+    parser = options(__doc__, "uncertainty", seeds=SEEDS, first_seed=FIRST_SEED)
     parser.add_argument("--frames", type=int, default=FRAMES)
-    parser.add_argument(
-        "--recordings", type=Path, nargs="+", default=(), help="folders of NPZ files with positions"
-    )
-    parser.add_argument("-o", "--output", type=Path, default=Path("uncertainty"))
     chosen = parser.parse_args(arguments)
     chosen.output.mkdir(parents=True, exist_ok=True)
     results: list[Judged] = []
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
-    files = [path for folder in chosen.recordings for path in sorted(folder.glob("*.npz"))]
-    with warnings.catch_warnings(), threadpool_limits(1):
-        warnings.simplefilter("ignore", anisomap.AnisomapWarning)
-        for skin in (*(SKINS if seeds else ()), *files):
+    with quietly():
+        for skin in (*(SKINS if seeds else ()), *files_in(chosen.recordings)):
             results += (
                 judge_recording(skin)
                 if isinstance(skin, Path)
                 else judge_skin(skin[0], skin[1], chosen.frames, seeds)
             )
             print(skin, flush=True)
-            write(results, chosen.output)
+            # An interrupted run leaves what it has.
+            text = table(results)
+            (chosen.output / "uncertainty-table.md").write_text(text, encoding="utf-8")
+            write_rows(chosen.output / "uncertainty.csv", results)
     print(table(results))
-
-
-def write(results: Sequence[Judged], folder: Path) -> None:
-    """Write the table and all results, those of an interrupted run as well."""
-    (folder / "uncertainty-table.md").write_text(table(results), encoding="utf-8")
-    with (folder / "uncertainty.csv").open("w", newline="", encoding="utf-8") as stream:
-        rows = csv.writer(stream)
-        rows.writerow([field.name for field in fields(Judged)])
-        rows.writerows(astuple(result) for result in results)
 
 
 def judge_skin(body: str, scenario: str, n_frames: int, seeds: Sequence[int]) -> Iterator[Judged]:
@@ -187,7 +170,7 @@ def table(results: Sequence[Judged]) -> str:
     """Return a table of the ellipses of each skin, and of all."""
     header = ["skin", "frames", "maps", "error", "expected", "inside", "bootmds: error"]
     header += ["expected", "inside"]
-    lines = [_row(header), _row(["---"] * len(header))]
+    lines = heading(header)
     for name in [*dict.fromkeys(result.recording for result in results), ""]:
         chosen = [result for result in results if name in ("", result.recording)]
         ours, rival = ([r for r in chosen if r.method == m] for m in (OURS, RIVAL))
@@ -203,7 +186,7 @@ def table(results: Sequence[Judged]) -> str:
             )
         ]
         frames = str(ours[0].n_frames) if name else ""
-        lines.append(_row([name or "**all**", frames, str(len(ours)), *figures]))
+        lines.append(line([name or "**all**", frames, str(len(ours)), *figures]))
     ours = [result for result in results if result.method == OURS]
     ratio = np.median([result.seconds / result.seconds_of_map for result in ours])
     lines += ["", f"The covariances take {ratio:.1f} times as long as the map (median, one core)."]
@@ -234,10 +217,6 @@ def _aligned(source: Points, target: Points) -> Points:
 def _rms(values: Iterator[float]) -> float:
     found = np.array(list(values))
     return float(np.sqrt(np.mean(found**2))) if found.size else math.nan
-
-
-def _row(texts: Sequence[str]) -> str:
-    return f"| {' | '.join(texts)} |"
 
 
 if __name__ == "__main__":

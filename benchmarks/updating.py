@@ -8,11 +8,8 @@ on these recordings, but results on them were seen during development. Simulatio
 
 from __future__ import annotations
 
-import argparse
-import csv
-import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, fields
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +17,10 @@ from numpy.typing import NDArray
 
 import anisomap
 from anisomap import Recording, SensorMap, align, gather_evidence, reconstruct, simulate, update_map
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing
 from anisomap.placement import Anchors, place
+from benchmarks.harness import options, quietly, write_rows
 from benchmarks.placement import Figure
 
 REAL = {"icub_hexagon": 2, "icub_palm": 3, "icub_torso": 2, "plantar": 2}
@@ -36,27 +34,20 @@ _FAR = 3  # spacings between sensors that are exchanged
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, print and write all figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options(__doc__, "updating.csv", recordings=False)
     parser.add_argument("--shared", type=Path, help="folder with recordings/")
     parser.add_argument("--draws", type=int, default=DRAWS)
     parser.add_argument("--only", nargs="+", default=[*REAL, *SIMULATED])
-    parser.add_argument("-o", "--output", type=Path, default=Path("updating.csv"))
     chosen = parser.parse_args(arguments)
     found: list[Figure] = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)
+    with quietly():
         for name in chosen.only:
             if name in REAL and chosen.shared is None:
                 continue
             for figure in _updates(name, chosen.shared, chosen.draws):
                 print(*astuple(figure), sep=", ", flush=True)
                 found.append(figure)
-    with chosen.output.open("w", encoding="utf-8", newline="") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow([field.name for field in fields(Figure)])
-        for figure in found:
-            row = astuple(figure)
-            table.writerow([f"{v:.4g}" if isinstance(v, float) else v for v in row])
+    write_rows(chosen.output, found, digits=4)
 
 
 def _updates(name: str, shared: Path | None, draws: int) -> Iterator[Figure]:

@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 from benchmarks import (
     comparison,
+    dimension,
+    limits,
     measuring,
     paths,
     placement,
+    quality,
     scalings,
     self_touch,
     similarities,
+    trust,
+    uncertainty,
     updating,
     whole_maps,
 )
@@ -25,7 +30,9 @@ from benchmarks.stages import STAGES
 from benchmarks.tables import markdown
 from threadpoolctl import threadpool_info
 
+import anisomap
 from anisomap.numerics.compiled import parallel
+from skins import flat_skin as flat_touched_skin
 
 
 @pytest.fixture
@@ -156,6 +163,29 @@ def measured(benchmark, folder, label, *arguments):
     """Run a benchmark; return the rows that it wrote, by the value of a column."""
     benchmark.main([*arguments, "-o", str(folder / "found.csv")])
     return {row[label]: row for row in rows_of(folder / "found.csv")}
+
+
+RECORDED = {
+    "dimension": (dimension, ["--seeds", "0"]),
+    "limits": (limits, []),
+    "quality": (quality, ["--seeds", "0", "--workers", "1"]),
+    "trust": (trust, ["--seeds", "0", "--workers", "1", "--cases", "skin part, 3D"]),
+    "uncertainty": (uncertainty, ["--seeds", "0"]),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RECORDED)
+def test_tables_of_recordings_are_written(name, tmp_path):
+    recordings, folder = tmp_path / "recordings", tmp_path / "out"
+    recordings.mkdir()
+    anisomap.write(flat_touched_skin(n_frames=1200), recordings / "skin.npz")
+    benchmark, arguments = RECORDED[name]
+    benchmark.main([*arguments, "--recordings", str(recordings), "-o", str(folder)])
+    assert rows_of(folder / f"{name}.csv")
+    texts = [path.read_text(encoding="utf-8") for path in folder.glob("*-table.md")]
+    assert texts
+    assert all("| --- |" in text for text in texts)
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ def test_tables(capsys, tmp_path):
     approximate.real_losses(tmp_path)
     approximate.costs([90], 800)
     rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()]
-    first, second, third = (i for i, row in enumerate(rows) if set(row) == {"---"})
+    first, second, third = (i for i, row in enumerate(rows) if set(row) == {" --- "})
     assert second - first == 2 + len(approximate.SKINS)
     assert rows[third + 1][1].strip() == "90 x 800"
     for row in (*rows[first + 1 : second - 1], *rows[second + 1 : third - 1]):

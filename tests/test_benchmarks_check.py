@@ -9,10 +9,9 @@ from benchmarks.check import (
     READING_FAULTS,
     Result,
     Skin,
-    read_csv,
     table,
-    write_csv,
 )
+from benchmarks.harness import read_rows, write_rows
 from scipy.spatial.distance import cdist
 
 from skins import flat_skin, triangles
@@ -59,8 +58,8 @@ def test_scores_are_kept_and_summarised(tmp_path):
     results = [
         Result("skin", 100, "turned", share, 1001, 2, 2, 1, 20, 80, 1) for share in (0.01, 0.1)
     ]
-    write_csv(results, tmp_path / "check.csv")
-    assert read_csv(tmp_path / "check.csv") == results
-    assert read_csv(tmp_path / "missing.csv") == []
+    write_rows(tmp_path / "check.csv", results)
+    assert read_rows(tmp_path / "check.csv", Result) == results
+    assert read_rows(tmp_path / "missing.csv", Result) == []
     row = "| skin | 100 | turned | 1% to 10% | 4 | 100.0% | 50.0% | 1.25% |"
     assert table(results)[-1] == row

@@ -6,9 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks.footprints import FOOTPRINTS
-from benchmarks.trust import judged, read_csv, write_csv
+from benchmarks.trust import (
+    LEVELS,
+    Outcome,
+    draw,
+    judged,
+    read_outcomes,
+    table,
+    write_outcomes,
+)
 from benchmarks.trust_recordings import FAULTS, Case, damaged, settings
-from benchmarks.trust_tables import LEVELS, Outcome, draw, table
 
 import anisomap
 from anisomap.simulation import BODIES, FRAME_FAULTS, SCENARIOS
@@ -94,8 +101,8 @@ def test_failures_are_counted_as_defined(outcome, reassured, alarmed):
 
 
 def test_outcomes_survive_a_file_and_are_drawn(tmp_path):
-    write_csv([GOOD, BAD], tmp_path / "trust.csv")
-    assert read_csv(tmp_path / "trust.csv") == [GOOD, BAD]
+    write_outcomes([GOOD, BAD], tmp_path / "trust.csv")
+    assert read_outcomes(tmp_path / "trust.csv") == [GOOD, BAD]
     assert [path.name for path in tmp_path.iterdir()] == ["trust.csv"]
     draw([GOOD, BAD, replace(BAD, level="usable locally")], tmp_path / "trust.png")
     assert (tmp_path / "trust.png").stat().st_size > 1000

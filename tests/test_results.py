@@ -1,7 +1,6 @@
 """Tables of results in the documentation have the columns that their commands write."""
 
 import csv
-from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -14,46 +13,40 @@ from benchmarks import (
     live,
     placement,
     quality,
-    quality_tables,
     self_touch,
     trust,
     uncertainty,
     updating,
 )
+from benchmarks.harness import columns
 
 from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.comparison import COMPARED
-from anisomap.paper import accuracy, claims
-from anisomap.paper import bodies as shape_distortion
-from anisomap.paper.experiments import dimensionality
+from anisomap.paper import accuracy, bodies, claims, dimensionality
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
-
-
-def columns(row):
-    return [field.name for field in fields(row)]
 
 
 HEADERS = {
     "bins": accuracy.BINS_COLUMNS,
     "check": columns(check.Result),
     "claims": claims.COLUMNS,
-    "coach": coach.COLUMNS,
+    "coach": columns(coach.Row),
     "coach-evenness": coach.EVENNESS_COLUMNS,
     "coach-summary": coach.SUMMARY_COLUMNS,
     "dimension": columns(dimension.Row),
     "dimensions": dimensionality.COLUMNS,
     "faults": columns(faults.Result),
     "figure-3": accuracy.SUMMARY_COLUMNS,
-    "figure-4": shape_distortion.AXIAL_COLUMNS,
-    "figure-7": shape_distortion.ROUNDNESS_COLUMNS,
+    "figure-4": bodies.AXIAL_COLUMNS,
+    "figure-7": bodies.ROUNDNESS_COLUMNS,
     "limits": columns(limits.Limits),
     "live-memory": live.MEMORY_COLUMNS,
     "placement": columns(placement.Figure),
     "quality": columns(quality.Result),
     "recordings": comparison_tables.columns(COMPARED),
     "self-touch": self_touch.HEADER,
-    "simulated": quality_tables.columns(quality.METHOD_NAMES),
+    "simulated": quality.summary_columns(quality.METHOD_NAMES),
     "trust": [*trust.Outcome.FIXED, *trust.FACTS],
     "uncertainty": columns(uncertainty.Judged),
     "updating": columns(updating.Figure),

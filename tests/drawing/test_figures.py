@@ -102,7 +102,8 @@ def test_truth_and_map_have_the_same_limits_and_one_scale(true_k, k):
     assert "(mm)" in distances.get_ylabel()
     assert distances.get_xlim() == distances.get_ylim()
     assert distances.get_aspect() == 1.0
-    assert ("fewer dimensions than the truth" in texts(figure)) == (k < true_k)
+    note = " ".join(texts(figure).split())
+    assert (f"fewer dimensions than the truth ({k} and {true_k})" in note) == (k < true_k)
 
 
 def test_every_sensor_is_drawn_at_its_position_in_one_colour():
@@ -245,7 +246,7 @@ def test_the_same_map_gives_the_same_bytes_whatever_the_settings(kind, tmp_path)
 def test_matplotlib_is_imported_when_something_is_drawn():
     code = (
         "import sys, numpy, anisomap.drawing.figures as f;"
-        "from anisomap.drawing.figures import charts, coverage, gallery, scenes;"
+        "from anisomap.drawing.figures import charts, displacements, panels, scenes, touches;"
         "from anisomap.sensor_map import SensorMap;"
         "assert 'matplotlib' not in sys.modules;"
         "f.map_figure(SensorMap(numpy.eye(3)));"

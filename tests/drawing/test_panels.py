@@ -7,9 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from anisomap.drawing import figures as fig
-from anisomap.drawing.figures import charts, scenes
-from anisomap.drawing.figures import charts as coverage
-from anisomap.drawing.figures import panels as gallery
+from anisomap.drawing.figures import backend, charts, panels, scenes
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.evaluation import ShiftTest, compare_maps, score, shepard, stress_per_point
 from anisomap.health import SensorHealth, touch_coverage
@@ -64,28 +62,31 @@ def checked(k):
 
 
 PANELS = {
-    "distances": (2, lambda ax: fig.plot_distances(SCORE, ax=ax)),
-    "scores": (2, lambda ax: charts.plot_scores(GROUPS, ax=ax)),
-    "curves": (2, lambda ax: charts.plot_curves(CURVES, ax=ax)),
-    "coverage": (2, lambda ax: coverage.plot_coverage(*SHARES, ax=ax)),
-    "scene": (3, lambda ax: scenes.plot_scene(SCENE, 0, ax=ax)),
-    "stress per point": (
+    "plot_distances": (2, lambda ax: fig.plot_distances(SCORE, ax=ax)),
+    "plot_scores": (2, lambda ax: charts.plot_scores(GROUPS, ax=ax)),
+    "plot_curves": (2, lambda ax: charts.plot_curves(CURVES, ax=ax)),
+    "plot_coverage": (2, lambda ax: charts.plot_coverage(*SHARES, ax=ax)),
+    "plot_scene": (3, lambda ax: scenes.plot_scene(SCENE, 0, ax=ax)),
+    "plot_stress_per_point": (
         2,
         lambda ax: fig.plot_stress_per_point(stress_per_point(WANTED, TRUTH), NAMES, ax=ax),
     ),
-    "shepard": (2, lambda ax: fig.plot_shepard(shepard(WANTED, TRUTH), units="mm", ax=ax)),
-    "shift test": (2, lambda ax: fig.plot_shift_test(ShiftTest(0.1, np.arange(9.0), 0.1), ax=ax)),
-    "series": (2, lambda ax: fig.plot_series(np.sin(np.arange(2000.0)), rate_hz=20, ax=ax)),
+    "plot_shepard": (2, lambda ax: fig.plot_shepard(shepard(WANTED, TRUTH), units="mm", ax=ax)),
+    "plot_shift_test": (
+        2,
+        lambda ax: fig.plot_shift_test(ShiftTest(0.1, np.arange(9.0), 0.1), ax=ax),
+    ),
+    "plot_series": (2, lambda ax: fig.plot_series(np.sin(np.arange(2000.0)), rate_hz=20, ax=ax)),
 } | {
     f"{name} in {k}D": (k, lambda ax, k=k, plot=plot: plot(k, ax))
     for k in (2, 3)
     for name, plot in {
-        "map": lambda k, ax: fig.plot_map(MAPS[k], SCORE if k == 3 else None, ax=ax),
-        "truth": lambda k, ax: gallery.plot_panel(gallery.truth_panel("", TRUTH[:, :k]), ax=ax),
-        "touches": lambda k, ax: fig.plot_touches(MAPS[k], TOUCHED[k], ax=ax),
-        "difference": lambda k, ax: fig.plot_difference(difference(k), ax=ax),
-        "placement": lambda k, ax: fig.plot_placement(*placed(k), TRIANGLE, ax=ax),
-        "layout": lambda k, ax: fig.plot_layout(checked(k), ax=ax),
+        "plot_component": lambda k, ax: fig.plot_map(MAPS[k], SCORE if k == 3 else None, ax=ax),
+        "plot_panel": lambda k, ax: panels.plot_panel(panels.truth_panel("", TRUTH[:, :k]), ax=ax),
+        "plot_touches": lambda k, ax: fig.plot_touches(MAPS[k], TOUCHED[k], ax=ax),
+        "plot_difference": lambda k, ax: fig.plot_difference(difference(k), ax=ax),
+        "plot_placement": lambda k, ax: fig.plot_placement(*placed(k), TRIANGLE, ax=ax),
+        "plot_layout": lambda k, ax: fig.plot_layout(checked(k), ax=ax),
     }.items()
 }
 FIGURES = {
@@ -97,11 +98,15 @@ FIGURES = {
     "layout": lambda: fig.layout_figure(checked(2)),
     "scores": lambda: charts.scores_figure("title", [GROUPS]),
     "curves": lambda: charts.curves_figure("title", [CURVES], x_label="x", logarithmic=True),
-    "coverage": lambda: coverage.coverage_figure("title", *SHARES),
-    "gallery": lambda: gallery.gallery_figure("title", [gallery.truth_panel("", TRUTH)], 1, "note"),
+    "coverage": lambda: charts.coverage_figure("title", *SHARES),
+    "gallery": lambda: panels.gallery_figure("title", [panels.truth_panel("", TRUTH)], 1, "note"),
     "scene": lambda: scenes.scene_figure(SCENE),
     "bodies": lambda: scenes.bodies_figure("title", [SCENE], ["body"]),
 }
+
+
+def test_every_panel_is_tried():
+    assert {name.partition(" ")[0] for name in PANELS} == set(backend.PANELS)
 
 
 def axes_of(dimensions):
@@ -162,7 +167,7 @@ def test_every_method_has_its_own_colour_and_marker():
 
 
 def test_a_map_panel_shows_the_aligned_map_and_marks_excluded_sensors():
-    panel = gallery.map_panel("", MAPS[3], SCORE, TRUTH)
+    panel = panels.map_panel("", MAPS[3], SCORE, TRUTH)
     np.testing.assert_allclose(panel.points[SCORE.sensors], SCORE.alignment.aligned)
     assert np.flatnonzero(panel.uncompared).tolist() == [3]
     assert not (panel.pairs == 3).any()
@@ -170,7 +175,7 @@ def test_a_map_panel_shows_the_aligned_map_and_marks_excluded_sensors():
 
 def test_a_truth_panel_shows_sensors_without_a_position_apart():
     on_maps = np.arange(20) != 7
-    panel = gallery.truth_panel("", TRUTH, on_maps=on_maps, labels={7: "a", 8: "b"})
+    panel = panels.truth_panel("", TRUTH, on_maps=on_maps, labels={7: "a", 8: "b"})
     np.testing.assert_array_equal(panel.unplaced, TRUTH[[7]])
     np.testing.assert_array_equal(panel.points, TRUTH[on_maps])
     assert panel.labels == {7: "b"}
@@ -183,7 +188,7 @@ def test_legends_count_the_sensors_of_each_kind(k):
         ("placement", ["placed (14)", "anchors (6)"]),
         ("layout", ["as stated (17)", "swapped, shifted (2)", "dead, doubled (1)"]),
     ):
-        axes = PANELS[f"{name} in {k}D"][1](None)
+        axes = PANELS[f"plot_{name} in {k}D"][1](None)
         assert axes.get_legend_handles_labels()[1] == expected
 
 
@@ -199,7 +204,7 @@ def test_arrows_of_moved_sensors_end_within_the_axes():
 @pytest.mark.parametrize(
     "draw",
     [
-        lambda: gallery.gallery_figure("title", [], 2),
+        lambda: panels.gallery_figure("title", [], 2),
         lambda: charts.scores_figure("title", [[]]),
         lambda: charts.curves_figure("title", [], x_label="x"),
         lambda: scenes.bodies_figure("title", [SCENE], []),

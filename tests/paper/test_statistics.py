@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from anisomap.paper import Settings
 from anisomap.paper import map_scores as shape_statistics
 from anisomap.paper.cases import METHODS
-from anisomap.paper.experiments.unlike_responses import radial_basis
 from anisomap.paper.map_scores import SCORE_COLUMNS, map_and_score, null_box, score_rows
+from anisomap.paper.sensitivity import radial_basis
 from anisomap.simulation import find_body
 from skins import flat_skin
 

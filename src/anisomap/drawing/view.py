@@ -1,7 +1,4 @@
-"""Colours that encode positions, as seen from a direction of view.
-
-Layout that figures and reports share: components, neighbours and views.
-"""
+"""What figures and reports share: components, their neighbours, colours and directions of view."""
 
 from __future__ import annotations
 
@@ -211,8 +208,9 @@ def layout_notes(sensor_map: SensorMap, score: Score | None = None) -> list[str]
         )
     if score is not None and _true_dimensions(score) > sensor_map.dimensions:
         notes.append(
-            f"the map has fewer dimensions than the truth ({sensor_map.dimensions} and 3): it lies "
-            "in the plane or line that fits the true positions best"
+            f"the map has fewer dimensions than the truth ({sensor_map.dimensions} and "
+            f"{_true_dimensions(score)}): it lies in the plane or line that fits the true "
+            "positions best"
         )
     return notes
 
@@ -228,8 +226,7 @@ def printable(text: str, max_length: int | None = None) -> str:
 def _aligned(sensor_map: SensorMap, sensors: NDArray[np.intp], score: Score) -> Component:
     sensors = np.concatenate([score.sensors, np.setdiff1d(sensors, score.sensors)])
     alignment = score.alignment
-    positions = _with_axes(sensor_map.positions[sensors], len(alignment.translation))
-    points = alignment.scale * positions @ alignment.rotation.T + alignment.translation
+    points = alignment.apply(sensor_map.positions[sensors])
     dimensions = min(max(points.shape[1], 2), 3)
     if max(_true_dimensions(score), sensor_map.dimensions) < 3:
         dimensions = 2
@@ -291,9 +288,18 @@ def outlines(component: Component, view: View | None = None) -> NDArray[np.float
         lengths = radius(dimensions) * np.sqrt(np.maximum(seen, 0))
         axes = [lengths[:, :, None] * (vectors.transpose(0, 2, 1) @ across)]
     lines = [np.einsum("ps,npk->nsk", circle, pair) + points[:, None] for pair in axes]
-    closed = np.concatenate(lines)
-    gaps = np.full((len(closed), 1, dimensions), np.nan)
-    return np.concatenate([closed, gaps], axis=1).reshape(-1, dimensions)
+    return _with_gaps(np.concatenate(lines))
+
+
+def segments(points: NDArray[np.float64], pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Join pairs of points by lines, separated by NaN. points (n, k) -> (3 E, k)."""
+    return _with_gaps(points[pairs])
+
+
+def _with_gaps(lines: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Concatenate lines into one, separated by NaN. lines (E, L, k) -> (E (L + 1), k)."""
+    gaps = np.full((len(lines), 1, lines.shape[2]), np.nan)
+    return np.concatenate([lines, gaps], axis=1).reshape(-1, lines.shape[2])
 
 
 def _covariances(

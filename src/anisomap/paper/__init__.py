@@ -1,7 +1,8 @@
 """Reproduction of the experiments, figures, tables and claims of McGregor et al. (2011).
 
 `reproduce` runs the experiments and writes figures, tables and a page to a folder. To add an
-experiment, write a function and add a line to `EXPERIMENTS` (`anisomap.paper.runner`).
+experiment, decorate a function with `experiment`, and add its name to the order of the page
+(`anisomap.paper.runner`).
 
 References
 ----------

@@ -11,7 +11,16 @@ import numpy as np
 from anisomap.drawing.figures.charts import ScoreGroup, scores_figure
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.cases import CASES, FAILING, METHODS, PATCH_RUNS, Case, patch_run, patch_seed
-from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
+from anisomap.paper.experiment import (
+    Outcome,
+    Picture,
+    Row,
+    Settings,
+    Table,
+    Tables,
+    experiment,
+    mean_by,
+)
 from anisomap.paper.map_scores import SCORE_COLUMNS, null_box, score_rows
 
 MORE_BINS = (6, 8)
@@ -52,6 +61,16 @@ def simulated_scores(case: Case, settings: Settings, _: Tables) -> Outcome:
     return Outcome(tables=(Table(name, caption, SCORE_COLUMNS, tuple(rows), shown=False),))
 
 
+for _case in CASES:
+    experiment(
+        f"scores-{_case.name}",
+        "",
+        f"Scores of {_case.name}, for Figure 3 and the claims.",
+        cost=60,
+    )(partial(simulated_scores, _case))
+
+
+@experiment(f"scores-{PATCH}", "", "Scores of the patch, for Figure 3 and the claims.", cost=30)
 def patch_scores(settings: Settings, _: Tables) -> Outcome:
     """Score all maps of the five runs of the simulated patch without the failing sensor."""
     rows: list[Row] = []
@@ -89,6 +108,16 @@ def by_group(rows: Iterable[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     return groups
 
 
+@experiment(
+    "figure-3",
+    "Figure 3: accuracy of four methods",
+    "The paper compares the methods by the correlation of distances on the map with true "
+    "distances (Mantel r), on one run of each scenario and on the five hardware runs, beside "
+    "box plots of 10,000 random relabellings. Here each scenario is run with several seeds, to "
+    "show the variation between runs. The hardware runs are simulated; real skin has a section "
+    "of its own.",
+    needs=SCORES,
+)
 def figure_3(settings: Settings, tables: Tables) -> Outcome:
     """Draw the scores of all methods on all runs."""
     groups = by_group(row for row in all_scores(tables) if row["bins"] == DEFAULT_BINS)
@@ -116,15 +145,19 @@ def figure_3(settings: Settings, tables: Tables) -> Outcome:
     return Outcome((Picture("figure-3", caption, figure),), (table,))
 
 
+@experiment(
+    "bins",
+    "4, 6 and 8 bins",
+    "The paper uses 4 bins and states that 6 and 8 bins produced qualitatively similar results.",
+    needs=SCORES,
+)
 def bins_table(_: Settings, tables: Tables) -> Outcome:
     """Compare numbers of bins."""
     rows: list[Row] = []
     for group, members in by_group(all_scores(tables)).items():
         for method in METHODS[1:]:
-            means = [
-                _mean(row for row in members if row["method"] == method and row["bins"] == bins)
-                for bins in (DEFAULT_BINS, *MORE_BINS)
-            ]
+            by_bins = mean_by((r for r in members if r["method"] == method), "bins", "mantel_r")
+            means = [by_bins[bins] for bins in (DEFAULT_BINS, *MORE_BINS)]
             change = max(abs(mean - means[0]) for mean in means[1:])
             rows.append((group, method, *means, change))
     caption = "Mean Mantel r with 4, 6 and 8 bins; r-ANISOMAP does not use bins."
@@ -150,47 +183,3 @@ def _summary(groups: dict[str, list[dict[str, Any]]]) -> tuple[Row, ...]:
         runs = len({(row["run"], row["seed"]) for row in rows})
         summary.append((group, runs, *cells, max(row["null_max"] for row in rows)))
     return tuple(summary)
-
-
-def _mean(rows: Iterable[dict[str, Any]]) -> float:
-    return float(np.mean([row["mantel_r"] for row in rows]))
-
-
-EXPERIMENTS = (
-    *(
-        Experiment(
-            f"scores-{case.name}",
-            "",
-            f"Scores of {case.name}, for Figure 3 and the claims.",
-            partial(simulated_scores, case),
-            cost=60,
-        )
-        for case in CASES
-    ),
-    Experiment(
-        f"scores-{PATCH}",
-        "",
-        "Scores of the patch, for Figure 3 and the claims.",
-        patch_scores,
-        cost=30,
-    ),
-    Experiment(
-        "figure-3",
-        "Figure 3: accuracy of four methods",
-        "The paper compares the methods by the correlation of distances on the map with true "
-        "distances (Mantel r), on one run of each scenario and on the five hardware runs, beside "
-        "box plots of 10,000 random relabellings. Here each scenario is run with several seeds, to "
-        "show the variation between runs. The hardware runs are simulated; real skin has a section "
-        "of its own.",
-        figure_3,
-        needs=SCORES,
-    ),
-)
-
-BINS = Experiment(
-    "bins",
-    "4, 6 and 8 bins",
-    "The paper uses 4 bins and states that 6 and 8 bins produced qualitatively similar results.",
-    bins_table,
-    needs=SCORES,
-)

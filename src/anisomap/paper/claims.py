@@ -1,7 +1,4 @@
-"""Checks of the paper's claims against the results of the experiments.
-
-The paper's testable claims, and the table of their verdicts.
-"""
+"""The paper's testable claims, their checks against the experiments, and their verdicts."""
 
 from __future__ import annotations
 
@@ -14,8 +11,8 @@ import numpy as np
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.accuracy import SCORES, all_scores, by_group
 from anisomap.paper.cases import FIRST_FAILED_RUN, METHODS
-from anisomap.paper.experiment import Experiment, Outcome, Row, Settings, Table, Tables
-from anisomap.paper.experiments.unlike_responses import MEDIAN
+from anisomap.paper.experiment import Outcome, Row, Settings, Table, Tables, experiment, mean_by
+from anisomap.paper.sensitivity import MEDIAN
 
 # The paper gives no numbers for its claims; all thresholds are chosen by hand.
 REASONABLE, EXCELLENT = 0.7, 0.9  # Mantel r
@@ -67,13 +64,54 @@ class ClaimCheck:
 Rows: TypeAlias = Sequence[dict[str, Any]]
 """Scores of all maps, see `anisomap.paper.accuracy.all_scores`."""
 
+Check: TypeAlias = Callable[[Rows, Tables], ClaimCheck]
 
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the paper and its check.
+
+    where: Section or figure of the paper.
+    test: Criterion in numbers.
+    check: ``check(rows, tables)`` returns a `ClaimCheck`.
+    """
+
+    text: str
+    where: str
+    test: str
+    check: Check
+
+
+CLAIMS: list[Claim] = []
+"""In the order of their definition."""
+
+
+def claim(text: str, where: str, test: str) -> Callable[[Check], Check]:
+    """Register a function as the check of a claim; the arguments are the fields of `Claim`."""
+
+    def register(check: Check) -> Check:
+        CLAIMS.append(Claim(text, where, test, check))
+        return check
+
+    return register
+
+
+@claim(
+    "The r-ANISOMAP algorithm performed reasonably or excellently in all cases",
+    "Discussion",
+    f"mean Mantel r of at least {REASONABLE} (reasonable; excellent: {EXCELLENT})",
+)
 def is_reasonable(rows: Rows, _: Tables) -> ClaimCheck:
     """Check the accuracy of r-ANISOMAP in each group."""
     means = {group: found["r-anisomap"] for group, found in _means(rows).items()}
     return ClaimCheck(_listed(means), {group: r >= REASONABLE for group, r in means.items()})
 
 
+@claim(
+    "The best 3D reconstruction was invariably one of the ANISOMAP variants",
+    "Discussion",
+    "r- or I-ANISOMAP has the highest Mantel r in 3D in every run",
+)
 def best_is_anisomap(rows: Rows, _: Tables) -> ClaimCheck:
     """Check which method is the most accurate in 3D in each run."""
     won: dict[str, list[bool]] = {}
@@ -84,6 +122,11 @@ def best_is_anisomap(rows: Rows, _: Tables) -> ClaimCheck:
     return ClaimCheck(measured, {group: share == 1 for group, share in shares.items()})
 
 
+@claim(
+    "r-ANISOMAP was consistently among the best performing",
+    "Results",
+    f"mean Mantel r at most {AMONG_BEST} below that of the best method",
+)
 def r_anisomap_among_best(rows: Rows, _: Tables) -> ClaimCheck:
     """Check the difference between r-ANISOMAP and the best method."""
     behind = {
@@ -93,6 +136,11 @@ def r_anisomap_among_best(rows: Rows, _: Tables) -> ClaimCheck:
     return ClaimCheck(measured, {group: gap <= AMONG_BEST for group, gap in behind.items()})
 
 
+@claim(
+    "Cylinder, locomotion: correlations relatively poor for all reconstruction methods",
+    "Discussion",
+    "mean Mantel r lower than in all other groups, for each method",
+)
 def rolling_cylinder_is_poor(rows: Rows, _: Tables) -> ClaimCheck:
     """Check whether the rolling cylinder has the least accurate maps."""
     means = _means(rows)
@@ -102,6 +150,11 @@ def rolling_cylinder_is_poor(rows: Rows, _: Tables) -> ClaimCheck:
     return ClaimCheck(measured, {m: rolling[m] < others[m] for m in METHODS})
 
 
+@claim(
+    "Reconstructions of the rolling cylinder were compressed in the axial direction",
+    "Discussion, Fig. 4",
+    "local axial scale below 1: axial neighbours too close relative to circumferential ones",
+)
 def rolling_cylinder_is_compressed(_: Rows, tables: Tables) -> ClaimCheck:
     """Check the axial compression of the rolling cylinder."""
     rows = [row for row in tables["figure-4"].records() if row["scenario"] == "locomotion"]
@@ -112,6 +165,12 @@ def rolling_cylinder_is_compressed(_: Rows, tables: Tables) -> ClaimCheck:
     return ClaimCheck(measured, {row["method"]: row["local_axial_scale"] < 1 for row in rows})
 
 
+@claim(
+    "3D reconstructions by information distance are notably worse than 2D ones; not so for "
+    "the other methods",
+    "Methods, Fig. 3",
+    f"flat skins: mean r in 2D minus mean r in 3D above {AMONG_BEST} for information distance only",
+)
 def flat_maps_are_better(rows: Rows, _: Tables) -> ClaimCheck:
     """Check which methods are less accurate in 3D than in 2D on flat skins."""
     means = _means(rows)
@@ -124,6 +183,11 @@ def flat_maps_are_better(rows: Rows, _: Tables) -> ClaimCheck:
     return ClaimCheck("mean r in 2D minus mean r in 3D, " + "; ".join(measured), held)
 
 
+@claim(
+    "All algorithms perform far better than random guessing",
+    "Results, Fig. 3",
+    "Mantel r above the maximum of the null distribution for every map",
+)
 def better_than_random(rows: Rows, _: Tables) -> ClaimCheck:
     """Check all maps against their null distributions."""
     held: dict[str, bool] = {}
@@ -139,6 +203,12 @@ def better_than_random(rows: Rows, _: Tables) -> ClaimCheck:
     return ClaimCheck(measured, held)
 
 
+@claim(
+    "The faulty sensor 30 is isolated from the others by r-ANISOMAP",
+    "Results, Fig. 2",
+    f"2D maps: distance to the nearest sensor at least {ISOLATED:g} times the median of the "
+    "others in runs 4 and 5, and less in runs 1 to 3",
+)
 def failing_sensor_is_isolated(_: Rows, tables: Tables) -> ClaimCheck:
     """Check the isolation of sensor 30 after its failure; before it is the control."""
     isolation = {row["run"]: row["isolation"] for row in _patch_maps(tables)}
@@ -152,6 +222,11 @@ def failing_sensor_is_isolated(_: Rows, tables: Tables) -> ClaimCheck:
     return ClaimCheck(measured, held)
 
 
+@claim(
+    "The reconstruction is robust to unanticipated hardware failure",
+    "Abstract",
+    f"r-ANISOMAP in 2D: Mantel r of runs 4 and 5 at most {SIMILAR} below the mean of runs 1 to 3",
+)
 def is_robust(_: Rows, tables: Tables) -> ClaimCheck:
     """Check the accuracy of the patch after the failure of sensor 30."""
     r = {row["run"]: row["mantel_r"] for row in _patch_maps(tables)}
@@ -161,6 +236,11 @@ def is_robust(_: Rows, tables: Tables) -> ClaimCheck:
     return ClaimCheck(measured, {run: value >= before - SIMILAR for run, value in after.items()})
 
 
+@claim(
+    "Information distance has a tendency to spherise reconstructions",
+    "Methods, Fig. 7",
+    f"spread of radii below {SPHERICAL} of the true spread, and below that of r-ANISOMAP",
+)
 def information_distance_spherises(_: Rows, tables: Tables) -> ClaimCheck:
     """Check whether maps of information distance are closer to a sphere than the truth."""
     rows = tables["figure-7"].records()
@@ -173,6 +253,11 @@ def information_distance_spherises(_: Rows, tables: Tables) -> ClaimCheck:
     return ClaimCheck(measured, held)
 
 
+@claim(
+    "6 and 8 bins produced qualitatively similar results",
+    "Methods",
+    f"mean Mantel r within {SIMILAR} of that with 4 bins",
+)
 def bins_do_not_matter(_: Rows, tables: Tables) -> ClaimCheck:
     """Check the effect of the number of bins."""
     rows = tables["bins"].records()
@@ -183,6 +268,13 @@ def bins_do_not_matter(_: Rows, tables: Tables) -> ClaimCheck:
     return ClaimCheck("largest change of mean r: " + _listed(changes), held)
 
 
+@claim(
+    "If one sensor is linear and another a radial basis function around an optimal response, "
+    "mutual information is more likely than r to identify their relation",
+    "Methods",
+    "share of radial-basis sensors, with the optimum at the median contact, whose most similar "
+    "linear sensor measures the same quantity: higher by mutual information than by r",
+)
 def information_identifies_unlike_sensors(_: Rows, tables: Tables) -> ClaimCheck:
     """Check which similarity identifies linear and radial-basis sensors of one quantity."""
     records = [row for row in tables["unlike-responses"].records() if row["optimum"] == MEDIAN]
@@ -201,6 +293,12 @@ def information_identifies_unlike_sensors(_: Rows, tables: Tables) -> ClaimCheck
     return ClaimCheck(measured, held)
 
 
+@claim(
+    "High distance-correlation corresponds to a map that respects the topology",
+    "Results",
+    "rank correlation between Mantel r and the share of neighbours preserved, over the maps of "
+    f"a group, above {RELATED}",
+)
 def r_implies_topology(rows: Rows, _: Tables) -> ClaimCheck:
     """Check whether maps with a higher r preserve more neighbours."""
     found: dict[str, float] = {}
@@ -216,10 +314,7 @@ def r_implies_topology(rows: Rows, _: Tables) -> ClaimCheck:
 
 def _means(rows: Rows) -> dict[str, dict[str, float]]:
     """Return the mean Mantel r by group and method."""
-    return {
-        group: {m: _mean(row["mantel_r"] for row in found if row["method"] == m) for m in METHODS}
-        for group, found in by_group(rows).items()
-    }
+    return {group: mean_by(found, "method", "mantel_r") for group, found in by_group(rows).items()}
 
 
 def _runs_in_3d(rows: Rows) -> dict[str, list[dict[str, float]]]:
@@ -258,129 +353,22 @@ COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
-class Claim:
-    """A claim of the paper and its check.
-
-    where: Section or figure of the paper.
-    test: Criterion in numbers.
-    check: ``check(rows, tables)`` returns a `ClaimCheck`.
-    """
-
-    text: str
-    where: str
-    test: str
-    check: Callable[[Rows, Tables], ClaimCheck]
-
-
-CLAIMS = (
-    Claim(
-        "The r-ANISOMAP algorithm performed reasonably or excellently in all cases",
-        "Discussion",
-        f"mean Mantel r of at least {REASONABLE} (reasonable; excellent: {EXCELLENT})",
-        is_reasonable,
-    ),
-    Claim(
-        "The best 3D reconstruction was invariably one of the ANISOMAP variants",
-        "Discussion",
-        "r- or I-ANISOMAP has the highest Mantel r in 3D in every run",
-        best_is_anisomap,
-    ),
-    Claim(
-        "r-ANISOMAP was consistently among the best performing",
-        "Results",
-        f"mean Mantel r at most {AMONG_BEST} below that of the best method",
-        r_anisomap_among_best,
-    ),
-    Claim(
-        "Cylinder, locomotion: correlations relatively poor for all reconstruction methods",
-        "Discussion",
-        "mean Mantel r lower than in all other groups, for each method",
-        rolling_cylinder_is_poor,
-    ),
-    Claim(
-        "Reconstructions of the rolling cylinder were compressed in the axial direction",
-        "Discussion, Fig. 4",
-        "local axial scale below 1: axial neighbours too close relative to circumferential ones",
-        rolling_cylinder_is_compressed,
-    ),
-    Claim(
-        "3D reconstructions by information distance are notably worse than 2D ones; not so for "
-        "the other methods",
-        "Methods, Fig. 3",
-        f"flat skins: mean r in 2D minus mean r in 3D above {AMONG_BEST} for information distance "
-        "only",
-        flat_maps_are_better,
-    ),
-    Claim(
-        "All algorithms perform far better than random guessing",
-        "Results, Fig. 3",
-        "Mantel r above the maximum of the null distribution for every map",
-        better_than_random,
-    ),
-    Claim(
-        "The faulty sensor 30 is isolated from the others by r-ANISOMAP",
-        "Results, Fig. 2",
-        f"2D maps: distance to the nearest sensor at least {ISOLATED:g} times the median of the "
-        "others in runs 4 and 5, and less in runs 1 to 3",
-        failing_sensor_is_isolated,
-    ),
-    Claim(
-        "The reconstruction is robust to unanticipated hardware failure",
-        "Abstract",
-        f"r-ANISOMAP in 2D: Mantel r of runs 4 and 5 at most {SIMILAR} below the mean of runs 1 to "
-        "3",
-        is_robust,
-    ),
-    Claim(
-        "Information distance has a tendency to spherise reconstructions",
-        "Methods, Fig. 7",
-        f"spread of radii below {SPHERICAL} of the true spread, and below that of r-ANISOMAP",
-        information_distance_spherises,
-    ),
-    Claim(
-        "6 and 8 bins produced qualitatively similar results",
-        "Methods",
-        f"mean Mantel r within {SIMILAR} of that with 4 bins",
-        bins_do_not_matter,
-    ),
-    Claim(
-        "If one sensor is linear and another a radial basis function around an optimal response, "
-        "mutual information is more likely than r to identify their relation",
-        "Methods",
-        "share of radial-basis sensors, with the optimum at the median contact, whose most similar "
-        "linear sensor measures the same quantity: higher by mutual information than by r",
-        information_identifies_unlike_sensors,
-    ),
-    Claim(
-        "High distance-correlation corresponds to a map that respects the topology",
-        "Results",
-        "rank correlation between Mantel r and the share of neighbours preserved, over the maps of "
-        f"a group, above {RELATED}",
-        r_implies_topology,
-    ),
-)
-
-
-def claims_table(_: Settings, tables: Tables) -> Outcome:
-    """Check every claim."""
-    scores = [row for row in all_scores(tables) if row["bins"] == DEFAULT_BINS]
-    rows: list[Row] = []
-    for claim in CLAIMS:
-        found = claim.check(scores, tables)
-        cases = f"{sum(found.held.values())} of {len(found.held)}"
-        rows.append((claim.text, claim.where, claim.test, found.measured, cases, found.verdict))
-    caption = "Verdict on each claim."
-    return Outcome(tables=(Table("claims", caption, COLUMNS, tuple(rows)),))
-
-
-EXPERIMENT = Experiment(
+@experiment(
     "claims",
     "Claims of the paper and results",
     "Each testable claim of the paper, with a criterion in numbers that was chosen here. The "
     "paper's supplement with the parameters of its simulation is no longer available. A claim that "
     "is not reproduced may therefore depend on these parameters; the sensitivity analyses below "
     "show their effects.",
-    claims_table,
     needs=(*SCORES, "figure-2", "figure-4", "figure-7", "bins", "unlike-responses"),
 )
+def claims_table(_: Settings, tables: Tables) -> Outcome:
+    """Check every claim."""
+    scores = [row for row in all_scores(tables) if row["bins"] == DEFAULT_BINS]
+    rows: list[Row] = []
+    for one in CLAIMS:
+        found = one.check(scores, tables)
+        cases = f"{sum(found.held.values())} of {len(found.held)}"
+        rows.append((one.text, one.where, one.test, found.measured, cases, found.verdict))
+    caption = "Verdict on each claim."
+    return Outcome(tables=(Table("claims", caption, COLUMNS, tuple(rows)),))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anisomap.errors import InputError
 
@@ -157,3 +158,54 @@ class Experiment:
         """Whether all recordings that are read exist."""
         paths = self.paths(settings)
         return len(paths) == len(self.files) and all(path.is_file() for path in paths)
+
+
+REGISTRY: dict[str, Experiment] = {}
+"""Experiments by name, in the order of their definition."""
+
+Compute = TypeVar("Compute", bound=Callable[[Settings, Tables], Outcome])
+
+
+def experiment(
+    name: str,
+    title: str,
+    description: str,
+    *,
+    needs: tuple[str, ...] = (),
+    files: tuple[str, ...] = (),
+    absent: str = "",
+    cost: float = 1.0,
+) -> Callable[[Compute], Compute]:
+    """Register a function as an experiment; the arguments are the fields of `Experiment`."""
+
+    def register(compute: Compute) -> Compute:
+        REGISTRY[name] = Experiment(name, title, description, compute, needs, files, absent, cost)
+        return compute
+
+    return register
+
+
+def mean_by(rows: Iterable[Mapping[str, Any]], key: str, value: str) -> dict[Any, float]:
+    """Average the values of rows that agree in `key`, in order of appearance."""
+    groups: dict[Any, list[float]] = {}
+    for row in rows:
+        groups.setdefault(row[key], []).append(row[value])
+    return {group: float(np.mean(values)) for group, values in groups.items()}
+
+
+def curves_by_method(
+    rows: Sequence[Mapping[str, Any]], methods: Iterable[str], parameter: str
+) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    """Arrange Mantel r over a parameter, one column per run. Returns (L,), and (L, S) by method."""
+    values = sorted({row[parameter] for row in rows})
+    curves = {
+        method: np.array(
+            [
+                [r["mantel_r"] for r in rows if r["method"] == method and r[parameter] == value]
+                for value in values
+            ],
+            dtype=np.float64,
+        )
+        for method in methods
+    }
+    return np.array(values, dtype=np.float64), curves

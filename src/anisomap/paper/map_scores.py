@@ -1,7 +1,4 @@
-"""Statistics of the shape of maps, for the paper's statements about shapes.
-
-Maps of the runs by all methods, and their scores.
-"""
+"""Maps of the runs by all methods, their scores, and statistics of their shapes."""
 
 from __future__ import annotations
 

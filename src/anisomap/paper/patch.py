@@ -1,7 +1,4 @@
-"""Figures 2 and S5 to S10: the hexagonal patch, simulated, and real if a recording is given.
-
-Isolation of the failing sensor as a function of how often it saturates.
-"""
+"""Figures 2 and S5 to S10: the hexagonal patch, simulated and real; its failing sensor."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ from anisomap.paper.cases import (
     patch_seed,
     true_positions,
 )
-from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
+from anisomap.paper.experiment import Outcome, Picture, Row, Settings, Table, Tables, experiment
 from anisomap.paper.map_scores import SCORE_COLUMNS, ScoredMap, isolation, map_and_score, score_rows
 from anisomap.recording import Recording
 
@@ -76,6 +73,18 @@ def map_patch(recording: Recording, method: str, dimensions: int) -> PatchMap:
     return PatchMap(scored, scored.score.mantel.r, alone)
 
 
+@experiment(
+    "figure-2",
+    "Figure 2: the hardware experiment (simulated)",
+    "The paper's hexagonal patch of prototype skin was rubbed by hand in five runs of "
+    f"{', '.join(map(str, PATCH_FRAMES[:-1]))} and {PATCH_FRAMES[-1]} frames. One of its six "
+    "triangles did not respond. Sensor 30 failed between runs 3 and 4: it saturated "
+    "intermittently, whether touched or not. According to the paper, r-ANISOMAP isolates it.\n\n"
+    "Here the patch is simulated with the same triangles, numbers of frames and failures. (The "
+    "paper counts 12 sensors per triangle; two of the 12 pads of a triangle measure temperature, "
+    "so that 10 are simulated, and 50 of 60 respond.)",
+    cost=12,
+)
 def figure_2(settings: Settings, _: Tables) -> Outcome:
     """Draw the maps of all runs by r-ANISOMAP."""
     runs = {number: patch_run(settings, number) for number in PATCH_RUNS}
@@ -113,6 +122,18 @@ def supplementary_figure(number: int, settings: Settings, _: Tables) -> Outcome:
     return Outcome((Picture(name, caption, figure),), (table,))
 
 
+for _number in PATCH_RUNS:
+    experiment(
+        f"figure-s{4 + _number}",
+        f"Figure S{4 + _number}: simulated patch, run {_number}",
+        f"All reconstructions of hardware run {_number}.",
+        cost=10,
+    )(partial(supplementary_figure, _number))
+
+
+@experiment(
+    "figure-s10", "Figure S10: the patch", "Numbers and states of the sensors of the patch."
+)
 def figure_s10(settings: Settings, _: Tables) -> Outcome:
     """Draw the patch with the numbers of its sensors."""
     recording = patch_run(settings, 1)
@@ -146,6 +167,24 @@ def figure_s10(settings: Settings, _: Tables) -> Outcome:
     return Outcome((Picture("figure-s10", caption, figure),), (table,))
 
 
+@experiment(
+    "real-skin",
+    "Figure 2 from real skin",
+    "The same figure from a recording of real skin of the same kind: six triangles around a "
+    "vertex on the torso of an iCub, touched by hand (binary readings).",
+    files=(REAL_RECORDING,),
+    absent=(
+        f"The recording {REAL_RECORDING} was not given. It can be made from the public repository "
+        "matejhof/robotic-homunculus-supporting-materials (GPL-3.0; MATLAB files), which anisomap "
+        "does not contain. From its recordings of touch on the torso, keep taxels 3169 to 3240 "
+        "(six triangles of twelve) without the 7th and 11th of each triangle, which measure "
+        "temperature, and keep the frames in which at least one of them is touched. Write the "
+        "readings (frames x 60, 0 or 1) and positions (60 x 2, in mm) with "
+        'anisomap.write(anisomap.Recording(readings, positions=positions, units="mm"), '
+        f'"{REAL_RECORDING}"), and run anisomap paper --recordings FOLDER.'
+    ),
+    cost=8,
+)
 def real_patch(settings: Settings, _: Tables) -> Outcome:
     """Map a real patch of the same triangles by all methods, in 2D and 3D."""
     recording = io.read((settings.recordings or Path()) / REAL_RECORDING)
@@ -191,73 +230,25 @@ def _row(number: int, seed: int, recording: Recording, patch_map: PatchMap) -> R
     return (*run, found.method, found.dimensions, patch_map.mantel_r, patch_map.isolation)
 
 
-FIGURE_2 = Experiment(
-    "figure-2",
-    "Figure 2: the hardware experiment (simulated)",
-    "The paper's hexagonal patch of prototype skin was rubbed by hand in five runs of "
-    f"{', '.join(map(str, PATCH_FRAMES[:-1]))} and {PATCH_FRAMES[-1]} frames. One of its six "
-    "triangles did not respond. Sensor 30 failed between runs 3 and 4: it saturated "
-    "intermittently, whether touched or not. According to the paper, r-ANISOMAP isolates it.\n\n"
-    "Here the patch is simulated with the same triangles, numbers of frames and failures. (The "
-    "paper counts 12 sensors per triangle; two of the 12 pads of a triangle measure temperature, "
-    "so that 10 are simulated, and 50 of 60 respond.)",
-    figure_2,
-    cost=12,
-)
-REAL_SKIN = Experiment(
-    "real-skin",
-    "Figure 2 from real skin",
-    "The same figure from a recording of real skin of the same kind: six triangles around a "
-    "vertex on the torso of an iCub, touched by hand (binary readings).",
-    real_patch,
-    files=(REAL_RECORDING,),
-    absent=(
-        f"The recording {REAL_RECORDING} was not given. It can be made from the public repository "
-        "matejhof/robotic-homunculus-supporting-materials (GPL-3.0; MATLAB files), which anisomap "
-        "does not contain. From its recordings of touch on the torso, keep taxels 3169 to 3240 "
-        "(six triangles of twelve) without the 7th and 11th of each triangle, which measure "
-        "temperature, and keep the frames in which at least one of them is touched. Write the "
-        "readings (frames x 60, 0 or 1) and positions (60 x 2, in mm) with "
-        'anisomap.write(anisomap.Recording(readings, positions=positions, units="mm"), '
-        f'"{REAL_RECORDING}"), and run anisomap paper --recordings FOLDER.'
-    ),
-    cost=8,
-)
-SUPPLEMENTARY = (
-    *(
-        Experiment(
-            f"figure-s{4 + number}",
-            f"Figure S{4 + number}: simulated patch, run {number}",
-            f"All reconstructions of hardware run {number}.",
-            partial(supplementary_figure, number),
-            cost=10,
-        )
-        for number in PATCH_RUNS
-    ),
-    Experiment(
-        "figure-s10",
-        "Figure S10: the patch",
-        "Numbers and states of the sensors of the patch.",
-        figure_s10,
-    ),
-)
-
-
 _GAP = 100.0  # mean number of frames between failures
 _SPANS = (5.0, 11.0, 25.0, 50.0, 100.0, 200.0)  # mean number of frames of a failure
 _QUICK_SPANS = (20.0, 100.0)
 
-_COLUMNS_FAILING_SENSOR = {
+_ISOLATION_COLUMNS = {
     "run": "number of the run",
     "saturated": "share of frames in which the failing sensor is saturated",
     "method": "method",
-    "dimensions": "dimensions of the map",
-    "mantel_r": "Mantel r without the failing sensor",
-    "isolation": "distance of the failing sensor to its nearest neighbour on the map, divided by "
-    "the median of that distance over all other sensors",
+    **{name: _COLUMNS[name] for name in ("dimensions", "mantel_r", "isolation")},
 }
 
 
+@experiment(
+    "failing-sensor",
+    "Isolation of the failing sensor",
+    "In the paper's Figure 2, sensor 30 lies apart from all others. The paper does not state how "
+    "often it was saturated; the isolation depends on it.",
+    cost=10,
+)
 def isolation_by_saturation(settings: Settings, _: Tables) -> Outcome:
     """Measure the isolation of the failing sensor for several durations of its failures."""
     spans = _QUICK_SPANS if settings.quick else _SPANS
@@ -294,18 +285,8 @@ def isolation_by_saturation(settings: Settings, _: Tables) -> Outcome:
     table = Table(
         "failing-sensor",
         "Isolation of sensor 30.",
-        _COLUMNS_FAILING_SENSOR,
+        _ISOLATION_COLUMNS,
         tuple(rows),
         shown=False,
     )
     return Outcome((Picture("failing-sensor", caption, figure),), (table,))
-
-
-EXPERIMENT = Experiment(
-    "failing-sensor",
-    "Isolation of the failing sensor",
-    "In the paper's Figure 2, sensor 30 lies apart from all others. The paper does not state how "
-    "often it was saturated; the isolation depends on it.",
-    isolation_by_saturation,
-    cost=10,
-)

@@ -6,9 +6,8 @@ while fingerprint and digests match.
 
 `joblib.Memory` is not used: it stores pickles, which are unsafe to load from a folder that was
 received from others; it would not notice changes in functions that an experiment calls; and the
-files written here are the output in any case.
-
-The HTML page with all results, in the order of the paper.
+files written here are the output in any case. The page shows all results, in the order of the
+paper.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""All experiments, in the order of the page: the paper's figures, then additional analyses.
-
-Running experiments in parallel, each at most once.
-"""
+"""All experiments, in the order of the page, and their runs: in parallel, each at most once."""
 
 from __future__ import annotations
 
@@ -18,36 +15,46 @@ from joblib import Parallel, cpu_count, delayed
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import AnisomapWarning, FileError, InputError, MissingExtraError
-from anisomap.paper import accuracy, claims, results, sample_data
-from anisomap.paper import bodies as bodies_and_scenarios
-from anisomap.paper import bodies as bombarded_bodies
-from anisomap.paper import bodies as shape_distortion
-from anisomap.paper import patch as failing_sensor
-from anisomap.paper import patch as hardware_patch
-from anisomap.paper.experiment import Experiment, Settings
-from anisomap.paper.experiments import dimensionality, sensitivity, unlike_responses
+from anisomap.paper import (
+    accuracy,
+    bodies,
+    claims,
+    dimensionality,
+    patch,
+    results,
+    sample_data,
+    sensitivity,
+)
+from anisomap.paper.experiment import REGISTRY, Experiment, Settings
 from anisomap.paper.results import write_page
 
-_IN_ORDER = (
-    claims.EXPERIMENT,
-    bombarded_bodies.FIGURE_1,
-    hardware_patch.FIGURE_2,
-    hardware_patch.REAL_SKIN,
-    *accuracy.EXPERIMENTS,
-    shape_distortion.FIGURE_4,
-    *bodies_and_scenarios.EXPERIMENTS,
-    shape_distortion.FIGURE_7,
-    *bombarded_bodies.SUPPLEMENTARY,
-    *hardware_patch.SUPPLEMENTARY,
-    *sample_data.EXPERIMENTS,
-    accuracy.BINS,
-    failing_sensor.EXPERIMENT,
-    *unlike_responses.EXPERIMENTS,
-    *sensitivity.EXPERIMENTS,
-    dimensionality.EXPERIMENT,
-)
+_MODULES = (
+    claims, bodies, patch, accuracy, sample_data, sensitivity, dimensionality
+)  # fmt: skip
+"""Modules that register experiments when they are imported."""
 
-EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({one.name: one for one in _IN_ORDER})
+_PAGE_ORDER = (
+    "claims",
+    "figure-1",
+    "figure-2",
+    "real-skin",
+    "figure-3",
+    *(f"figure-{number}" for number in range(4, 8)),
+    *(f"figure-s{number}" for number in range(1, 11)),
+    "data-s1-s6",
+    "data-s7-s11",
+    "text-s3",
+    "bins",
+    "failing-sensor",
+    "unlike-responses",
+    *sensitivity.PARAMETERS,
+    "dimensions",
+)
+"""Experiments with a section on the page; the others, which provide data to them, follow."""
+
+EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
+    {name: REGISTRY[name] for name in (*_PAGE_ORDER, *REGISTRY)}
+)
 """By name, which is also the name of the folder of its results."""
 
 

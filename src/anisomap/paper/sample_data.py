@@ -20,7 +20,7 @@ from anisomap.paper.cases import (
     patch_run,
     patch_seed,
 )
-from anisomap.paper.experiment import Document, Experiment, Outcome, Settings, Table, Tables
+from anisomap.paper.experiment import Document, Outcome, Settings, Table, Tables, experiment
 from anisomap.recording import Recording
 from anisomap.simulation import find_body, find_scenario
 from anisomap.simulation.options import options_for
@@ -47,6 +47,12 @@ time in seconds, then the readings of the sensors in the order of the comments.
 """
 
 
+@experiment(
+    "data-s1-s6",
+    "Data S1 to S6 and Text S1: sample runs of all scenarios",
+    "Plain-text files. Text S1 describes their format and all parameters of the simulation.",
+    cost=20,
+)
 def sample_runs(settings: Settings, _: Tables) -> Outcome:
     """Write Data S1 to S6 and Text S1."""
     cases = [find_case(body) for body in ("cylinder", "sphere", "plane", "y-shape")]
@@ -65,6 +71,12 @@ def sample_runs(settings: Settings, _: Tables) -> Outcome:
     return Outcome(tables=(table,), documents=tuple(documents))
 
 
+@experiment(
+    "data-s7-s11",
+    "Data S7 to S11 and Text S2: the five runs of the patch",
+    "The runs of the simulated patch, in the same format.",
+    cost=8,
+)
 def patch_runs(settings: Settings, _: Tables) -> Outcome:
     """Write Data S7 to S11 and Text S2."""
     documents, rows = [], []
@@ -80,6 +92,11 @@ def patch_runs(settings: Settings, _: Tables) -> Outcome:
     return Outcome(tables=(table,), documents=tuple(documents))
 
 
+@experiment(
+    "text-s3",
+    "Text S3: shortest paths leave a metric unchanged",
+    "The theorem behind the second step of ANISOMAP, with a proof.",
+)
 def proof(_: Settings, __: Tables) -> Outcome:
     """Write Text S3."""
     caption = "Text S3: proof that shortest paths leave a metric unchanged."
@@ -168,27 +185,3 @@ def _wrapped(text: str) -> str:
 
 def _plain(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-EXPERIMENTS = (
-    Experiment(
-        "data-s1-s6",
-        "Data S1 to S6 and Text S1: sample runs of all scenarios",
-        "Plain-text files. Text S1 describes their format and all parameters of the simulation.",
-        sample_runs,
-        cost=20,
-    ),
-    Experiment(
-        "data-s7-s11",
-        "Data S7 to S11 and Text S2: the five runs of the patch",
-        "The runs of the simulated patch, in the same format.",
-        patch_runs,
-        cost=8,
-    ),
-    Experiment(
-        "text-s3",
-        "Text S3: shortest paths leave a metric unchanged",
-        "The theorem behind the second step of ANISOMAP, with a proof.",
-        proof,
-    ),
-)

@@ -1,20 +1,20 @@
-"""Access to matplotlib, and the style that all figures share.
+"""Access to matplotlib: the common style, panels, figures of one panel, and picture files.
 
 matplotlib is optional and slow to import. Functions that draw import it with `load`; no module of
 this package imports it at its top.
-
-Figures as files.
 """
 
 from __future__ import annotations
 
+import inspect
 import io
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 Axes: TypeAlias = Any
 """A matplotlib Axes. Typed as Any, because matplotlib's 3D axes have no type annotations."""
+
+P = ParamSpec("P")
 
 INK = "#22262b"
 FAINT = "#6a737d"
@@ -83,8 +85,55 @@ def add_axes(figure: Figure, dimensions: int, *position: Any) -> Axes:
     return figure.add_subplot(*position, projection="3d" if dimensions == 3 else None)
 
 
-def panel_axes(ax: Axes | None, dimensions: int = 2) -> Axes:
-    """Return the axes to draw a panel into."""
+PANELS: dict[str, Callable[..., Axes]] = {}
+"""Functions that draw one panel, by name: those decorated with `panel`."""
+
+_SHARED_SECTIONS = """
+ax : matplotlib Axes, optional
+    Axes to draw into, with ``projection="3d"`` for data in 3D. A new figure is created by default.
+
+Returns
+-------
+matplotlib Axes
+    `ax`, or the new axes; their figure is ``axes.figure``.
+
+Raises
+------
+InputError
+    If the data cannot be drawn, or `ax` has another number of dimensions.
+MissingExtraError
+    If matplotlib is not installed.
+"""
+
+
+def panel(
+    dimensions: int | Callable[[Any], int] = 2,
+) -> Callable[[Callable[P, None]], Callable[P, Axes]]:
+    """Make a function that draws into axes open or check them first, and return them.
+
+    dimensions: Of the axes; a function computes them from the first argument.
+    """
+
+    def decorate(draw: Callable[P, None]) -> Callable[P, Axes]:
+        names = inspect.signature(draw)
+
+        @wraps(draw)
+        def plot(*args: P.args, **kwargs: P.kwargs) -> Axes:
+            given = names.bind(*args, **kwargs).arguments
+            data = next(iter(given.values()))
+            axes = _open(given.get("ax"), dimensions(data) if callable(dimensions) else dimensions)
+            draw(*args, **(kwargs | {"ax": axes}))  # type: ignore[arg-type]
+            return axes
+
+        text = inspect.cleandoc(draw.__doc__ or "")
+        plot.__doc__ = text + _SHARED_SECTIONS if "\nParameters\n" in text else text
+        PANELS[draw.__name__] = plot
+        return plot
+
+    return decorate
+
+
+def _open(ax: Axes | None, dimensions: int) -> Axes:
     if ax is None:
         with drawing_style():
             return add_axes(new_figure(6.0, 5.4, layout="constrained"), dimensions)
@@ -92,6 +141,32 @@ def panel_axes(ax: Axes | None, dimensions: int = 2) -> Axes:
         wanted = "3D axes (projection='3d')" if dimensions == 3 else "2D axes"
         raise InputError(f"the data need {wanted}, got axes with projection {ax.name!r}")
     return ax
+
+
+def panel_figure(
+    plot: Callable[..., Axes],
+    *data: object,
+    title: str = "",
+    note: str = "",
+    columns: int = 0,
+    size: tuple[float, float] = (8.0, 7.2),
+    drawn: tuple[float, float] = (0.0, 1.0),
+) -> Figure:
+    """Draw one panel below a title and a legend, and above a note.
+
+    columns: Of the legend; 0 for none. size: In inches. drawn: Lower end and height of the panel.
+    """
+    with drawing_style():
+        figure: Figure = plot(*data).figure
+        figure.set_size_inches(*size)
+        figure.set_layout_engine("constrained", rect=(0, drawn[0], 1, drawn[1]))
+        if columns:
+            figure.legend(
+                loc="upper right", ncols=columns, frameon=False, bbox_to_anchor=(0.99, 0.96)
+            )
+        write_title(figure, title)
+        write_notes(figure, [note])
+        return figure
 
 
 def set_ticks(axes: Axes, extents: NDArray[np.float64], count: int) -> None:
@@ -176,19 +251,22 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     MissingExtraError
         If matplotlib is not installed.
     """
-    content = figure_bytes(figure, _kind(path))
+    content = figure_bytes(figure, checked_kind(path, KINDS, "a picture"))
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Check, before a long computation, that a picture can be saved to a file."""
-    _kind(check_target(path))
+    checked_kind(check_target(path), KINDS, "a picture")
     load("matplotlib")
 
 
-def _kind(path: str | os.PathLike[str]) -> str:
+def checked_kind(path: str | os.PathLike[str], kinds: tuple[str, ...], what: str) -> str:
+    """Return the suffix of a file name without its dot, if it is one of `kinds`."""
     kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in KINDS:
-        raise FileError(f"cannot save a picture as {path}; the name must end in .png, .svg or .pdf")
+    if kind not in kinds:
+        *others, last = (f".{one}" for one in kinds)
+        ends = " or ".join(filter(None, (", ".join(others), last)))
+        raise FileError(f"cannot save {what} as {path}; the name must end in {ends}")
     return kind

@@ -1,9 +1,4 @@
-"""Charts that compare methods: scores with their nulls, and curves over a parameter.
-
-Figure of the coverage of a skin over the length of a recording.
-
-Pictures of the diagnostics of multidimensional scaling.
-"""
+"""Charts: scores with their nulls, curves over a parameter, coverage, and diagnostics of maps."""
 
 from __future__ import annotations
 
@@ -25,7 +20,8 @@ from anisomap.drawing.figures.backend import (
     drawing_style,
     load,
     new_figure,
-    panel_axes,
+    panel,
+    panel_figure,
     set_title,
     write_title,
 )
@@ -145,49 +141,47 @@ def curves_figure(
         return figure
 
 
-def plot_scores(groups: Sequence[ScoreGroup], *, ax: Axes | None = None) -> Axes:
+@panel()
+def plot_scores(groups: Sequence[ScoreGroup], *, ax: Axes = None) -> None:
     """Plot one row of `scores_figure`."""
-    axes = panel_axes(ax)
     start, middles = 0.0, []
     for group in groups:
         for i, (method, scores) in enumerate(group.scores.items()):
             look, x = METHOD_LOOKS[method], start + i
             if method in group.nulls:
-                _draw_null(axes, x, group.nulls[method], look)
+                _draw_null(ax, x, group.nulls[method], look)
             shift = np.linspace(-_SPREAD, _SPREAD, len(scores)) if len(scores) > 1 else [0.0]
-            axes.plot(
+            ax.plot(
                 x + np.asarray(shift), scores, look.marker, color=look.colour, markersize=5,
                 alpha=0.75, markeredgewidth=0,
             )  # fmt: skip
             if len(scores) > 1:
-                axes.plot([x - 0.36, x + 0.36], [np.mean(scores)] * 2, color=INK, linewidth=1.2)
+                ax.plot([x - 0.36, x + 0.36], [np.mean(scores)] * 2, color=INK, linewidth=1.2)
         middles.append(start + (len(group.scores) - 1) / 2)
         start += len(group.scores) + _GAP
-    axes.set_xticks(middles, [group.label for group in groups], fontsize=9.5, color=INK)
-    axes.tick_params(axis="x", length=0)
-    axes.set(xlim=(-0.9, start - _GAP - 0.1), ylim=(-0.24, 1.04), ylabel="Mantel r")
-    axes.grid(axis="y")
-    axes.set_axisbelow(True)
-    axes.axhline(0, color=FAINT, linewidth=0.8)
-    return axes
+    ax.set_xticks(middles, [group.label for group in groups], fontsize=9.5, color=INK)
+    ax.tick_params(axis="x", length=0)
+    ax.set(xlim=(-0.9, start - _GAP - 0.1), ylim=(-0.24, 1.04), ylabel="Mantel r")
+    ax.grid(axis="y")
+    ax.set_axisbelow(True)
+    ax.axhline(0, color=FAINT, linewidth=0.8)
 
 
-def plot_curves(panel: CurvePanel, *, logarithmic: bool = False, ax: Axes | None = None) -> Axes:
+@panel()
+def plot_curves(curves: CurvePanel, *, logarithmic: bool = False, ax: Axes = None) -> None:
     """Plot one panel of `curves_figure`, without labels of the axes."""
-    axes = panel_axes(ax)
-    if panel.default is not None and panel.x.min() <= panel.default <= panel.x.max():
-        axes.axvline(panel.default, color=FAINT, linewidth=0.9, linestyle=":")
-    for method, values in panel.curves.items():
+    if curves.default is not None and curves.x.min() <= curves.default <= curves.x.max():
+        ax.axvline(curves.default, color=FAINT, linewidth=0.9, linestyle=":")
+    for method, values in curves.curves.items():
         look = METHOD_LOOKS[method]
-        plot_runs(axes, panel.x, values, colour=look.colour, marker=look.marker)
+        plot_runs(ax, curves.x, values, colour=look.colour, marker=look.marker)
     if logarithmic:
-        axes.set_xscale("log")
-    axes.set_xticks(panel.x, [f"{value:g}" for value in panel.x])
-    axes.minorticks_off()
-    set_title(axes, panel.title)
-    axes.grid()
-    axes.set_axisbelow(True)
-    return axes
+        ax.set_xscale("log")
+    ax.set_xticks(curves.x, [f"{value:g}" for value in curves.x])
+    ax.minorticks_off()
+    set_title(ax, curves.title)
+    ax.grid()
+    ax.set_axisbelow(True)
 
 
 def plot_runs(
@@ -267,34 +261,30 @@ def coverage_figure(
 
     shares (L, S).
     """
-    with drawing_style():
-        figure = new_figure(7.2, 4.6)
-        figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.91))
-        plot_coverage(n_frames, rate_hz, shares, ax=figure.add_subplot())
-        write_title(figure, title)
-        return figure
+    return panel_figure(
+        plot_coverage, n_frames, rate_hz, shares, title=title, size=(7.2, 4.6), drawn=(0, 0.91)
+    )
 
 
+@panel()
 def plot_coverage(
     n_frames: NDArray[np.intp],
     rate_hz: float,
     shares: dict[str, NDArray[np.float64]],
     *,
-    ax: Axes | None = None,
-) -> Axes:
+    ax: Axes = None,
+) -> None:
     """Plot the panel of `coverage_figure`."""
-    axes = panel_axes(ax)
     for (name, values), colour, marker in zip(shares.items(), PALETTE, MARKERS, strict=False):
-        plot_runs(axes, n_frames, values, colour=colour, marker=marker, label=name)
-    axes.set_xscale("log")
-    axes.set_xticks(n_frames, [f"{n}\n{n / rate_hz:.3g} s" for n in n_frames])
-    axes.minorticks_off()
-    axes.set_ylim(-0.03, 1.03)
-    axes.grid()
-    axes.set_xlabel("length of the recording (frames, seconds)")
-    axes.set_ylabel("share; Mantel r")
-    axes.legend(loc="lower right", frameon=False)
-    return axes
+        plot_runs(ax, n_frames, values, colour=colour, marker=marker, label=name)
+    ax.set_xscale("log")
+    ax.set_xticks(n_frames, [f"{n}\n{n / rate_hz:.3g} s" for n in n_frames])
+    ax.minorticks_off()
+    ax.set_ylim(-0.03, 1.03)
+    ax.grid()
+    ax.set_xlabel("length of the recording (frames, seconds)")
+    ax.set_ylabel("share; Mantel r")
+    ax.legend(loc="lower right", frameon=False)
 
 
 # Chosen by eye.
@@ -302,9 +292,10 @@ _MAX_DOTS = 3_000
 _N_LABELS = 6
 
 
+@panel()
 def plot_stress_per_point(
-    shares: Sequence[float], names: Sequence[str] = (), *, ax: Axes | None = None
-) -> Axes:
+    shares: Sequence[float], names: Sequence[str] = (), *, ax: Axes = None
+) -> None:
     """Plot the share of each sensor in the stress, the greatest first, and name the greatest.
 
     Parameters
@@ -313,30 +304,23 @@ def plot_stress_per_point(
         From `anisomap.evaluation.stress_per_point`.
     names : sequence of str
         Names of the sensors; their indices by default.
-    ax : matplotlib Axes, optional
-        Axes to draw into. A new figure is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
     """
-    axes = panel_axes(ax)
     values = 100 * np.asarray(shares, dtype=np.float64)
     order = np.argsort(-values, kind="stable")
     labels = names or [str(i) for i in range(len(values))]
-    axes.plot(np.arange(1, len(order) + 1), values[order], ".", color=PALETTE[0], markersize=5)
+    ax.plot(np.arange(1, len(order) + 1), values[order], ".", color=PALETTE[0], markersize=5)
     for rank, i in enumerate(order[:_N_LABELS].tolist(), start=1):
-        axes.annotate(
+        ax.annotate(
             f" {printable(labels[i])}", (rank, values[i]), fontsize=7, color=INK, parse_math=False
         )
-    axes.axhline(100 / len(values), color=FAINT, linewidth=0.8, linestyle=":")
-    axes.set(xlabel="rank of the sensor", ylabel="share of the stress, %")
-    axes.set_ylim(bottom=0)
-    set_title(axes, "Stress per point (dotted: equal shares)")
-    return axes
+    ax.axhline(100 / len(values), color=FAINT, linewidth=0.8, linestyle=":")
+    ax.set(xlabel="rank of the sensor", ylabel="share of the stress, %")
+    ax.set_ylim(bottom=0)
+    set_title(ax, "Stress per point (dotted: equal shares)")
 
 
-def plot_shepard(found: Shepard, *, units: str = "", ax: Axes | None = None) -> Axes:
+@panel()
+def plot_shepard(found: Shepard, *, units: str = "", ax: Axes = None) -> None:
     """Plot a Shepard diagram: distances against dissimilarities, and the monotone fit.
 
     Parameters
@@ -345,34 +329,25 @@ def plot_shepard(found: Shepard, *, units: str = "", ax: Axes | None = None) -> 
         From `anisomap.evaluation.shepard`. Of more than 3000 pairs, evenly chosen ones are drawn.
     units : str
         Unit of the positions.
-    ax : matplotlib Axes, optional
-        Axes to draw into. A new figure is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
     """
-    axes = panel_axes(ax)
     some = slice(None, None, -(-len(found.distances) // _MAX_DOTS))
-    axes.plot(
+    ax.plot(
         found.dissimilarities[some], found.distances[some], ".", color=PALETTE[0], alpha=0.4,
         markersize=3, markeredgewidth=0,
     )  # fmt: skip
-    axes.step(
-        found.dissimilarities, found.disparities, where="post", color=PALETTE[1], linewidth=1.4
-    )
-    axes.set(
+    ax.step(found.dissimilarities, found.disparities, where="post", color=PALETTE[1], linewidth=1.4)
+    ax.set(
         xlabel="dissimilarity",
         ylabel=f"distance on the map ({units})" if units else "distance on the map",
         xlim=(0, None),
         ylim=(0, None),
     )
     fit = f"monotone fit: R squared {found.nonmetric_fit:.3f}, linear {found.linear_fit:.3f}"
-    set_title(axes, f"Shepard diagram ({fit})")
-    return axes
+    set_title(ax, f"Shepard diagram ({fit})")
 
 
-def plot_shift_test(found: ShiftTest, *, label: str = "statistic", ax: Axes | None = None) -> Axes:
+@panel()
+def plot_shift_test(found: ShiftTest, *, label: str = "statistic", ax: Axes = None) -> None:
     """Plot the null distribution of a test by shifts, and the observed value.
 
     Parameters
@@ -381,17 +356,9 @@ def plot_shift_test(found: ShiftTest, *, label: str = "statistic", ax: Axes | No
         From `anisomap.evaluation.shift_test`.
     label : str
         Name of the statistic, with its unit.
-    ax : matplotlib Axes, optional
-        Axes to draw into. A new figure is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
     """
-    axes = panel_axes(ax)
-    axes.hist(found.null, bins="auto", color=PALETTE[0], alpha=0.6, label="sensors shifted in time")
-    axes.axvline(found.observed, color=PALETTE[1], linewidth=1.6, label="recording")
-    axes.set(xlabel=label, ylabel="number of shifted recordings")
-    axes.legend(frameon=False, fontsize=8)
-    set_title(axes, f"Test by circular shifts: p = {found.p_value:.3g}")
-    return axes
+    ax.hist(found.null, bins="auto", color=PALETTE[0], alpha=0.6, label="sensors shifted in time")
+    ax.axvline(found.observed, color=PALETTE[1], linewidth=1.6, label="recording")
+    ax.set(xlabel=label, ylabel="number of shifted recordings")
+    ax.legend(frameon=False, fontsize=8)
+    set_title(ax, f"Test by circular shifts: p = {found.p_value:.3g}")

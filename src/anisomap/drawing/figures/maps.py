@@ -17,12 +17,12 @@ from anisomap.drawing.figures.backend import (
     drawing_style,
     load,
     new_figure,
-    panel_axes,
+    panel,
     set_title,
     write_notes,
     write_title,
 )
-from anisomap.drawing.figures.panels import Look, draw_configuration, draw_distances
+from anisomap.drawing.figures.panels import Panel, draw_configuration, draw_distances
 from anisomap.drawing.view import (
     MAX_JOINED,
     VIEWS,
@@ -104,7 +104,7 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
             row, column = divmod(i, _COLUMNS)
             cells = _cells(figure, main_row + row * _SMALL_ROW, _SMALL_ROW, (1.0,) * _COLUMNS)
             axes = add_axes(figure, component.dimensions, cells[0, column])
-            _draw_component(axes, sensor_map, component)
+            draw_configuration(axes, _panel(sensor_map, component))
             count = len(component.points)
             set_title(axes, f"Component {component.number}: {count} sensors, own coordinate frame")
         write_title(figure, _title(sensor_map, score), x=0.28, y=0.2)
@@ -142,36 +142,25 @@ def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | No
     drawn = drawn_components(sensor_map, score)
     if not drawn:
         raise InputError("every component of the map has a single sensor; there is nothing to draw")
-    axes = panel_axes(ax, drawn[0].dimensions)
-    _draw_component(axes, sensor_map, drawn[0])
-    return axes
+    return plot_component(_panel(sensor_map, drawn[0]), ax=ax)
 
 
-def plot_distances(score: Score, *, ax: Axes | None = None) -> Axes:
+@panel(lambda shown: shown.points.shape[1])
+def plot_component(shown: Panel, *, ax: Axes = None) -> None:
+    """Plot one component of a map."""
+    draw_configuration(ax, shown)
+
+
+@panel()
+def plot_distances(score: Score, *, ax: Axes = None) -> None:
     """Plot the distances between sensors on the map against the true distances.
 
     Parameters
     ----------
     score : Score
         Score of a map.
-    ax : matplotlib Axes, optional
-        Axes to draw into. A new figure is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
-        `ax`, or the new axes; their figure is ``axes.figure``.
-
-    Raises
-    ------
-    InputError
-        If `ax` are 3D.
-    MissingExtraError
-        If matplotlib is not installed.
     """
-    axes = panel_axes(ax)
-    draw_distances(axes, score.truth, score.alignment.aligned, score.units)
-    return axes
+    draw_distances(ax, score.truth, score.alignment.aligned, score.units)
 
 
 def _check_placed(sensor_map: SensorMap) -> None:
@@ -202,22 +191,21 @@ def _draw_comparison(
     how = "rotated, scaled and reflected" if alignment.reflected else "rotated and scaled"
     error = f"{score.rms:.3g} {printable(score.units, 24)}".strip()
     spacings = f" = {score.rms_in_spacings:.2g} sensor spacings" if score.spacing > 0 else ""
-    look = replace(_look(sensor_map, component), outlines=outlines(component, component.view))
-    for column, (title, points) in enumerate(
-        (
-            ("True positions", component.truth),
-            (f"Map, {how} to fit\nRMS error {error}{spacings}", component.points),
-        )
-    ):
+    shown = _panel(sensor_map, component)
+    n_compared = len(component.truth)
+    truth = replace(
+        shown,
+        points=component.truth,
+        colours=shown.colours[:n_compared],
+        uncompared=shown.uncompared[:n_compared],
+        faulty=shown.faulty[:n_compared],
+        labels={i: name for i, name in shown.labels.items() if i < n_compared},
+        outlines=None,
+    )
+    titles = ("True positions", f"Map, {how} to fit\nRMS error {error}{spacings}")
+    for column, (title, one) in enumerate(zip(titles, (truth, shown), strict=True)):
         axes = add_axes(figure, component.dimensions, cells[0, column])
-        draw_configuration(
-            axes,
-            points,
-            look.first(len(points)) if points is component.truth else look,
-            limits=box_around(component.truth, component.points),
-            view=component.view,
-            units=component.units,
-        )
+        draw_configuration(axes, one, box_around(component.truth, component.points))
         set_title(axes, title)
     axes = figure.add_subplot(cells[0, len(_COMPARISON) - 1])
     label = draw_distances(axes, score.truth, alignment.aligned, score.units)
@@ -232,33 +220,24 @@ def _draw_alone(
         sides = tuple(zip(("From the front", "From the right", "From above"), VIEWS, strict=True))
     for column, (title, view) in enumerate(sides):
         axes = add_axes(figure, component.dimensions, cells[0, column])
-        _draw_component(axes, sensor_map, component, view)
+        draw_configuration(axes, _panel(sensor_map, component, view))
         set_title(axes, title)
 
 
-def _draw_component(
-    axes: Axes, sensor_map: SensorMap, component: Component, view: View | None = None
-) -> None:
-    view = view or component.view
-    draw_configuration(
-        axes,
-        component.points,
-        replace(_look(sensor_map, component), outlines=outlines(component, view)),
-        limits=box_around(component.points),
-        view=view,
-        units=component.units,
-    )
-
-
-def _look(sensor_map: SensorMap, component: Component) -> Look:
+def _panel(sensor_map: SensorMap, component: Component, view: View | None = None) -> Panel:
     reference = component.truth if len(component.truth) else component.points
     labelled = _sensors_to_label(reference, component.view)
-    return Look(
+    view = view or component.view
+    return Panel(
+        points=component.points,
         colours=component.colours,
         pairs=component.pairs,
-        faulty=_faulty(sensor_map, component),
+        view=view,
+        units=component.units,
         uncompared=~component.compared,
+        faulty=_faulty(sensor_map, component),
         labels={i: printable(sensor_map.names[component.sensors[i]], _MAX_LABEL) for i in labelled},
+        outlines=outlines(component, view),
     )
 
 

@@ -1,13 +1,10 @@
-"""Panels of figures: a configuration of sensors, and distances against distances.
-
-Maps side by side, as in Figures 1, 2 and 7 of the paper.
-"""
+"""Panels of figures: configurations of sensors, alone and side by side; distances of maps."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +20,7 @@ from anisomap.drawing.figures.backend import (
     drawing_style,
     load,
     new_figure,
-    panel_axes,
+    panel,
     set_ticks,
     set_title,
     write_notes,
@@ -37,6 +34,7 @@ from anisomap.drawing.view import (
     box_around,
     neighbour_pairs,
     place_colours,
+    segments,
     view_axes,
 )
 from anisomap.errors import InputError
@@ -61,61 +59,60 @@ _DOT_AREA = 75.0  # square points, for up to 60 sensors
 _CROWDED = 300
 
 
-@dataclass(frozen=True, eq=False)
-class Look:
-    """Appearance of N sensors, the same in every panel that shows them.
+# Inches.
+_HEAD, _LINE, _BELOW = 0.45, 0.17, 0.35
+_CHARACTERS_PER_INCH = 13.5
 
-    colours (N, 3): sRGB in [0, 1].
-    pairs: Sensors joined by lines.
-    faulty, uncompared: Sensors marked with a cross, and with a square.
-    labels: Names written beside sensors.
+_FLAT_VIEW: View = (0.0, 0.0)  # ignored in 2D
+_OBLIQUE_VIEW: View = (38.0, -68.0)  # of flat bodies, so that bending of the map is visible
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A configuration, with its appearance.
+
+    points (n, k): Positions, k = 2 or 3.
+    colours (n, 3): sRGB in [0, 1].
+    pairs: Points joined by lines.
+    view: Elevation and azimuth in degrees.
+    units: Of the axes.
+    uncompared: Sensors that the score excludes, marked with a square.
+    faulty: Sensors marked with a cross.
+    labels: Names written beside points.
     outlines (L, k): Lines around sensors, separated by NaN.
+    unplaced (m, k): True positions of sensors that maps do not place, drawn as rings.
     """
 
+    points: NDArray[np.float64]
     colours: NDArray[np.float64]
     pairs: NDArray[np.intp]
-    faulty: NDArray[np.bool_]
+    view: View
+    units: str
     uncompared: NDArray[np.bool_]
-    labels: dict[int, str]
+    faulty: NDArray[np.bool_]
+    labels: Mapping[int, str] = field(default_factory=dict)
     outlines: NDArray[np.float64] | None = None
-
-    def first(self, count: int) -> Look:
-        """Keep the first sensors, and the lines between them, without outlines."""
-        return Look(
-            colours=self.colours[:count],
-            pairs=self.pairs[(self.pairs < count).all(axis=1)],
-            faulty=self.faulty[:count],
-            uncompared=self.uncompared[:count],
-            labels={i: name for i, name in self.labels.items() if i < count},
-        )
+    unplaced: NDArray[np.float64] | None = None
+    title: str = ""
 
 
-def draw_configuration(
-    axes: Axes,
-    points: NDArray[np.float64],
-    look: Look,
-    *,
-    limits: NDArray[np.float64],
-    view: View,
-    units: str,
-) -> None:
-    """Draw a configuration with its neighbours joined, from back to front.
-
-    points (n, k), limits (k, 2).
-    """
-    set_up_axes(axes, limits, view, units)
+def draw_configuration(axes: Axes, shown: Panel, limits: NDArray[np.float64] | None = None) -> None:
+    """Draw a configuration with its neighbours joined, from back to front. limits (k, 2)."""
+    points = shown.points
+    limits = box_around(points) if limits is None else limits
+    set_up_axes(axes, limits, shown.view, shown.units)
     if points.shape[1] == 3:
-        depth = points @ view_axes(view)[2]
+        depth = points @ view_axes(shown.view)[2]
         nearness = 1 - (depth.max() - depth) / np.ptp(limits, axis=1).max()
     else:
         nearness = np.ones(len(points))
-    if look.outlines is not None and len(look.outlines):
-        axes.plot(*look.outlines.T, color=_OUTLINE, linewidth=0.6, alpha=0.7, zorder=0.5)
-    _draw_layers(axes, points, look, np.clip(nearness, 0, 1))
-    rightwards = view_axes(view)[0] if points.shape[1] == 3 else np.array([1.0, 0.0])
-    for i, name in look.labels.items():
+    if shown.outlines is not None and len(shown.outlines):
+        axes.plot(*shown.outlines.T, color=_OUTLINE, linewidth=0.6, alpha=0.7, zorder=0.5)
+    _draw_layers(axes, shown, np.clip(nearness, 0, 1))
+    rightwards = view_axes(shown.view)[0] if points.shape[1] == 3 else np.array([1.0, 0.0])
+    for i, name in shown.labels.items():
         right_half = bool((points[i] - limits.mean(axis=1)) @ rightwards > 0)
-        write_label(axes, points[i], f"{name} " if right_half else f" {name}", right_half)
+        write_label(axes, points[i], name, right_half)
 
 
 def draw_distances(
@@ -202,11 +199,10 @@ def _set_up_3d(axes: Axes, limits: NDArray[np.float64], view: View) -> None:
         axes.zaxis.set_ticklabels([])
 
 
-def _draw_layers(
-    axes: Axes, points: NDArray[np.float64], look: Look, nearness: NDArray[np.float64]
-) -> None:
+def _draw_layers(axes: Axes, shown: Panel, nearness: NDArray[np.float64]) -> None:
     """Draw from back to front, because 3D axes do not sort lines among dots."""
-    first, second = look.pairs.T
+    points = shown.points
+    first, second = shown.pairs.T
     dot_layer = np.minimum((nearness * _N_LAYERS).astype(int), _N_LAYERS - 1)
     # A line has the depth of its farther end, so that it never crosses a nearer dot.
     line_layer = np.minimum(dot_layer[first], dot_layer[second])
@@ -216,7 +212,7 @@ def _draw_layers(
     for layer in np.unique(dot_layer):
         near = (layer + 1) / _N_LAYERS
         axes.plot(
-            *_segments(points, look.pairs[line_layer == layer]).T,
+            *segments(points, shown.pairs[line_layer == layer]).T,
             color="#555b62",
             alpha=(0.12 + 0.5 * near**1.5) * (0.5 if crowded else 1),
             linewidth=(0.5 + 0.6 * near) * (0.6 if crowded else 1),
@@ -227,17 +223,17 @@ def _draw_layers(
         axes.scatter(
             *points[chosen].T,
             s=size * (0.4 + 0.6 * near),
-            c=look.colours[chosen],
+            c=shown.colours[chosen],
             alpha=0.45 + 0.55 * near,
-            edgecolors=np.where(look.uncompared[chosen], FAINT, "white").tolist(),
+            edgecolors=np.where(shown.uncompared[chosen], FAINT, "white").tolist(),
             linewidths=0 if crowded else 0.5,
             zorder=4 * layer + 2,
             **common,
         )
         for marked, scale, style in (
-            (look.faulty, 1.3, {"marker": "x", "color": "black", "linewidths": 1.4}),
+            (shown.faulty, 1.3, {"marker": "x", "color": "black", "linewidths": 1.4}),
             (
-                look.uncompared,
+                shown.uncompared,
                 2.6,
                 {"marker": "s", "facecolors": "none", "edgecolors": INK, "linewidths": 0.8},
             ),
@@ -252,18 +248,11 @@ def _draw_layers(
                 )
 
 
-def _segments(points: NDArray[np.float64], pairs: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Concatenate lines into one, separated by NaN, shape (3 E, k)."""
-    segments = np.full((len(pairs), 3, points.shape[1]), np.nan)
-    segments[:, :2] = points[pairs]
-    return segments.reshape(-1, points.shape[1])
-
-
 def write_label(axes: Axes, point: NDArray[np.float64], name: str, leftwards: bool) -> None:
     """Write a name to the left or right of a point, legible above everything else."""
     axes.text(
         *point,
-        name,
+        f"{name} " if leftwards else f" {name}",
         ha="right" if leftwards else "left",
         fontsize=7.5,
         color=INK,
@@ -272,38 +261,6 @@ def write_label(axes: Axes, point: NDArray[np.float64], name: str, leftwards: bo
         zorder=100,
         path_effects=[load("matplotlib.patheffects").withStroke(linewidth=2, foreground="white")],
     )
-
-
-_FLAT_VIEW: View = (0.0, 0.0)  # ignored in 2D
-_OBLIQUE_VIEW: View = (38.0, -68.0)  # of flat bodies, so that bending of the map is visible
-# Inches.
-_HEAD, _LINE, _BELOW = 0.45, 0.17, 0.35
-_CHARACTERS_PER_INCH = 13.5
-
-
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """A configuration, with its appearance.
-
-    points (n, k): Positions, k = 2 or 3.
-    colours (n, 3): sRGB in [0, 1].
-    pairs: Points joined by lines.
-    view: Elevation and azimuth in degrees.
-    units: Of the axes.
-    uncompared: Sensors that the score excludes; they are marked.
-    labels: Names written beside points.
-    unplaced (m, k): True positions of sensors that maps do not place, drawn as rings.
-    """
-
-    title: str
-    points: NDArray[np.float64]
-    colours: NDArray[np.float64]
-    pairs: NDArray[np.intp]
-    view: View
-    units: str
-    uncompared: NDArray[np.bool_]
-    labels: Mapping[int, str] = field(default_factory=dict)
-    unplaced: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def truth_panel(
@@ -317,16 +274,13 @@ def truth_panel(
 ) -> Panel:
     """Prepare a panel of the true positions. truth (N, k)."""
     places = np.asarray(truth, dtype=np.float64)
-    return _panel(
-        title,
-        places,
-        places,
-        placed=_mask(on_maps, len(places), default=True),
-        excluded=_mask(excluded, len(places), default=False),
-        units=units,
-        labels=labels or {},
-        with_unplaced=True,
+    everywhere = np.ones(len(places), dtype=bool)
+    placed = everywhere if on_maps is None else np.asarray(on_maps, dtype=bool)
+    left_out = ~everywhere if excluded is None else np.asarray(excluded, dtype=bool)
+    drawn = _panel(
+        title, places, places, placed=placed, excluded=left_out, units=units, labels=labels or {}
     )
+    return replace(drawn, unplaced=places[~placed])
 
 
 def map_panel(
@@ -342,19 +296,14 @@ def map_panel(
     truth (N, k).
     """
     places = np.asarray(truth, dtype=np.float64)
-    fit = score.alignment
-    padding = len(fit.translation) - sensor_map.dimensions
-    positions = np.pad(sensor_map.positions, ((0, 0), (0, padding)))
-    aligned = (fit.scale * positions @ fit.rotation.T + fit.translation)[:, : places.shape[1]]
     return _panel(
         title,
-        aligned,
+        score.alignment.apply(sensor_map.positions)[:, : places.shape[1]],
         places,
         placed=sensor_map.placed & (sensor_map.component == 0),
         excluded=np.isin(np.arange(sensor_map.n_sensors), score.excluded),
         units=score.units,
         labels=labels or {},
-        with_unplaced=False,
     )
 
 
@@ -382,36 +331,28 @@ def gallery_figure(
             wspace=0.22,
             hspace=0.34,
         )
-        for i, panel in enumerate(panels):
+        for i, shown in enumerate(panels):
             cell = cells[divmod(i, columns)]
-            plot_panel(panel, ax=add_axes(figure, panel.points.shape[1], cell))
+            plot_panel(shown, ax=add_axes(figure, shown.points.shape[1], cell))
         write_title(figure, title)
         write_notes(figure, lines)
         return figure
 
 
-def plot_panel(panel: Panel, *, ax: Axes | None = None) -> Axes:
+@panel(lambda shown: shown.points.shape[1])
+def plot_panel(shown: Panel, *, ax: Axes = None) -> None:
     """Plot one panel."""
-    dimensions = panel.points.shape[1]
-    axes = panel_axes(ax, dimensions)
-    look = Look(
-        colours=panel.colours,
-        pairs=panel.pairs,
-        faulty=np.zeros(len(panel.points), dtype=bool),
-        uncompared=panel.uncompared,
-        labels=dict(panel.labels),
-    )
-    limits = box_around(panel.points, panel.unplaced[:, :dimensions])
-    draw_configuration(axes, panel.points, look, limits=limits, view=panel.view, units=panel.units)
-    set_ticks(axes, np.ptp(limits, axis=1), 3)
-    for name in "xyz"[:dimensions]:
-        axis = getattr(axes, f"{name}axis")
+    rings = shown.points[:0] if shown.unplaced is None else shown.unplaced
+    limits = box_around(shown.points, rings)
+    draw_configuration(ax, shown, limits)
+    set_ticks(ax, np.ptp(limits, axis=1), 3)
+    for name in "xyz"[: len(limits)]:
+        axis = getattr(ax, f"{name}axis")
         axis.label.set_size(8)
         axis.set_tick_params(labelsize=7)
-    if len(panel.unplaced):
-        axes.scatter(*panel.unplaced.T, s=22, facecolors="none", edgecolors=FAINT, linewidths=0.7)
-    set_title(axes, panel.title)
-    return axes
+    if len(rings):
+        ax.scatter(*rings.T, s=22, facecolors="none", edgecolors=FAINT, linewidths=0.7)
+    set_title(ax, shown.title)
 
 
 def _panel(
@@ -423,37 +364,21 @@ def _panel(
     excluded: NDArray[np.bool_],
     units: str,
     labels: Mapping[int, str],
-    with_unplaced: bool,
 ) -> Panel:
-    view = _view(truth)
+    view = _FLAT_VIEW
+    if truth.shape[1] == 3:
+        view = VIEWS[0] if best_view(truth) == VIEWS[0] else _OBLIQUE_VIEW
     rows = np.flatnonzero(placed)
     row_of = {int(sensor): i for i, sensor in enumerate(rows)}
+    pairs = neighbour_pairs(truth[rows])
     return Panel(
-        title=title,
         points=points[rows],
         colours=place_colours(truth, view)[rows],
-        pairs=_joined(truth, rows, excluded),
+        pairs=pairs[~excluded[rows][pairs].any(axis=1)],  # whose place on the map is arbitrary
         view=view,
         units=units,
         uncompared=excluded[rows],
+        faulty=np.zeros(len(rows), dtype=bool),
         labels={row_of[sensor]: name for sensor, name in labels.items() if sensor in row_of},
-        unplaced=points[~placed] if with_unplaced else points[:0],
+        title=title,
     )
-
-
-def _view(truth: NDArray[np.float64]) -> View:
-    if truth.shape[1] == 2:
-        return _FLAT_VIEW
-    return VIEWS[0] if best_view(truth) == VIEWS[0] else _OBLIQUE_VIEW
-
-
-def _joined(
-    truth: NDArray[np.float64], rows: NDArray[np.intp], excluded: NDArray[np.bool_]
-) -> NDArray[np.intp]:
-    """Join true neighbours, except excluded sensors, whose position on the map is arbitrary."""
-    pairs = neighbour_pairs(truth[rows])
-    return pairs[~excluded[rows][pairs].any(axis=1)]
-
-
-def _mask(given: ArrayLike | None, count: int, *, default: bool) -> NDArray[np.bool_]:
-    return np.full(count, default) if given is None else np.asarray(given, dtype=bool)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,10 +15,11 @@ from anisomap.drawing.figures.backend import (
     INK,
     Axes,
     add_axes,
+    checked_kind,
     drawing_style,
     load,
     new_figure,
-    panel_axes,
+    panel,
     set_ticks,
     set_title,
     write_title,
@@ -110,7 +110,8 @@ def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) ->
         return figure
 
 
-def plot_scene(scene: Scene, frame: int, *, ax: Axes | None = None) -> Axes:
+@panel(3)
+def plot_scene(scene: Scene, frame: int, *, ax: Axes = None) -> None:
     """Plot a frame of a scene in one panel; sensors are coloured by their readings.
 
     Parameters
@@ -118,24 +119,9 @@ def plot_scene(scene: Scene, frame: int, *, ax: Axes | None = None) -> Axes:
     scene : Scene
     frame : int
         Index of the frame.
-    ax : matplotlib Axes, optional
-        Axes to draw into, with ``projection="3d"``. A new figure is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
-        `ax`, or the new axes; their figure is ``axes.figure``.
-
-    Raises
-    ------
-    InputError
-        If there is no such frame, or `ax` are not 3D.
-    MissingExtraError
-        If matplotlib is not installed.
     """
     _check_frame(scene, frame)
-    axes = panel_axes(ax, 3)
-    axes.computed_zorder = False
+    ax.computed_zorder = False
     visible = np.vstack(
         [
             vertices
@@ -147,7 +133,7 @@ def plot_scene(scene: Scene, frame: int, *, ax: Axes | None = None) -> Axes:
     lowest, highest = visible.min(axis=0), visible.max(axis=0)
     for prop in scene.props:
         for vertices in prop.surfaces(frame) if prop.role == "room" else ():
-            axes.add_collection3d(_sharp_edges(prop.mesh, vertices))
+            ax.add_collection3d(_sharp_edges(prop.mesh, vertices))
     for role in _FACES:
         triangles = [
             vertices[prop.mesh.faces]
@@ -157,8 +143,8 @@ def plot_scene(scene: Scene, frame: int, *, ax: Axes | None = None) -> Axes:
         ]
         if triangles:
             near = _within(np.vstack(triangles), lowest, highest)
-            axes.add_collection3d(_surface(near, role), autolim=False)
-    axes.scatter(
+            ax.add_collection3d(_surface(near, role), autolim=False)
+    ax.scatter(
         *scene.sensors[frame % len(scene.sensors)].T,
         c=scene.readings[frame],
         cmap=_READINGS,
@@ -169,16 +155,13 @@ def plot_scene(scene: Scene, frame: int, *, ax: Axes | None = None) -> Axes:
         depthshade=False,
         zorder=10,
     )
-    axes.set(
-        xlim=(lowest[0], highest[0]), ylim=(lowest[1], highest[1]), zlim=(lowest[2], highest[2])
-    )
-    axes.set_box_aspect(np.maximum(highest - lowest, 1e-12), zoom=0.98)
-    set_ticks(axes, highest - lowest, 4)
+    ax.set(xlim=(lowest[0], highest[0]), ylim=(lowest[1], highest[1]), zlim=(lowest[2], highest[2]))
+    ax.set_box_aspect(np.maximum(highest - lowest, 1e-12), zoom=0.98)
+    set_ticks(ax, highest - lowest, 4)
     for name in "xyz":
-        getattr(axes, f"set_{name}label")(name + _in_units(scene))
-        getattr(axes, f"{name}axis").set_pane_color((1.0, 1.0, 1.0))
-    axes.grid(visible=False)
-    return axes
+        getattr(ax, f"set_{name}label")(name + _in_units(scene))
+        getattr(ax, f"{name}axis").set_pane_color((1.0, 1.0, 1.0))
+    ax.grid(visible=False)
 
 
 def busiest_frame(scene: Scene) -> int:
@@ -235,8 +218,7 @@ def save_animation(
 def save_pixels(path: str | os.PathLike[str], images: Sequence[NDArray[np.uint8]]) -> None:
     """Save rendered images: one as a picture (.png), several as an animation (.gif)."""
     kind = "png" if len(images) == 1 else "gif"
-    if Path(path).suffix.lower() != f".{kind}":
-        raise FileError(f"cannot save rendered images as {path}; the name must end in .{kind}")
+    checked_kind(path, (kind,), "rendered images")
     image = load("PIL.Image")
     first, *others = (image.fromarray(pixels) for pixels in images)
     animated = {
@@ -251,9 +233,7 @@ def save_pixels(path: str | os.PathLike[str], images: Sequence[NDArray[np.uint8]
 
 def check_animation(path: str | os.PathLike[str]) -> None:
     """Check, before a long computation, that an animation can be saved to a file."""
-    kind = Path(check_target(path)).suffix.lower().removeprefix(".")
-    if kind not in ANIMATIONS:
-        raise FileError(f"cannot save an animation as {path}; the name must end in .gif or .mp4")
+    kind = checked_kind(check_target(path), ANIMATIONS, "an animation")
     if kind == "mp4" and not load("matplotlib.animation").FFMpegWriter.isAvailable():
         raise FileError(
             f"{path} needs the program ffmpeg, which is not installed; .gif does not need it"

@@ -13,10 +13,10 @@ from anisomap.drawing.figures.backend import (
     MARKERS,
     PALETTE,
     Axes,
-    add_axes,
     drawing_style,
     new_figure,
-    panel_axes,
+    panel,
+    panel_figure,
     set_title,
 )
 from anisomap.drawing.view import axis_title, printable
@@ -46,11 +46,7 @@ _INSTANTS = 600  # of a thumbnail; the range of the readings in each is drawn
 
 def touch_figure(sensor_map: SensorMap, coverage: TouchCoverage) -> Figure:
     """Draw the panel of `plot_touches`; the arguments are the same."""
-    with drawing_style():
-        figure = new_figure(7.0, 5.6, layout="constrained")
-        axes = add_axes(figure, 3 if sensor_map.dimensions >= 3 else 2)
-        plot_touches(sensor_map, coverage, ax=axes)
-        return figure
+    return panel_figure(plot_touches, sensor_map, coverage, size=(7.0, 5.6))
 
 
 def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figure:
@@ -69,25 +65,28 @@ def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figu
         return figure
 
 
+@panel()
 def plot_series(
-    readings: NDArray[np.floating], *, rate_hz: float | None = None, ax: Axes | None = None
-) -> Axes:
+    readings: NDArray[np.floating], *, rate_hz: float | None = None, ax: Axes = None
+) -> None:
     """Plot the range of the readings of a sensor over time. readings (T,)."""
-    axes = panel_axes(ax)
     step = -(-len(readings) // _INSTANTS)
     starts = np.arange(0, len(readings), step)
     known = np.where(np.isfinite(readings), readings, np.nan)
     low = np.fmin.reduceat(known, starts)
     high = np.fmax.reduceat(known, starts)
     times = starts / (rate_hz or 1)
-    axes.fill_between(times, low, high, step="post", color=PALETTE[0], linewidth=0.8)
-    axes.set_xlabel("time (s)" if rate_hz else "frame")
-    axes.set_ylabel("reading")
-    return axes
+    ax.fill_between(times, low, high, step="post", color=PALETTE[0], linewidth=0.8)
+    ax.set_xlabel("time (s)" if rate_hz else "frame")
+    ax.set_ylabel("reading")
 
 
-def plot_touches(sensor_map: SensorMap, coverage: TouchCoverage, *, ax: Axes | None = None) -> Axes:
+@panel(lambda sensor_map: min(3, sensor_map.dimensions))
+def plot_touches(sensor_map: SensorMap, coverage: TouchCoverage, *, ax: Axes = None) -> None:
     """Plot contacts by place on the map, neighbours never touched together, and where to touch.
+
+    Sensors are darker the more contacts they had. Red lines join neighbours that were never
+    touched together; numbers mark the places to touch next, the most urgent first.
 
     Parameters
     ----------
@@ -95,43 +94,33 @@ def plot_touches(sensor_map: SensorMap, coverage: TouchCoverage, *, ax: Axes | N
         Its largest component is drawn, in its first two or three coordinates.
     coverage : TouchCoverage
         From `anisomap.health.touch_coverage`, of the same map.
-    ax : matplotlib Axes, optional
-        Axes to draw into, 3D for a map in 3D. A new figure is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
-        Sensors are darker the more contacts they had. Red lines join neighbours that were never
-        touched together; numbers mark the places to touch next, the most urgent first.
     """
     dimensions = min(3, sensor_map.dimensions)
-    axes = panel_axes(ax, dimensions)
     drawn = np.flatnonzero(sensor_map.component == 0)
     points = sensor_map.positions[:, :dimensions]
     if dimensions == 1:
         points, dimensions = np.column_stack([points, np.zeros(len(points))]), 2
     apart = coverage.never_together[np.isin(coverage.never_together, drawn).all(axis=1)]
     for pair in apart.tolist():
-        axes.plot(*points[pair].T, color=_LACKING, linewidth=1.0, zorder=1)
+        ax.plot(*points[pair].T, color=_LACKING, linewidth=1.0, zorder=1)
     contacts = coverage.contacts[drawn]
     classes = np.digitize(contacts, (1, MIN_CONTACTS, ENOUGH_CONTACTS))
     for i, label in enumerate(_CLASSES):
         some = points[drawn[classes == i]]
         if len(some):
-            axes.scatter(
+            ax.scatter(
                 *some.T, color=_SHADES[i], edgecolors=INK, linewidths=0.6, s=_DOT_AREA,
                 marker=MARKERS[i], label=label, zorder=2,
             )  # fmt: skip
-    axes.legend(frameon=False, fontsize=8, title="contacts")
+    ax.legend(frameon=False, fontsize=8, title="contacts")
     for rank, place in enumerate(coverage.places, start=1):
         if place.component == 0:
             where = points[list(place.sensors)].mean(axis=0)
-            axes.text(
+            ax.text(
                 *where, str(rank), fontsize=12, fontweight="bold", color=_LACKING, ha="center",
                 va="center", zorder=3,
             )  # fmt: skip
-    axes.set_aspect("equal")
+    ax.set_aspect("equal")
     for name in "xyz"[:dimensions]:
-        getattr(axes, f"set_{name}label")(axis_title(name, sensor_map.units), parse_math=False)
-    set_title(axes, "Contacts, and where to touch next (1: first)")
-    return axes
+        getattr(ax, f"set_{name}label")(axis_title(name, sensor_map.units), parse_math=False)
+    set_title(ax, "Contacts, and where to touch next (1: first)")

@@ -1,7 +1,4 @@
-"""The HTML page: template, style and scripts combined.
-
-Reports of maps: single HTML files that need no network.
-"""
+"""Reports of maps: single HTML files that need no network."""
 
 from __future__ import annotations
 
@@ -37,44 +34,6 @@ def load_libraries() -> tuple[Any, Any]:
     """Import jinja2 and plotly."""
     jinja2 = import_extra("jinja2", "a report", "report")
     return jinja2, import_extra("plotly.offline", "a report", "report")
-
-
-def render(
-    *,
-    scene: list[dict[str, Any]],
-    figure_png: bytes | None,
-    touches: Touches | None,
-    **content: Any,
-) -> str:
-    """Fill the template; see `anisomap.drawing.report.render_report` for the arguments."""
-    _, plotly = load_libraries()
-    # A script ends at the first "</script", wherever it occurs. The texts of plotly and of this
-    # package contain none (tested), and tojson escapes the data.
-    own = _text("report.js")
-    scripts = [plotly.get_plotlyjs(), own] if scene else [own]
-    shown = {
-        "picture": figure_png,
-        "touch_picture": None if touches is None else touches.map_png,
-        "series_picture": None if touches is None else touches.series_png,
-    }
-    pictures = {
-        name: None if png is None else base64.b64encode(png).decode("ascii")
-        for name, png in shown.items()
-    }
-    page: str = (
-        _environment()
-        .get_template("report.html")
-        .render(
-            **content,
-            scene=scene,
-            **pictures,
-            touches=None if touches is None else _printable(touches.facts),
-            style=_text("report.css"),
-            scripts=scripts,
-            policy=_policy(scripts),
-        )
-    )
-    return page
 
 
 def _printable(facts: Mapping[str, str]) -> dict[str, str]:
@@ -178,23 +137,43 @@ def render_report(
 
     Names and notes are escaped. The page runs no scripts but its own and sends no requests.
     """
+    _, plotly = load_libraries()
     drawn = drawn_components(sensor_map, score)
     statuses = sensor_statuses(sensor_map, health)
-    return render(
-        title=printable(title),
-        verdict=headlines(sensor_map, score),
-        facts=facts(sensor_map, score),
-        caveats=caveats(sensor_map, score, summary),
-        scene=interactive_views(sensor_map, drawn, score, statuses),
-        statuses=status_colours(statuses),
-        figure_png=figure_png,
-        touches=touches,
-        alt=alternative_text(sensor_map, score),
-        compared=score is not None,
-        table=sensor_table(sensor_map, score, health),
-        recording=recording_facts(summary),
-        provenance=provenance(sensor_map, score),
+    scene = interactive_views(sensor_map, drawn, score, statuses)
+    # A script ends at the first "</script", wherever it occurs. The texts of plotly and of this
+    # package contain none (tested), and tojson escapes the data.
+    own = _text("report.js")
+    scripts = [plotly.get_plotlyjs(), own] if scene else [own]
+    page: str = (
+        _environment()
+        .get_template("report.html")
+        .render(
+            title=printable(title),
+            verdict=headlines(sensor_map, score),
+            facts=facts(sensor_map, score),
+            caveats=caveats(sensor_map, score, summary),
+            scene=scene,
+            statuses=status_colours(statuses),
+            alt=alternative_text(sensor_map, score),
+            compared=score is not None,
+            table=sensor_table(sensor_map, score, health),
+            recording=recording_facts(summary),
+            provenance=provenance(sensor_map, score),
+            picture=_encoded(figure_png),
+            touches=None if touches is None else _printable(touches.facts),
+            touch_picture=_encoded(None if touches is None else touches.map_png),
+            series_picture=_encoded(None if touches is None else touches.series_png),
+            style=_text("report.css"),
+            scripts=scripts,
+            policy=_policy(scripts),
+        )
     )
+    return page
+
+
+def _encoded(png: bytes | None) -> str | None:
+    return None if png is None else base64.b64encode(png).decode("ascii")
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:

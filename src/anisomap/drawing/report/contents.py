@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -90,17 +91,6 @@ class SensorTable:
     def n_problems(self) -> int:
         """Number of listed sensors whose status is not ok."""
         return sum(is_faulty(row.status) for row in self.rows)
-
-
-_MEASURED = (
-    Fact("Min", "", "smallest reading"),
-    Fact("Max", "", "largest reading"),
-    Fact("Values", "", "number of distinct readings"),
-    Fact("Active", "", "share of frames in which the reading is not at rest"),
-    Fact("Contacts", "", "number of separate contacts"),
-    Fact("Lag-1 r", "", "autocorrelation at a lag of one frame; near 0 for noise"),
-    Fact("Best match", "", "highest Pearson r with another sensor"),
-)
 
 
 def number(value: float | None, digits: int = 3, unit: str = "") -> str:
@@ -283,40 +273,34 @@ def sensor_table(
     assessed = {sensor.name: sensor for sensor in health}
     statuses = sensor_statuses(sensor_map, health)
     errors = {} if score is None else dict(zip(score.sensors, score.alignment.errors, strict=True))
-    columns = []
+    columns: list[tuple[Fact, Callable[[int], Cell]]] = []
     if len(sensor_map.component_sizes) > 1 or not sensor_map.placed.all():
-        columns.append(Fact("Component", "", "connected component of the map; 1 is the largest"))
+        fact = Fact("Component", "", "connected component of the map; 1 is the largest")
+        columns.append((fact, lambda i: _component(int(sensor_map.component[i]) + 1)))
     if score is not None:
         unit = f" ({score.units})" if score.units else ""
-        columns.append(Fact(f"Error{unit}", "", "distance from the true position"))
-    radii = None
+        fact = Fact(f"Error{unit}", "", "distance from the true position")
+        columns.append((fact, lambda i: _numeric(errors.get(i))))
     if sensor_map.covariances is not None:
         unit = "" if sensor_map.units in UNSCALED else f" ({printable(sensor_map.units)})"
-        columns.append(
-            Fact(f"95 %{unit}", "", "longest half axis of the ellipse of 95 %, by chance alone")
-        )
         radii = ellipses(sensor_map.covariances)[0].max(axis=1)
-    columns += _MEASURED if health else ()
+        fact = Fact(f"95 %{unit}", "", "longest half axis of the ellipse of 95 %, by chance alone")
+        columns.append((fact, lambda i: _numeric(float(radii[i]))))
+    if health:
+        columns += [
+            (fact, partial(_measured, cell, sensor_map.names, assessed)) for fact, cell in _MEASURED
+        ]
+    listed = sorted(
+        range(len(statuses)), key=lambda i: (not is_faulty(statuses[i]), -errors.get(i, 0))
+    )
     rows = []
-    n_sensors = len(statuses)
-    listed = sorted(range(n_sensors), key=lambda i: (not is_faulty(statuses[i]), -errors.get(i, 0)))
     for i in sorted(listed[:MAX_ROWS], key=lambda i: -errors.get(i, 0)):
         name = sensor_map.names[i]
-        cells = []
-        if columns and columns[0].name == "Component":
-            component = int(sensor_map.component[i]) + 1
-            cells.append(Cell(str(component), component) if component else Cell("not placed"))
-        if score is not None:
-            cells.append(_numeric(errors.get(i)))
-        if radii is not None:
-            cells.append(_numeric(float(radii[i])))
-        sensor = assessed.get(name)
-        if health:
-            cells += _measurements(sensor)
-        reason = "" if sensor is None else printable(sensor.reason)
-        rows.append(Row(printable(name), statuses[i], reason, tuple(cells)))
+        reason = printable(assessed[name].reason) if name in assessed else ""
+        cells = tuple(cell(i) for _, cell in columns)
+        rows.append(Row(printable(name), statuses[i], reason, cells))
     counts = ", ".join(f"{statuses.count(status)} {status}" for status in sorted(set(statuses)))
-    return SensorTable(tuple(columns), tuple(rows), counts, len(statuses))
+    return SensorTable(tuple(fact for fact, _ in columns), tuple(rows), counts, len(statuses))
 
 
 def recording_facts(summary: RecordingSummary | None) -> list[Fact]:
@@ -358,21 +342,51 @@ def provenance(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
     ]
 
 
-def _measurements(sensor: SensorHealth | None) -> list[Cell]:
-    if sensor is None:
-        return [Cell(UNKNOWN)] * len(_MEASURED)
-    return [
-        _numeric(sensor.minimum),
-        _numeric(sensor.maximum),
-        Cell(str(sensor.distinct), sensor.distinct),
-        Cell(f"{sensor.active:.1%}" if math.isfinite(sensor.active) else UNKNOWN, sensor.active),
-        Cell(str(sensor.contacts), sensor.contacts),
-        _numeric(sensor.lag_correlation, 2),
-        _numeric(sensor.best_match, 2),
-    ]
+def _component(number: int) -> Cell:
+    return Cell(str(number), number) if number else Cell("not placed")
+
+
+def _measured(
+    cell: Callable[[SensorHealth], Cell],
+    names: Sequence[str],
+    assessed: Mapping[str, SensorHealth],
+    i: int,
+) -> Cell:
+    return cell(assessed[names[i]]) if names[i] in assessed else Cell(UNKNOWN)
+
+
+def _share(value: float) -> Cell:
+    return Cell(f"{value:.1%}" if math.isfinite(value) else UNKNOWN, value)
 
 
 def _numeric(value: float | None, digits: int = 3) -> Cell:
     if value is None or not math.isfinite(value):
         return Cell(UNKNOWN)
     return Cell(number(value, digits), float(value))
+
+
+_MEASURED: tuple[tuple[Fact, Callable[[SensorHealth], Cell]], ...] = (
+    (Fact("Min", "", "smallest reading"), lambda sensor: _numeric(sensor.minimum)),
+    (Fact("Max", "", "largest reading"), lambda sensor: _numeric(sensor.maximum)),
+    (
+        Fact("Values", "", "number of distinct readings"),
+        lambda sensor: Cell(str(sensor.distinct), sensor.distinct),
+    ),
+    (
+        Fact("Active", "", "share of frames in which the reading is not at rest"),
+        lambda sensor: _share(sensor.active),
+    ),
+    (
+        Fact("Contacts", "", "number of separate contacts"),
+        lambda sensor: Cell(str(sensor.contacts), sensor.contacts),
+    ),
+    (
+        Fact("Lag-1 r", "", "autocorrelation at a lag of one frame; near 0 for noise"),
+        lambda sensor: _numeric(sensor.lag_correlation, 2),
+    ),
+    (
+        Fact("Best match", "", "highest Pearson r with another sensor"),
+        lambda sensor: _numeric(sensor.best_match, 2),
+    ),
+)
+"""Columns of the table of sensors that the health of a sensor fills."""

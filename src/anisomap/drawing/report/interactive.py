@@ -19,6 +19,7 @@ from anisomap.drawing.view import (
     box_around,
     outlines,
     printable,
+    segments,
     view_axes,
 )
 from anisomap.evaluation import Score
@@ -183,10 +184,8 @@ def _lines(
     points: NDArray[np.float64], pairs: NDArray[np.intp], colour: str, width: float
 ) -> Trace:
     """Join pairs of points by lines in one trace, separated by gaps."""
-    segments = np.full((len(pairs), 3, points.shape[1]), np.nan)
-    segments[:, :2] = points[pairs]
     thin = width if len(pairs) < _CROWDED else width / 2
-    return _line(segments.reshape(-1, points.shape[1]), colour, thin)
+    return _line(segments(points, pairs), colour, thin)
 
 
 def _line(points: NDArray[np.float64], colour: str, width: float) -> Trace:

@@ -14,7 +14,7 @@ from anisomap.methods import find_method
 from anisomap.numerics.precision import Reals
 from anisomap.options import MethodOptions
 from anisomap.paper.cases import CASES, METHODS, patch_run
-from anisomap.paper.experiment import Experiment, Outcome, Picture, Row, Settings, Table, Tables
+from anisomap.paper.experiment import Outcome, Picture, Row, Settings, Table, Tables, experiment
 from anisomap.paper.map_scores import n_dimensions, spectrum
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
@@ -35,6 +35,15 @@ _MAX_DIMENSIONS = 8  # shown in the figure
 _TRUE_DIMENSIONS = {"sphere": 3, "cylinder": 3, "y-shape": 3, "plane": 2}
 
 
+@experiment(
+    "dimensions",
+    "Number of dimensions",
+    "The paper assumes three dimensions and mentions that the approach of Pierce & Kuipers (1997) "
+    "could choose their number: apply classical scaling, and keep the dimensions before the "
+    "largest drop in variance. It errs on thin bodies and long contacts; the column auto gives the "
+    "choice of anisomap.",
+    cost=20,
+)
 def dimensions(settings: Settings, _: Tables) -> Outcome:
     """Choose the number of dimensions of every body and of the patch."""
     seed = settings.seed
@@ -82,15 +91,3 @@ def _metric(recording: Recording, method: str) -> Reals:
     varying = recording.select(recording.varying())
     pairs = compare([varying], recipe.similarity, bins=options.bins, with_noise=False)
     return recipe.metric(dissimilarities(pairs, method, options))
-
-
-EXPERIMENT = Experiment(
-    "dimensions",
-    "Number of dimensions",
-    "The paper assumes three dimensions and mentions that the approach of Pierce & Kuipers (1997) "
-    "could choose their number: apply classical scaling, and keep the dimensions before the "
-    "largest drop in variance. It errs on thin bodies and long contacts; the column auto gives the "
-    "choice of anisomap.",
-    dimensions,
-    cost=20,
-)

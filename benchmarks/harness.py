@@ -1,0 +1,161 @@
+"""What the benchmarks share: their options, quiet work on one thread, progress, and tables."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import multiprocessing
+import os
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import astuple, fields
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from threadpoolctl import threadpool_limits
+
+from anisomap.errors import AnisomapWarning
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Of figures: Okabe & Ito (2008), distinct for all kinds of colour vision."""
+
+Source = TypeVar("Source")
+Row = TypeVar("Row")
+
+
+def options(
+    text: str | None,
+    output: str,
+    *,
+    seeds: int | None = None,
+    first_seed: int | None = None,
+    recordings: bool = True,
+    workers: bool = False,
+) -> argparse.ArgumentParser:
+    """Create the parser of a benchmark, with the options that several have; None leaves one out."""
+    parser = argparse.ArgumentParser(description=text)
+    parser.add_argument("-o", "--output", type=Path, default=Path(output))
+    if seeds is not None:
+        parser.add_argument("--seeds", type=int, default=seeds, help="0 maps real skins only")
+    if first_seed is not None:
+        parser.add_argument("--first-seed", type=int, default=first_seed)
+    if recordings:
+        parser.add_argument(
+            "--recordings", type=Path, nargs="+", default=(),
+            help="folders of NPZ files with positions",
+        )  # fmt: skip
+    if workers:
+        parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    return parser
+
+
+def files_in(folders: Iterable[Path]) -> list[Path]:
+    """Return the recordings in folders."""
+    return [path for folder in folders for path in sorted(folder.glob("*.npz"))]
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Work on one thread, without the warnings of maps."""
+    with threadpool_limits(1), warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)
+        yield
+
+
+def in_parallel(
+    measure: Callable[[Source], list[Row]],
+    sources: Sequence[Source],
+    workers: int,
+    *,
+    ordered: bool = True,
+) -> Iterator[list[Row]]:
+    """Measure sources in processes; yield the rows of each, and print how many are done.
+
+    ordered: As the sources; otherwise as they are done, for runs that can be continued.
+    """
+    started = time.monotonic()
+    with ProcessPoolExecutor(workers, initializer=_end_with_parent) as pool:
+        jobs = [pool.submit(_quietly, measure, source) for source in sources]
+        for done, job in enumerate(jobs if ordered else as_completed(jobs), start=1):
+            yield job.result()
+            left = (time.monotonic() - started) / done * (len(jobs) - done)
+            print(f"\r{done} of {len(jobs)}, {left / 60:.0f} min left ", end="", flush=True)
+    print()
+
+
+def _end_with_parent() -> None:
+    """End this worker when the process that started it ends, even if that one is killed."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _quietly(measure: Callable[[Source], list[Row]], source: Source) -> list[Row]:
+    with quietly():
+        return measure(source)
+
+
+def columns(kind: Any) -> list[str]:
+    """Return the names of the fields of a dataclass: the columns of a table of them."""
+    return [field.name for field in fields(kind)]
+
+
+def write_csv(
+    path: Path, names: Sequence[str], rows: Iterable[Sequence[object]], digits: int | None = None
+) -> None:
+    """Write a table; the file is replaced when it is complete. digits: Of floats; None for all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".part")
+    with partial.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(names)
+        for row in rows:
+            table.writerow(
+                [f"{v:.{digits}g}" if digits and isinstance(v, float) else v for v in row]
+            )
+    partial.replace(path)
+
+
+def write_rows(path: Path, rows: Sequence[Any], digits: int | None = None) -> None:
+    """Write rows, which are dataclasses of one kind, as CSV; nothing if there are none."""
+    if rows:
+        write_csv(path, columns(rows[0]), map(astuple, rows), digits)
+
+
+def read_rows(path: Path, kind: Callable[..., Row]) -> list[Row]:
+    """Read rows that `write_rows` wrote; none if there is no file."""
+    if not path.exists():
+        return []
+    types = get_type_hints(kind)
+    with path.open(newline="", encoding="utf-8") as stream:
+        return [
+            kind(**{name: types[name](value) for name, value in row.items()})
+            for row in csv.DictReader(stream)
+        ]
+
+
+def line(cells: Iterable[object]) -> str:
+    """Format a row of a table in Markdown."""
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def heading(names: Sequence[str], texts: Sequence[str] | None = None) -> list[str]:
+    """Return the head of a table in Markdown; columns that are not `texts` are aligned right."""
+    rule = ["---" if texts is None else ":---" if name in texts else "---:" for name in names]
+    return [line(names), line(rule)]
+
+
+def markdown_table(
+    names: Sequence[str], rows: Iterable[Iterable[object]], texts: Sequence[str] | None = None
+) -> list[str]:
+    """Return the lines of a table in Markdown."""
+    return [*heading(names, texts), *map(line, rows)]

@@ -1,1 +1,0 @@
-"""The experiments: one module per group of figures."""
