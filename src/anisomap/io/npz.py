@@ -329,16 +329,11 @@ def stream_archived(archive: Archive, bin_s: float | None) -> Stream:
     )
 
 
-_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
+MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
 _RECORDING_KEYS = {
     *("readings", "positions", "normals", "surface_distances"),
     *("names", "times", "rate_hz", "units", "source", "metadata"),
 }
-
-
-def recognises(path: Path, head: bytes) -> bool:
-    """Recognise a zip archive by its magic number."""
-    return head.startswith(_MAGICS)
 
 
 @contextmanager

@@ -33,11 +33,6 @@ MAX_FRAMES = 100
 _CHANNEL = "tactile"
 
 
-def recognises(path: Path, head: bytes) -> bool:
-    """Recognise URDF by its root element."""
-    return xml_files.root_is(head, "robot")
-
-
 def write_map(sensor_map: SensorMap, path: Path) -> None:
     """Write a map with a scale and one component as a link with fixed frames.
 
