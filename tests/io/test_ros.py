@@ -253,7 +253,7 @@ def test_stamps_of_any_type_in_a_database_are_refused(tmp_path: Path, stamp: obj
     with sqlite3.connect(path) as database:
         database.execute("UPDATE messages SET timestamp = ?", (stamp,))
     database.close()
-    with pytest.raises(FileError, match="run.db3"):
+    with pytest.raises(FileError, match=r"run\.db3"):
         io.read(path, options=select("/tactile"))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.columns import is_time, units_per_second
-from anisomap.io.parsing.json_text import JsonReader
+from anisomap.io.parsing.json_text import read_items
 from anisomap.io.parsing.source import open_text, quote
 from anisomap.io.parsing.table import LineError, Lines
 from anisomap.io.recordings.events import (
@@ -78,13 +78,10 @@ def _objects(path: Path) -> Iterator[tuple[str, Any]]:
     """Yield the objects of a list, or of all lines, each with its place."""
     with open_text(path) as stream:
         start = next((line for line in stream if line.strip()), "")
+    if start.lstrip("\ufeff \t").startswith("["):
+        yield from ((f"contact {i}", found) for i, found in enumerate(read_items(path)))
+        return
     with open_text(path) as stream:
-        if start.lstrip("\ufeff \t").startswith("["):
-            reader = JsonReader(path, stream)
-            for i, _ in enumerate(reader.items()):
-                yield f"contact {i}", reader.value()
-            reader.end()
-            return
         lines = Lines(path, stream)
         n_read = 0
         try:
