@@ -9,7 +9,7 @@ import numpy as np
 from anisomap.errors import FileError
 from anisomap.io.parsing import facts as comments
 from anisomap.io.parsing.source import quote, read_lines
-from anisomap.io.parsing.table import LineError, parse_number
+from anisomap.io.parsing.table import LineError, parse_row
 from anisomap.placement import pad_to_3d, surface_normals
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
@@ -103,12 +103,4 @@ def _position(path: Path, fields: list[str], number: int, line: str) -> list[flo
     if len(words) != len(fields):
         problem = f" has {len(words)} numbers, but the header announces {len(fields)}"
         raise LineError(path, number, problem)
-    position = []
-    for axis in "xyz":
-        column = fields.index(axis)
-        try:
-            position.append(parse_number(words[column]))
-        except ValueError:
-            problem = f", column {column + 1} ({axis}): {quote(words[column])} is not a number"
-            raise LineError(path, number, problem) from None
-    return position
+    return parse_row(path, number, words, {fields.index(axis): axis for axis in "xyz"})

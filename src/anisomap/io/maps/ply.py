@@ -19,7 +19,7 @@ from anisomap.errors import FileError
 from anisomap.io.parsing import facts as comments
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import open_binary, quote
-from anisomap.io.parsing.table import LineError, parse_number
+from anisomap.io.parsing.table import LineError, parse_row
 from anisomap.placement import pad_to_3d, surface_normals
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
@@ -148,14 +148,7 @@ def _row(path: Path, columns: Sequence[str], number: int, line: str) -> list[flo
     if len(fields) != len(columns):
         problem = f" has {len(fields)} numbers, but the header announces {len(columns)}"
         raise LineError(path, number, problem)
-    values = []
-    for column, field in enumerate(fields):
-        try:
-            values.append(parse_number(field))
-        except ValueError:
-            problem = f", column {column + 1} ({columns[column]}): {quote(field)} is not a number"
-            raise LineError(path, number, problem) from None
-    return values
+    return parse_row(path, number, fields, dict(enumerate(columns)))
 
 
 def _integers(path: Path, values: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -6,7 +6,7 @@ For example ``{"time": 0.12, "taxels": [3, 4, 17]}``; further properties are ign
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from anisomap.errors import FileError
 from anisomap.io.parsing.columns import is_time, units_per_second
 from anisomap.io.parsing.json_text import read_items
 from anisomap.io.parsing.source import open_text, quote
-from anisomap.io.parsing.table import LineError, Lines
+from anisomap.io.parsing.table import LineError, read_undamaged
 from anisomap.io.recordings.events import (
     EventColumns,
     EventList,
@@ -81,16 +81,13 @@ def _objects(path: Path) -> Iterator[tuple[str, Any]]:
     if start.lstrip("\ufeff \t").startswith("["):
         yield from ((f"contact {i}", found) for i, found in enumerate(read_items(path)))
         return
-    with open_text(path) as stream:
-        lines = Lines(path, stream)
-        n_read = 0
-        try:
-            for number, line in enumerate(lines, start=1):
-                if line.strip():
-                    yield f"line {number}", _decoded(path, number, line)
-                    n_read += 1
-        except LineError as error:
-            lines.end_early(error, n_read, "contacts")
+
+    def parse(lines: Iterable[str]) -> Iterator[tuple[str, Any]]:
+        for number, line in enumerate(lines, start=1):
+            if line.strip():
+                yield f"line {number}", _decoded(path, number, line)
+
+    yield from read_undamaged(path, parse, "contacts")
 
 
 def _decoded(path: Path, number: int, line: str) -> Any:

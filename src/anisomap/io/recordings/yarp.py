@@ -18,8 +18,7 @@ from __future__ import annotations
 import functools
 import itertools
 import re
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,17 +26,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap.errors import FileError
 from anisomap.files import open_regular
-from anisomap.io.parsing.source import GZIP_ERRORS, error_reason, open_text, quote
+from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote
 from anisomap.io.parsing.table import (
     LineError,
-    Lines,
     Table,
     first_rows,
     is_skipped,
     line_of,
     read_blocks,
+    read_undamaged,
 )
 from anisomap.io.recordings.events import EventList, Events, stream_events
 from anisomap.io.stream import (
@@ -132,28 +131,13 @@ def stream_contacts(path: Path, parts: Sequence[str], bin_s: float | None) -> St
 
 def _frames(path: Path) -> Iterator[_Frame]:
     """Yield the frames of a log, up to damage of a gzipped file or a truncated last line."""
-    n_read = 0
-    try:
-        with open_text(path) as stream:
-            lines = Lines(path, stream)
-            number = 0
-            try:
-                for number, line in enumerate(lines, start=1):
-                    if is_skipped(line):
-                        continue
-                    yield _parsed(path, number, line)
-                    n_read += 1
-            except LineError as error:
-                lines.end_early(error, n_read, "frames")
-    except GZIP_ERRORS as error:
-        if not n_read:
-            raise
-        warnings.warn(
-            f"{path} is damaged or cut short ({error_reason(error)}): read the {n_read} frames "
-            "before the damage, lost the rest",
-            AnisomapWarning,
-            stacklevel=2,
-        )
+
+    def parse(lines: Iterable[str]) -> Iterator[_Frame]:
+        for number, line in enumerate(lines, start=1):
+            if not is_skipped(line):
+                yield _parsed(path, number, line)
+
+    return read_undamaged(path, parse, "frames")
 
 
 def _parsed(path: Path, number: int, line: str) -> _Frame:
