@@ -1,9 +1,7 @@
-"""URDF and xacro: a fixed frame per sensor, and the ``tactile`` element.
+"""URDF: the skin as fixed frames and the ``tactile`` element, and the kinematics of robots.
 
 The z axis of a frame is the surface normal. ``tactile`` is the URDF extension for tactile sensors:
 a channel, and position and shape of each sensor. Lengths are in metres, frames right-handed.
-
-Kinematics of robots from URDF.
 """
 
 from __future__ import annotations

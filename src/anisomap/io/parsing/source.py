@@ -1,7 +1,4 @@
-"""Exceptions of libraries that parse files, converted to FileError.
-
-Open files as bytes or text, decompress them, and convert errors to FileError.
-"""
+"""Open files as bytes or text, decompress them, and convert errors to FileError."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Files of named arrays (HDF5, MATLAB): select the recording, its times, names and positions.
-
-HDF5 files: any numeric dataset of frames x sensors.
-"""
+"""HDF5 files, and other files of named arrays: any numeric dataset of frames x sensors."""
 
 from __future__ import annotations
 
@@ -249,7 +246,6 @@ def _rate(near: Sequence[Dataset]) -> float | None:
 EXTRA = "hdf5"
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_NUMBERS_HDF5 = "biuf"
 _DEFLATE, _SZIP, _N_BIT, _SCALE_OFFSET, _LZF = 1, 4, 5, 6, 32000
 _DECLARING = {_N_BIT, _SCALE_OFFSET}  # filters that unpack as many values as they declare
 _COMPRESSING = {_DEFLATE, _LZF, _SZIP, *_DECLARING}
@@ -325,7 +321,7 @@ def _dataset(path: Path, item: Any, frames_last: bool) -> Dataset:
         return np.asarray(item[..., start:stop]).T
 
     kind = item.dtype.kind
-    n_bytes = bytes_kept(item.dtype) if kind in _NUMBERS_HDF5 else item.dtype.itemsize
+    n_bytes = bytes_kept(item.dtype) if kind in _NUMBERS else item.dtype.itemsize
     return Dataset(
         name, shape or (1,), str(item.dtype), kind, read, n_bytes, chunks[0] if chunks else 1
     )

@@ -1,9 +1,7 @@
-"""Message types of tactile sensors: their readings, sensor names and positions.
+"""Read topics of tactile sensors from ROS 1 and ROS 2 bags and MCAP files.
 
 A message is a tree of fields. Readings are addressed by a path, and each list of messages on the
 path contributes a part of the sensor names. A new message type is usually one line in `KINDS`.
-
-Read topics of tactile sensors from ROS 1 and ROS 2 bags and MCAP files.
 """
 
 from __future__ import annotations
