@@ -342,8 +342,7 @@ def test_large_documents_take_little_memory(tmp_path: Path) -> None:
     assert [name for name, _, _ in found] == list(DOCUMENTS)
     for name, more, said in found:
         assert said != "read", name
-        # All objects of JSON are held at once, which takes at most 24 times their text.
-        assert int(more) < (32 * 16 * MIB if name.endswith(".json") else MAX_PEAK), name
+        assert int(more) < MAX_PEAK, name
 
 
 def test_a_skin_that_nothing_touches_is_no_bomb(tmp_path: Path) -> None:

@@ -14,6 +14,10 @@ from anisomap.memory import Budget
 _OBJECT_BYTES = 24
 """Memory of the objects per character of their text (measured: empty lists; CPython 3.11)."""
 
+_FREE_PARTS, _PART_CHARACTERS = 1 << 19, 10
+"""Lists and objects that any file may hold, and the characters of each beyond that number; the
+shortest sensor of a map has 21 for its two."""
+
 _BLANKS = " \t\r\n"
 _DECODER = json.JSONDecoder()
 
@@ -21,6 +25,12 @@ _DECODER = json.JSONDecoder()
 def read_json(path: Path) -> Any:
     """Parse a file."""
     text = _read(path)
+    n_parts = text.count("[") + text.count("{")
+    if n_parts > max(_FREE_PARTS, len(text) // _PART_CHARACTERS):
+        raise FileError(
+            f"{path} holds {n_parts} lists and objects in {len(text)} characters, too many for a "
+            "map; it is damaged or a decompression bomb"
+        )
     value, end = _decoded(path, text, _after_blanks(text, 0))
     if _after_blanks(text, end) < len(text):
         raise _invalid(path, json.JSONDecodeError("Extra data", text, end))
