@@ -1,7 +1,4 @@
-"""Opening of regular files, atomic writing, and checks of paths before long computations.
-
-Also what is common to readers that libraries open files for: their messages are not printed.
-"""
+"""Opening of regular files, atomic writing, and checks of paths before long computations."""
 
 from __future__ import annotations
 

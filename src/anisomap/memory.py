@@ -1,6 +1,4 @@
-"""Checks that fail early if memory is insufficient.
-
-Limit the memory that the content of a file may take, before and while it is unpacked.
+"""Limits of memory: checks that fail early, and the budget of what a file unpacks to.
 
 A small file can declare, or unpack to, any amount of data. Readers ask a `Budget` with the sizes
 that a file declares before they allocate memory, and with the sizes they find while they unpack.

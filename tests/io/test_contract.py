@@ -111,7 +111,7 @@ def test_equal_input_gives_equal_bytes(
 @given(head=st.binary(max_size=200), name=st.sampled_from(["data.log", "x.csv", "x"]))
 def test_recognising_never_raises(head: bytes, name: str) -> None:
     for form in io.FORMATS:
-        assert form.recognises(Path(name), head) in (True, False)
+        assert form.matches(Path(name), head) in (True, False)
 
 
 @pytest.mark.parametrize("name", ["map.xyz", "map", "map.csv.gz", "data.log.bak"])

@@ -245,6 +245,18 @@ def test_given_message_definitions(tmp_path: Path) -> None:
         io.read(path, options=select("/tactile", tmp_path / "State.msg"))
 
 
+@pytest.mark.parametrize("stamp", ["noon", b"\xff", 1e300])
+def test_stamps_of_any_type_in_a_database_are_refused(tmp_path: Path, stamp: object) -> None:
+    bag = Bag("db3")
+    tactile_state(bag)
+    path = bag.write(tmp_path / "run.db3")
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE messages SET timestamp = ?", (stamp,))
+    database.close()
+    with pytest.raises(FileError, match=r"run\.db3"):
+        io.read(path, options=select("/tactile"))
+
+
 def forget_definitions(path: Path) -> None:
     with sqlite3.connect(path) as database:
         database.execute("DELETE FROM message_definitions")

@@ -155,3 +155,24 @@ def test_groups_of_a_mesh_are_not_divided(tmp_path: Path) -> None:
     assert len(plain[1]) == 12
     for expected, found in zip(plain, grouped, strict=True):
         np.testing.assert_array_equal(found, expected)
+
+
+def test_copies_of_parts_of_a_mesh_are_counted(tmp_path) -> None:
+    """Each node places all parts of a mesh, which takes time and memory for each."""
+    scene = {
+        "nodes": [{"mesh": 0}] * 300,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}] * 300}],
+        "accessors": [{"count": 3}],
+    }
+    text = json.dumps(scene).encode()
+    (tmp_path / "a.glb").write_bytes(
+        b"glTF" + struct.pack("<4I", 2, 20 + len(text), len(text), 0x4E4F534A) + text
+    )
+    with pytest.raises(FileError, match="places 90000 copies"):
+        read_mesh(tmp_path / "a.glb")
+
+
+def test_a_false_number_of_triangles_is_named(tmp_path) -> None:
+    (tmp_path / "a.stl").write_bytes(bytes(80) + struct.pack("<I", 5000) + bytes(500))
+    with pytest.raises(FileError, match="announces 5000 triangles"):
+        read_mesh(tmp_path / "a.stl")

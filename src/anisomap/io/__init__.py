@@ -1,9 +1,9 @@
 """Read recordings and maps from files, and write them.
 
-`registry` lists every format and reads with it; `writing` writes. `format` describes a format, and
-`stream` the blocks in which recordings are read. `recordings`, `maps` and `ros` hold one module per
-format, `events` the lists of contacts and spikes, and `parsing` the code they share. A new format
-is one module with its readers and writers, and one line in `registry.FORMATS`.
+`registry` lists every format and reads with it; `writing` writes. `stream` holds the blocks in
+which recordings are read. `recordings`, `maps` and `ros` hold the formats, and `parsing` the code
+they share. A new format is one module with its readers and writers, and one line in
+`registry.FORMATS`.
 """
 
 from anisomap.io.maps.csv import read_modules as read_modules

@@ -1,16 +1,10 @@
-"""The arrays of an NPZ file, validated before they are read.
-
-Pickled objects are never loaded, and members with impossible sizes are not decompressed.
-
-Contacts and spikes in NumPy archives: one array of times, one of the sensors at them.
-
-NumPy archives: recordings and maps.
+"""NumPy archives: recordings, events and maps. Nothing is unpickled.
 
 A recording has ``readings`` (T, N), and may have ``positions``, ``normals``,
 ``surface_distances``, ``names``, ``times``, ``rate_hz``, ``units``, ``source``. Scalars of other
 names are its metadata, and other arrays are ignored. A recording of events has ``times`` and
 ``taxels``, ``channels`` or the like instead of readings. A map has ``positions`` instead of
-``readings``. Nothing is unpickled.
+``readings``. Arrays with impossible sizes are not decompressed.
 """
 
 from __future__ import annotations
@@ -329,16 +323,11 @@ def stream_archived(archive: Archive, bin_s: float | None) -> Stream:
     )
 
 
-_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
+MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
 _RECORDING_KEYS = {
     *("readings", "positions", "normals", "surface_distances"),
     *("names", "times", "rate_hz", "units", "source", "metadata"),
 }
-
-
-def recognises(path: Path, head: bytes) -> bool:
-    """Recognise a zip archive by its magic number."""
-    return head.startswith(_MAGICS)
 
 
 @contextmanager

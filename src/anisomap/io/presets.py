@@ -1,6 +1,4 @@
-"""Names and positions of the sensors of rectangular arrays.
-
-Robots with a known numbering of sensors: name the sensors, and drop other values.
+"""Known numberings of sensors: rectangular arrays, and robots.
 
 A new robot is one function that returns the index and name of each sensor in a recording, and one
 line in `PRESETS`.

@@ -1,9 +1,4 @@
-"""Description of a file format: how it is recognised, and its readers and writers.
-
-True positions from a file of their own, for the sensors of a recording.
-
-The registry of formats, and the functions that read files with it.
-"""
+"""The registry of formats, and the functions that read files with it."""
 
 from __future__ import annotations
 
@@ -25,8 +20,7 @@ from anisomap.io.maps import (
     json,
     launch,
     mjcf,
-    pcd,
-    ply,
+    point_clouds,
     urdf,
     xml_files,
 )
@@ -46,8 +40,7 @@ from anisomap.io.recordings import (
     pressure_mats,
     yarp,
 )
-from anisomap.io.ros import bags
-from anisomap.io.ros import repair as compression
+from anisomap.io.ros import bag_files, bags, repair
 from anisomap.io.stream import (
     BLOCK_FRAMES,
     Block,
@@ -80,9 +73,11 @@ class Format:
         format recognises by content.
     summary : str
         One-line description for listings.
-    recognises : callable
-        ``recognises(path, head)`` returns whether the content is of this format. `head` holds the
-        first bytes of the file, decompressed, and is empty for a folder. It must not raise.
+    magics : tuple of bytes
+        First bytes of the files of this format.
+    recognises : callable, optional
+        ``recognises(path, head)`` returns whether other content is of this format. `head` holds
+        the first bytes of the file, decompressed, and is empty for a folder. It must not raise.
     open_recording : callable, optional
         ``open_recording(path, options)`` is a context manager that yields a `Stream`.
     read_map : callable, optional
@@ -104,7 +99,7 @@ class Format:
     name: str
     suffixes: tuple[str, ...]
     summary: str
-    recognises: Callable[[Path, bytes], bool]
+    recognises: Callable[[Path, bytes], bool] | None = None
     open_recording: Callable[[Path, ReadOptions], AbstractContextManager[Stream]] | None = None
     read_map: Callable[[Path], SensorMap] | None = None
     write_map: Callable[[SensorMap, Path], None] | None = None
@@ -113,6 +108,11 @@ class Format:
     extra: str = ""
     in_metres: bool = False
     signature: bytes = b""
+    magics: tuple[bytes, ...] = ()
+
+    def matches(self, path: Path, head: bytes) -> bool:
+        """Return whether a file is of this format, by its first bytes."""
+        return head.startswith(self.magics) or bool(self.recognises and self.recognises(path, head))
 
 
 def with_positions(stream: Stream, truth: SensorMap, file: Path) -> Stream:
@@ -189,45 +189,49 @@ _MAX_LISTED = 3
 # accepts any text.
 # fmt: off
 FORMATS = (
-    Format("npz", (".npz",), "NumPy archive", npz.recognises,
-           npz.open_recording, npz.read_map, npz.write_map, npz.write_recording),
-    Format("npy", (".npy",), "NumPy array, frames x sensors", npy.recognises, npy.open_recording),
+    Format("npz", (".npz",), "NumPy archive", None,
+           npz.open_recording, npz.read_map, npz.write_map, npz.write_recording,
+           magics=npz.MAGICS),
+    Format("npy", (".npy",), "NumPy array, frames x sensors", None, npy.open_recording,
+           magics=(npy.MAGIC,)),
     Format("cyskin-calibration", (), "CySkin calibration (JSON)", cyskin_calibration.recognises,
            read_map=cyskin_calibration.read_map),
     Format("contacts-json", (".jsonl",), "list of contacts or spikes (JSON)",
            contact_json.recognises, contact_json.open_recording),
     Format("json", (".json",), "JSON", json.recognises,
            read_map=json.read_map, write_map=json.write_map, signature=json.SIGNATURE),
-    Format("ply", (".ply",), "PLY point cloud (ASCII)", ply.recognises,
-           read_map=ply.read_map, write_map=ply.write_map),
-    Format("pcd", (".pcd",), "PCD point cloud with normals (ASCII)", pcd.recognises,
-           read_map=pcd.read_map, write_map=pcd.write_map),
+    Format("ply", (".ply",), "PLY point cloud (ASCII)", point_clouds.is_ply,
+           read_map=point_clouds.read_ply, write_map=point_clouds.write_ply),
+    Format("pcd", (".pcd",), "PCD point cloud with normals (ASCII)", point_clouds.is_pcd,
+           read_map=point_clouds.read_pcd, write_map=point_clouds.write_pcd),
     Format("urdf", (".urdf", ".xacro"), "URDF: fixed frames and the tactile element",
-           urdf.recognises, read_map=urdf.read_map, write_map=urdf.write_map,
+           xml_files.has_root("robot"), read_map=urdf.read_map, write_map=urdf.write_map,
            extra=xml_files.EXTRA, in_metres=True),
-    Format("mjcf", (".mjcf", ".xml"), "MuJoCo model: sites", mjcf.recognises,
+    Format("mjcf", (".mjcf", ".xml"), "MuJoCo model: sites", xml_files.has_root("mujoco"),
            read_map=mjcf.read_map, write_map=mjcf.write_map, extra=xml_files.EXTRA,
            in_metres=True),
     Format("transforms", (".launch.xml",), "ROS 2 launch file of static transforms",
-           launch.recognises, write_map=launch.write_map, in_metres=True),
+           xml_files.has_root("launch"), write_map=launch.write_map, in_metres=True),
     Format("icub", (".icub.txt",), "iCub file of taxel positions", icub_positions.recognises,
            read_map=icub_positions.read_map, write_map=icub_positions.write_map,
            in_metres=True),
     Format("yarp", (), "YARP data.log, its folder or session", yarp.recognises, yarp.open_recording,
            contents=yarp.contents),
     Format("cyskin", (), "CySkin recording (text)", cyskin.recognises, cyskin.open_recording),
-    Format("mat", (".mat",), "MATLAB (7.3: with the extra)", mat.recognises, mat.open_recording,
-           contents=mat.contents, extra=mat.EXTRA),
+    Format("mat", (".mat",), "MATLAB (7.3: with the extra)", None, mat.open_recording,
+           contents=mat.contents, extra=mat.EXTRA, magics=mat.MAGICS),
     Format("hdf5", (".h5", ".hdf5", ".hdf"), "HDF5", hdf5.recognises, hdf5.open_recording,
            contents=hdf5.contents, extra=hdf5.EXTRA),
     Format("parquet", (".parquet", ".arrow", ".feather"), "Parquet, Arrow, Feather",
-           arrow.recognises, arrow.open_recording, contents=arrow.contents, extra=arrow.EXTRA),
+           arrow.recognises, arrow.open_recording, contents=arrow.contents, extra=arrow.EXTRA,
+           magics=arrow.MAGICS),
     Format("ros", (".bag", ".mcap", ".db3"), "ROS 1 and 2 bags, MCAP", bags.recognises,
-           bags.open_recording, contents=bags.contents, extra=compression.EXTRA),
+           bags.open_recording, contents=bags.contents, extra=repair.EXTRA,
+           magics=tuple(bag_files.MAGICS)),
     Format("mat-export", (".asf",), "pressure mat export: one block of rows per frame",
            pressure_mats.recognises, pressure_mats.open_recording),
     Format("images", (".gif", ".tif", ".tiff"), "folder of images; multi-page TIFF or GIF",
-           images.recognises, images.open_recording, extra=images.EXTRA),
+           images.recognises, images.open_recording, extra=images.EXTRA, magics=images.MAGICS),
     Format("contacts", (), "list of contacts or spikes: time, sensors", contact_text.recognises,
            contact_text.open_recording),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
@@ -462,14 +466,14 @@ def _recognise(file: Path) -> Format:
         if chosen.signature and start.startswith(chosen.signature):
             return chosen
     for chosen in marked:
-        if chosen.recognises(file, start):
+        if chosen.matches(file, start):
             return chosen
     if file.is_dir():
         raise FileError(_folder_message(file))
     for chosen in FORMATS:
         if suffixes and suffixes[-1] in chosen.suffixes:
             return chosen
-    if text_format.recognises(file, start):
+    if text_format.matches(file, start):
         return text_format
     raise FileError(
         f"{file} has an unknown format; 'anisomap formats' lists the formats that are read"

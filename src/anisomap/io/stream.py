@@ -1,13 +1,8 @@
-"""Validation of times, and compact storage of readings.
-
-Select the recording in files that hold several datasets, topics or ports.
-
-Recordings as streams of blocks of frames.
+"""Recordings as streams of blocks of frames.
 
 A reader returns a `Stream`: the metadata of the recording, and an iterator of blocks. `assemble`
-collects the blocks into a `Recording`; callers with little memory iterate over them.
-
-Join recordings of several parts of one skin that were made at the same time.
+collects the blocks into a `Recording`, `join_streams` joins parts of one skin that were recorded
+at the same time, and `choose` selects the recording in files that hold several.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
-"""Maps and true positions as delimited text.
+"""Maps, true positions and lists of modules as delimited text.
 
-`write_map` writes comments and a table ``name, x, y, z, component, health``, followed by ``error``,
-``cov_xx, cov_xy, ...`` and ``nx, ny, nz`` if the map has errors, covariances and normals.
-`read_map` reads any table with columns x and y (and z), or, without a header, two or three columns
-of numbers after an optional column of names.
-
-Lists of modules: a table with the columns sensor, module and optionally pad.
+A map has comments and a table ``name, x, y, z, component, health``, followed by ``error``,
+``cov_xx, cov_xy, ...`` and ``nx, ny, nz`` if the map has errors, covariances and normals. Any table
+with columns x and y (and z) is read, or, without a header, two or three columns of numbers after an
+optional column of names.
 """
 
 from __future__ import annotations

@@ -13,15 +13,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from anisomap.errors import FileError
-from anisomap.io.parsing.json_text import JsonReader, open_json
+from anisomap.io.parsing.json_text import read_json
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.parsing.source import quote, reachable
-from anisomap.memory import Budget
+from anisomap.io.parsing.source import quote
 from anisomap.sensor_map import SensorMap
 
 _KEYS = (b'"skin"', b'"taxels"')
 _NO_ADDRESS = 0
-_TAXEL_BYTES = 600  # measured: the numbers of a taxel as objects, with its name; CPython 3.11
 
 _Taxel: TypeAlias = tuple[int, list[float], list[float]]
 """Address, position and normal."""
@@ -39,14 +37,8 @@ def read_map(path: Path) -> SensorMap:
     Taxels with address 0, which no module reads, are left out. Repeated addresses are numbered in
     the order of the file, as in recordings.
     """
-    kept, budget = list[_Taxel](), Budget(path)
-    with open_json(path) as reader:
-        for number, taxel in enumerate(_taxels(reader)):
-            found = _taxel(path, number, taxel)
-            if found[0] != _NO_ADDRESS:
-                kept.append(found)
-                n_bytes = len(kept) * _TAXEL_BYTES
-                budget.check(n_bytes, "its text", reachable=reachable(budget))
+    found = [_taxel(path, number, taxel) for number, taxel in enumerate(_taxels(path))]
+    kept = [taxel for taxel in found if taxel[0] != _NO_ADDRESS]
     if not kept:
         raise FileError(f"{path} holds no taxel with an address")
     return SensorMap(
@@ -57,27 +49,15 @@ def read_map(path: Path) -> SensorMap:
     )
 
 
-def _taxels(reader: JsonReader) -> Iterator[Any]:
+def _taxels(path: Path) -> Iterator[Any]:
     """Yield the taxels of a skin; some versions list them by patch."""
-    listed = False
-    for key in reader.members() if reader.peek() == "{" else ():
-        if key != "skin" or reader.peek() != "{":
-            reader.skip()
-            continue
-        for part in reader.members():
-            if part != "taxels" or reader.peek() != "[":
-                reader.skip()
-                continue
-            listed = True
-            for _ in reader.items():
-                if reader.peek() != "[":
-                    yield reader.value()
-                    continue
-                for _ in reader.items():
-                    yield reader.value()
-    if not listed:
-        raise FileError(f"{reader.path} is JSON without the taxels of a skin")
-    reader.end()
+    document = read_json(path)
+    skin = document.get("skin") if isinstance(document, dict) else None
+    listed = skin.get("taxels") if isinstance(skin, dict) else None
+    if not isinstance(listed, list):
+        raise FileError(f"{path} is JSON without the taxels of a skin")
+    for entry in listed:
+        yield from entry if isinstance(entry, list) else [entry]
 
 
 def _taxel(path: Path, number: int, taxel: Any) -> _Taxel:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
-from array import array
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +11,17 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.facts import from_provenance, to_provenance, to_python_scalar
-from anisomap.io.parsing.json_text import open_json
+from anisomap.io.parsing.json_text import read_json
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.parsing.source import quote, reachable
-from anisomap.memory import SENSOR_BYTES, Budget
+from anisomap.io.parsing.source import quote
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNASSESSED, SensorMap
 from anisomap.usability import ERRORS, UNKNOWN, Verdict
 
 _MARK = "anisomap map"
 SIGNATURE = f'{{\n "format": "{_MARK}"'.encode()
-_PROPERTIES = ("units", "method", "stress", "verdict", "notes", "provenance")
 # Strict JSON has no infinities; {"float": "inf"} differs from the string "inf".
 _INFINITE = "float"
-_ROW_BYTES = 16  # of a number in the columns and then in an array
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -39,25 +34,12 @@ def read_map(path: Path) -> SensorMap:
 
     All other properties that `write_map` writes are optional.
     """
-    sensors, document = _Sensors(path), {}
-    with open_json(path) as reader:
-        if reader.peek() != "{":
-            raise _no_map(path)
-        for key in reader.members():
-            if key == "sensors":
-                sensors = _Sensors(path)
-                if reader.peek() != "[":
-                    raise _no_map(path)
-                for _ in reader.items():
-                    sensors.add(reader.value())
-            elif key in _PROPERTIES:
-                document[key] = reader.kept_value()
-            else:
-                reader.skip()
-        reader.end()
-    if not sensors.count:
-        raise _no_map(path)
-    return SensorMap(**sensors.fields(), **_map_properties(path, document))
+    document = read_json(path)
+    listed = document.get("sensors") if isinstance(document, dict) else None
+    if not isinstance(listed, list) or not listed:
+        raise FileError(f"{path} is JSON without a list of sensors, so it is not a map")
+    sensors = [_Sensor(f"{path}, sensor {i}", content) for i, content in enumerate(listed)]
+    return SensorMap(**_columns(path, sensors), **_map_properties(path, document))
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
@@ -107,63 +89,24 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def _no_map(path: Path) -> FileError:
-    return FileError(f"{path} is JSON without a list of sensors, so it is not a map")
-
-
-class _Sensors:
-    """The columns of a map, to which the sensors of a file are added one by one."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.count = path, 0
-        self._budget = Budget(path)
-        self._dimensions = 0
-        self._named = self._placed = self._spread = False
-        self._oriented = True
-        self._names: list[str] = []
-        self._component: list[int] = []
-        self._health: list[str] = []
-        self._positions, self._errors = array("d"), array("d")
-        self._covariances, self._normals = array("d"), array("d")
-
-    def add(self, content: object) -> None:
-        row = _Sensor(f"{self.path}, sensor {self.count}", content)
-        if not self.count:
-            self._dimensions = len(row.value("position", (list,)))
-            self._named, self._placed, self._spread = (
-                key in row.content for key in ("name", "component", "covariance")
-            )
-        self.count += 1
-        n_bytes = self.count * (SENSOR_BYTES + _ROW_BYTES * (1 + self._dimensions**2))
-        self._budget.check(n_bytes, "its text", reachable=reachable(self._budget))
-        self._positions.extend(row.numbers("position", self._dimensions))
-        if self._named:
-            self._names.append(row.value("name", (str,)))
-        if self._placed:
-            self._component.append(row.value("component", (int,)))
-        self._health.append(sys.intern(row.value("health", (str,), UNASSESSED)))
-        self._errors.append(row.number("error"))
-        if self._spread:
-            for values in row.matrix("covariance", self._dimensions):
-                self._covariances.extend(values)
-        self._oriented = self._oriented and "normal" in row.content
-        if self._oriented:
-            self._normals.extend(row.numbers("normal", 3))
-
-    def fields(self) -> dict[str, Any]:
-        """Return the fields of a map that have a value per sensor."""
-        shape, size = (self.count, self._dimensions), self._dimensions
-        return {
-            "positions": np.array(self._positions).reshape(shape),
-            "names": distinct_names(self.path, self._names),
-            "component": np.array(self._component, np.intp),
-            "health": tuple(self._health),
-            "errors": np.array(self._errors),
-            "covariances": np.array(self._covariances).reshape(*shape, size)
-            if self._spread
-            else None,
-            "normals": np.array(self._normals).reshape(-1, 3) if self._oriented else None,
-        }
+def _columns(path: Path, sensors: list[_Sensor]) -> dict[str, Any]:
+    """Return the fields of a map that have a value per sensor; the first sensor tells which."""
+    first = sensors[0].content
+    size = len(sensors[0].value("position", (list,)))
+    names = [row.value("name", (str,)) for row in sensors] if "name" in first else []
+    component = [row.value("component", (int,)) for row in sensors] if "component" in first else []
+    oriented = all("normal" in row.content for row in sensors)
+    return {
+        "positions": np.array([row.numbers("position", size) for row in sensors]),
+        "names": distinct_names(path, names),
+        "component": np.array(component, np.intp),
+        "health": tuple(row.value("health", (str,), UNASSESSED) for row in sensors),
+        "errors": np.array([row.number("error") for row in sensors]),
+        "covariances": np.array([row.matrix("covariance", size) for row in sensors])
+        if "covariance" in first
+        else None,
+        "normals": np.array([row.numbers("normal", 3) for row in sensors]) if oriented else None,
+    }
 
 
 class _Sensor:

@@ -14,11 +14,6 @@ from anisomap.io.maps.xml_files import tag
 from anisomap.sensor_map import SensorMap
 
 
-def recognises(path: Path, head: bytes) -> bool:
-    """Recognise a launch file by its root element."""
-    return xml_files.root_is(head, "launch")
-
-
 def write_map(sensor_map: SensorMap, path: Path) -> None:
     """Write a map with a scale and one component as static transforms."""
     skin = xml_files.named_taxels(sensor_map, "a static transform")

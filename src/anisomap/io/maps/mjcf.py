@@ -15,11 +15,6 @@ from anisomap.io.parsing.source import quote
 from anisomap.sensor_map import SensorMap
 
 
-def recognises(path: Path, head: bytes) -> bool:
-    """Recognise MJCF by its root element."""
-    return xml_files.root_is(head, "mujoco")
-
-
 def write_map(sensor_map: SensorMap, path: Path) -> None:
     """Write a map with a scale and one component as a model of one body with sites."""
     skin = xml_files.named_taxels(sensor_map, "MJCF")

@@ -1,9 +1,7 @@
-"""URDF and xacro: a fixed frame per sensor, and the ``tactile`` element.
+"""URDF: the skin as fixed frames and the ``tactile`` element, and the kinematics of robots.
 
 The z axis of a frame is the surface normal. ``tactile`` is the URDF extension for tactile sensors:
 a channel, and position and shape of each sensor. Lengths are in metres, frames right-handed.
-
-Kinematics of robots from URDF.
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -31,11 +29,6 @@ MAX_FRAMES = 100
 """Maximum number of frames without a warning; chosen by hand."""
 
 _CHANNEL = "tactile"
-
-
-def recognises(path: Path, head: bytes) -> bool:
-    """Recognise URDF by its root element."""
-    return xml_files.root_is(head, "robot")
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
@@ -72,53 +65,27 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
 def read_map(path: Path) -> SensorMap:
     """Read the fixed frames of one link as sensors, in the frame of that link."""
-    joints = _FixedJoints(path)
-    xml_files.parse_xml(path, joints)
-    return xml_files.map_from_positions(path, joints.positions, "fixed frames")
+    positions = _frame_positions(path, _read_joints(path))
+    return xml_files.map_from_positions(path, positions, "fixed frames")
 
 
-@dataclass
-class _Joint:
-    """A joint that is not yet closed, and the first of each of its elements."""
-
-    depth: int
-    elements: dict[str, Mapping[str, str]] = field(default_factory=dict)
-
-
-class _FixedJoints:
-    """Collects the positions of the child links of fixed joints with one parent."""
-
-    def __init__(self, path: Path) -> None:
-        self.positions: dict[str, NDArray[np.float64]] = {}
-        self._path = path
-        self._open: list[_Joint] = []
-        self._parent: str | None = None
-
-    def start(self, depth: int, tag: str, attributes: Mapping[str, str]) -> None:
-        if self._open and depth == self._open[-1].depth + 1:
-            self._open[-1].elements.setdefault(tag, attributes)
-        if tag == "joint" and attributes.get("type") == "fixed":
-            self._open.append(_Joint(depth))
-
-    def end(self, depth: int, tag: str) -> None:
-        if not self._open or self._open[-1].depth != depth:
-            return
-        elements = self._open.pop().elements
-        if "child" not in elements:
-            return
-        parent = elements.get("parent", {}).get("link", "")
-        if self._parent not in (None, parent):
+def _frame_positions(path: Path, joints: Sequence[_Joint]) -> dict[str, NDArray[np.float64]]:
+    """Return the positions of the child links of fixed joints, which must have one parent."""
+    positions: dict[str, NDArray[np.float64]] = {}
+    fixed = [each for each in joints if each.kind == "fixed" and "child" in each.elements]
+    for joint in fixed:
+        first = fixed[0].attribute("parent", "link")
+        if joint.attribute("parent", "link") != first:
             raise FileError(
-                f"{self._path}: fixed frames must have one parent link, got "
-                f"{quote(str(self._parent))} and {quote(parent)}"
+                f"{path}: fixed frames must have one parent link, got {quote(first)} and "
+                f"{quote(joint.attribute('parent', 'link'))}"
             )
-        self._parent = parent
-        name = elements["child"].get("link", "")
-        xyz = elements.get("origin", {}).get("xyz", "0 0 0")
-        what = f"xyz of {quote(name)}"
-        if name in self.positions:
-            raise FileError(f"{self._path}: {quote(name)} is the child of two fixed joints")
-        self.positions[name] = xml_files.parse_vector(self._path, what, xyz)
+        name = joint.attribute("child", "link")
+        if name in positions:
+            raise FileError(f"{path}: {quote(name)} is the child of two fixed joints")
+        xyz = joint.attribute("origin", "xyz", _ZERO)
+        positions[name] = xml_files.parse_vector(path, f"xyz of {quote(name)}", xyz)
+    return positions
 
 
 def _without_expressions(skin: Taxels) -> Taxels:
@@ -165,6 +132,7 @@ def _tactile(skin: Taxels, parent: str) -> list[str]:
 
 
 _DEPTH = 1  # of the joints of the robot; transmissions list joints farther inside
+_MAX_JOINTS = 100_000  # each takes up to 1 kB
 _ZERO, _X_AXIS = "0 0 0", "1 0 0"  # the defaults of URDF
 
 
@@ -192,73 +160,87 @@ def read_robot(path: str | os.PathLike[str]) -> KinematicTree:
         with open_regular(file) as stream:
             if not xml_files.root_is(stream.read(1 << 16), "robot"):
                 raise FileError(f"{file} is no URDF: its first element must be robot")
-        joints = _Joints(file)
-        xml_files.parse_xml(file, joints)
-        if not joints.found:
+        joints = [_joint(file, each) for each in _read_joints(file) if each.depth == _DEPTH]
+        if not joints:
             raise FileError(f"{file} has no joint")
-        return KinematicTree(tuple(joints.found))
+        return KinematicTree(tuple(joints))
 
 
 @dataclass
-class _Open:
-    """A joint that is not yet closed, and the first of each of its elements."""
+class _Joint:
+    """An element `joint` that has parts, and the first of each of its parts."""
 
-    attributes: Mapping[str, str]
+    depth: int
+    name: str
+    kind: str
     elements: dict[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def attribute(self, element: str, key: str, default: str = "") -> str:
+        """Return an attribute of a part."""
+        return self.elements.get(element, {}).get(key, default)
 
 
 class _Joints:
     """Collects joints."""
 
     def __init__(self, path: Path) -> None:
-        self.found: list[Joint] = []
         self._path = path
-        self._open: _Open | None = None
+        self.found: list[_Joint] = []
+        self._open: list[_Joint] = []
 
     def start(self, depth: int, tag: str, attributes: Mapping[str, str]) -> None:
-        if depth == _DEPTH and tag == "joint":
-            self._open = _Open(dict(attributes))
-        elif self._open is not None and depth == _DEPTH + 1:
-            self._open.elements.setdefault(tag, dict(attributes))
+        if self._open and depth == self._open[-1].depth + 1:
+            self._open[-1].elements.setdefault(tag, dict(attributes))
+        if tag == "joint":
+            if len(self.found) == _MAX_JOINTS:
+                raise FileError(f"{self._path} has more than {_MAX_JOINTS} joints")
+            joint = _Joint(depth, attributes.get("name", ""), attributes.get("type", ""))
+            self._open.append(joint)
 
     def end(self, depth: int, tag: str) -> None:
-        if depth == _DEPTH and self._open is not None:
-            self.found.append(self._joint(self._open))
-            self._open = None
+        if self._open and self._open[-1].depth == depth:
+            self.found.append(self._open.pop())
 
-    def _joint(self, joint: _Open) -> Joint:
-        name, kind = (joint.attributes.get(key, "") for key in ("name", "type"))
-        what = f"joint {quote(name)}"
-        parent, child = (joint.elements.get(key, {}).get("link", "") for key in ("parent", "child"))
-        if not (name and parent and child):
-            raise FileError(f"{self._path}: {what} must have a name, a parent and a child link")
-        origin = joint.elements.get("origin", {})
-        xyz, rpy = (
-            xml_files.parse_vector(self._path, f"{key} of {what}", origin.get(key, _ZERO))
-            for key in ("xyz", "rpy")
+
+def _read_joints(path: Path) -> list[_Joint]:
+    joints = _Joints(path)
+    xml_files.parse_xml(path, joints)
+    return joints.found
+
+
+def _joint(path: Path, joint: _Joint) -> Joint:
+    """Return a joint of a robot."""
+    what = f"joint {quote(joint.name)}"
+    parent, child = (joint.attribute(key, "link") for key in ("parent", "child"))
+    if not (joint.name and parent and child):
+        raise FileError(f"{path}: {what} must have a name, a parent and a child link")
+    xyz, rpy, axis = (
+        xml_files.parse_vector(path, f"{key} of {what}", joint.attribute(part, key, usual))
+        for part, key, usual in (
+            ("origin", "xyz", _ZERO),
+            ("origin", "rpy", _ZERO),
+            ("axis", "xyz", _X_AXIS),
         )
-        axis = xml_files.parse_vector(
-            self._path, f"axis of {what}", joint.elements.get("axis", {}).get("xyz", _X_AXIS)
-        )
-        return Joint(
-            name, kind, parent, child, transform(xyz, rpy), self._unit(axis, kind, what),
-            self._mimic(joint.elements.get("mimic"), what),
-        )  # fmt: skip
+    )
+    length = float(np.linalg.norm(axis))
+    if joint.kind in TURNING + SLIDING and not (0 < length < math.inf):
+        raise FileError(f"{path}: the axis of {what} must not have the length {length:g}")
+    unit = axis / length if length else axis
+    return Joint(
+        joint.name, joint.kind, parent, child, transform(xyz, rpy), unit, _mimic(path, joint, what)
+    )
 
-    def _unit(self, axis: NDArray[np.float64], kind: str, what: str) -> NDArray[np.float64]:
-        length = float(np.linalg.norm(axis))
-        if kind in TURNING + SLIDING and not (0 < length < math.inf):
-            raise FileError(f"{self._path}: the axis of {what} must not have the length {length:g}")
-        return axis / length if length else axis
 
-    def _mimic(self, given: Mapping[str, str] | None, what: str) -> Mimic | None:
-        if given is None:
-            return None
-        try:
-            factors = [float(given.get(key, usual)) for key, usual in
-                       (("multiplier", "1"), ("offset", "0"))]  # fmt: skip
-        except ValueError:
-            factors = [math.nan]
-        if not np.isfinite(factors).all():
-            raise FileError(f"{self._path}: mimic of {what} must have finite numbers")
-        return Mimic(given.get("joint", ""), *factors)
+def _mimic(path: Path, joint: _Joint, what: str) -> Mimic | None:
+    if "mimic" not in joint.elements:
+        return None
+    try:
+        factors = [
+            float(joint.attribute("mimic", key, usual))
+            for key, usual in (("multiplier", "1"), ("offset", "0"))
+        ]
+    except ValueError:
+        factors = [math.nan]
+    if not np.isfinite(factors).all():
+        raise FileError(f"{path}: mimic of {what} must have finite numbers")
+    return Mimic(joint.attribute("mimic", "joint"), *factors)

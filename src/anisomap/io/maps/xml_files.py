@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from pathlib import Path
 from typing import Protocol
@@ -54,6 +54,11 @@ def root_is(head: bytes, name: str) -> bool:
             start += 1
     found = _ROOT.match(text, start)
     return bool(found and found[1] == name.encode())
+
+
+def has_root(name: str) -> Callable[[Path, bytes], bool]:
+    """Return the function that recognises files by their root element."""
+    return lambda path, head: root_is(head, name)
 
 
 def named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:

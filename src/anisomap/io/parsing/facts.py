@@ -1,8 +1,6 @@
-"""Text that files can hold: checked before anything is written.
+"""Facts about maps and recordings as text: checked, and in ``# key: value`` lines.
 
-Metadata in ``# key: value`` lines at the top of a text file, read back equal.
-
-Conversion between the typed fields of a map and the provenance that files store.
+Whatever is written is read back equal.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Exceptions of libraries that parse files, converted to FileError.
-
-Open files as bytes or text, decompress them, and convert errors to FileError.
-"""
+"""Open files as bytes or text, decompress them, and convert errors to FileError."""
 
 from __future__ import annotations
 
@@ -19,6 +16,7 @@ from typing import TypeVar
 from anisomap.errors import AnisomapError, FileError, InputError
 from anisomap.files import open_regular
 from anisomap.memory import Budget
+from anisomap.wording import printable, shortened
 
 Item = TypeVar("Item")
 
@@ -58,8 +56,7 @@ def guarded_iter(items: Iterator[Item], path: Path) -> Iterator[Item]:
 def error_reason(error: BaseException) -> str:
     """Return the message of an exception on one line, shortened to printable characters."""
     text = " ".join(str(error).split()) or type(error).__name__
-    text = "".join(letter if letter.isprintable() else "?" for letter in text)
-    return text if len(text) <= _MAX_REASON else text[:_MAX_REASON] + "..."
+    return printable(shortened(text, _MAX_REASON))
 
 
 HEAD_BYTES = 1 << 16

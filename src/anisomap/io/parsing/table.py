@@ -6,10 +6,11 @@ import csv
 import itertools
 import math
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,15 @@ from numpy.typing import NDArray
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.io.parsing.source import (
     GZIP_ERRORS,
+    error_reason,
     open_binary,
     open_text,
     open_text_with_progress,
     quote,
     quote_if_needed,
 )
+
+Item = TypeVar("Item")
 
 # Limits memory for very wide tables; columns are told apart by at least eight rows.
 _MIN_FIRST_ROWS, _MAX_FIRST_CELLS = 8, 1 << 22
@@ -69,6 +73,31 @@ class Lines:
         warnings.warn(
             f"{self._path}: the last line is truncated and dropped; read the {n_read} {noun} "
             "before it",
+            AnisomapWarning,
+            stacklevel=2,
+        )
+
+
+def read_undamaged(
+    path: Path, parse: Callable[[Lines], Iterator[Item]], noun: str
+) -> Iterator[Item]:
+    """Yield what is parsed from the lines of a file before any damage, and warn about the rest."""
+    n_read = 0
+    try:
+        with open_text(path) as stream:
+            lines = Lines(path, stream)
+            try:
+                for item in parse(lines):
+                    yield item
+                    n_read += 1
+            except (LineError, csv.Error) as error:
+                lines.end_early(error, n_read, noun)
+    except GZIP_ERRORS as error:
+        if not n_read:
+            raise
+        warnings.warn(
+            f"{path} is damaged or cut short ({error_reason(error)}): read the {n_read} {noun} "
+            "before the damage, lost the rest",
             AnisomapWarning,
             stacklevel=2,
         )
@@ -232,6 +261,21 @@ def parse_number(field: str) -> float:
     if "_" in text or not text.isascii():
         raise ValueError(text)
     return float(text)
+
+
+def parse_row(
+    path: Path, line: int, fields: Sequence[str], columns: Mapping[int, str]
+) -> list[float]:
+    """Parse some columns of a line; their names are for messages."""
+    values = []
+    for column, name in columns.items():
+        try:
+            values.append(parse_number(fields[column]))
+        except ValueError:
+            label = f" ({name})" if name else ""
+            problem = f", column {column + 1}{label}: {quote(fields[column])} is not a number"
+            raise LineError(path, line, problem) from None
+    return values
 
 
 def is_number(field: str, delimiter: str | None) -> bool:

@@ -37,7 +37,8 @@ from anisomap.recording import Scalar
 
 EXTRA = "parquet"
 
-_PARQUET, _FEATHER, _IPC_STREAM = b"PAR1", b"ARROW1\0\0", b"\xff\xff\xff\xff"
+MAGICS = (_PARQUET := b"PAR1", _FEATHER := b"ARROW1\0\0")
+_IPC_STREAM = b"\xff\xff\xff\xff"
 _STREAM_SUFFIXES = (".arrow", ".arrows", ".ipc", ".feather")
 _MAX_ROWS = 8192
 _PAGES_RATIO = 4  # of pages to readings: those of small integers are twice as large, with levels
@@ -59,9 +60,8 @@ class _Source:
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Recognise Parquet and Arrow by their magic numbers."""
-    streamed = head.startswith(_IPC_STREAM) and path.suffix.lower() in _STREAM_SUFFIXES
-    return head.startswith((_PARQUET, _FEATHER)) or streamed
+    """Recognise a stream of Arrow, whose magic number is not enough, by its suffix as well."""
+    return head.startswith(_IPC_STREAM) and path.suffix.lower() in _STREAM_SUFFIXES
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
@@ -129,22 +129,33 @@ def _of_parquet(
 def _declared_size(path: Path, stream: BufferedReader, file: Any, names: Sequence[str]) -> int:
     """Return the bytes of some columns in memory, after checking them with a budget."""
     budget, kept, pages = Budget(path), 0, 0
+    schema, wanted = file.schema_arrow, set(names)
     leaves = [file.schema.column(i).path for i in range(len(file.schema))]
+    # A column of numbers, or of lists of them, has one leaf: its own name or the path below it.
+    columns = [next((p for p in _prefixes(leaf) if p in wanted), None) for leaf in leaves]
+    n_bytes = {
+        name: bytes_kept(np.dtype(_leaf(schema.field(name).type).to_pandas_dtype()))
+        for name in wanted
+    }
     for group in column_chunks(path, stream):
         if len(group) != len(leaves):
             raise DamagedError(
                 f"{path} is damaged: a row group has {len(group)} of {len(leaves)} columns"
             )
-        for leaf, column in zip(leaves, group, strict=True):
-            name = next((n for n in names if f"{leaf}.".startswith(f"{n}.")), None)
-            if name is None:
-                continue
-            kind = _leaf(file.schema_arrow.field(name).type)
-            kept += column.n_values * bytes_kept(np.dtype(kind.to_pandas_dtype()))
-            budget.check(kept, "its table")
-            pages += page_bytes(path, stream, column.start, column.length)
+        for name, column in zip(columns, group, strict=True):
+            if name is not None:
+                kept += column.n_values * n_bytes[name]
+                budget.check(kept, "its table")
+                pages += page_bytes(path, stream, column.start, column.length)
     budget.check(pages, "its content", reachable=max(budget.free, _PAGES_RATIO * kept))
     return max(kept, pages)
+
+
+def _prefixes(leaf: str) -> Iterator[str]:
+    """Yield the path of a leaf and of all that holds it; names may contain dots themselves."""
+    while leaf:
+        yield leaf
+        leaf = leaf.rpartition(".")[0]
 
 
 def _of_arrow(

@@ -6,7 +6,7 @@ For example ``{"time": 0.12, "taxels": [3, 4, 17]}``; further properties are ign
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,9 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.columns import is_time, units_per_second
-from anisomap.io.parsing.json_text import JsonReader
+from anisomap.io.parsing.json_text import read_items
 from anisomap.io.parsing.source import open_text, quote
-from anisomap.io.parsing.table import LineError, Lines
+from anisomap.io.parsing.table import LineError, read_undamaged
 from anisomap.io.recordings.events import (
     EventColumns,
     EventList,
@@ -78,22 +78,16 @@ def _objects(path: Path) -> Iterator[tuple[str, Any]]:
     """Yield the objects of a list, or of all lines, each with its place."""
     with open_text(path) as stream:
         start = next((line for line in stream if line.strip()), "")
-    with open_text(path) as stream:
-        if start.lstrip("\ufeff \t").startswith("["):
-            reader = JsonReader(path, stream)
-            for i, _ in enumerate(reader.items()):
-                yield f"contact {i}", reader.value()
-            reader.end()
-            return
-        lines = Lines(path, stream)
-        n_read = 0
-        try:
-            for number, line in enumerate(lines, start=1):
-                if line.strip():
-                    yield f"line {number}", _decoded(path, number, line)
-                    n_read += 1
-        except LineError as error:
-            lines.end_early(error, n_read, "contacts")
+    if start.lstrip("\ufeff \t").startswith("["):
+        yield from ((f"contact {i}", found) for i, found in enumerate(read_items(path)))
+        return
+
+    def parse(lines: Iterable[str]) -> Iterator[tuple[str, Any]]:
+        for number, line in enumerate(lines, start=1):
+            if line.strip():
+                yield f"line {number}", _decoded(path, number, line)
+
+    yield from read_undamaged(path, parse, "contacts")
 
 
 def _decoded(path: Path, number: int, line: str) -> Any:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import csv
 import itertools
 import re
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,11 +17,18 @@ from pathlib import Path
 
 import numpy as np
 
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap.errors import FileError
 from anisomap.io.parsing import delimited
 from anisomap.io.parsing.columns import is_time, units_per_second
-from anisomap.io.parsing.source import GZIP_ERRORS, error_reason, open_text, quote
-from anisomap.io.parsing.table import LineError, Lines, is_number, is_skipped, parse_number
+from anisomap.io.parsing.source import open_text, quote
+from anisomap.io.parsing.table import (
+    LineError,
+    is_number,
+    is_skipped,
+    parse_number,
+    parse_row,
+    read_undamaged,
+)
 from anisomap.io.recordings.events import (
     EventList,
     Events,
@@ -194,27 +200,13 @@ def _listed(cell: str) -> list[str]:
 
 
 def _stream(path: Path, layout: _Layout, options: ReadOptions) -> Stream:
+    def parse(lines: Iterable[str]) -> Iterator[tuple[float | None, list[str], float]]:
+        return (_parsed(path, line, fields, layout) for line, fields in _rows(lines, layout))
+
     found = EventList[str](path)
-    try:
-        with open_text(path) as stream:
-            lines = Lines(path, stream)
-            try:
-                for line, fields in _rows(lines, layout):
-                    moment, active, value = _parsed(path, line, fields, layout)
-                    if moment is None:
-                        continue
-                    found.add(moment, active, value)
-            except (LineError, csv.Error) as error:
-                lines.end_early(error, len(found.moments), "contacts")
-    except GZIP_ERRORS as error:
-        if not found.moments:
-            raise
-        warnings.warn(
-            f"{path} is damaged or cut short ({error_reason(error)}): read the "
-            f"{len(found.moments)} contacts before the damage, lost the rest",
-            AnisomapWarning,
-            stacklevel=2,
-        )
+    for moment, active, value in read_undamaged(path, parse, "contacts"):
+        if moment is not None:
+            found.add(moment, active, value)
     names, index = name_sensors(found.sensors, layout.noun)
     at = np.array(found.moments, dtype=np.float64)
     name = layout.header[layout.moment] if layout.header else ""
@@ -265,7 +257,8 @@ def _parsed(
     if len(fields) <= max(layout.moment, layout.value):
         needed = max(layout.moment, layout.sensor, layout.value) + 1
         raise LineError(path, line, f" has {len(fields)} fields; it must have {needed}")
-    moment = _number(path, line, layout, fields, layout.moment)
+    columns = [layout.moment, layout.value][: 1 + (layout.value >= 0)]
+    moment, *values = parse_row(path, line, fields, dict.fromkeys(columns, ""))
     if not np.isfinite(moment):
         return None, [], 0.0
     found = []
@@ -275,8 +268,7 @@ def _parsed(
             where = f", column {layout.sensor + 1}: "
             raise LineError(path, line, f"{where}{quote(text)} must be the id of a sensor")
         found += [whole] if whole else []
-    value = _number(path, line, layout, fields, layout.value) if layout.value >= 0 else 1.0
-    return moment, found, value
+    return moment, found, values[0] if values else 1.0
 
 
 def _whole(text: str) -> str | None:
@@ -289,11 +281,3 @@ def _whole(text: str) -> str | None:
     if np.isnan(number):
         return ""
     return str(int(number)) if number >= 0 and number.is_integer() else None
-
-
-def _number(path: Path, line: int, layout: _Layout, fields: Sequence[str], column: int) -> float:
-    try:
-        return parse_number(fields[column])
-    except ValueError:
-        problem = f", column {column + 1}: {quote(fields[column])} is not a number"
-        raise LineError(path, line, problem) from None

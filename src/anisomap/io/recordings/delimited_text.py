@@ -1,14 +1,11 @@
-"""Delimited text with a column of lists: all readings of a frame in one quoted cell.
-
-For example, with two mats of six cells::
-
-    Timestamp,left,right
-    0.1,"0,0,3,4,0,0","0,1,3,4,0,0"
-
-Recordings as delimited text, with one line per frame and one column per sensor.
+"""Recordings as delimited text, with one line per frame and one column per sensor.
 
 `anisomap.io.parsing.delimited` detects delimiter, decimal comma, header and columns of text, which
 are skipped; `anisomap.io.parsing.columns` detects times and frame counters. Files may be gzipped.
+All readings of a frame may also be a list in one quoted cell, as here of two mats::
+
+    Timestamp,left,right
+    0.1,"0,0,3,4,0,0","0,1,3,4,0,0"
 """
 
 from __future__ import annotations
@@ -122,7 +119,7 @@ def stream_lists(table: Table, chosen: ListColumn, roles: Roles, *, preamble: in
     return Stream(
         table.path,
         chosen.length,
-        salvage(_blocks(table, chosen, roles, preamble), table.path, GZIP_ERRORS),
+        salvage(_blocks_of_lists(table, chosen, roles, preamble), table.path, GZIP_ERRORS),
         source=f"{table.path.name}:{name}",
         metadata={"format": "delimited text, lists", "column": name},
         from_zero=True,
@@ -144,7 +141,9 @@ def _fields(cell: str) -> list[str]:
     return [field for field in _BETWEEN.split(cell) if field]
 
 
-def _blocks(table: Table, chosen: ListColumn, roles: Roles, preamble: int) -> Iterator[Block]:
+def _blocks_of_lists(
+    table: Table, chosen: ListColumn, roles: Roles, preamble: int
+) -> Iterator[Block]:
     step = max(1, BLOCK_BYTES // (8 * chosen.length))
     with open_text_with_progress(table.path) as text:
         lines = Lines(table.path, itertools.islice(text.lines, preamble, None))
@@ -272,7 +271,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     yield Stream(
         path,
         layout.n_columns - len(roles.non_sensors),
-        salvage(_blocks_delimited_text(table, roles), path, GZIP_ERRORS),
+        salvage(_blocks(table, roles), path, GZIP_ERRORS),
         names=tuple(name for i, name in enumerate(names) if i not in roles.non_sensors),
         rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
         source=str(known.get("source", path.name)),
@@ -453,7 +452,7 @@ def _column_label(table: Table, column: int) -> str:
     return f"column {column + 1} ({name})"
 
 
-def _blocks_delimited_text(table: Table, roles: Roles) -> Iterator[Block]:
+def _blocks(table: Table, roles: Roles) -> Iterator[Block]:
     for values, fraction in read_blocks(table):
         times = None if roles.time is None else values[:, roles.time] / roles.per_second
         yield Block(

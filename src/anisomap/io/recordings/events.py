@@ -1,6 +1,6 @@
-"""Find the moment, the sensors and the values of events by the names of columns or keys.
+"""Lists of events: their columns, and their frames.
 
-Turn events into frames: one frame per moment, or counts in bins of equal width.
+A frame is one moment, or counts events in a bin of constant width.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Files of named arrays (HDF5, MATLAB): select the recording, its times, names and positions.
-
-HDF5 files: any numeric dataset of frames x sensors.
-"""
+"""HDF5 files, and other files of named arrays: any numeric dataset of frames x sensors."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ import functools
 import math
 import warnings
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -179,11 +176,11 @@ def _blocks(path: Path, dataset: Dataset, times: NDArray[np.float64] | None) -> 
 
 
 def _times(path: Path, near: Sequence[Dataset], n_frames: int) -> NDArray[np.float64] | None:
-    for each in near:
-        if math.prod(each.shape) == n_frames and each.kind in _NUMBERS and is_time(each.key):
-            values = each.whole().astype(np.float64).ravel()
-            return increasing_times(values / units_per_second(each.key, values), path)
-    return None
+    clocks = {each.key for each in near if is_time(each.key)}
+    key, values = _numbers(near, clocks, n_frames)
+    return (
+        None if values is None else increasing_times(values / units_per_second(key, values), path)
+    )
 
 
 def _names(path: Path, near: Sequence[Dataset], n_sensors: int) -> tuple[str, ...]:
@@ -223,27 +220,32 @@ def _positions(near: Sequence[Dataset], n_sensors: int) -> NDArray[np.float64] |
     return None
 
 
+def _numbers(
+    near: Sequence[Dataset], keys: Collection[str], size: int
+) -> tuple[str, NDArray[np.float64] | None]:
+    """Return the key and values of the first dataset with one of the keys and so many numbers."""
+    for each in near:
+        if each.key in keys and each.kind in _NUMBERS and math.prod(each.shape) == size:
+            return each.key, each.whole().astype(np.float64).ravel()
+    return "", None
+
+
 def _span(near: Sequence[Dataset]) -> tuple[float, float] | None:
     """Return the start and end of a recording of spikes, if the file gives them."""
-    for each in near:
-        if each.key == _SPAN and math.prod(each.shape) == 2 and each.kind in _NUMBERS:
-            start, end = each.whole().astype(np.float64).ravel().tolist()
-            return (start, end) if math.isfinite(start) and start < end < math.inf else None
-    return None
+    _, values = _numbers(near, {_SPAN}, 2)
+    start, end = (math.nan, math.nan) if values is None else values.tolist()
+    return (start, end) if math.isfinite(start) and start < end < math.inf else None
 
 
 def _rate(near: Sequence[Dataset]) -> float | None:
-    for each in near:
-        if each.key in _RATES and math.prod(each.shape) == 1 and each.kind in _NUMBERS:
-            value = float(each.whole().ravel()[0])
-            return value if math.isfinite(value) and value > 0 else None
-    return None
+    _, values = _numbers(near, _RATES, 1)
+    rate = math.nan if values is None else float(values[0])
+    return rate if 0 < rate < math.inf else None
 
 
 EXTRA = "hdf5"
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_NUMBERS_HDF5 = "biuf"
 _DEFLATE, _SZIP, _N_BIT, _SCALE_OFFSET, _LZF = 1, 4, 5, 6, 32000
 _DECLARING = {_N_BIT, _SCALE_OFFSET}  # filters that unpack as many values as they declare
 _COMPRESSING = {_DEFLATE, _LZF, _SZIP, *_DECLARING}
@@ -319,7 +321,7 @@ def _dataset(path: Path, item: Any, frames_last: bool) -> Dataset:
         return np.asarray(item[..., start:stop]).T
 
     kind = item.dtype.kind
-    n_bytes = bytes_kept(item.dtype) if kind in _NUMBERS_HDF5 else item.dtype.itemsize
+    n_bytes = bytes_kept(item.dtype) if kind in _NUMBERS else item.dtype.itemsize
     return Dataset(
         name, shape or (1,), str(item.dtype), kind, read, n_bytes, chunks[0] if chunks else 1
     )

@@ -21,16 +21,14 @@ from anisomap.memory import DEFLATE_RATIO, Budget, bytes_kept
 
 EXTRA = "images"
 
-_MAGICS = (b"GIF87a", b"GIF89a", b"II*\0", b"MM\0*")
+MAGICS = (b"GIF87a", b"GIF89a", b"II*\0", b"MM\0*")
 _SUFFIXES = {".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg"}
 _GREY_MODES = {"L", "I", "F", "I;16", "I;16B"}
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Recognise a folder by the suffixes of its files, and TIFF and GIF by their magic numbers."""
-    if path.is_dir():
-        return len(_images(path)) > 1
-    return head.startswith(_MAGICS)
+    """Recognise a folder by the suffixes of its files."""
+    return path.is_dir() and len(_images(path)) > 1
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from anisomap.files import open_regular
 from anisomap.io.parsing.source import DamagedError, library_errors
 from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
 
-_MAGIC = b"\x93NUMPY"
+MAGIC = b"\x93NUMPY"
 _NUMBERS = "biuf"
 
 
@@ -26,11 +26,6 @@ class _Header(NamedTuple):
     shape: tuple[int, ...]
     fortran_order: bool
     dtype: np.dtype[Any]
-
-
-def recognises(path: Path, head: bytes) -> bool:
-    """Recognise a NumPy array file by its magic number."""
-    return head.startswith(_MAGIC)
 
 
 @contextmanager

@@ -1,14 +1,12 @@
-"""Spike trains in files of named arrays (HDF5, MATLAB 7.3).
+"""Spike trains, in files of named arrays (HDF5, MATLAB 7.3) and in delimited text.
 
-Three layouts are known: the times of all units in one vector, beside the number of spikes of each
-unit (``spikes``, ``sCount``: the retinal wave repository, Eglen et al. 2014, GigaScience 3:3,
-doi:10.1186/2047-217X-3-3), or beside the end of each unit in the vector (``spike_times``,
+Three layouts of arrays are known: the times of all units in one vector, beside the number of spikes
+of each unit (``spikes``, ``sCount``: the retinal wave repository, Eglen et al. 2014, GigaScience
+3:3, doi:10.1186/2047-217X-3-3), or beside the end of each unit in the vector (``spike_times``,
 ``spike_times_index``: Neurodata Without Borders), or a group with one vector of times per unit,
 whose names hold numbers.
 
-Spike times in delimited text, one line or one column of times per channel.
-
-For example, with and without names, times in seconds::
+Text has one line or one column of times per channel, with or without names, in seconds::
 
     A1,0.012,0.85,2.33          A1,A2
     A2,0.020                    0.012,0.020

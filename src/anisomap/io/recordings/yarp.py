@@ -1,16 +1,13 @@
-"""Contacts of the iCub: a log of the port ``skin_events`` of its skin manager.
-
-A line is ``sequence stamp contact contact ...``, without contacts if nothing touches the skin. A
-contact is a list, in brackets, of: a list of its number, body part, link and skin part; centre of
-pressure, force, moment, geometric centre and normal, of three numbers each; the list of the active
-taxels; and the mean pressure. Later versions append a list of the names of link and frame.
-
-Recordings of ``yarpdatadumper``: ``data.log``, its folder, or a session of folders.
+"""Recordings of ``yarpdatadumper``: ``data.log``, its folder, or a session of folders.
 
 A line is ``sequence stamp value value ...``. With ``--txTime --rxTime`` it has two stamps, the
 sender's and the receiver's. The values may be in brackets. ``info.log`` in the same folder names
-the port. A session is a folder with one folder per port. For contacts instead of values, see
-`anisomap.io.recordings.yarp`.
+the port. A session is a folder with one folder per port.
+
+The port ``skin_events`` of the skin manager of the iCub gives contacts instead of values: lists in
+brackets, each of a list of its number, body part, link and skin part; centre of pressure, force,
+moment, geometric centre and normal, of three numbers each; the list of the active taxels; and the
+mean pressure. Later versions append a list of the names of link and frame.
 """
 
 from __future__ import annotations
@@ -18,8 +15,7 @@ from __future__ import annotations
 import functools
 import itertools
 import re
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,17 +23,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap.errors import FileError
 from anisomap.files import open_regular
-from anisomap.io.parsing.source import GZIP_ERRORS, error_reason, open_text, quote
+from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote
 from anisomap.io.parsing.table import (
     LineError,
-    Lines,
     Table,
     first_rows,
     is_skipped,
     line_of,
     read_blocks,
+    read_undamaged,
 )
 from anisomap.io.recordings.events import EventList, Events, stream_events
 from anisomap.io.stream import (
@@ -132,28 +128,13 @@ def stream_contacts(path: Path, parts: Sequence[str], bin_s: float | None) -> St
 
 def _frames(path: Path) -> Iterator[_Frame]:
     """Yield the frames of a log, up to damage of a gzipped file or a truncated last line."""
-    n_read = 0
-    try:
-        with open_text(path) as stream:
-            lines = Lines(path, stream)
-            number = 0
-            try:
-                for number, line in enumerate(lines, start=1):
-                    if is_skipped(line):
-                        continue
-                    yield _parsed(path, number, line)
-                    n_read += 1
-            except LineError as error:
-                lines.end_early(error, n_read, "frames")
-    except GZIP_ERRORS as error:
-        if not n_read:
-            raise
-        warnings.warn(
-            f"{path} is damaged or cut short ({error_reason(error)}): read the {n_read} frames "
-            "before the damage, lost the rest",
-            AnisomapWarning,
-            stacklevel=2,
-        )
+
+    def parse(lines: Iterable[str]) -> Iterator[_Frame]:
+        for number, line in enumerate(lines, start=1):
+            if not is_skipped(line):
+                yield _parsed(path, number, line)
+
+    return read_undamaged(path, parse, "frames")
 
 
 def _parsed(path: Path, number: int, line: str) -> _Frame:
@@ -256,7 +237,7 @@ def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the ports of a session, or the skin parts of a log of contacts; empty for readings."""
     if log := _single(path):
         return contents_of_log(log) if is_contact_log(log) else ()
-    return tuple(Content(_part_yarp(path, log), _port(log) or "no info.log") for log in _logs(path))
+    return tuple(Content(_folder(path, log), _port(log) or "no info.log") for log in _logs(path))
 
 
 @contextmanager
@@ -279,7 +260,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         chosen = [ports[by_port.index(choose(path, by_port, name, "port"))].name for name in wanted]
     else:
         chosen = [choose(path, ports, name, "port").name for name in wanted]
-    logs = {_part_yarp(path, log): log for log in _logs(path)}
+    logs = {_folder(path, log): log for log in _logs(path)}
     streams = {name: _stream(logs[name], options.bin_s) for name in chosen}
     stream = join_streams(streams) if len(streams) > 1 else streams[chosen[0]]
     yield replace(stream, source=f"{path.name}/{', '.join(chosen)}")
@@ -293,7 +274,7 @@ def _logs(folder: Path) -> list[Path]:
     return sorted(log for depth in ("*", "*/*") for log in folder.glob(f"{depth}/{_FILE}"))
 
 
-def _part_yarp(session: Path, log: Path) -> str:
+def _folder(session: Path, log: Path) -> str:
     return log.parent.relative_to(session).as_posix()
 
 

@@ -1,9 +1,7 @@
-"""Message types of tactile sensors: their readings, sensor names and positions.
+"""Read topics of tactile sensors from ROS 1 and ROS 2 bags and MCAP files.
 
 A message is a tree of fields. Readings are addressed by a path, and each list of messages on the
 path contributes a part of the sensor names. A new message type is usually one line in `KINDS`.
-
-Read topics of tactile sensors from ROS 1 and ROS 2 bags and MCAP files.
 """
 
 from __future__ import annotations
@@ -25,7 +23,6 @@ from anisomap.errors import FileError, import_extra
 from anisomap.io.parsing.source import guarded_iter, library_errors
 from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.ros.bag_files import (
-    MAGICS,
     MAX_MESSAGE,
     METADATA,
     limit_unpacking,
@@ -207,8 +204,8 @@ _NANOSECONDS = 1e9
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Recognise a bag by its magic number, and a ROS 2 folder by its metadata.yaml."""
-    return (path / METADATA).is_file() if path.is_dir() else head.startswith(tuple(MAGICS))
+    """Recognise a ROS 2 folder by its metadata.yaml."""
+    return (path / METADATA).is_file()
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
@@ -331,7 +328,8 @@ class _Bag:
                 )
             with library_errors(self.path):
                 message = self.reader.deserialize(raw, connection.msgtype)
-            yield message, stamp
+                received = int(stamp)  # of any type in a database
+            yield message, received
 
     def array_fields(self, message_type: str, depth: int = 0) -> list[str]:
         """List the paths of all arrays of numbers in a message type."""
@@ -421,7 +419,8 @@ class _Rows:
 
     def _blocks(self, frames: Iterator[tuple[NDArray[Any], int, int]]) -> Iterator[Block]:
         total = max(int(self.bag.reader.topics[self.topic].msgcount), 1)
-        start = int(self.bag.reader.start_time)
+        with library_errors(self.bag.path):
+            start = int(self.bag.reader.start_time)
         done = 0
         for batch in _batches(frames):
             done += len(batch)

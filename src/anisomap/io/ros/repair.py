@@ -1,14 +1,11 @@
-"""Decompress the parts of bags within a budget.
+"""Bags that rosbags cannot read safely: compressed without a limit, or without an index.
 
-rosbags decompresses without a limit, so that each compressed part is measured before it, or is
-decompressed here.
-
-Read bags without an index at the end, which interrupted recorders leave behind.
-
-A missing index is rebuilt in memory and appended to the last complete record; the file is not
-changed. No library does this: rosbags 0.11 rejects such files ("Bag is not indexed", "File end
-magic is invalid"), and ``rosbag reindex`` is part of ROS. The mcap package scans unindexed MCAP
-files, but it would add a second way of decoding messages to replace the 15 lines for MCAP.
+rosbags decompresses any amount, so that each compressed part is measured before it, or is
+decompressed here. A missing index, as interrupted recorders leave it, is rebuilt in memory and
+appended to the last complete record; the file is not changed. No library does this: rosbags 0.11
+rejects such files ("Bag is not indexed", "File end magic is invalid"), and ``rosbag reindex`` is
+part of ROS. The mcap package scans unindexed MCAP files, but it would add a second way of decoding
+messages to replace the 15 lines for MCAP.
 
 Layouts: MCAP specification, and "Bag File Format, version 2.0" (ROS 1).
 """
@@ -33,7 +30,7 @@ from anisomap.memory import Budget
 EXTRA = "ros"
 
 _STEP = 1 << 20
-_CHUNK, _CHUNK_HEADER = 0x06, 40  # MCAP: opcode, and bytes beside the name of the compression
+_MCAP_CHUNK, _CHUNK_HEADER = 0x06, 40  # opcode, and bytes beside the name of the compression
 _MAGIC_BYTES = 8
 _MAX_NAME = 1 << 8
 
@@ -85,7 +82,7 @@ def check_chunks(path: Path, file: BinaryIO, budget: Budget) -> None:
         at += 9 + length
         if at > size:
             return
-        if kind[0] != _CHUNK or length < _CHUNK_HEADER:
+        if kind[0] != _MCAP_CHUNK or length < _CHUNK_HEADER:
             continue
         header = file.read(32)
         declared, name_length = (
@@ -153,7 +150,7 @@ def _zstd() -> Any:
 _MCAP, _ROS1 = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
 _MCAP_FOOTER = b"\x02\x14" + bytes(7) + bytes(20) + _MCAP
 _MCAP_HEAD = 9
-_INDEX, _CHUNK_REPAIR, _CHUNK_INFO, _CONNECTION = 4, 5, 6, 7
+_INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 4, 5, 6, 7
 _MAX_HEADER = 1 << 16
 
 
@@ -305,7 +302,7 @@ def _scan(
     connections: dict[int, bytes] = {}
     end = start
     for record in _records(file, start, size):
-        if record.kind == _CHUNK_REPAIR:
+        if record.kind == _CHUNK:
             chunks.append(_Chunk(record, {}, []))
         elif record.kind == _INDEX and chunks:
             _take_index(file, record, chunks[-1])

@@ -132,8 +132,8 @@ def _declared(name: str, attributes: Mapping[str, str]) -> Iterator[int]:
                 yield n_bytes if key == "memory" else n_bytes * _VALUE_BYTES
     if name in ("numeric", "text", "tuple"):
         yield _VALUE_BYTES * max(1, *_integers(attributes.get("size", "1")))
-    if "nsample" in attributes:
-        yield _VALUE_BYTES * max(1, *_integers(attributes["nsample"]))
+    for key in ("nsample", "dim"):  # of the history of a sensor, and of a sensor of the user
+        yield _VALUE_BYTES * max(1, *_integers(attributes.get(key, "1")))
 
 
 def _integers(text: str) -> list[int]:
