@@ -27,7 +27,7 @@ READINGS = np.round(flat_skin().readings * 10).astype(np.uint8)
 SKIN = Recording(READINGS)
 
 # In chunks, the covariogram is of r alone.
-EXACT = [name for name, method in METHODS.items() if method.refine is None]
+EXACT = [name for name, method in METHODS.items() if not method.refinements]
 REFINED = sorted(set(METHODS) - set(EXACT))
 ONE_PER_SIMILARITY = {METHODS[name].similarity: name for name in reversed(EXACT)}.values()
 

@@ -234,7 +234,7 @@ class LiveSession:
             self._announce()
 
     def _acquire(self) -> None:
-        if getattr(self.source, "can_wait", False):
+        if self.source.can_wait:
             while not (self.maps.ready.is_set() or self._stop.wait(TICK_S)):
                 pass
         try:
