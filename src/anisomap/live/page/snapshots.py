@@ -20,7 +20,7 @@ _DIGITS = 3  # of seconds and errors
 
 def readings_snapshot(session: LiveSession) -> dict[str, Any]:
     """Return what changes with every frame: counts, and the readings from 0 to 255."""
-    levels = np.round(255 * session.levels.values).astype(np.uint8)
+    levels = np.round(255 * session.levels).astype(np.uint8)
     return {
         "frames": session.recorder.n_frames,
         "seconds": round(session.seconds, _DIGITS),
@@ -87,11 +87,11 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "dropped": list(session.maps.options.drop),
         "curve": [
             [
-                round(point.seconds, _DIGITS),
-                _finite(point.expected_error),
-                _finite(point.error_against_truth),
+                round(errors.seconds, _DIGITS),
+                _finite(errors.expected),
+                _finite(errors.against_truth),
             ]
-            for point in session.maps.curve
+            for errors in session.maps.curve
         ],
         "touched": [
             [round(seconds, 1), round(share, _DIGITS)] for seconds, share in session.maps.touched

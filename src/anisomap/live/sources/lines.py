@@ -57,11 +57,9 @@ class LineParser:
     ``time`` among them holds the times. Empty fields, ``nan`` and ``null`` are missing readings.
 
     translate: Turns a line of another format into one of these; empty if it holds no frame.
-    n_rejected: Number of lines that are no frame.
     """
 
     translate: Callable[[str], str] = str
-    n_rejected: int = 0
     _rest: bytearray = field(default_factory=bytearray)
     _names: tuple[str, ...] = ()
     _time_column: int | None = None
@@ -105,7 +103,7 @@ class LineParser:
         for line in lines:
             if self._overlong:  # the end of a line of which the beginning was discarded
                 self._overlong = False
-                yield self._reject(f"a line of more than {MAX_LINE} bytes")
+                yield _rejected(f"a line of more than {MAX_LINE} bytes")
                 continue
             text = self.translate(line.decode("utf-8", "replace").strip())
             if not text or text.startswith("#"):
@@ -113,7 +111,7 @@ class LineParser:
             try:
                 found = self._parse(text)
             except (ValueError, OverflowError, RecursionError):
-                yield self._reject(repr(text[:_SHOWN]))
+                yield _rejected(repr(text[:_SHOWN]))
                 continue
             if self._untold:
                 self._untold = False
@@ -167,9 +165,9 @@ class LineParser:
         self._time_column, self._untold = clock, True
         self._names = tuple(name for i, name in enumerate(fields) if i != clock)
 
-    def _reject(self, what: str) -> Notice:
-        self.n_rejected += 1
-        return Notice(f"ignored a line that holds no frame of numbers: {what}")
+
+def _rejected(what: str) -> Notice:
+    return Notice(f"ignored a line that holds no frame of numbers: {what}")
 
 
 def _split(text: str) -> list[str]:
