@@ -90,34 +90,49 @@ class Excerpt:
     """Equally spaced segments of consecutive frames, in bounded memory.
 
     n_readings: Approximate number of readings to keep; 0 for `EXCERPT_READINGS`.
-    complete: Set by the caller once all frames were added.
+    segment: Number of frames in each segment; 0 for `SEGMENT_FRAMES`.
     """
 
-    def __init__(self, n_readings: int = 0) -> None:
+    def __init__(self, n_readings: int = 0, segment: int = 0) -> None:
         self._n_readings = n_readings or EXCERPT_READINGS
-        self.complete = False
+        self._segment = segment or SEGMENT_FRAMES
         self.reset()
 
     def reset(self) -> None:
         """Discard all frames."""
-        self._kept: list[NDArray[Any]] = []
+        self._parts: list[tuple[NDArray[np.intp], NDArray[Any]]] = []
         self._stride, self._seen = 1, 0
 
     def add(self, chunk: NDArray[Any]) -> None:
         """Add the next frames, shape (t, N); only some segments are stored."""
+        numbers = np.arange(self._seen, self._seen + len(chunk)) // self._segment
+        self._seen += len(chunk)
+        self._keep(numbers, chunk)
         # With very many sensors, a chunk is shorter than a segment.
-        max_frames = max(2 * SEGMENT_FRAMES, self._n_readings // chunk.shape[1])
-        for start in range(0, len(chunk), SEGMENT_FRAMES):
-            if self._seen % self._stride == 0:
-                self._kept.append(np.array(chunk[start : start + SEGMENT_FRAMES]))
-            self._seen += 1
-            if sum(map(len, self._kept)) > max_frames:
-                self._kept = self._kept[::2]
-                self._stride *= 2
+        max_frames = max(2 * self._segment, self._n_readings // chunk.shape[1])
+        while sum(len(numbers) for numbers, _ in self._parts) > max_frames:
+            self._stride *= 2
+            parts, self._parts = self._parts, []
+            for part in parts:
+                self._keep(*part)
+
+    def _keep(self, numbers: NDArray[np.intp], frames: NDArray[Any]) -> None:
+        chosen = numbers % self._stride == 0
+        if chosen.any():
+            self._parts.append((numbers[chosen], frames[chosen]))
+
+    @property
+    def whole(self) -> bool:
+        """Whether all frames are in the excerpt."""
+        return self._stride == 1
+
+    @property
+    def readings(self) -> NDArray[Any]:
+        """Readings of the excerpt, at least one frame."""
+        return np.concatenate([frames for _, frames in self._parts])
 
     def recording(self, like: Recording | Sequence[str]) -> Recording:
         """Return the excerpt as a recording, with metadata of another or with sensor names."""
-        readings = np.concatenate(self._kept)
         if isinstance(like, Recording):
-            return replace(like, readings=readings, times=None)
-        return Recording(readings, names=tuple(like))
+            return replace(like, readings=self.readings, times=None)
+        return Recording(self.readings, names=tuple(like))

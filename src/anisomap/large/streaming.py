@@ -143,23 +143,19 @@ def stream_similarity(
     check_even_spacing(method, options, readings=False)
     recipe = find_method(method)
     name, refined = recipe.similarity, bool(recipe.refinements)
-    chunked, segments, complete = CHUNKED[name], Excerpt(), complete_chunks(chunks, missing)
+    chunked, complete = CHUNKED[name], complete_chunks(chunks, missing)
+    segments = Excerpt()
     subject = f"{name} of {source or 'frames'}, {options.bins} bins"
     saved = Checkpoint(checkpoint, subject) if checkpoint else None
 
     def checked_chunks() -> Iterator[NDArray[Any]]:
-        """Yield all chunks; the first pass collects the excerpt."""
-        first_pass = not segments.complete
-        if first_pass:
-            segments.reset()
+        segments.reset()
         for chunk in complete():
             check_pair_memory(chunk.shape[1], refined=refined)
             check_worker_memory(chunk.shape[1], pool.n_workers)
             _check_unit(chunk)
-            if first_pass:
-                segments.add(chunk)
+            segments.add(chunk)
             yield chunk
-        segments.complete = True
 
     values: ValueCounts | None = None
     if chunked.needs_values:
