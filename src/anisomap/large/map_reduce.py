@@ -219,13 +219,15 @@ def _results_on_cluster(
 
 def _result(client: Any, future: Any) -> Any:
     """Wait for a result as long as the scheduler answers and has workers."""
-    last_worker = time.monotonic()
+    last_worker, patience_s = time.monotonic(), _POLL_S
     while True:
         try:
-            return future.result(timeout=_POLL_S)
+            return future.result(timeout=patience_s)
         except TimeoutError:
+            if future.status == "error":
+                return future.result()  # raises it
             if future.done():
-                raise
+                patience_s *= 2  # it is done, but takes longer to arrive
         if client.status != "running":
             raise CancelledError
         if client.nthreads():
