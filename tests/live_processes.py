@@ -9,17 +9,18 @@ import threading
 import time
 from pathlib import Path
 
+from anisomap.live.batches import Source
+
 LONGEST_S = 300
 """Time after which a process counts as hung; far more than a busy machine needs."""
 
 
-class Given:
+class Given(Source):
     """A source that yields some items and then waits."""
 
-    truth = None
-
     def __init__(self, *items, names=(), description="a test"):
-        self._items, self.names, self.description = items, names, description
+        super().__init__(description)
+        self._items, self.names = items, names
 
     def items(self, stop):
         yield from self._items

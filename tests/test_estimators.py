@@ -59,7 +59,7 @@ def test_partial_fit_equals_fit(monkeypatch):
             warnings.simplefilter("ignore", AnisomapWarning)
             parts.partial_fit(part)
     assert parts.n_samples_seen_ == 1500
-    assert len(parts._sample) <= 200
+    assert len(parts._sample.readings) <= 200
     np.testing.assert_allclose(parts.positions_, whole.positions_, atol=1e-6)
     np.testing.assert_allclose(parts.transform(SKIN.readings), whole.transform(SKIN.readings))
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from anisomap.errors import InputError
-from anisomap.large import map_reduce as dask_workers
+from anisomap.large import map_reduce as mapping
 from anisomap.large.map_reduce import WorkerPool, map_reduce
 from anisomap.numerics.similarity.accumulators import Moments
 from dying import Killing
@@ -27,8 +27,8 @@ LONGEST_S = 300.0
 def limits(monkeypatch):
     """Let only the limit that a test is about end its wait."""
     for name in ("ANSWER_S", "WORKERS_S"):
-        monkeypatch.setattr(dask_workers, name, LONGEST_S)
-    return lambda name, seconds: monkeypatch.setattr(dask_workers, name, seconds)
+        monkeypatch.setattr(mapping, name, LONGEST_S)
+    return lambda name, seconds: monkeypatch.setattr(mapping, name, seconds)
 
 
 def mapped(address: str, mapper=Moments.of) -> Moments:

@@ -45,8 +45,8 @@ def test_statistics_do_not_depend_on_the_batches(sizes, offset):
     found = accumulated(readings, *sizes, 300, 300)
     expected = Moments.of(readings)
     assert found.n_frames == expected.n_frames
-    np.testing.assert_allclose(found.moments().correlation(), expected.correlation(), atol=1e-9)
-    assert not found.moments().varying()[5]
+    np.testing.assert_allclose(found.moments.correlation(), expected.correlation(), atol=1e-9)
+    assert not found.moments.varying()[5]
     found.estimate()
     rest = estimate_rest(readings.astype(np.float32))
     active = rest.active(readings.astype(np.float32))
@@ -80,8 +80,8 @@ def test_missing_readings_count_as_the_last_ones():
         found = accumulated(with_gaps, *sizes)
         expected = Moments.of(held)
         if sizes[0] > 1:
-            np.testing.assert_allclose(found.moments().comoment, expected.comoment, atol=1e-9)
-        assert np.isfinite(found.moments().comoment).all()
+            np.testing.assert_allclose(found.moments.comoment, expected.comoment, atol=1e-9)
+        assert np.isfinite(found.moments.comoment).all()
 
 
 def test_a_sensor_that_never_sends_a_number_has_no_place():

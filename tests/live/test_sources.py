@@ -105,10 +105,10 @@ def test_a_lost_tcp_connection_is_made_again():
 def test_lines_that_are_sent_to_us(scheme):
     """Lines end with a datagram; a line that a connection cuts is dropped."""
     source, is_udp = open_source(f"{scheme}://127.0.0.1:0"), scheme == "udp"
+    with pytest.raises(InputError, match="cannot listen"):
+        open_source(f"{scheme}://127.0.0.1:{source.port}")
     with Collected(source) as found:
         found.wait(lambda f: f.told(f"port {source.port}"))
-        with pytest.raises(InputError, match="cannot listen"):
-            open_source(f"{scheme}://127.0.0.1:{source.port}")
         for begin, until in ((0, 5), (5, 20)):
             part = ROWS[begin:until]
             with socket.socket(type=socket.SOCK_DGRAM if is_udp else socket.SOCK_STREAM) as peer:

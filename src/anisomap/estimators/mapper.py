@@ -15,6 +15,7 @@ from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import AnisomapWarning
 from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
+from anisomap.large.chunks import Excerpt
 from anisomap.methods import DEFAULT_METHOD, find_method
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
@@ -230,28 +231,20 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
     def _reset(self) -> None:
         self.n_samples_seen_ = 0
         self._pairs: Moments | JointValues | None = None
-        self._sample: NDArray[np.floating] | None = None
-        self._stride = 1
+        self._sample: Excerpt | None = None
 
     def _add_frames(self, recording: Recording) -> None:
         """Update the sample of frames and the rest of each sensor."""
-        # Every stride-th frame since the first, so that the sample is spread evenly.
-        fresh = recording.readings[-self.n_samples_seen_ % self._stride :: self._stride]
-        sample = fresh if self._sample is None else np.concatenate([self._sample, fresh])
-        while len(sample) > SAMPLE_FRAMES:
-            sample = sample[::2]
-            self._stride *= 2
-        self._sample = sample
+        if self._sample is None:
+            self._sample = Excerpt(SAMPLE_FRAMES * recording.n_sensors, segment=1)
+        self._sample.add(recording.readings)
         self.n_samples_seen_ += recording.n_frames
-        self._rest: Rest = estimate_rest(sample)
+        self._rest: Rest = estimate_rest(self._sample.readings)
 
     def _add_pairs(self, recording: Recording) -> Moments | JointValues:
         """Add the pair statistics of a part of the frames; return those of all parts."""
-        part: Any
-        if CHUNKED[find_method(self.method).similarity].of_values is None:
-            part = Moments.of(recording.readings)
-        else:
-            part = JointValues.of(recording.readings)
+        needs_values = CHUNKED[find_method(self.method).similarity].needs_values
+        part: Any = (JointValues if needs_values else Moments).of(recording.readings)
         self._pairs = part if self._pairs is None else self._pairs.merged(part)
         return self._pairs
 
@@ -266,10 +259,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
                 AnisomapWarning,
                 stacklevel=3,
             )
-        of_values = CHUNKED[find_method(self.method).similarity].of_values
-        if of_values is None:
-            raise TypeError(f"{self.method} takes no joint values")
-        return of_values(pairs, self.bins)
+        return CHUNKED[find_method(self.method).similarity].of_values(pairs, self.bins)
 
     def _with_limitations(self, made: SensorMap) -> SensorMap:
         """Add a note if the map differs from that of `fit`."""

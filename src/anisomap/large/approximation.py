@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -14,9 +13,16 @@ from numpy.typing import NDArray
 from anisomap._version import __version__
 from anisomap.description import caveats
 from anisomap.dimensions import AUTO, Dimensions, check_dimensions, given_dimensions
-from anisomap.errors import AnisomapWarning, InputError
-from anisomap.health import Matches, SensorHealth, assess, weaknesses
-from anisomap.large.chunks import CHUNK_READINGS, Chunks, Excerpt, complete_chunks, split_array
+from anisomap.errors import InputError
+from anisomap.health import Matches, SensorHealth, assess
+from anisomap.large.chunks import (
+    CHUNK_READINGS,
+    Chunks,
+    Excerpt,
+    ReadInChunks,
+    complete_chunks,
+    split_array,
+)
 from anisomap.large.landmark_mds import PlacedComponent, place_component
 from anisomap.large.sensor_graph import (
     SensorGraph,
@@ -35,7 +41,7 @@ from anisomap.large.sketch import (
 )
 from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 from anisomap.options import MethodOptions
-from anisomap.recording import MissingPolicy, Recording, Scalar, sensor_mask
+from anisomap.recording import MissingPolicy, Recording, sensor_mask
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 logger = logging.getLogger(__name__)
@@ -55,33 +61,18 @@ _MIN_CONTACTS = 20  # in the excerpt, for its assessment to count; chosen by han
 
 
 @dataclass(frozen=True, eq=False)
-class SimilarityGraph:
+class SimilarityGraph(ReadInChunks):
     """Graph of the most similar sensors, and other data of an approximate map.
 
     links: All pairs for which r was computed.
     graph: The pairs that are edges.
-    excerpt: Segments of frames from the whole recording; all frames if they are few.
-    health: Assessed from the excerpt; numbers of contacts are those of all frames.
-    dropped: Mask of the dropped sensors.
+    dropped: Mask of the dropped sensors, which do not vary.
     """
 
-    sketch: Sketch
     links: SensorPairs
     graph: SensorGraph
-    excerpt: Recording
-    health: tuple[SensorHealth, ...]
     dropped: NDArray[np.bool_]
     options: ApproximateOptions
-
-    @property
-    def n_frames(self) -> int:
-        """Number of frames."""
-        return self.sketch.n_frames
-
-    @property
-    def varying(self) -> NDArray[np.bool_]:
-        """Mask of the sensors that vary and were not dropped, shape (N,)."""
-        return self.sketch.varying
 
 
 def reconstruct_approximately(
@@ -181,7 +172,8 @@ def build_similarity_graph(
     links = links.concatenate(bridging)
     health = assess(excerpt, matches=_matches(links, len(sketch.mean)))
     return SimilarityGraph(
-        sketch=sketch,
+        n_frames=sketch.n_frames,
+        varying=sketch.varying,
         links=links,
         graph=graph,
         excerpt=excerpt,
@@ -203,9 +195,8 @@ def map_similarity_graph(
     n_dimensions = given_dimensions(dimensions)
     n_sensors = len(found.varying)
     component = np.full(n_sensors, UNPLACED)
-    component[found.varying] = np.unique(found.graph.component[found.varying], return_inverse=True)[
-        1
-    ]
+    _, numbers = np.unique(found.graph.component[found.varying], return_inverse=True)
+    component[found.varying] = numbers
     if np.count_nonzero(component == 0) < chosen.min_sensors:
         raise InputError(
             f"a map requires at least {chosen.min_sensors} sensors with statistically significant "
@@ -228,29 +219,29 @@ def map_similarity_graph(
             )
         )
         positions[members] = placed[-1].positions
-    kept = [sensor for sensor, out in zip(found.health, found.dropped, strict=True) if not out]
-    notes = (
-        *((_UNEXAMINED,) if dimensions == AUTO else ()),
-        *weaknesses(found.excerpt, kept),
-        *_notes(found, component, converged=all(part.converged for part in placed)),
-    )
-    for note in notes:
-        warnings.warn(note, AnisomapWarning, stacklevel=2)
     raw_stress, spread = sum(part.raw_stress for part in placed), sum(p.spread for p in placed)
     n_iterations = max(part.iterations for part in placed)
-    return SensorMap(
+    made = SensorMap(
         positions,
         names=found.excerpt.names,
         component=component,
-        health=tuple(sensor.status for sensor in found.health),
         method=APPROXIMATED,
         similarity="pearson",
         approximate=True,
         n_iterations=n_iterations,
         stress=np.sqrt(raw_stress / spread) if spread > 0 else 0.0,
-        notes=notes,
-        provenance=_provenance(found, chosen) | {"iterations": n_iterations},
+        notes=(_UNEXAMINED,) if dimensions == AUTO else (),
+        provenance={
+            "anisomap": __version__,
+            "similarity": "pearson",
+            "mu": chosen.mu,
+            **{f"approximate_{name}": value for name, value in asdict(found.options).items()},
+            **asdict(chosen.smacof),
+            "iterations": n_iterations,
+        },
     )
+    converged = all(part.converged for part in placed)
+    return found.complete(made, _notes(found, component, converged=converged), found.dropped)
 
 
 def _without(sketch: Sketch, dropped: NDArray[np.bool_]) -> Sketch:
@@ -322,18 +313,4 @@ def _notes(
         f"candidates only, found by a sketch of {options.sketch_size} numbers; shortest paths use "
         f"the best {options.n_neighbours} of them and lead to {options.n_landmarks} landmarks only"
     )
-    if found.excerpt.n_frames < found.n_frames:
-        yield f"sensor health was assessed from {found.excerpt.n_frames} of {found.n_frames} frames"
     yield from caveats(component, found.excerpt.names, converged=converged)
-
-
-def _provenance(found: SimilarityGraph, options: MethodOptions) -> dict[str, Scalar]:
-    return {
-        "source": found.excerpt.source,
-        "frames": found.n_frames,
-        "anisomap": __version__,
-        "similarity": "pearson",
-        "mu": options.mu,
-        **{f"approximate_{name}": value for name, value in asdict(found.options).items()},
-        **asdict(options.smacof),
-    }

@@ -18,12 +18,7 @@ from numpy.typing import NDArray
 
 from anisomap.memory import check_memory
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.similarity.accumulators import (
-    CoOccurrences,
-    Moments,
-    StoredCodes,
-    correlation_of_comoments,
-)
+from anisomap.numerics.similarity.accumulators import CoOccurrences, Moments, StoredCodes
 from anisomap.numerics.similarity.binning import maximum_entropy_bins
 from anisomap.numerics.similarity.co_occurrence import Layout, joint_logarithms_of_counts
 from anisomap.numerics.similarity.correlation import phi_from_counts
@@ -32,10 +27,8 @@ from anisomap.numerics.similarity.information import (
     information_from_logarithms,
 )
 from anisomap.numerics.similarity.joint_values import JointValues
-from anisomap.numerics.similarity.rest import Rest, rest_from_counts
+from anisomap.numerics.similarity.rest import rest_from_counts
 from anisomap.numerics.similarity.value_counts import Recoding, ValueCounts
-
-Matrix: TypeAlias = Reals
 
 _BYTES_PER_COUNT = 3 * 4  # uint32: the total, the next result, and their sum
 _MAX_COUNT_BYTES = 1 << 28  # of counts; above, codes are stored if smaller. Chosen by hand
@@ -43,57 +36,90 @@ _MAX_COUNT_BYTES = 1 << 28  # of counts; above, codes are stored if smaller. Cho
 Mapper: TypeAlias = Callable[[NDArray[Any]], Any]
 """Makes an accumulator of a chunk of finite readings, shape (t, N)."""
 
+Outcomes: TypeAlias = tuple[list[NDArray[Any]], Layout | None]
+"""What each distinct value of each sensor counts as: codes with a layout, or scores without."""
+
 
 @dataclass(frozen=True)
 class Chunked:
     """A similarity as a map-reduce.
 
-    prepare: ``prepare(values, bins)`` returns the mapper, given the counts of distinct values (None
-        unless `needs_values`) and the number of bins.
     finish: Converts the accumulator of all chunks to the (N, N) similarity.
-    of_values: ``of_values(joint_values, bins)`` computes the same similarity from `JointValues`.
-        None if the similarity does not depend on the counts of values.
+    recode: ``recode(values, bins)`` returns what the distinct values of all frames count as; None
+        if the readings are used as they are.
+    can_store: Whether `finish` accepts `StoredCodes`, which take less memory in few frames.
     """
 
-    prepare: Callable[[ValueCounts | None, int], Mapper]
-    finish: Callable[[Any], Matrix]
-    of_values: Callable[[JointValues, int], Matrix] | None = None
+    finish: Callable[[Any], Reals]
+    recode: Callable[[ValueCounts, int], Outcomes] | None = None
+    can_store: bool = False
 
     @property
     def needs_values(self) -> bool:
         """Whether a first pass must count distinct values."""
-        return self.of_values is not None
+        return self.recode is not None
+
+    def prepare(self, values: ValueCounts | None, bins: int) -> Mapper:
+        """Return the mapper, given the counts of distinct values if they are needed."""
+        if self.recode is None or values is None:
+            return Moments.of
+        outcomes, layout = self.recode(values, bins)
+        recoding = Recoding.of(values.values, outcomes, outcomes[0].dtype.type)
+        if layout is None:
+            return partial(_map_scores, recoding)
+        if self.can_store:
+            stored, counted = values.n_frames * values.n_sensors, layout.n_series**2
+            counted *= _BYTES_PER_COUNT
+            check_memory(
+                min(stored, counted),
+                f"counting all pairs of {bins} bins of {values.n_sensors} sensors",
+                "use fewer bins, or a method based on Pearson's r",
+            )
+            if stored <= counted and counted > _MAX_COUNT_BYTES:
+                return partial(_store_codes, recoding)
+        return partial(_count_codes, recoding, layout)
+
+    def of_values(self, found: JointValues, bins: int) -> Reals:
+        """Compute the similarity from joint counts of values, if it needs values."""
+        if self.recode is None:
+            raise TypeError("this similarity does not depend on counts of values")
+        outcomes, layout = self.recode(found.single, bins)
+        if layout is not None:
+            return self.finish(found.of_series([one.astype(np.intp) for one in outcomes], layout))
+        means = np.zeros(found.single.n_sensors)
+        return self.finish(Moments(found.single.n_frames, means, found.comoments(outcomes)))
 
 
-def _required(values: ValueCounts | None) -> ValueCounts:
-    if values is None:
-        raise TypeError("this similarity requires counts of distinct values")
-    return values
+def _map_scores(scores: Recoding, chunk: NDArray[Any]) -> Moments:
+    return Moments.of(scores(chunk))
 
 
-def _map_ranks(ranks: Recoding, chunk: NDArray[Any]) -> Moments:
-    return Moments.of(ranks(chunk))
+def _count_codes(codes: Recoding, layout: Layout, chunk: NDArray[Any]) -> CoOccurrences:
+    return CoOccurrences.of(codes(chunk), layout)
 
 
-def _map_activity(rest: Rest, chunk: NDArray[Any]) -> CoOccurrences:
-    return CoOccurrences.of(rest.active(chunk), Layout.of_switches(chunk.shape[1]))
+def _store_codes(codes: Recoding, chunk: NDArray[Any]) -> StoredCodes:
+    return StoredCodes.of(codes(chunk))
 
 
-def _count_codes(recoding: Recoding, layout: Layout, chunk: NDArray[Any]) -> CoOccurrences:
-    return CoOccurrences.of(recoding(chunk), layout)
+def _ranks(values: ValueCounts, _: int) -> Outcomes:
+    """Return the mean rank of every value, from 1 to T."""
+    return [np.cumsum(counts) - (counts - 1) / 2 for counts in values.counts], None
 
 
-def _store_codes(recoding: Recoding, chunk: NDArray[Any]) -> StoredCodes:
-    return StoredCodes.of(recoding(chunk))
+def _activity(values: ValueCounts, _: int) -> Outcomes:
+    """Return which values exceed rest."""
+    rest = rest_from_counts(zip(values.values, values.counts, strict=True))
+    active = [
+        rest.side[i] * (levels - rest.value[i]) - rest.threshold[i] > 0
+        for i, levels in enumerate(values.values)
+    ]
+    return active, Layout.of_switches(values.n_sensors)
 
 
-def _rest(values: ValueCounts) -> Rest:
-    return rest_from_counts(zip(values.values, values.counts, strict=True))
-
-
-def _codes(values: ValueCounts, bins: int) -> tuple[list[NDArray[np.intp]], Layout]:
-    """Return the bin of every value, and the layout of their series."""
-    codes = [maximum_entropy_bins(counts, bins) for counts in values.counts]
+def _bins(values: ValueCounts, bins: int) -> Outcomes:
+    """Return the maximum-entropy bin of every value."""
+    codes = [maximum_entropy_bins(counts, bins).astype(np.uint16) for counts in values.counts]
     full = [
         np.bincount(code, weights=counts, minlength=bins)
         for code, counts in zip(codes, values.counts, strict=True)
@@ -101,63 +127,25 @@ def _codes(values: ValueCounts, bins: int) -> tuple[list[NDArray[np.intp]], Layo
     return codes, Layout.of(np.array(full).astype(np.int64))
 
 
-def _prepare_codes(values: ValueCounts | None, bins: int) -> Mapper:
-    known = _required(values)
-    layout = _codes(known, bins)[1]
-    stored, counted = known.n_frames * known.n_sensors, _BYTES_PER_COUNT * layout.n_series**2
-    check_memory(
-        min(stored, counted),
-        f"counting all pairs of {bins} bins of {known.n_sensors} sensors",
-        "use fewer bins, or a method based on Pearson's r",
-    )
-    if stored <= counted and counted > _MAX_COUNT_BYTES:
-        return partial(_store_codes, known.bins(bins))
-    return partial(_count_codes, known.bins(bins), layout)
+def _phi(found: CoOccurrences) -> Reals:
+    return phi_from_counts(found.counts, found.n_frames)
 
 
-def _information(found: CoOccurrences | StoredCodes) -> Matrix:
+def _information(found: CoOccurrences | StoredCodes) -> Reals:
     if isinstance(found, StoredCodes):
         return information_from_codes(found.whole())
     joint = joint_logarithms_of_counts(found.counts, found.first, found.n_frames)
     return information_from_logarithms(joint, found.n_frames)
 
 
-def _spearman_of_values(found: JointValues, _: int) -> Matrix:
-    ranks = [np.cumsum(counts) - (counts - 1) / 2 for counts in found.single.counts]
-    return correlation_of_comoments(found.comoments(ranks))
-
-
-def _phi_of_values(found: JointValues, _: int) -> Matrix:
-    single = found.single
-    rest = _rest(single)
-    active = [
-        (rest.side[i] * (values - rest.value[i]) - rest.threshold[i] > 0).astype(np.intp)
-        for i, values in enumerate(single.values)
-    ]
-    switched = found.of_series(active, Layout.of_switches(single.n_sensors))
-    return phi_from_counts(switched.counts, single.n_frames)
-
-
-def _information_of_values(found: JointValues, bins: int) -> Matrix:
-    return _information(found.of_series(*_codes(found.single, bins)))
-
-
 CHUNKED: Mapping[str, Chunked] = MappingProxyType(
     {
-        "pearson": Chunked(lambda *_: Moments.of, Moments.correlation),
-        "spearman": Chunked(
-            lambda values, _: partial(_map_ranks, _required(values).ranks()),
-            Moments.correlation,
-            _spearman_of_values,
-        ),
-        "co-activation": Chunked(
-            lambda values, _: partial(_map_activity, _rest(_required(values))),
-            lambda found: phi_from_counts(found.counts, found.n_frames),
-            _phi_of_values,
-        ),
-        "mutual-information": Chunked(_prepare_codes, _information, _information_of_values),
+        "pearson": Chunked(Moments.correlation),
+        "spearman": Chunked(Moments.correlation, _ranks),
+        "co-activation": Chunked(_phi, _activity),
+        "mutual-information": Chunked(_information, _bins, can_store=True),
         # Blending weights r by its reliability, which is nearly 1 in long recordings.
-        "blended-correlation": Chunked(lambda *_: Moments.of, Moments.correlation),
+        "blended-correlation": Chunked(Moments.correlation),
     }
 )
 """Chunked computation of each similarity, by its name."""

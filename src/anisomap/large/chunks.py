@@ -1,9 +1,10 @@
-"""Chunks of frames: their size, missing values, and an excerpt of all frames."""
+"""Chunks of frames: their size, missing values, an excerpt, and what is known after all of them."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from mmap import mmap
 from typing import Any, TypeAlias
@@ -11,7 +12,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.errors import InputError
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.health import SensorHealth, weaknesses
 from anisomap.numerics.gaps import (
     CompleteChunks,
     check_chunks,
@@ -20,6 +22,7 @@ from anisomap.numerics.gaps import (
     require_no_gaps,
 )
 from anisomap.recording import MissingPolicy, Recording
+from anisomap.sensor_map import SensorMap
 
 CHUNK_READINGS = 1 << 23
 """Number of readings per chunk, unless that is fewer than `CHUNK_FRAMES`; chosen by hand."""
@@ -90,34 +93,88 @@ class Excerpt:
     """Equally spaced segments of consecutive frames, in bounded memory.
 
     n_readings: Approximate number of readings to keep; 0 for `EXCERPT_READINGS`.
-    complete: Set by the caller once all frames were added.
+    segment: Number of frames in each segment; 0 for `SEGMENT_FRAMES`.
     """
 
-    def __init__(self, n_readings: int = 0) -> None:
+    def __init__(self, n_readings: int = 0, segment: int = 0) -> None:
         self._n_readings = n_readings or EXCERPT_READINGS
-        self.complete = False
+        self._segment = segment or SEGMENT_FRAMES
         self.reset()
 
     def reset(self) -> None:
         """Discard all frames."""
-        self._kept: list[NDArray[Any]] = []
-        self._stride, self._seen = 1, 0
+        self._parts: list[tuple[NDArray[np.intp], NDArray[Any]]] = []
+        self._stride, self._seen, self._n_kept = 1, 0, 0
 
     def add(self, chunk: NDArray[Any]) -> None:
         """Add the next frames, shape (t, N); only some segments are stored."""
+        numbers = np.arange(self._seen, self._seen + len(chunk)) // self._segment
+        self._seen += len(chunk)
         # With very many sensors, a chunk is shorter than a segment.
-        max_frames = max(2 * SEGMENT_FRAMES, self._n_readings // chunk.shape[1])
-        for start in range(0, len(chunk), SEGMENT_FRAMES):
-            if self._seen % self._stride == 0:
-                self._kept.append(np.array(chunk[start : start + SEGMENT_FRAMES]))
-            self._seen += 1
-            if sum(map(len, self._kept)) > max_frames:
-                self._kept = self._kept[::2]
-                self._stride *= 2
+        max_frames = max(2 * self._segment, self._n_readings // chunk.shape[1])
+        while self._n_kept + np.count_nonzero(numbers % self._stride == 0) > max_frames:
+            self._stride *= 2
+            parts, self._parts, self._n_kept = self._parts, [], 0
+            for held, frames in parts:
+                self._keep(held, frames)
+        self._keep(numbers, chunk)
+
+    def _keep(self, numbers: NDArray[np.intp], frames: NDArray[Any]) -> None:
+        chosen = numbers % self._stride == 0
+        if chosen.any():
+            self._parts.append((numbers[chosen], frames[chosen]))
+            self._n_kept += int(np.count_nonzero(chosen))
+
+    @property
+    def whole(self) -> bool:
+        """Whether all frames are in the excerpt."""
+        return self._stride == 1
+
+    @property
+    def readings(self) -> NDArray[Any]:
+        """Readings of the excerpt, at least one frame."""
+        return np.concatenate([frames for _, frames in self._parts])
 
     def recording(self, like: Recording | Sequence[str]) -> Recording:
         """Return the excerpt as a recording, with metadata of another or with sensor names."""
-        readings = np.concatenate(self._kept)
         if isinstance(like, Recording):
-            return replace(like, readings=readings, times=None)
-        return Recording(readings, names=tuple(like))
+            return replace(like, readings=self.readings, times=None)
+        return Recording(self.readings, names=tuple(like))
+
+
+@dataclass(frozen=True, eq=False)
+class ReadInChunks:
+    """What is known of a recording that was read in chunks.
+
+    n_frames: Number of frames.
+    varying: Mask of the sensors that vary, (N,).
+    excerpt: Segments of frames from the whole recording; all frames if they are few.
+    health: Assessed from the excerpt; numbers of contacts are those of all frames.
+    """
+
+    n_frames: int
+    varying: NDArray[np.bool_]
+    excerpt: Recording
+    health: tuple[SensorHealth, ...]
+
+    def complete(
+        self, made: SensorMap, notes: Iterable[str], dropped: NDArray[np.bool_]
+    ) -> SensorMap:
+        """Add health, origin and notes to a map, and issue the notes as warnings."""
+        kept = [sensor for sensor, out in zip(self.health, dropped, strict=True) if not out]
+        told = [*weaknesses(self.excerpt, kept), *notes]
+        if self.excerpt.n_frames < self.n_frames:
+            share = f"{self.excerpt.n_frames} of {self.n_frames}"
+            told.append(f"sensor health was assessed from {share} frames")
+        for note in told:
+            warnings.warn(note, AnisomapWarning, stacklevel=3)
+        return replace(
+            made,
+            health=tuple(sensor.status for sensor in self.health),
+            notes=(*told, *made.notes),
+            provenance={
+                "source": self.excerpt.source,
+                "frames": self.n_frames,
+                **made.provenance,
+            },
+        )

@@ -1,7 +1,4 @@
-"""Raw stress of the paths from landmarks and of the edges, and its minimisation.
-
-Landmark MDS of a connected graph, followed by a joint refinement of all sensors.
-"""
+"""Landmark MDS of a connected graph, followed by a joint refinement of all sensors."""
 
 from __future__ import annotations
 
@@ -18,6 +15,17 @@ from anisomap.numerics.compiled.parallel import parallel_map
 from anisomap.numerics.scaling.lbfgs import SolverResult, minimise_lbfgs
 from anisomap.numerics.scaling.stress import Floats
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
+
+logger = logging.getLogger(__name__)
+
+MIN_TOLERANCE = 1e-7
+"""Smallest tolerance of the refinement: path lengths are stored in float32."""
+
+SOURCES_PER_TASK = 64
+"""Number of landmarks from which paths are computed together; chosen by hand."""
+
+ROWS_PER_BLOCK = 4096
+"""Sensors that are triangulated together; bounds the memory of float64 copies."""
 
 N_TASKS = 32
 """Number of parallel tasks; fixed, so that sums are the same on every machine."""
@@ -103,18 +111,6 @@ def _stress(targets: Targets, positions: Floats, map_tasks: Any) -> tuple[float,
     raw = sum(map_tasks(add, range(N_TASKS)))
     slopes[:, targets.landmarks] += anchor_slopes.sum(axis=0)
     return raw, np.ascontiguousarray(2 * slopes.T)
-
-
-logger = logging.getLogger(__name__)
-
-MIN_TOLERANCE = 1e-7
-"""Smallest tolerance of the refinement: path lengths are stored in float32."""
-
-SOURCES_PER_TASK = 64
-"""Number of landmarks from which paths are computed together; chosen by hand."""
-
-ROWS_PER_BLOCK = 4096
-"""Sensors that are triangulated together; bounds the memory of float64 copies."""
 
 
 class PlacedComponent(NamedTuple):

@@ -1,7 +1,4 @@
-"""Computations on the workers of a Dask cluster, with limits on the time that it may be silent.
-
-Map-reduce over chunks of frames: in one process, with joblib, or on a Dask cluster.
-"""
+"""Map-reduce over chunks of frames: in one process, with joblib, or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -33,127 +30,6 @@ _CHUNKS_PER_WORKER = 2  # one in progress and one queued; bounds the memory of c
 _SCHEMES = ("tcp", "tls", "ws", "wss")
 _POLL_S = 1.0
 _CLOSE_S = 2.0
-
-
-def map_on_dask(
-    function: Callable[..., Any], chunks: Iterable[Any], arguments: tuple[Any, ...], address: str
-) -> Iterator[Any]:
-    """Apply a function to chunks on a cluster."""
-    dask, distributed = (
-        import_extra(name, "using a Dask cluster", "cluster") for name in ("dask", "distributed")
-    )
-    _check_address(distributed, address)
-    settings = {
-        # Chunks are part of the task, not scattered, so the scheduler can rerun it if a worker
-        # dies.
-        "distributed.admin.large-graph-warning-threshold": "1TB",
-        "distributed.comm.timeouts.connect": f"{ANSWER_S}s",
-    }
-    with dask.config.set(settings), ExitStack() as opened:
-        try:
-            _greet(distributed, address)
-            client = distributed.Client(address, timeout=ANSWER_S, set_as_default=False)
-        except (OSError, ValueError, TimeoutError, ImportError) as error:
-            raise InputError(f"no Dask scheduler at {address}: {error}") from error
-        opened.callback(_close, client)
-        # It logs a traceback when the connection is lost, which is an error here.
-        log = logging.getLogger("distributed.client")
-        opened.callback(log.setLevel, log.level)
-        log.setLevel(logging.CRITICAL)
-        try:
-            yield from _results(client, function, chunks, arguments)
-        except distributed.KilledWorker as error:
-            raise InputError(
-                "several Dask workers died over one chunk of frames, perhaps for lack of memory; "
-                "give them more memory or fewer threads"
-            ) from error
-        except (CancelledError, distributed.comm.CommClosedError) as error:
-            raise _lost(address) from error
-
-
-def _check_address(distributed: Any, address: str) -> None:
-    """Check an address before a client is made, since a client that fails half-way does not end."""
-    scheme, separator, place = address.partition("://")
-    host, _, port = place.rpartition(":")
-    if not separator or scheme not in _SCHEMES or not host or not port.isdecimal():
-        raise InputError(
-            f"the address of a Dask scheduler must be as in tcp://host:8786, got {address!r}"
-        )
-    if scheme in ("tls", "wss"):
-        given = distributed.Security().get_connection_args("client")
-        if given.get("ssl_context") is None:
-            raise InputError(
-                f"{address} needs certificates: set distributed.comm.tls in the configuration of "
-                "Dask, or use tcp://"
-            )
-
-
-def _greet(distributed: Any, address: str) -> None:
-    """Check that a scheduler answers; a client has no limit for the time to its first answer."""
-    import asyncio  # noqa: PLC0415, slow to import
-
-    options = distributed.Security().get_connection_args("client")
-
-    async def greet() -> None:
-        comm = await distributed.comm.connect(address, timeout=ANSWER_S, **options)
-        await comm.close()
-
-    async def greet_in_time() -> None:
-        try:
-            await asyncio.wait_for(greet(), ANSWER_S)
-        except TimeoutError:
-            raise TimeoutError(f"no answer within {ANSWER_S:g} s") from None
-
-    # In a thread of its own, since the caller may be in an event loop, such as that of Jupyter.
-    with ThreadPoolExecutor(1) as thread:
-        thread.submit(asyncio.run, greet_in_time()).result()
-
-
-def _results(
-    client: Any,
-    function: Callable[..., Any],
-    chunks: Iterable[Any],
-    arguments: tuple[Any, ...],
-) -> Iterator[Any]:
-    pending: deque[Any] = deque()
-    for chunk in chunks:
-        pending.append(client.submit(function, chunk, *arguments, pure=False))
-        while len(pending) >= _CHUNKS_PER_WORKER * max(1, sum(client.nthreads().values())):
-            yield _result(client, pending.popleft())
-    while pending:
-        yield _result(client, pending.popleft())
-
-
-def _result(client: Any, future: Any) -> Any:
-    """Wait for a result as long as the scheduler answers and has workers."""
-    last_worker = time.monotonic()
-    while True:
-        try:
-            return future.result(timeout=_POLL_S)
-        except TimeoutError:
-            if future.done():
-                raise
-        if client.status != "running":
-            raise CancelledError
-        if client.nthreads():
-            last_worker = time.monotonic()
-        elif time.monotonic() - last_worker > WORKERS_S:
-            raise InputError(
-                f"the Dask cluster has had no worker for {WORKERS_S:g} s; start workers, and run "
-                "this again (with a checkpoint, it resumes here)"
-            )
-
-
-def _lost(address: str) -> InputError:
-    return InputError(
-        f"the connection to the Dask scheduler at {address} is lost; start it, and run this again "
-        "(with a checkpoint, it resumes here)"
-    )
-
-
-def _close(client: Any) -> None:
-    with suppress(OSError, TimeoutError):
-        client.close(timeout=_CLOSE_S)
 
 
 Mapper: TypeAlias = Callable[[NDArray[Any]], Any]
@@ -199,7 +75,7 @@ def map_reduce(
     """Apply a function to every chunk and merge the results."""
     total = None
     if checkpoint is None:
-        for result in _results_map_reduce(chunks(), mapper, pool):
+        for result in _results(chunks(), mapper, pool):
             total = result if total is None else total.merged(result)
     else:
         done, total = checkpoint.progress(stage)
@@ -209,7 +85,7 @@ def map_reduce(
             pass
         checkpoint.verify(stage, digests.up_to(done))
         try:
-            for result in _results_map_reduce(remaining, mapper, pool):
+            for result in _results(remaining, mapper, pool):
                 total, done = result if total is None else total.merged(result), done + 1
                 checkpoint.update(stage, done, digests.up_to(done), total)
         finally:
@@ -220,12 +96,10 @@ def map_reduce(
     return total
 
 
-def _results_map_reduce(
-    chunks: Iterable[NDArray[Any]], mapper: Mapper, pool: WorkerPool
-) -> Iterator[Any]:
+def _results(chunks: Iterable[NDArray[Any]], mapper: Mapper, pool: WorkerPool) -> Iterator[Any]:
     """Yield the accumulator of each chunk, in the order of the chunks."""
     if pool.scheduler:
-        return map_on_dask(_call, chunks, (mapper, os.getpid()), pool.scheduler)
+        return _on_dask(chunks, mapper, pool.scheduler)
     if pool.n_workers != 1:
         return _on_joblib(chunks, mapper, pool.n_workers)
     return map(mapper, chunks)
@@ -255,3 +129,116 @@ def _call(chunk: NDArray[Any], mapper: Mapper, caller: int) -> Any:
         return mapper(chunk)
     with threadpool_limits(1):
         return mapper(chunk)
+
+
+def _on_dask(chunks: Iterable[NDArray[Any]], mapper: Mapper, address: str) -> Iterator[Any]:
+    dask, distributed = (
+        import_extra(name, "using a Dask cluster", "cluster") for name in ("dask", "distributed")
+    )
+    _check_address(distributed, address)
+    settings = {
+        # Chunks are part of the task, not scattered, so the scheduler can rerun it if a worker
+        # dies.
+        "distributed.admin.large-graph-warning-threshold": "1TB",
+        "distributed.comm.timeouts.connect": f"{ANSWER_S}s",
+    }
+    with dask.config.set(settings), ExitStack() as opened:
+        try:
+            _greet(distributed, address)
+            client = distributed.Client(address, timeout=ANSWER_S, set_as_default=False)
+        except (OSError, ValueError, TimeoutError, ImportError) as error:
+            raise InputError(f"no Dask scheduler at {address}: {error}") from error
+        opened.callback(_close, client)
+        # It logs a traceback when the connection is lost, which is an error here.
+        log = logging.getLogger("distributed.client")
+        opened.callback(log.setLevel, log.level)
+        log.setLevel(logging.CRITICAL)
+        try:
+            yield from _results_on_cluster(client, chunks, mapper)
+        except distributed.KilledWorker as error:
+            raise InputError(
+                "several Dask workers died over one chunk of frames, perhaps for lack of memory; "
+                "give them more memory or fewer threads"
+            ) from error
+        except (CancelledError, distributed.comm.CommClosedError) as error:
+            raise InputError(
+                f"the connection to the Dask scheduler at {address} is lost; start it, and run "
+                "this again (with a checkpoint, it resumes here)"
+            ) from error
+
+
+def _check_address(distributed: Any, address: str) -> None:
+    """Check an address before a client is made, since a client that fails half-way does not end."""
+    scheme, separator, place = address.partition("://")
+    host, _, port = place.rpartition(":")
+    if not separator or scheme not in _SCHEMES or not host or not port.isdecimal():
+        raise InputError(
+            f"the address of a Dask scheduler must be as in tcp://host:8786, got {address!r}"
+        )
+    if scheme in ("tls", "wss"):
+        given = distributed.Security().get_connection_args("client")
+        if given.get("ssl_context") is None:
+            raise InputError(
+                f"{address} needs certificates: set distributed.comm.tls in the configuration of "
+                "Dask, or use tcp://"
+            )
+
+
+def _greet(distributed: Any, address: str) -> None:
+    """Check that a scheduler answers; a client has no limit for the time to its first answer."""
+    import asyncio  # noqa: PLC0415, slow to import
+
+    options = distributed.Security().get_connection_args("client")
+
+    async def greet() -> None:
+        comm = await distributed.comm.connect(address, timeout=ANSWER_S, **options)
+        await comm.close()
+
+    async def greet_in_time() -> None:
+        try:
+            await asyncio.wait_for(greet(), ANSWER_S)
+        except TimeoutError:
+            raise TimeoutError(f"no answer within {ANSWER_S:g} s") from None
+
+    # In a thread of its own, since the caller may be in an event loop, such as that of Jupyter.
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(asyncio.run, greet_in_time()).result()
+
+
+def _results_on_cluster(
+    client: Any, chunks: Iterable[NDArray[Any]], mapper: Mapper
+) -> Iterator[Any]:
+    pending: deque[Any] = deque()
+    for chunk in chunks:
+        pending.append(client.submit(_call, chunk, mapper, os.getpid(), pure=False))
+        while len(pending) >= _CHUNKS_PER_WORKER * max(1, sum(client.nthreads().values())):
+            yield _result(client, pending.popleft())
+    while pending:
+        yield _result(client, pending.popleft())
+
+
+def _result(client: Any, future: Any) -> Any:
+    """Wait for a result as long as the scheduler answers and has workers."""
+    last_worker, patience_s = time.monotonic(), _POLL_S
+    while True:
+        try:
+            return future.result(timeout=patience_s)
+        except TimeoutError:
+            if future.status == "error":
+                return future.result()  # raises it
+            if future.done():
+                patience_s *= 2  # it is done, but takes longer to arrive
+        if client.status != "running":
+            raise CancelledError
+        if client.nthreads():
+            last_worker = time.monotonic()
+        elif time.monotonic() - last_worker > WORKERS_S:
+            raise InputError(
+                f"the Dask cluster has had no worker for {WORKERS_S:g} s; start workers, and run "
+                "this again (with a checkpoint, it resumes here)"
+            )
+
+
+def _close(client: Any) -> None:
+    with suppress(OSError, TimeoutError):
+        client.close(timeout=_CLOSE_S)

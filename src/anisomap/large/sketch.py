@@ -1,15 +1,12 @@
-"""Options of approximate maps.
-
-Random projections and moments of the readings of each sensor, in one pass over all frames.
-
-Pearson r of selected pairs of sensors, in one pass over all frames.
-"""
+"""Sketches of the readings of all sensors, and Pearson r of selected pairs; one pass each."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +16,9 @@ from scipy.sparse import csr_array
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import parallel_map
 from anisomap.numerics.similarity.search import NO_SENSOR
+
+N_TASKS = 64
+"""Number of parallel tasks; more than the usual number of cores, for an even load."""
 
 
 @dataclass(frozen=True)
@@ -173,10 +173,6 @@ class _RunningSketch:
         )
 
 
-N_TASKS = 64
-"""Number of parallel tasks; more than the usual number of cores, for an even load."""
-
-
 class SensorPairs(NamedTuple):
     """Pairs of sensors i < j, each once, in increasing order, and r of each."""
 
@@ -225,12 +221,5 @@ def correlations(
             values = np.ascontiguousarray(chunk.T)
             series = ((values - sketch.mean[:, None]) * scale[:, None]).astype(np.float32)
 
-            def add_task(
-                task: int,
-                series: NDArray[np.float32] = series,
-                still: NDArray[np.bool_] = still,
-            ) -> None:
-                add(series, still, pairs, totals, (bounds[task], bounds[task + 1]))
-
-            map_tasks(add_task, range(N_TASKS))
+            map_tasks(partial(add, series, still, pairs, totals), pairwise(bounds))
     return SensorPairs(*pairs, np.clip(totals / sketch.n_frames, -1, 1))

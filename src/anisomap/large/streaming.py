@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,11 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.dimensions import AUTO, Dimensions
-from anisomap.errors import AnisomapWarning, InputError
-from anisomap.health import SensorHealth, assess, weaknesses
+from anisomap.errors import InputError
+from anisomap.health import SensorHealth, assess
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
-from anisomap.large.chunks import SEGMENT_FRAMES, Chunks, Excerpt, complete_chunks, split_array
+from anisomap.large.chunks import (
+    SEGMENT_FRAMES,
+    Chunks,
+    Excerpt,
+    ReadInChunks,
+    complete_chunks,
+    split_array,
+)
 from anisomap.large.map_reduce import SERIAL, WorkerPool, map_reduce
 from anisomap.memory import check_pair_memory, check_worker_memory
 from anisomap.methods import DEFAULT_METHOD, check_even_spacing, find_method
@@ -29,7 +35,7 @@ from anisomap.numerics.similarity.correlation import MAX_SQUARED, squares_overfl
 from anisomap.numerics.similarity.value_counts import ValueCounts
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from
-from anisomap.recording import MissingPolicy, Recording
+from anisomap.recording import MissingPolicy, Recording, sensor_mask
 from anisomap.refinements.chain import MIN_SENSORS
 from anisomap.sensor_map import SensorMap
 
@@ -44,22 +50,14 @@ _MAX_EXAMINED = 2000  # sensors; finding the neighbours of more takes longer tha
 
 
 @dataclass(frozen=True, eq=False)
-class StreamedSimilarity:
+class StreamedSimilarity(ReadInChunks):
     """Similarity of all pairs of sensors over all frames, and other data of a map.
 
     similarity (N, N): Symmetric.
-    varying: Mask of the sensors that vary.
-    n_frames: Number of frames.
-    excerpt: Segments of frames from the whole recording; all frames if they are few.
-    health: Assessed from the excerpt; numbers of contacts are extrapolated to all frames.
     notes: Differences from a map of one array.
     """
 
     similarity: Reals
-    varying: NDArray[np.bool_]
-    n_frames: int
-    excerpt: Recording
-    health: tuple[SensorHealth, ...]
     notes: tuple[str, ...] = ()
 
 
@@ -143,23 +141,19 @@ def stream_similarity(
     check_even_spacing(method, options, readings=False)
     recipe = find_method(method)
     name, refined = recipe.similarity, bool(recipe.refinements)
-    chunked, segments, complete = CHUNKED[name], Excerpt(), complete_chunks(chunks, missing)
+    chunked, complete = CHUNKED[name], complete_chunks(chunks, missing)
+    segments = Excerpt()
     subject = f"{name} of {source or 'frames'}, {options.bins} bins"
     saved = Checkpoint(checkpoint, subject) if checkpoint else None
 
     def checked_chunks() -> Iterator[NDArray[Any]]:
-        """Yield all chunks; the first pass collects the excerpt."""
-        first_pass = not segments.complete
-        if first_pass:
-            segments.reset()
+        segments.reset()
         for chunk in complete():
             check_pair_memory(chunk.shape[1], refined=refined)
             check_worker_memory(chunk.shape[1], pool.n_workers)
             _check_unit(chunk)
-            if first_pass:
-                segments.add(chunk)
+            segments.add(chunk)
             yield chunk
-        segments.complete = True
 
     values: ValueCounts | None = None
     if chunked.needs_values:
@@ -178,11 +172,6 @@ def stream_similarity(
     )
     varying = total.varying() if values is None else values.varying()
     excerpt = segments.recording(like)
-    notes = [] if values is None else list(_rounding(values, excerpt.names))
-    if excerpt.n_frames < total.n_frames:
-        notes.append(
-            f"sensor health was assessed from {excerpt.n_frames} of {total.n_frames} frames"
-        )
     return StreamedSimilarity(
         similarity=chunked.finish(total),
         varying=varying,
@@ -192,7 +181,7 @@ def stream_similarity(
             _extrapolated(sensor, bool(varies), total.n_frames / excerpt.n_frames)
             for sensor, varies in zip(assess(excerpt), varying, strict=True)
         ),
-        notes=tuple(notes),
+        notes=() if values is None else tuple(_rounding(values)),
     )
 
 
@@ -205,7 +194,7 @@ def map_streamed_similarity(
     drop: Iterable[str | int] = (),
 ) -> SensorMap:
     """Reconstruct positions from the similarity of a recording that was read in chunks."""
-    dropped = set(found.excerpt.indices(drop).tolist())
+    dropped = sensor_mask(found.excerpt.names, drop)
     noise = None
     if find_method(method).refinements:
         # The variance is inversely proportional to the number of frames; the autocorrelation can
@@ -219,23 +208,10 @@ def map_streamed_similarity(
         similarity=found.similarity,
         noise=noise,
         names=found.excerpt.names,
-        drop=sorted(dropped | set(np.flatnonzero(~found.varying).tolist())),
+        drop=np.flatnonzero(dropped | ~found.varying).tolist(),
         statistic=computed_similarity(find_method(method).similarity),
     )
-    kept = [sensor for i, sensor in enumerate(found.health) if i not in dropped]
-    notes = (*weaknesses(found.excerpt, kept), *found.notes, *_limitations(found, made))
-    for note in notes:
-        warnings.warn(note, AnisomapWarning, stacklevel=2)
-    return replace(
-        made,
-        health=tuple(sensor.status for sensor in found.health),
-        notes=(*notes, *made.notes),
-        provenance={
-            "source": found.excerpt.source,
-            "frames": found.n_frames,
-            **made.provenance,
-        },
-    )
+    return found.complete(made, (*found.notes, *_limitations(found, made)), dropped)
 
 
 def _limitations(found: StreamedSimilarity, made: SensorMap) -> Iterator[str]:
@@ -281,12 +257,12 @@ def _check_unit(chunk: NDArray[Any]) -> None:
         )
 
 
-def _rounding(values: ValueCounts, names: Sequence[str]) -> Iterator[str]:
+def _rounding(values: ValueCounts) -> Iterator[str]:
     rounded = np.flatnonzero(values.n_rounded_bits)
     if rounded.size:
         yield (
-            f"{rounded.size} of {len(names)} sensors have more than {values.max_values} distinct "
-            "values, which were rounded for bins, ranks and rest values"
+            f"{rounded.size} of {values.n_sensors} sensors have more than {values.max_values} "
+            "distinct values, which were rounded for bins, ranks and rest values"
         )
 
 

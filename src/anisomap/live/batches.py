@@ -1,19 +1,26 @@
-"""What a source of a live session yields: frames, names of sensors, and notices."""
+"""What a source of a live session is, and what it yields."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from threading import Event
-from typing import Protocol, TypeAlias
+from typing import Any, ClassVar, TypeAlias
+from urllib.parse import SplitResult, parse_qs, unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.errors import InputError
 from anisomap.sensor_map import SensorMap
 
 WAIT_S = 0.1
 """Longest time in seconds for which a source waits before it looks whether it must stop."""
+
+RETRY_S = 1.0
+"""Time in seconds between two attempts to connect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,20 +37,14 @@ class Batch:
 
 @dataclass(frozen=True)
 class Names:
-    """Names of the sensors, which a source learns while it runs.
-
-    names: One per sensor.
-    """
+    """Names of all sensors, which a source learns while it runs."""
 
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Notice:
-    """An event that users should know of, such as a lost connection.
-
-    text: One sentence.
-    """
+    """An event that users should know of, such as a lost connection, in one sentence."""
 
     text: str
 
@@ -51,21 +52,109 @@ class Notice:
 Item: TypeAlias = Batch | Names | Notice
 
 
-class Source(Protocol):
-    """A source of frames.
+@dataclass(frozen=True)
+class Address:
+    """An address of a source, such as ``tcp://HOST:PORT``, and what sources need of it."""
 
-    A source that loses nothing if it begins later, such as a replay, has an attribute ``can_wait``
-    that is true: it begins when the processes that make maps have started.
+    parts: SplitResult
+
+    @property
+    def host(self) -> str:
+        """Name or number of a computer; this one by default."""
+        return self.parts.hostname or "127.0.0.1"
+
+    @property
+    def port(self) -> int:
+        """Port, which must be given."""
+        if self.parts.port is None:
+            url, scheme = self.parts.geturl(), self.parts.scheme
+            raise InputError(f"{url} needs a port, as in {scheme}://HOST:PORT")
+        return self.parts.port
+
+    @property
+    def endpoint(self) -> str:
+        """Host and port as in a URL: an IPv6 address is in brackets."""
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+    @property
+    def path(self) -> str:
+        """What follows the host, with its first slash; empty for a slash alone."""
+        path = unquote(self.parts.path)
+        return path if path.strip("/") else ""
+
+    @property
+    def name(self) -> str:
+        """Everything before the query, without slashes around it."""
+        return unquote(self.parts.netloc + self.parts.path).strip("/")
+
+    @property
+    def query(self) -> dict[str, str]:
+        """Options by name."""
+        return {key: values[-1] for key, values in parse_qs(self.parts.query).items()}
+
+
+class Source(ABC):
+    """A source of frames.
 
     description: Origin, for the recording and the page.
     names: Names of the sensors, if they are known before the first frame; else empty.
     truth: True positions of the sensors, if the source knows them.
+    can_wait: Whether nothing is lost if it begins later, as in a replay: it begins when the
+        processes that make maps have started.
     """
 
-    description: str
-    names: tuple[str, ...]
-    truth: SensorMap | None
+    names: tuple[str, ...] = ()
+    truth: SensorMap | None = None
+    can_wait: ClassVar[bool] = False
 
+    def __init__(self, description: str) -> None:
+        self.description = description
+
+    @abstractmethod
     def items(self, stop: Event) -> Iterator[Item]:
         """Iterate over what arrives, until the source ends or `stop` is set."""
-        ...
+
+
+class ConnectedSource(Source):
+    """A source with a connection, which is made again when it is lost.
+
+    lost: Errors that mean that there is no connection.
+    """
+
+    lost: tuple[type[Exception], ...] = (OSError,)
+
+    @abstractmethod
+    def connect(self) -> AbstractContextManager[Any]:
+        """Make a connection."""
+
+    @abstractmethod
+    def receive(self, connection: Any, stop: Event) -> Iterator[Item]:
+        """Iterate over what a connection sends, until it ends or `stop` is set."""
+
+    def items(self, stop: Event) -> Iterator[Item]:
+        """Iterate over the items of one connection after another until `stop` is set."""
+        told = False
+        while not stop.is_set():
+            try:
+                opened = self.connect()
+            except self.lost as error:
+                if not told:
+                    reason = getattr(error, "strerror", None) or error
+                    yield Notice(f"cannot connect to {self.description} ({reason}); still trying")
+                told = True
+                stop.wait(RETRY_S)
+                continue
+            told = False
+            yield Notice(f"connected to {self.description}")
+            with opened as connection:
+                received = self.receive(connection, stop)
+                while True:
+                    # Only errors of the source are caught, not those of the code that takes items.
+                    try:
+                        item = next(received)
+                    except (StopIteration, *self.lost):  # type: ignore[misc]
+                        break
+                    yield item
+            if not stop.is_set():
+                yield Notice(f"lost the connection to {self.description}; connecting again")
+                stop.wait(WAIT_S)

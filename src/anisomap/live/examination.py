@@ -6,7 +6,6 @@ import time
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -114,7 +113,6 @@ def examine(
 
 
 def _mapped(path: Path, n_frames: int, options: ExaminationOptions, final: bool) -> _Mapped:
-    how = ReadOptions(preset=options.preset)
     with io.open_stream(path, frames=1) as stream:
         n_readings = n_frames * stream.n_sensors
     if final and n_readings > MAX_READINGS:
@@ -122,7 +120,7 @@ def _mapped(path: Path, n_frames: int, options: ExaminationOptions, final: bool)
     if not final and n_readings > MAX_INTERIM_READINGS:
         recording = _parts_of(path, n_frames, options.preset)
     else:
-        recording = io.read(path, options=how)
+        recording = io.read(path, options=ReadOptions(preset=options.preset))
     recording = recording.complete("interpolate")
     drop = [name for name in options.drop if name in recording.names]
     made, stages = reconstruct_with_stages(recording, options.method, options.dimensions, drop=drop)
@@ -133,43 +131,33 @@ def _mapped(path: Path, n_frames: int, options: ExaminationOptions, final: bool)
 
 def _mapped_in_blocks(path: Path, options: ExaminationOptions) -> _Mapped:
     with io.open_stream(path, frames=1) as stream:
-        first = next(stream.blocks).readings
-        like = Recording(first, names=stream.names, source=stream.source)
+        n_block = chunk_frames(stream.n_sensors)
+        like = Recording(next(stream.blocks).readings, names=stream.names, source=stream.source)
     kept = np.arange(like.n_sensors)
-    if options.preset:
-        probe = replace(like, readings=_range_of(path))
-        like = io.apply_preset(probe, options.preset)
-        kept = np.array(list(io.numbering(probe, options.preset)))
 
     def chunks() -> Iterator[NDArray[Any]]:
-        for block in _blocks(path):
-            yield block[:, kept]
+        with io.open_stream(path, frames=n_block) as stream:
+            for block in stream.blocks:
+                yield block.readings[:, kept]
 
-    found = stream_similarity(
-        complete_chunks(chunks, "interpolate"), options.method, MethodOptions(), like=like
-    )
+    if options.preset:
+        probe = replace(like, readings=_extremes(chunks()))
+        like = io.apply_preset(probe, options.preset)
+        kept = np.array(list(io.numbering(probe, options.preset)))
+    complete = complete_chunks(chunks, "interpolate")
+    found = stream_similarity(complete, options.method, MethodOptions(), like=like)
     drop = [name for name in options.drop if name in like.names]
-    make = partial(map_streamed_similarity, found, options.method, options.dimensions)
-    return make(drop=drop), found.health, summarise(found.excerpt, found.health)
+    made = map_streamed_similarity(found, options.method, options.dimensions, drop=drop)
+    return made, found.health, summarise(found.excerpt, found.health)
 
 
-def _blocks(path: Path) -> Iterator[NDArray[Any]]:
-    """Iterate over the readings of a recording."""
-    with io.open_stream(path, frames=1) as stream:
-        n_frames = chunk_frames(stream.n_sensors)
-    with io.open_stream(path, frames=n_frames) as stream:
-        for block in stream.blocks:
-            yield block.readings
-
-
-def _range_of(path: Path) -> NDArray[np.float64]:
+def _extremes(blocks: Iterator[NDArray[Any]]) -> NDArray[Any]:
     """Return the first, the lowest and the highest reading of each channel, shape (3, N)."""
-    found: list[NDArray[np.float64]] = []
-    for block in _blocks(path):
-        low, high = np.fmin.reduce(block, axis=0), np.fmax.reduce(block, axis=0)
-        first, lowest, highest = found or (block[0], low, high)
-        found = [first, np.fmin(lowest, low), np.fmax(highest, high)]
-    return np.array(found)
+    found = np.empty((0, 0))
+    for block in blocks:
+        rows = np.concatenate([found, block]) if len(found) else block
+        found = np.stack([rows[0], np.fmin.reduce(rows), np.fmax.reduce(rows)])
+    return found
 
 
 def _parts_of(path: Path, n_frames: int, preset: str) -> Recording:
@@ -181,4 +169,4 @@ def _parts_of(path: Path, n_frames: int, preset: str) -> Recording:
     with io.open_stream(path, frames=length) as stream:
         parts = [block.readings for i, block in enumerate(stream.blocks) if i % stride == 0]
         found = Recording(np.concatenate(parts), names=stream.names, source=stream.source)
-    return io.apply_preset(found, preset) if preset else replace(found)
+    return io.apply_preset(found, preset) if preset else found

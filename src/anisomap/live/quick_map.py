@@ -1,6 +1,4 @@
-"""Statistics of a skin that are accumulated while it is touched, in memory of constant size.
-
-The quick map of a live session: r-ANISOMAP from accumulated correlations, warm-started.
+"""The quick map of a live session: r-ANISOMAP from accumulated correlations, warm-started.
 
 It takes milliseconds for tens of sensors and a third of a second for a thousand, so that it can
 follow the session. The default method takes ten times as long; it makes the checked map.
@@ -18,11 +16,19 @@ from numpy.typing import NDArray
 
 from anisomap.drawing.view import MAX_JOINED, neighbour_pairs
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.large.chunks import Excerpt
 from anisomap.live.coach import Advice, advise
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.similarity.accumulators import Moments
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
 from anisomap.reconstruction import reconstruct_from
+
+QUICK_METHOD = "r-anisomap"
+"""The method of the quick map; it needs nothing but Pearson's r."""
+
+MAX_SENSORS = 4000
+"""Above this number of sensors there is no map before the end of the session: r-ANISOMAP would take
+more than ten seconds."""
 
 SAMPLE_FRAMES = 4096
 """Number of frames from which the rest of the sensors is estimated, spread over the session."""
@@ -50,14 +56,10 @@ class TouchStatistics:
         self.highest = np.full(n_sensors, -np.inf)
         self.contacts = np.zeros(n_sensors, dtype=np.intp)
         self.together = np.zeros((n_sensors, n_sensors), dtype=np.float32)
-        self._origin = np.zeros(n_sensors)
+        self.moments: Moments | None = None
         self._last = np.full(n_sensors, np.nan)
-        self._sum = np.zeros(n_sensors)
-        self._products = np.zeros((n_sensors, n_sensors))
-        max_sample = max(_MIN_SAMPLE, min(SAMPLE_FRAMES, _SAMPLE_READINGS // n_sensors))
-        self._sampled = np.empty((max_sample, n_sensors), dtype=np.float32)
-        self._n_sampled = 0
-        self._stride = 1
+        n_sampled = max(_MIN_SAMPLE, min(SAMPLE_FRAMES, _SAMPLE_READINGS // n_sensors))
+        self._sample = Excerpt(n_sampled * n_sensors, segment=1)
         self._rest: Rest | None = None
         self._rest_frames = 0
         self._was_active = np.zeros(n_sensors, dtype=bool)
@@ -75,7 +77,7 @@ class TouchStatistics:
         counted again while the sample holds all frames.
         """
         if self._rest is None:
-            self._rest = estimate_rest(self._sample)
+            self._rest = estimate_rest(self._sample.readings)
         return self._rest
 
     def add(self, readings: NDArray[np.float64]) -> None:
@@ -84,31 +86,16 @@ class TouchStatistics:
             self._add(self._without_gaps(readings[at : at + _PART_FRAMES]))
 
     def _add(self, readings: NDArray[np.float64]) -> None:
-        if not self.n_frames:
-            self._origin = readings[0].copy()
         np.minimum(self.lowest, readings.min(axis=0), out=self.lowest)
         np.maximum(self.highest, readings.max(axis=0), out=self.highest)
-        # Products about a reading at rest: sums about zero would lose small deviations.
-        deviations = readings - self._origin
-        self._sum += deviations.sum(axis=0)
-        self._products += deviations.T @ deviations
-        self._keep_sample(readings)
+        moments = Moments.of(readings)
+        self.moments = moments if self.moments is None else self.moments.merged(moments)
+        self._sample.add(readings.astype(np.float32))
         self.n_frames += len(readings)
         if self._rest is not None:
             self._count(readings)
         if self.n_frames >= _REESTIMATED * self._rest_frames:
             self.estimate()
-
-    def moments(self) -> Moments:
-        """Return the moments of all frames so far, at least one."""
-        mean = self._sum / self.n_frames
-        comoment = self._products - np.outer(mean, self._sum)
-        constant = self.highest <= self.lowest
-        comoment[constant] = 0
-        comoment[:, constant] = 0
-        diagonal = np.diag(comoment).copy()
-        np.fill_diagonal(comoment, np.maximum(diagonal, 0))
-        return Moments(self.n_frames, self._origin + mean, comoment)
 
     def _without_gaps(self, readings: NDArray[np.float64]) -> NDArray[np.float64]:
         known = np.isfinite(readings)
@@ -125,29 +112,15 @@ class TouchStatistics:
         self._last = readings[-1]
         return readings
 
-    @property
-    def _sample(self) -> NDArray[np.float32]:
-        """Every `_stride`-th frame so far."""
-        return self._sampled[: self._n_sampled]
-
-    def _keep_sample(self, readings: NDArray[np.float64]) -> None:
-        for i in range(-self.n_frames % self._stride, len(readings), self._stride):
-            if self._n_sampled == len(self._sampled):
-                self._n_sampled = (self._n_sampled + 1) // 2
-                self._sampled[: self._n_sampled] = self._sampled[::2].copy()
-                self._stride *= 2
-            if (self.n_frames + i) % self._stride == 0:
-                self._sampled[self._n_sampled] = readings[i]
-                self._n_sampled += 1
-
     def estimate(self) -> None:
         """Estimate the rest now, and count contacts again if the sample holds all frames."""
-        self._rest, self._rest_frames = estimate_rest(self._sample), self.n_frames
-        if self._stride == 1:
+        readings = self._sample.readings
+        self._rest, self._rest_frames = estimate_rest(readings), self.n_frames
+        if self._sample.whole:
             self.contacts[:] = 0
             self.together[:] = 0
             self._was_active[:] = False
-            self._count(self._sample)
+            self._count(readings)
 
     def _count(self, readings: NDArray[np.generic]) -> None:
         active = self.rest.active(readings)
@@ -160,14 +133,6 @@ class TouchStatistics:
             some = frames[frames.any(axis=1)].astype(np.float32)
             if len(some):
                 self.together += sign * (some.T @ some)
-
-
-QUICK_METHOD = "r-anisomap"
-"""The method of the quick map; it needs nothing but Pearson's r."""
-
-MAX_SENSORS = 4000
-"""Above this number of sensors there is no map before the end of the session: r-ANISOMAP would take
-more than ten seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,9 +185,9 @@ class QuickMapper:
         positions = np.full((statistics.n_sensors, self.dimensions), np.nan)
         if statistics.n_sensors > MAX_SENSORS:
             reason = f"a map of more than {MAX_SENSORS} sensors is made at the end of the session"
-        else:
+        elif statistics.moments is not None:
             try:
-                positions = self._positions(statistics)
+                positions = self._positions(statistics.moments)
             except InputError as error:
                 reason = str(error)
         side_of_contact = np.where(rest.side > 0, statistics.highest, statistics.lowest)
@@ -242,16 +207,10 @@ class QuickMapper:
             reason=reason,
         )
 
-    def _positions(self, statistics: TouchStatistics) -> NDArray[np.float64]:
-        moments = statistics.moments()
-        correlation = moments.correlation()
-        varying = moments.varying()
-        left_out = sorted(self.drop | set(np.flatnonzero(~varying).tolist()))
-        start = None
-        if self._before is not None and self._before.shape[1] != self.dimensions:
-            self._before = None  # the number of dimensions has changed
-        if self._before is not None:
-            start = warm_start(self._before, correlation)
+    def _positions(self, moments: Moments) -> NDArray[np.float64]:
+        correlation, before = moments.correlation(), self._before
+        if before is not None and before.shape[1] != self.dimensions:
+            before = None  # the number of dimensions has changed
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AnisomapWarning)
             made = reconstruct_from(
@@ -259,11 +218,11 @@ class QuickMapper:
                 method=QUICK_METHOD,
                 dimensions=self.dimensions,
                 names=self.names,
-                drop=left_out,
-                start=start,
+                drop=sorted(self.drop | set(np.flatnonzero(~moments.varying()).tolist())),
+                start=None if before is None else warm_start(before, correlation),
                 statistic="pearson",
             )
-        self._before = turned_onto(made.positions, self._before)
+        self._before = turned_onto(made.positions, before)
         return self._before
 
 

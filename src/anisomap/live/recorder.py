@@ -1,16 +1,15 @@
 """The recording of a live session: delimited text that grows frame by frame.
 
 The file is a recording that `anisomap.read` reads at any time, also after the process was killed:
-whole lines are handed to the operating system, at most `FLUSH_S` after a frame has arrived.
-
-Recording of what a source yields: nothing that arrives is lost, whatever its shape.
+whole lines are handed to the operating system, at most `FLUSH_S` after a frame has arrived. Nothing
+that arrives is lost, whatever its shape.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
@@ -25,36 +24,40 @@ from anisomap.files import check_target
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.recordings.delimited_text import header_text
 from anisomap.live.batches import Batch
-from anisomap.recording import Scalar, default_names
+from anisomap.recording import default_names
 from anisomap.wording import printable
 
 FLUSH_S = 0.1
 """Longest time in seconds for which frames are held before they are written; the promise is 1 s."""
 
+MAX_SEGMENTS = 50
+"""Files of one session, above which frames of another width go to the file of odd frames."""
+
+MAX_WIDTH = 250_000
+"""Readings of a frame. Text files with lines of 2^23 characters or more cannot be read, and a
+reading has up to 25 characters; sensors without a number have names of up to 7."""
+
 _HELD_BYTES = 1 << 16  # written at once above this size, whatever the time
+_SILENCE_S = 1.0  # without a frame, after which a gap is noticed
+_CHANGED_S, _CHANGED_FRAMES = 1.0, 10  # of frames of one new width, before the width counts as new
+_MAX_ODD = 10_000  # frames of another width that are held in memory
+_TICK = 1e-6  # seconds; the last digit of the times in the file
 
 
 class JournalWriter:
     """Appends frames to a new file.
 
     path: Must not exist.
-    names: Names of the sensors.
+    names: Names of the sensors; without them, the file has no header.
     source: Origin of the recording.
-    n_frames: Number of frames added.
     header_bytes: Size of the lines before the first frame.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        names: Sequence[str],
-        source: str,
-        metadata: Mapping[str, Scalar] | None = None,
-    ) -> None:
+    def __init__(self, path: Path, names: Sequence[str] = (), source: str = "") -> None:
         check_target(path)
-        header = header_text(names, source=source, metadata=metadata).encode("utf-8", "replace")
+        text = header_text(names, source=source) if names else ""
+        header = text.encode("utf-8", "replace")
         self.path = path
-        self.n_frames = 0
         self._held: list[str] = []
         self._held_bytes = 0
         self._written_at = time.monotonic()
@@ -77,7 +80,6 @@ class JournalWriter:
             self._held_bytes += len(line)
             if self._held_bytes >= _HELD_BYTES:
                 self.flush()
-        self.n_frames += len(readings)
         if time.monotonic() - self._written_at >= FLUSH_S:
             self.flush()
 
@@ -140,19 +142,6 @@ class JournalTail:
         self._stream.close()
 
 
-MAX_SEGMENTS = 50
-"""Files of one session, above which frames of another width go to the file of odd frames."""
-
-MAX_WIDTH = 250_000
-"""Readings of a frame. Text files with lines of 2^23 characters or more cannot be read, and a
-reading has up to 25 characters; sensors without a number have names of up to 7."""
-
-_SILENCE_S = 1.0  # without a frame, after which a gap is noticed
-_CHANGED_S, _CHANGED_FRAMES = 1.0, 10  # of frames of one new width, before the width counts as new
-_MAX_ODD = 10_000  # frames of another width that are held in memory
-_TICK = 1e-6  # seconds; the last digit of the times in the file
-
-
 @dataclass(frozen=True)
 class Segment:
     """A file of a session.
@@ -191,14 +180,13 @@ class Recorder:
         self.n_frames = 0
         self.seconds = 0.0
         self.n_missing = 0
-        self.n_odd = 0
         self.arrived_at: float | None = None
         self._path, self._source, self._notify, self._begin = path, source, notify, begin
         self._writer: JournalWriter | None = None
         self._lock = Lock()
         self._recent: list[NDArray[np.float64]] = []
         self._odd: list[Batch] = []
-        self._odd_path: Path | None = None
+        self._odd_writer: JournalWriter | None = None
         self._odd_since = 0.0
         self._missing = np.zeros(0, dtype=bool)
         self._offset: float | None = None
@@ -245,12 +233,14 @@ class Recorder:
         with self._lock:
             self._set_aside()
             self._close()
+            if self._odd_writer is not None:
+                self._odd_writer.close()
 
-    def recent(self) -> list[NDArray[np.float64]]:
-        """Return the readings that were recorded since the last call."""
+    def recent(self) -> NDArray[np.float64] | None:
+        """Return the readings that were recorded since the last call, (t, N); None without any."""
         with self._lock:
             found, self._recent = self._recent, []
-            return found
+        return np.concatenate(found) if found else None
 
     def _start(self, width: int) -> None:
         number = len(self.segments) + 1
@@ -340,26 +330,19 @@ class Recorder:
         """Write held frames of another width to the file of odd frames."""
         if not self._odd:
             return
-        parts, self._odd = self._odd, []
-        stem = self._path.stem
-        path = self._odd_path or _free(
-            self._path.with_name(f"{stem}{mark}.odd.txt")
-            for mark in chain([""], (f"-{at}" for at in count(2)))
-        )
-        try:
-            # The first time, "x": a file that another session has made meanwhile is left as it is.
-            with path.open("a" if self._odd_path else "x", encoding="utf-8") as stream:
-                self._odd_path = path
-                for part in parts:
-                    for row in part.readings.tolist():
-                        stream.write(f"{self.seconds:.6f},{','.join(map(repr, row))}\n")
-        except OSError as error:
-            raise FileError(f"cannot write {path}: {error.strerror or error}") from error
-        n_frames, width = sum(len(part.readings) for part in parts), parts[0].readings.shape[1]
-        self.n_odd += n_frames
+        readings = np.concatenate([batch.readings for batch in self._odd])
+        self._odd = []
+        n_frames, width = readings.shape
+        if self._odd_writer is None:
+            marks = chain([""], (f"-{at}" for at in count(2)))
+            path, stem = self._path, self._path.stem
+            free = _free(path.with_name(f"{stem}{mark}.odd.txt") for mark in marks)
+            self._odd_writer = JournalWriter(free)
+        self._odd_writer.add(np.full(n_frames, self.seconds), readings)
+        self._odd_writer.flush()
         self._notify(
             f"{n_frames} frame{'s' if n_frames > 1 else ''} of {width} readings instead of "
-            f"{self.width} set aside in {path.name}"
+            f"{self.width} set aside in {self._odd_writer.path.name}"
         )
 
     def _notice_silence(self, now: float) -> None:

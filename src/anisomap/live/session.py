@@ -1,7 +1,4 @@
-"""What each sensor reads now, on a scale from rest to its strongest reading.
-
-A live session: a source, its recording, and the maps that follow it.
-"""
+"""A live session: a source, its recording, and the maps that follow it."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,44 +19,10 @@ from anisomap.live.examination import Examination, ExaminationOptions
 from anisomap.live.quick_map import QuickMap
 from anisomap.live.recorder import Recorder, Segment
 from anisomap.live.saving import command_for
-from anisomap.live.session_maps import Arrivals, Note, SessionMaps
+from anisomap.live.session_maps import SessionMaps
 from anisomap.placement import Anchors
+from anisomap.sensor_map import SensorMap
 from anisomap.wording import printable
-
-
-class Levels:
-    """Levels of the sensors, renewed at each tick of a session.
-
-    values (N,): From 0 (at rest) to 1 (the strongest reading so far); empty before the first frame.
-    """
-
-    def __init__(self) -> None:
-        self.values: NDArray[np.float64] = np.empty(0)
-        self._first: NDArray[np.float64] | None = None
-
-    def restart(self) -> None:
-        """Forget the first frame, since other sensors follow."""
-        self._first = None
-
-    def renew(
-        self, parts: Sequence[NDArray[np.float64]], width: int, quick: QuickMap | None
-    ) -> None:
-        """Compute the deepest reading of each sensor among frames. parts (t, N)."""
-        parts = [part for part in parts if part.shape[1] == width]
-        if not parts:
-            return
-        readings = np.concatenate(parts)
-        if self._first is None or len(self._first) != width:
-            self._first = readings[0]
-        if quick is not None and len(quick.names) == width:
-            depth, full = quick.rest.depth(readings), quick.highest_depth
-        else:
-            depth = np.abs(readings - self._first)
-            full = np.nanmax(np.append(depth, 0.0))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            share = np.fmax.reduce(depth, axis=0) / np.where(full > 0, full, 1.0)
-        self.values = np.clip(np.nan_to_num(share), 0, 1)
-
 
 TICK_S = 0.04
 """Time between two states of the readings on the page: 25 per second."""
@@ -71,6 +34,58 @@ _MAX_NOTICES = 100
 _NOTICE_EVERY_S = 5.0  # for notices of one kind
 _KIND = 20  # first characters of a notice that tell its kind
 _STOP_S = 3.0  # for a source to end
+_STEP_S = 0.02  # between two entries of the arrivals
+_RATE_S = 3.0  # over which the rate is measured
+
+
+class Note(NamedTuple):
+    """A sentence for the user, and the time since the start of the session in seconds."""
+
+    seconds: float
+    text: str
+
+
+class Arrivals:
+    """When frames arrived, to tell the age of a map from its number of frames."""
+
+    def __init__(self) -> None:
+        self._counts: deque[tuple[int, float]] = deque(maxlen=20_000)
+
+    def add(self, n_frames: int, now: float) -> None:
+        """Note that there are `n_frames` frames at a time."""
+        if self._counts and now - self._counts[-1][1] < _STEP_S:
+            now = self._counts.pop()[1]
+        self._counts.append((n_frames, now))
+
+    def rate(self, now: float) -> float:
+        """Return the number of frames per second in the last seconds."""
+        recent = [entry for entry in list(self._counts) if now - entry[1] < _RATE_S]
+        if len(recent) < 2:
+            return 0.0
+        (before, begin), (after, end) = recent[0], recent[-1]
+        return (after - before) / (end - begin)
+
+    def time_of(self, n_frames: int) -> float | None:
+        """Return when the first frame arrived that is not among the first `n_frames`."""
+        return next((moment for count, moment in list(self._counts) if count > n_frames), None)
+
+
+def read_levels(
+    readings: NDArray[np.float64], first: NDArray[np.float64], quick: QuickMap | None
+) -> NDArray[np.float64]:
+    """Return the deepest reading of each sensor, from 0 (rest) to 1 (its strongest so far).
+
+    readings (t, N), first (N,) -> (N,). Without a quick map, depths are relative to the first
+    frame, and to the deepest reading of all sensors.
+    """
+    if quick is not None and len(quick.names) == len(first):
+        depth, full = quick.rest.depth(readings), quick.highest_depth
+    else:
+        depth = np.abs(readings - first)
+        full = np.nanmax(np.append(depth, 0.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.fmax.reduce(depth, axis=0) / np.where(full > 0, full, 1.0)
+    return np.asarray(np.clip(np.nan_to_num(share), 0, 1))
 
 
 class LiveSession:
@@ -82,7 +97,7 @@ class LiveSession:
     recording: File for the recording; must not exist.
     options: What maps are made with.
     maps: The maps so far.
-    levels: What the sensors read now.
+    levels (N,): What the sensors read now, from 0 to 1: see `read_levels`.
     anchors: Known positions of some sensors, by which saved maps are placed.
     ended, wanted_end: Set when the source has ended, and when the user has asked for the end.
     changed: Notified when `tick`, the number of states of the readings, or `map_number`, that of
@@ -100,7 +115,8 @@ class LiveSession:
         self.recorder = Recorder(recording, source.description, self.notify, self._begin_segment)
         self.recorder.names = source.names
         self.maps = SessionMaps(options, self.notify, self._announce, lambda: self.seconds)
-        self.levels = Levels()
+        self.levels = np.empty(0)
+        self._first: NDArray[np.float64] | None = None
         self.notices: deque[Note] = deque(maxlen=_MAX_NOTICES)
         self.failure: AnisomapError | None = None
         self.paused = False
@@ -206,8 +222,8 @@ class LiveSession:
             raise InputError(f"there is no sensor {printable(unknown[0])}")
         self.maps.change(replace(self.maps.options, drop=tuple(names)))
 
-    def declare_truth(self, truth: Any) -> None:
-        """Compare checked maps with true positions from now on, given as a SensorMap."""
+    def declare_truth(self, truth: SensorMap) -> None:
+        """Compare checked maps with true positions from now on."""
         self.maps.change(replace(self.maps.options, truth=truth))
         self.notify(f"maps are compared with the {truth.n_sensors} positions that were declared")
 
@@ -234,7 +250,7 @@ class LiveSession:
             self._announce()
 
     def _acquire(self) -> None:
-        if getattr(self.source, "can_wait", False):
+        if self.source.can_wait:
             while not (self.maps.ready.is_set() or self._stop.wait(TICK_S)):
                 pass
         try:
@@ -264,7 +280,7 @@ class LiveSession:
 
     def _begin_segment(self, segment: Segment) -> None:
         self._arrivals = Arrivals()
-        self.levels.restart()
+        self._first = None
         self.maps.begin(segment)
 
     def _keep_time(self) -> None:
@@ -277,7 +293,11 @@ class LiveSession:
                 self.notify(str(error))
                 self._stop.set()
             recent = self.recorder.recent()
-            self.levels.renew(recent, self.recorder.width, self.maps.quick)
+            if recent is not None:
+                first = self._first
+                if first is None or len(first) != recent.shape[1]:
+                    self._first = first = recent[0]
+                self.levels = read_levels(recent, first, self.maps.quick)
             if not self.paused:
                 self.maps.follow(self.recorder.n_frames)
             with self.changed:

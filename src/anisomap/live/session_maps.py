@@ -1,102 +1,41 @@
-"""What happened in a session so far: notices, verdicts, and when frames arrived.
-
-The maps of a session: when they are made, and what they show so far.
-"""
+"""The maps of a session: when they are made, and what they show so far."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from anisomap.diagnosis.parts import MIN_FRAMES
-from anisomap.dimensions import AUTO
+from anisomap.dimensions import AUTO, SPATIAL
 from anisomap.health import SensorHealth
 from anisomap.live.coach import confirmed_faults
 from anisomap.live.examination import Examination, ExaminationOptions
 from anisomap.live.quick_map import QuickMap
 from anisomap.live.recorder import Segment
-from anisomap.live.workers import Changed, Examine, Failed, Ready, Worker
+from anisomap.live.workers import Answer, Task, Worker
 from anisomap.usability import UNKNOWN
 
 MAX_CURVE = 500
 """Points of a curve over time; when there are more, every other one is left out."""
 
-_STEP_S = 0.02  # between two entries of the arrivals
-_RATE_S, _RATE_ENTRIES = 3.0, 200  # over which the rate is measured
-
-
-_Point = TypeVar("_Point")
-
-
-def thinned(curve: Sequence[_Point]) -> list[_Point]:
-    """Return the points of a curve, every other one if there are `MAX_CURVE` or more."""
-    return list(curve[::2] if len(curve) >= MAX_CURVE else curve)
-
-
-@dataclass(frozen=True)
-class Note:
-    """A sentence for the user.
-
-    seconds: Time since the start of the session.
-    """
-
-    seconds: float
-    text: str
-
-
-@dataclass(frozen=True)
-class Point:
-    """A point of the curves over time.
-
-    seconds: Time since the start of the session.
-    expected_error, error_against_truth: In spacings; NaN if unknown.
-    """
-
-    seconds: float
-    n_frames: int
-    expected_error: float
-    error_against_truth: float
-    level: str
-
-
-@dataclass
-class Arrivals:
-    """When frames arrived, to tell the age of a map from its number of frames."""
-
-    counts: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=20_000))
-
-    def add(self, n_frames: int, now: float) -> None:
-        """Note that there are `n_frames` frames at a time."""
-        if not self.counts or now - self.counts[-1][1] >= _STEP_S:
-            self.counts.append((n_frames, now))
-        else:
-            self.counts[-1] = (n_frames, self.counts[-1][1])
-
-    def rate(self, now: float) -> float:
-        """Return the number of frames per second in the last seconds."""
-        recent = [entry for entry in list(self.counts)[-_RATE_ENTRIES:] if now - entry[1] < _RATE_S]
-        if len(recent) < 2 or recent[-1][1] <= recent[0][1]:
-            return 0.0
-        return (recent[-1][0] - recent[0][0]) / (recent[-1][1] - recent[0][1])
-
-    def time_of(self, n_frames: int) -> float | None:
-        """Return when the first frame arrived that is not among the first `n_frames`."""
-        for count, moment in list(self.counts):
-            if count > n_frames:
-                return moment
-        return None
-
-
 _GROWTH = 1.15  # of the number of frames between two checked maps
 _NEARLY_ALL = 0.9  # of the sensors touched, for one checked map to suffice; chosen by hand
 _REASONS = {2: "the skin looks flat", 3: "the skin does not look flat"}
 _SHARE_S = 1.0  # between two points of the share of sensors touched
+
+_Point = TypeVar("_Point")
+
+
+class Errors(NamedTuple):
+    """Errors of a checked map in spacings, NaN if unknown, and the time since the start in s."""
+
+    seconds: float
+    expected: float
+    against_truth: float
 
 
 class SessionMaps:
@@ -124,13 +63,14 @@ class SessionMaps:
         self.quick: QuickMap | None = None
         self.checked: Examination | None = None
         self._previous: Examination | None = None
-        self.curve: list[Point] = []
+        self.curve: list[Errors] = []
         self.touched: list[tuple[float, float]] = []
         self.examining = False
         self.ready = threading.Event()
         self._notify, self._announce, self._clock = notify, announce, clock
         self._segment: Segment | None = None
         self._chosen = 0  # dimensions of the last checked map
+        self._dimensions = SPATIAL  # of quick maps, if the options leave it open
         self._has_changed = False
         self._final: Examination | None = None
         self._finished = threading.Event()
@@ -141,8 +81,6 @@ class SessionMaps:
         """Start the processes."""
         self._quick = Worker("quick", self._receive_quick)
         self._examiner = Worker("checked", self._receive_checked)
-        for worker in (self._quick, self._examiner):
-            worker.send(Changed(options=self.options))
 
     def close(self) -> None:
         """End the processes."""
@@ -200,20 +138,19 @@ class SessionMaps:
         self.quick = self.checked = self._previous = None
         self._chosen = 0
         self._examined_frames = 0
-        self._quick.send(Changed(segment=segment))
+        self._map_quickly()
 
     def change(self, options: ExaminationOptions) -> None:
         """Make maps with other options from now on."""
         self.options = options
-        for worker in (self._quick, self._examiner):
-            worker.send(Changed(options=options))
         self._examined_frames = 0
+        self._map_quickly()
 
     def follow(self, n_frames: int) -> None:
         """Ask for a checked map if it is time for one, and note the share of sensors touched."""
         now = self._clock()
         if not self.touched or now - self.touched[-1][0] >= _SHARE_S:
-            self.touched = [*thinned(self.touched), (now, self.share_touched)]
+            self.touched = [*_thinned(self.touched), (now, self.share_touched)]
         if self.examining or self._segment is None:
             return
         if n_frames < max(MIN_FRAMES, _GROWTH * self._examined_frames):
@@ -223,49 +160,46 @@ class SessionMaps:
         if time.monotonic() - self._examined_at < took:
             return
         self.examining, self._examined_frames = True, n_frames
-        self._examiner.send(Examine(self._segment, n_frames, final=False))
+        self._examiner.send(Task(self._segment, self.options, n_frames=n_frames))
 
     def finish(self, n_frames: int, timeout_s: float | None) -> Examination | None:
         """Make the map of all frames; see `LiveSession.finish`."""
         if self._segment is None:
             return None
         self._finished.clear()
-        self._examiner.send(Examine(self._segment, n_frames, final=True))
+        self._examiner.send(Task(self._segment, self.options, n_frames=n_frames, final=True))
         if not self._examiner.gone:
             self._finished.wait(timeout_s)
         return self._final
 
-    def _receive_quick(self, answer: Any) -> None:
+    def _map_quickly(self) -> None:
+        """Tell the worker what to map from now on."""
+        if self._segment is not None:
+            self._quick.send(Task(self._segment, self.options, self._dimensions))
+
+    def _receive_quick(self, answer: Answer) -> None:
         self.ready.set()
-        if isinstance(answer, Failed):
-            self._notify(answer.text)
-        elif not isinstance(answer, Ready) and self._is_current(answer[0]):
-            self.quick = answer[1]
+        if answer.problem:
+            self._notify(answer.problem)
+        if isinstance(answer.found, QuickMap) and self._is_current(answer.number):
+            self.quick = answer.found
             self._announce()
 
-    def _receive_checked(self, answer: Any) -> None:
-        if isinstance(answer, Ready):
+    def _receive_checked(self, answer: Answer) -> None:
+        if answer == Answer():
             return
         self.examining, self._examined_at = False, time.monotonic()
-        if isinstance(answer, Failed):
-            self._notify(answer.text)
+        if answer.problem:
+            self._notify(answer.problem)
             if answer.final:
                 self._finished.set()
-        elif self._is_current(answer[0]):
-            self._show(answer[1])
+        elif isinstance(answer.found, Examination) and self._is_current(answer.number):
+            self._show(answer.found)
 
     def _show(self, found: Examination) -> None:
         self._previous, self.checked = self.checked, found
-        self.curve = [
-            *thinned(self.curve),
-            Point(
-                self._clock(),
-                found.n_frames,
-                found.verdict.expected_error,
-                found.error_against_truth,
-                found.verdict.level,
-            ),
-        ]
+        errors = Errors(self._clock(), found.verdict.expected_error, found.error_against_truth)
+        self.curve = [*_thinned(self.curve), errors]
         if self.options.dimensions == AUTO and found.sensor_map is not None:
             self._choose(found.sensor_map.dimensions)
         self._announce()
@@ -286,7 +220,13 @@ class SessionMaps:
         if agree or first:
             self._has_changed = True
             self._notify(f"{_REASONS[dimensions]}: maps have {dimensions} dimensions from now on")
-            self._quick.send(Changed(dimensions=dimensions))
+            self._dimensions = dimensions
+            self._map_quickly()
 
     def _is_current(self, number: int) -> bool:
         return self._segment is not None and number == self._segment.number
+
+
+def _thinned(curve: Sequence[_Point]) -> list[_Point]:
+    """Return the points of a curve, every other one if there are `MAX_CURVE` or more."""
+    return list(curve[::2] if len(curve) >= MAX_CURVE else curve)

@@ -14,13 +14,14 @@ from anisomap.live.examination import Examination
 from anisomap.live.quick_map import QuickMap, turned_onto
 from anisomap.live.session import LiveSession
 from anisomap.numerics.procrustes import fit_similarity
+from anisomap.sensor_map import SensorMap
 
 _DIGITS = 3  # of seconds and errors
 
 
 def readings_snapshot(session: LiveSession) -> dict[str, Any]:
     """Return what changes with every frame: counts, and the readings from 0 to 255."""
-    levels = np.round(255 * session.levels.values).astype(np.uint8)
+    levels = np.round(255 * session.levels).astype(np.uint8)
     return {
         "frames": session.recorder.n_frames,
         "seconds": round(session.seconds, _DIGITS),
@@ -87,11 +88,11 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "dropped": list(session.maps.options.drop),
         "curve": [
             [
-                round(point.seconds, _DIGITS),
-                _finite(point.expected_error),
-                _finite(point.error_against_truth),
+                round(errors.seconds, _DIGITS),
+                _finite(errors.expected),
+                _finite(errors.against_truth),
             ]
-            for point in session.maps.curve
+            for errors in session.maps.curve
         ],
         "touched": [
             [round(seconds, 1), round(share, _DIGITS)] for seconds, share in session.maps.touched
@@ -104,24 +105,25 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
     }
 
 
+def _in_order(made: SensorMap, values: NDArray[np.float64], quick: QuickMap) -> NDArray[np.float64]:
+    """Return values of the largest component by the sensors of the quick map, NaN for others."""
+    own = {made.names[i]: values[i] for i in np.flatnonzero(made.component == 0)}
+    unknown = np.full(values.shape[1:], np.nan)
+    return np.array([own.get(name, unknown) for name in quick.names])
+
+
 def _checked_positions(checked: Examination | None, quick: QuickMap) -> NDArray[np.float64] | None:
     """Return the checked map in the frame of the quick one, by the names of the sensors."""
     if checked is None or checked.sensor_map is None:
         return None
-    made = checked.sensor_map
-    row = {name: i for i, name in enumerate(quick.names)}
-    found = np.full((len(quick.names), made.dimensions), np.nan)
-    largest = np.flatnonzero(made.component == 0)
-    for i in largest:
-        if made.names[i] in row:
-            found[row[made.names[i]]] = made.positions[i]
-    if made.dimensions != quick.positions.shape[1]:
-        return turned_onto(found, None) if np.isfinite(found).any() else None
-    shared = np.isfinite(found).all(axis=1) & np.isfinite(quick.positions).all(axis=1)
-    if np.count_nonzero(shared) <= made.dimensions:
+    found = _in_order(checked.sensor_map, checked.sensor_map.positions, quick)
+    placed = np.isfinite(found).all(axis=1)
+    if found.shape[1] != quick.positions.shape[1]:
+        return turned_onto(found, None) if placed.any() else None
+    shared = placed & np.isfinite(quick.positions).all(axis=1)
+    if np.count_nonzero(shared) <= found.shape[1]:
         return None
-    fit = fit_similarity(found[shared], quick.positions[shared])
-    return fit.apply(found)
+    return fit_similarity(found[shared], quick.positions[shared]).apply(found)
 
 
 def _doubt(quick: QuickMap) -> NDArray[np.float64]:
@@ -138,13 +140,10 @@ def _checked_doubt(checked: Examination | None, quick: QuickMap) -> NDArray[np.f
     made = None if checked is None else checked.sensor_map
     if made is None or made.covariances is None or np.count_nonzero(made.component == 0) < 2:
         return doubt
-    row = {name: i for i, name in enumerate(quick.names)}
     spacing = median_spacing(made.positions[made.component == 0])
     spread = np.sqrt(np.trace(made.covariances, axis1=1, axis2=2)) / (spacing or 1.0)
-    for name, value in zip(made.names, spread, strict=True):
-        if name in row and np.isfinite(value):
-            doubt[row[name]] = min(value, 1.0)
-    return doubt
+    found = _in_order(made, spread, quick)
+    return np.where(np.isfinite(found), np.minimum(found, 1.0), doubt)
 
 
 def _encoded(array: NDArray[Any]) -> str:

@@ -1,11 +1,4 @@
-"""Connections of sources: made again when they are lost, and read in chunks.
-
-Frames as lines of text: numbers, delimited text, or JSON.
-
-Lines of text from standard input, TCP and UDP.
-
-Lines of text from a serial port, with pyserial.
-"""
+"""Frames as lines of text: from standard input, TCP, UDP and serial ports."""
 
 from __future__ import annotations
 
@@ -14,81 +7,32 @@ import math
 import os
 import queue
 import re
-import select
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, closing, suppress
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from functools import partial
 from threading import Event
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
 from anisomap.errors import InputError, import_extra
-from anisomap.live.batches import WAIT_S, Batch, Item, Names, Notice
-from anisomap.sensor_map import SensorMap
-
-RETRY_S = 1.0
-"""Time in seconds between two attempts to connect."""
+from anisomap.live.batches import (
+    RETRY_S,
+    WAIT_S,
+    Address,
+    Batch,
+    ConnectedSource,
+    Item,
+    Names,
+    Notice,
+    Source,
+)
 
 READ_BYTES = 1 << 16
 """Number of bytes that are read at once."""
-
-_Connection = TypeVar("_Connection")
-
-
-def stay_connected(
-    description: str,
-    connect: Callable[[], AbstractContextManager[_Connection]],
-    receive: Callable[[_Connection, Event], Iterator[Item]],
-    stop: Event,
-    lost: tuple[type[Exception], ...] = (OSError,),
-) -> Iterator[Item]:
-    """Iterate over the items of one connection after another until `stop` is set."""
-    told = False
-    while not stop.is_set():
-        try:
-            opened = connect()
-        except lost as error:
-            if not told:
-                reason = getattr(error, "strerror", None) or error
-                yield Notice(f"cannot connect to {description} ({reason}); still trying")
-            told = True
-            stop.wait(RETRY_S)
-            continue
-        told = False
-        yield Notice(f"connected to {description}")
-        with opened as connection:
-            items = receive(connection, stop)
-            while True:
-                # Only errors of the source are caught, not those of the code that takes its items.
-                try:
-                    item = next(items)
-                except (StopIteration, *lost):  # type: ignore[misc]
-                    break
-                yield item
-        if not stop.is_set():
-            yield Notice(f"lost the connection to {description}; connecting again")
-            stop.wait(WAIT_S)
-
-
-def chunks_of(connection: socket.socket, stop: Event) -> Iterator[bytes]:
-    """Iterate over what a socket receives, until its end or until `stop` is set."""
-    connection.settimeout(WAIT_S)
-    while not stop.is_set():
-        try:
-            content = connection.recv(READ_BYTES)
-        except TimeoutError:
-            continue
-        except OSError:
-            return
-        if not content:
-            return
-        yield content
-
 
 MAX_LINE = 1 << 22
 """Bytes; a longer line is no frame. A frame of 100,000 sensors in JSON has fewer."""
@@ -97,6 +41,8 @@ _MIN_SENSORS = 2
 _MISSING = frozenset({"", "nan", "null", "none", "na", "-"})
 _TIMES = frozenset({"t", "time", "time_s", "timestamp", "stamp"})
 _SHOWN = 40  # characters of a line in a notice
+_RECEIVE_BUFFER = 1 << 22  # of datagrams, which the system drops when it is full
+_BAUD = "115200"
 
 _Frame: TypeAlias = tuple[float | None, list[float]]
 
@@ -110,10 +56,10 @@ class LineParser:
     seconds (``t``, ``time`` or ``timestamp``). A first line of text names the sensors; a column
     ``time`` among them holds the times. Empty fields, ``nan`` and ``null`` are missing readings.
 
-    n_rejected: Number of lines that are no frame.
+    translate: Turns a line of another format into one of these; empty if it holds no frame.
     """
 
-    n_rejected: int = 0
+    translate: Callable[[str], str] = str
     _rest: bytearray = field(default_factory=bytearray)
     _names: tuple[str, ...] = ()
     _time_column: int | None = None
@@ -157,15 +103,15 @@ class LineParser:
         for line in lines:
             if self._overlong:  # the end of a line of which the beginning was discarded
                 self._overlong = False
-                yield self._reject(f"a line of more than {MAX_LINE} bytes")
+                yield _rejected(f"a line of more than {MAX_LINE} bytes")
                 continue
-            text = line.decode("utf-8", "replace").strip()
+            text = self.translate(line.decode("utf-8", "replace").strip())
             if not text or text.startswith("#"):
                 continue
             try:
                 found = self._parse(text)
             except (ValueError, OverflowError, RecursionError):
-                yield self._reject(repr(text[:_SHOWN]))
+                yield _rejected(repr(text[:_SHOWN]))
                 continue
             if self._untold:
                 self._untold = False
@@ -219,9 +165,9 @@ class LineParser:
         self._time_column, self._untold = clock, True
         self._names = tuple(name for i, name in enumerate(fields) if i != clock)
 
-    def _reject(self, what: str) -> Notice:
-        self.n_rejected += 1
-        return Notice(f"ignored a line that holds no frame of numbers: {what}")
+
+def _rejected(what: str) -> Notice:
+    return Notice(f"ignored a line that holds no frame of numbers: {what}")
 
 
 def _split(text: str) -> list[str]:
@@ -257,59 +203,47 @@ def _batch(rows: list[list[float]], times: list[float]) -> Batch:
     return Batch(np.array(rows), np.array(times) if times else None)
 
 
-_RECEIVE_BUFFER = 1 << 22  # of datagrams, which the system drops when it is full
-
-
-class _Lines:
-    """Common attributes of sources of lines."""
-
-    def __init__(self, description: str) -> None:
-        self.description = description
-        self.names: tuple[str, ...] = ()
-        self.truth: SensorMap | None = None
-
-
-class StandardInput(_Lines):
+class StandardInput(Source):
     """Lines from standard input, until its end."""
 
-    def __init__(self) -> None:
+    def __init__(self, _: Address) -> None:
         super().__init__("standard input")
 
     def items(self, stop: Event) -> Iterator[Item]:
         """Iterate over the frames."""
         parser = LineParser()
-        for content in _chunks_of_stdin(stop):
+        for content in _read_input(stop):
             yield from parser.feed(content)
         yield from parser.feed(b"", complete=True)
         if not stop.is_set():
             yield Notice("standard input has ended")
 
 
-class TcpClient(_Lines):
-    """Lines from a server, to which the connection is made again when it is lost."""
+class TcpClient(ConnectedSource):
+    """Lines from a server."""
 
-    def __init__(self, host: str, port: int) -> None:
-        super().__init__(f"tcp://{host}:{port}")
-        self._address = (host, port)
+    def __init__(self, address: Address) -> None:
+        super().__init__(f"tcp://{address.endpoint}")
+        self._endpoint = (address.host, address.port)
 
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames, of one connection after another."""
-        connect = partial(socket.create_connection, self._address, timeout=RETRY_S)
-        yield from stay_connected(self.description, connect, _received, stop)
+    def connect(self) -> socket.socket:
+        """Connect to the server."""
+        return socket.create_connection(self._endpoint, RETRY_S)
+
+    def receive(self, connection: socket.socket, stop: Event) -> Iterator[Item]:
+        """Iterate over the frames; a cut last line is dropped."""
+        yield from received(connection, LineParser(), stop)
 
 
-class _Listener(_Lines):
-    """A port of this computer, bound when the source is made.
-
-    port: 0 for any free port; the notice names it.
-    """
+class _Listener(Source):
+    """A port of this computer, opened when the source is made; for port 0, the notice names it."""
 
     _scheme: ClassVar[str]
     _kind: ClassVar[socket.SocketKind]
 
-    def __init__(self, host: str, port: int) -> None:
-        super().__init__(f"{self._scheme}://{host}:{port}")
-        self._socket = _bound(self._kind, host, port)
+    def __init__(self, address: Address) -> None:
+        super().__init__(f"{self._scheme}://{address.endpoint}")
+        self._socket = _listening(self._kind, address.host, address.port)
         self._socket.settimeout(WAIT_S)
         self.port = int(self._socket.getsockname()[1])
 
@@ -322,7 +256,6 @@ class TcpServer(_Listener):
     def items(self, stop: Event) -> Iterator[Item]:
         """Iterate over the frames, of one client after another."""
         with closing(self._socket) as server:
-            server.listen(1)
             yield Notice(f"waiting for a connection on port {self.port}")
             while not stop.is_set():
                 try:
@@ -331,7 +264,7 @@ class TcpServer(_Listener):
                     continue
                 yield Notice(f"{peer[0]} connected")
                 with closing(connection):
-                    yield from _received(connection, stop)
+                    yield from received(connection, LineParser(), stop)
                 if not stop.is_set():
                     yield Notice(f"{peer[0]} closed the connection; waiting for the next")
 
@@ -353,14 +286,65 @@ class Udp(_Listener):
                     yield from parser.feed(receiver.recv(READ_BYTES), complete=True)
 
 
-def _bound(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
-    """Bind a socket, so that a port in use is reported before the session starts."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    made = socket.socket(family, kind)
+class SerialPort(ConnectedSource):
+    """A serial port, which is opened again when it was unplugged.
+
+    Its option ``baud`` is the number of symbols per second.
+    """
+
+    lost = (OSError, TypeError)  # TypeError: pyserial, if the port is closed meanwhile
+
+    def __init__(self, address: Address) -> None:
+        self._device = address.parts.netloc or address.parts.path
+        super().__init__(f"serial port {self._device}")
+        self._serial = import_extra("serial", "reading a serial port", "serial")
+        baud = address.query.get("baud", _BAUD)
+        if not baud.isdecimal() or int(baud) < 1:
+            raise InputError(f"baud must be a number of symbols per second, got {baud!r}")
+        self._baud = int(baud)
+        self._opened: Any = None
+        try:
+            self._opened = self.connect()
+        except (OSError, ValueError) as error:  # SerialException is an OSError
+            raise InputError(f"cannot open {self.description}: {error}") from error
+
+    def connect(self) -> Any:
+        """Open the port, unless it was opened when the source was made."""
+        opened, self._opened = self._opened, None
+        return opened or self._serial.Serial(self._device, self._baud, timeout=WAIT_S)
+
+    def receive(self, connection: Any, stop: Event) -> Iterator[Item]:
+        """Iterate over the frames."""
+        parser = LineParser()
+        while not stop.is_set():
+            n_bytes = max(1, min(connection.in_waiting, READ_BYTES))
+            yield from parser.feed(connection.read(n_bytes))
+
+
+def received(connection: socket.socket, parser: LineParser, stop: Event) -> Iterator[Item]:
+    """Parse what a socket receives, until its end or until `stop` is set."""
+    connection.settimeout(WAIT_S)
+    while not stop.is_set():
+        try:
+            content = connection.recv(READ_BYTES)
+        except TimeoutError:
+            continue
+        except OSError:
+            return
+        if not content:
+            return
+        yield from parser.feed(content)
+
+
+def _listening(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
+    """Open a port, so that one in use is reported before the session starts."""
+    made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, kind)
     try:
         if kind == socket.SOCK_STREAM and os.name == "posix":
             made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         made.bind((host, port))
+        if kind == socket.SOCK_STREAM:  # until a socket listens, others can be bound to its port
+            made.listen(1)
     except (OSError, OverflowError) as error:
         made.close()
         reason = getattr(error, "strerror", None) or error
@@ -368,31 +352,14 @@ def _bound(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
     return made
 
 
-def _received(connection: socket.socket, stop: Event) -> Iterator[Item]:
-    """Parse what a connection sends until it ends; a cut last line is dropped."""
-    parser = LineParser()
-    for content in chunks_of(connection, stop):
-        yield from parser.feed(content)
-
-
-def _chunks_of_stdin(stop: Event) -> Iterator[bytes]:
-    """Read standard input without waiting longer than `WAIT_S` before `stop` is looked at."""
-    descriptor = sys.stdin.fileno()
-    if os.name == "posix":
-        while not stop.is_set():
-            if select.select([descriptor], [], [], WAIT_S)[0]:
-                content = os.read(descriptor, READ_BYTES)
-                if not content:
-                    return
-                yield content
-        return
-    # Windows cannot wait for a pipe: a thread reads it, and ends with the process.
+def _read_input(stop: Event) -> Iterator[bytes]:
+    """Read standard input in a thread, which ends with the process: not all systems can wait."""
     held: queue.Queue[bytes] = queue.Queue(maxsize=16)
 
     def read() -> None:
         content = b"-"
         while content:
-            content = os.read(descriptor, READ_BYTES)
+            content = os.read(sys.stdin.fileno(), READ_BYTES)
             held.put(content)
 
     threading.Thread(target=read, daemon=True).start()
@@ -402,56 +369,3 @@ def _chunks_of_stdin(stop: Event) -> Iterator[bytes]:
             if not content:
                 return
             yield content
-
-
-EXTRA = "serial"
-
-_BAUD = 115_200
-_RETRY_S = 1.0  # between two attempts to open a port that was unplugged
-_READ_BYTES = 1 << 16
-
-
-class SerialPort:
-    """A serial port, which is opened again when it was unplugged.
-
-    device: Such as ``/dev/ttyUSB0``; on Windows ``COM3``.
-    query: ``baud``: symbols per second, 115200 by default.
-    """
-
-    def __init__(self, device: str, query: Mapping[str, str]) -> None:
-        self.description = f"serial port {device}"
-        self.names: tuple[str, ...] = ()
-        self.truth: SensorMap | None = None
-        self._serial = import_extra("serial", "reading a serial port", EXTRA)
-        self._device, baud = device, query.get("baud", str(_BAUD))
-        if not baud.isdecimal() or int(baud) < 1:
-            raise InputError(f"baud must be a number of symbols per second, got {baud!r}")
-        self._baud = int(baud)
-        try:
-            self._port = self._open()
-        except (OSError, ValueError) as error:  # SerialException is an OSError
-            raise InputError(f"cannot open {self.description}: {error}") from error
-
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames."""
-        port, parser = self._port, LineParser()
-        while not stop.is_set():
-            try:
-                if port is None:
-                    port = self._open()
-                    parser = LineParser()
-                    yield Notice(f"{self.description} is open again")
-                content = port.read(max(1, min(port.in_waiting, _READ_BYTES)))
-            except (OSError, TypeError):  # TypeError: pyserial, if the port is closed meanwhile
-                if port is not None:
-                    port.close()
-                    port = None
-                    yield Notice(f"lost {self.description}; opening it again")
-                stop.wait(_RETRY_S)
-                continue
-            yield from parser.feed(content)
-        if port is not None:
-            port.close()
-
-    def _open(self) -> Any:
-        return self._serial.Serial(self._device, self._baud, timeout=WAIT_S)

@@ -1,7 +1,4 @@
-"""Sources that need no skin: a recording that is replayed, and a simulated hand on a body.
-
-A simulated hand that rubs a simulated body: the demonstration that needs no robot.
-"""
+"""Sources that need no skin: a recording that is replayed, and a simulated hand on a body."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from numpy.typing import NDArray
 
 from anisomap import io
 from anisomap.io.stream import Block
-from anisomap.live.batches import WAIT_S, Batch, Item, Notice
+from anisomap.live.batches import Batch, Item, Notice, Source
 from anisomap.recording import default_names
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation.bodies import Body
@@ -26,11 +23,16 @@ from anisomap.simulation.rubbing import GuidedHand, RubbingOptions
 DEFAULT_RATE_HZ = 50.0
 """Rate of recordings that state none; that of the iCub's skin."""
 
+BOUT_FRAMES = 40
+"""Frames for which the hand rubs one place: 2 s, in which a person looks at the page again."""
+
+Advised: TypeAlias = tuple[Sequence[int], NDArray[np.intp] | None]
+
 _BATCH_S = 0.05  # longest time between two batches, so that the page moves smoothly
 _MAX_BATCH = 512
 
 
-class Replay:
+class Replay(Source):
     """A recording that is replayed at its rate, or faster.
 
     path: Any recording that `anisomap.read` reads. It is read in blocks.
@@ -42,14 +44,13 @@ class Replay:
     def __init__(
         self, path: Path, speed: float = 1.0, options: io.ReadOptions | None = None
     ) -> None:
+        super().__init__(f"replay of {path.name}")
         self._path, self._speed, self._options = path, speed, options or io.ReadOptions()
         with io.open_stream(path, frames=1, options=self._options) as stream:
             self.names = stream.names or default_names(stream.n_sensors)
-            self.truth = None
             if stream.positions is not None:
                 self.truth = SensorMap(stream.positions, names=self.names, units=stream.units)
             self._rate_hz = stream.rate_hz
-        self.description = f"replay of {path.name}"
 
     def items(self, stop: Event) -> Iterator[Item]:
         """Iterate over the frames, at the pace of the recording."""
@@ -62,10 +63,7 @@ class Replay:
                 clock = float(times[-1]) + 1 / rate
                 for at, until in self._parts(times):
                     due = started + (times[until - 1] / self._speed if self._speed else 0.0)
-                    while (left := due - time.monotonic()) > 0:
-                        if stop.wait(min(left, WAIT_S)):
-                            return
-                    if stop.is_set():
+                    if stop.wait(max(0.0, due - time.monotonic())):
                         return
                     readings = np.asarray(block.readings[at:until], dtype=np.float64)
                     yield Batch(readings, times[at:until])
@@ -90,18 +88,7 @@ def _times(block: Block, begin: float, step: float) -> NDArray[np.float64]:
     return np.asarray(begin + step * np.arange(len(block.readings)), dtype=np.float64)
 
 
-BOUT_FRAMES = 40
-"""Frames for which the hand rubs one place: 2 s, in which a person looks at the page again."""
-
-
-Advised: TypeAlias = tuple[Sequence[int], NDArray[np.intp] | None]
-
-
-def _nowhere() -> Advised:
-    return (), None
-
-
-class SimulatedHand:
+class SimulatedHand(Source):
     """A palm on a body. It asks before each bout where to rub.
 
     speed: Multiple of the speed of a human hand, about 20 frames per second; 0 for as fast as
@@ -114,10 +101,10 @@ class SimulatedHand:
     can_wait = True
 
     def __init__(self, body: Body, seed: int = 1, speed: float = 1.0, max_frames: int = 0) -> None:
+        super().__init__(f"simulated hand on {body.name}, seed {seed}")
         self.names = body.names
-        self.truth: SensorMap | None = SensorMap(body.positions, names=body.names, units=body.units)
-        self.description = f"simulated hand on {body.name}, seed {seed}"
-        self.where: Callable[[], Advised] = _nowhere
+        self.truth = SensorMap(body.positions, names=body.names, units=body.units)
+        self.where: Callable[[], Advised] = lambda: ((), None)
         self._options = options_for(RubbingOptions, body)
         self._hand = GuidedHand(body, self._options, np.random.default_rng(seed))
         self._speed, self._max_frames = speed, max_frames
@@ -128,11 +115,10 @@ class SimulatedHand:
         while not stop.is_set():
             for row in self._hand.rub(BOUT_FRAMES, *self.where()):
                 due = started + (n_frames * interval / self._speed if self._speed else 0)
-                while (left := due - time.monotonic()) > 0:
-                    if stop.wait(min(left, WAIT_S)):
-                        return
+                if stop.wait(max(0.0, due - time.monotonic())):
+                    return
                 times = np.array([n_frames * interval])
                 yield Batch(row[None].astype(np.float64), times)
                 n_frames += 1
-                if n_frames == self._max_frames or stop.is_set():
+                if n_frames == self._max_frames:
                     return
