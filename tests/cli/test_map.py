@@ -70,8 +70,16 @@ def test_a_map_without_an_output_and_a_verdict(run_map, skin_csv, tmp_path):
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_runs_from_the_command_line(run_map, method):
     anisomap.write(flat_skin(n_frames=400), "skin.npz")
-    assert run_map("skin.npz", "-m", method, "-o", "m.csv").code == 0
-    assert anisomap.read_map("m.csv").method == method
+    done = run_map("skin.npz", "-m", method, "-o", "m.csv")
+    assert done.code == 0
+    found = anisomap.read_map("m.csv")
+    assert found.method == method
+    steps = [
+        name for name in METHODS[method].refinements if f"weight_of_{name}" in found.provenance
+    ]
+    said = re.search("refined by +(.*)", done.out)
+    told = re.sub(r" \(\.\d\d\)", "", said.group(1)).strip() if said else ""
+    assert told == ", ".join(steps)
 
 
 def test_sensors_are_dropped_from_the_map_or_excluded_from_the_score(run_map, skin_csv, truth_csv):

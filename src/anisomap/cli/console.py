@@ -48,6 +48,8 @@ class _Terminal(Console):
             super().__exit__(*raised)
         except OSError as error:
             _discard(self.file)
+            self.begin_capture()
+            self.end_capture()  # forgets the text that was not written
             raise FileError(f"cannot write to standard output: {error.strerror}") from error
 
     def on_broken_pipe(self) -> None:
