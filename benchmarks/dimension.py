@@ -39,7 +39,7 @@ class Row:
     true: Dimensions that the true positions span.
     chosen: Dimensions of the map.
     outcome: One of `OUTCOMES`; "not clear" if the map has a note that says so.
-    elbow_2, elbow_3: See `anisomap.numerics.scaling.dimension.DimensionChoice.elbow`.
+    elbow_2, elbow_3: See `DimensionChoice.elbow`.
     """
 
     body: str

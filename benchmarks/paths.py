@@ -15,7 +15,7 @@ from scipy.spatial.distance import pdist
 from sklearn import manifold
 
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.classical import torgerson
+from anisomap.numerics.scaling.multidimensional_scaling import torgerson
 from benchmarks.comparison import (
     MIN_GOAL_SENSORS,
     Comparison,

@@ -13,9 +13,13 @@ from scipy.spatial.distance import cdist, pdist, squareform
 from sklearn.manifold import smacof as sklearn_smacof
 
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.classical import torgerson
-from anisomap.numerics.scaling.stress import Problem, objective
-from anisomap.numerics.scaling.stress_minimisation import Scaling, SmacofOptions, smacof
+from anisomap.numerics.scaling.multidimensional_scaling import (
+    Scaling,
+    SmacofOptions,
+    smacof,
+    torgerson,
+)
+from anisomap.numerics.scaling.stress_solvers import Problem, objective
 from benchmarks.comparison import Comparison, Reference, Setting, describe_share
 from benchmarks.inputs import flat_skin, round_skin
 from benchmarks.measuring import Cost, measure_on_one_thread

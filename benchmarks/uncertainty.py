@@ -28,7 +28,7 @@ from anisomap.diagnosis.diagnostics import estimate_uncertainty
 from anisomap.evaluation import median_spacing
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.split_half import split_blocks
-from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from anisomap.numerics.similarity.correlation import pearson
 from benchmarks.harness import files_in, heading, line, options, quietly, write_rows
 

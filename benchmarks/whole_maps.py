@@ -15,8 +15,7 @@ from sklearn.manifold import MDS, Isomap
 from anisomap import AnisomapWarning, Recording, SensorMap, reconstruct, reconstruct_from
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.classical import torgerson
-from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 from anisomap.numerics.similarity.binning import DEFAULT_BINS, maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.information import mutual_information

@@ -21,7 +21,7 @@ import numpy as np
 from anisomap import io
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.large.checkpoints import Checkpoint
-from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.correlation import Moments
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation.bodies.imported import MESH_SUFFIXES, MODEL_SUFFIXES

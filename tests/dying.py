@@ -7,7 +7,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_info
 
-from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.correlation import Moments
 
 KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows has only the latter, which is as final
 

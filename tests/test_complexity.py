@@ -5,9 +5,8 @@ import pytest
 from benchmarks.inputs import flat_skin, rubbed_skin
 from benchmarks.tables import growth_exponent
 
-from anisomap.numerics.graph import shortest_paths
-from anisomap.numerics.scaling.classical import torgerson
-from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.graph import metric as shortest_paths
+from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 from anisomap.numerics.similarity import co_occurrence
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 

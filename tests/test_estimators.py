@@ -72,7 +72,7 @@ def test_partial_fit_notes_limitations_of_the_default_method(mapper):
 
 
 def test_partial_fit_warns_of_rounded_values(monkeypatch):
-    monkeypatch.setattr("anisomap.numerics.similarity.joint_values.MAX_SERIES", 42 * 50)
+    monkeypatch.setattr("anisomap.numerics.similarity.information.MAX_SERIES", 42 * 50)
     parts = SensorMapper(n_components=2, method="i-anisomap")
     with pytest.warns(AnisomapWarning, match="more than 50 distinct values"):
         parts.partial_fit(SKIN.readings)

@@ -26,7 +26,7 @@ from anisomap.evaluation import (
     shift_test,
     stress_per_point,
 )
-from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from skins import flat_skin, lattice
 
 seeds = st.integers(0, 10_000)

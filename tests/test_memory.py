@@ -11,7 +11,7 @@ from anisomap.large.chunked_similarity import CHUNKED
 from anisomap.large.map_reduce import WorkerPool
 from anisomap.large.streaming import reconstruct_chunks
 from anisomap.memory import check_pair_memory, physical_memory
-from anisomap.numerics.similarity.value_counts import ValueCounts
+from anisomap.numerics.similarity.binning import ValueCounts
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
 from anisomap.methods import METHODS
 from anisomap.numerics.contacts import ContactOptions
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.options import MethodOptions
 from skins import flat_skin, lattice, mantel_r, stages
 

@@ -13,7 +13,7 @@ from anisomap import MethodOptions, Recording, diagnose, reconstruct, reconstruc
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.methods import METHODS
 from anisomap.numerics.contacts import ContactOptions
-from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from anisomap.refinements.chain import EXACT, Proposal, refine
 from anisomap.refinements.covariogram import by_covariogram
 from anisomap.refinements.heights import by_heights

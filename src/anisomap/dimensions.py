@@ -9,7 +9,7 @@ import numpy as np
 
 from anisomap.errors import InputError
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.scaling.dimension import DimensionChoice, choose_dimensions
+from anisomap.numerics.scaling.multidimensional_scaling import DimensionChoice, choose_dimensions
 from anisomap.recording import Scalar
 
 AUTO: Literal["auto"] = "auto"

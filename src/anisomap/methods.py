@@ -20,16 +20,16 @@ import numpy as np
 from anisomap.errors import InputError
 from anisomap.evidence import PairStatistics
 from anisomap.numerics.contacts.contact_agreement import shows_single_contacts
-from anisomap.numerics.graph.connectivity import (
-    neighbour_graph,
-    smallest_connected_neighbour_graph,
-)
 from anisomap.numerics.graph.dissimilarity import (
     direct_dissimilarity,
     information_distance,
     regularised_reciprocal,
 )
 from anisomap.numerics.graph.metric import metricise
+from anisomap.numerics.graph.neighbour_graphs import (
+    neighbour_graph,
+    smallest_connected_neighbour_graph,
+)
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.significance import remove_insignificant_links
 from anisomap.options import MethodOptions

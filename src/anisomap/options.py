@@ -9,7 +9,7 @@ import numpy as np
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 
 

@@ -12,9 +12,9 @@ from scipy.spatial.distance import cdist
 
 from anisomap.dimensions import DimensionPlan
 from anisomap.evidence import PairStatistics
-from anisomap.numerics.graph.connectivity import components
+from anisomap.numerics.graph.neighbour_graphs import components
 from anisomap.numerics.precision import Reals, row_blocks
-from anisomap.numerics.scaling.stress_minimisation import Scaling, SmacofOptions, smacof
+from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
 from anisomap.options import MethodOptions
 from anisomap.refinements.chain import RefinedMap, Step, refine
 

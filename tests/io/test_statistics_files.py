@@ -5,7 +5,7 @@ import pytest
 
 from anisomap import Recording, io
 from anisomap.errors import FileError
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.options import MethodOptions
 from anisomap.tracking import gather_evidence
 from skins import lattice, rubbed

@@ -17,7 +17,7 @@ from anisomap.errors import FileError
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.map_reduce import map_reduce
 from anisomap.large.streaming import stream_similarity
-from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.correlation import Moments
 from anisomap.options import MethodOptions
 from dying import PowerCutError, failing
 from skins import flat_skin
@@ -32,7 +32,7 @@ from pathlib import Path
 import numpy as np
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.map_reduce import map_reduce
-from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.correlation import Moments
 
 folder = Path(sys.argv[1])
 parts = np.split(np.load(folder / "readings.npy"), 60)

@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from anisomap.evidence import SIMILARITIES
 from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
-from anisomap.numerics.similarity import co_occurrence, joint_values, value_counts
-from anisomap.numerics.similarity.accumulators import StoredCodes
-from anisomap.numerics.similarity.joint_values import JointValues
-from anisomap.numerics.similarity.value_counts import ValueCounts
+from anisomap.numerics.similarity import binning as value_counts
+from anisomap.numerics.similarity import co_occurrence
+from anisomap.numerics.similarity import information as joint_values
+from anisomap.numerics.similarity.binning import ValueCounts
+from anisomap.numerics.similarity.correlation import StoredCodes
+from anisomap.numerics.similarity.information import JointValues
 
 BINS = 4
 rows = st.lists(st.integers(1, 299), max_size=4, unique=True).map(sorted)

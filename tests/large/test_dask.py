@@ -13,7 +13,7 @@ import pytest
 from anisomap.errors import InputError
 from anisomap.large import map_reduce as mapping
 from anisomap.large.map_reduce import WorkerPool, map_reduce
-from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.correlation import Moments
 from dying import Killing
 
 distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")

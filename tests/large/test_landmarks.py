@@ -32,9 +32,9 @@ from anisomap.large.sketch import (
     pairs_of,
 )
 from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
-from anisomap.numerics.similarity import search
-from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
+from anisomap.numerics.graph import neighbour_graphs as search
+from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from skins import lattice, rubbed
 
 RNG = np.random.default_rng

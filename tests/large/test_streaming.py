@@ -16,8 +16,8 @@ from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.map_reduce import WorkerPool, map_reduce
 from anisomap.large.streaming import reconstruct_chunks
 from anisomap.methods import METHODS
-from anisomap.numerics.similarity.accumulators import Moments
-from anisomap.numerics.similarity.joint_values import JointValues
+from anisomap.numerics.similarity.correlation import Moments
+from anisomap.numerics.similarity.information import JointValues
 from anisomap.options import MethodOptions
 from dying import Dying, PowerCutError, ThreadLimits, failing
 from skins import flat_skin, lattice

@@ -18,7 +18,7 @@ from anisomap.live.quick_map import (
 )
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
-from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.correlation import Moments
 from anisomap.numerics.similarity.rest import estimate_rest
 from skins import flat_skin, lattice, rubbed
 

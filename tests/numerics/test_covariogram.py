@@ -17,7 +17,7 @@ from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.scaling.multidimensional_scaling import smacof
 
 
 def mantel_r(x, y):

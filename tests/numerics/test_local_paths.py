@@ -6,7 +6,7 @@ from scipy.spatial.distance import cdist
 from sklearn.manifold import Isomap
 
 from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
-from anisomap.numerics.graph.local_paths import local_path_lengths
+from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
 
 
 def scattered(seed, n_sensors=80):

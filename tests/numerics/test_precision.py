@@ -17,16 +17,15 @@ from anisomap.numerics.graph.dissimilarity import (
     partial_correlation,
     regularised_reciprocal,
 )
-from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.graph.shortest_paths import (
+from anisomap.numerics.graph.metric import (
     along_few_edges,
     are_shortest,
+    metricise,
     through_all_nodes,
 )
 from anisomap.numerics.precision import is_symmetric, mirror
 from anisomap.numerics.reliability.significance import significant_components
-from anisomap.numerics.scaling.classical import torgerson
-from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
 from skins import flat_skin

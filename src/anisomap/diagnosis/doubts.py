@@ -27,9 +27,9 @@ from anisomap.evaluation.scoring import align, median_spacing, spacing_variation
 from anisomap.health import Finding, spoiling
 from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
 from anisomap.numerics.geodesic.path_lengths import GeodesicOptions
-from anisomap.numerics.graph.local_paths import local_path_lengths
+from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from anisomap.sensor_map import SensorMap
 
 N_NEIGHBOURS = 5

@@ -31,7 +31,7 @@ from anisomap.numerics.reliability.sampling_noise import (
     thinning,
     typical_variance,
 )
-from anisomap.numerics.similarity.resampled import resampled_correlation
+from anisomap.numerics.similarity.correlation import resampled_correlation
 from anisomap.options import MethodOptions
 from anisomap.refinements.chain import RefinedMap
 from anisomap.refinements.paths import by_paths

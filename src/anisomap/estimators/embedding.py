@@ -11,7 +11,7 @@ from sklearn.metrics import pairwise_distances
 from sklearn.utils.validation import check_non_negative, validate_data
 
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 
 
 class Anisomap(BaseEstimator):
@@ -31,7 +31,7 @@ class Anisomap(BaseEstimator):
     metric_params : dict, optional
         Additional arguments of `metric`.
     tol, max_iter : float, int
-        Stopping criteria: see `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
+        Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
 
     Attributes
     ----------

@@ -18,10 +18,10 @@ from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
 from anisomap.large.chunks import Excerpt
 from anisomap.methods import DEFAULT_METHOD, find_method
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
-from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
-from anisomap.numerics.similarity.joint_values import JointValues
+from anisomap.numerics.similarity.correlation import Moments
+from anisomap.numerics.similarity.information import JointValues
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct, reconstruct_from
@@ -49,7 +49,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
     mu, bins : float, int
         See `anisomap.methods.MethodOptions`.
     tol, max_iter : float, int
-        Stopping criteria: see `anisomap.numerics.scaling.stress_minimisation.SmacofOptions`.
+        Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
     missing : {"error", "drop-frames", "interpolate"}, default="error"
         How to handle NaN in X: see `anisomap.Recording.complete`. With ``"error"`` and
         ``"drop-frames"``, `transform` ignores missing readings of a frame.

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.numerics.graph.connectivity import greatest_of_rows
+from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, greatest_of_rows, most_similar
 from anisomap.numerics.signals import Signals, some_sensors, unit_rows
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.rest import Rest
-from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 from anisomap.recording import Recording, as_runs, in_range
 
 MAX_ALL_PAIRS = 4096

@@ -39,7 +39,7 @@ from anisomap.large.sketch import (
     correlations,
     pairs_of,
 )
-from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
+from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
 from anisomap.options import MethodOptions
 from anisomap.recording import MissingPolicy, Recording, sensor_mask
 from anisomap.sensor_map import UNPLACED, SensorMap

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.files import atomic_write, check_target, open_regular
-from anisomap.numerics.similarity.accumulators import CoOccurrences, Moments, StoredCodes
-from anisomap.numerics.similarity.value_counts import ValueCounts
+from anisomap.numerics.similarity.binning import ValueCounts
+from anisomap.numerics.similarity.correlation import CoOccurrences, Moments, StoredCodes
 
 Accumulator: TypeAlias = Moments | CoOccurrences | StoredCodes | ValueCounts
 

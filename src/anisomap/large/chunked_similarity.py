@@ -2,7 +2,7 @@
 
 Statistics that depend on the distribution of all readings take two passes over the frames: one to
 count distinct values, one to compute the statistic. Streams, which permit one pass, use joint
-counts of values instead (`anisomap.numerics.similarity.joint_values`).
+counts of values instead (`anisomap.numerics.similarity.information`).
 """
 
 from __future__ import annotations
@@ -18,17 +18,20 @@ from numpy.typing import NDArray
 
 from anisomap.memory import check_memory
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.similarity.accumulators import CoOccurrences, Moments, StoredCodes
-from anisomap.numerics.similarity.binning import maximum_entropy_bins
+from anisomap.numerics.similarity.binning import Recoding, ValueCounts, maximum_entropy_bins
 from anisomap.numerics.similarity.co_occurrence import Layout, joint_logarithms_of_counts
-from anisomap.numerics.similarity.correlation import phi_from_counts
+from anisomap.numerics.similarity.correlation import (
+    CoOccurrences,
+    Moments,
+    StoredCodes,
+    phi_from_counts,
+)
 from anisomap.numerics.similarity.information import (
+    JointValues,
     information_from_codes,
     information_from_logarithms,
 )
-from anisomap.numerics.similarity.joint_values import JointValues
 from anisomap.numerics.similarity.rest import rest_from_counts
-from anisomap.numerics.similarity.value_counts import Recoding, ValueCounts
 
 _BYTES_PER_COUNT = 3 * 4  # uint32: the total, the next result, and their sum
 _MAX_COUNT_BYTES = 1 << 28  # of counts; above, codes are stored if smaller. Chosen by hand

@@ -12,9 +12,8 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from anisomap.large.sketch import loops
 from anisomap.numerics.compiled.parallel import parallel_map
-from anisomap.numerics.scaling.lbfgs import SolverResult, minimise_lbfgs
-from anisomap.numerics.scaling.stress import Floats
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
+from anisomap.numerics.scaling.stress_solvers import Floats, SolverResult, minimise_lbfgs
 
 logger = logging.getLogger(__name__)
 

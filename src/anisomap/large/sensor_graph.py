@@ -12,10 +12,9 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from anisomap.large.sketch import SensorPairs, Sketch, correlations, pairs_of
-from anisomap.numerics.graph.connectivity import labels_by_size
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
+from anisomap.numerics.graph.neighbour_graphs import labels_by_size, most_similar
 from anisomap.numerics.reliability.significance import MIN_SHARED, count_shared_neighbours
-from anisomap.numerics.similarity.search import most_similar
 
 logger = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import parallel_map
-from anisomap.numerics.similarity.search import NO_SENSOR
+from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR
 
 N_TASKS = 64
 """Number of parallel tasks; more than the usual number of cores, for an even load."""

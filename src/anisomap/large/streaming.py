@@ -31,8 +31,8 @@ from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
 from anisomap.numerics.geodesic.path_lengths import GeodesicOptions
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
+from anisomap.numerics.similarity.binning import ValueCounts
 from anisomap.numerics.similarity.correlation import MAX_SQUARED, squares_overflow
-from anisomap.numerics.similarity.value_counts import ValueCounts
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import MissingPolicy, Recording, sensor_mask

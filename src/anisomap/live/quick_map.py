@@ -19,7 +19,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.large.chunks import Excerpt
 from anisomap.live.coach import Advice, advise
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.similarity.accumulators import Moments
+from anisomap.numerics.similarity.correlation import Moments
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
 from anisomap.reconstruction import reconstruct_from
 

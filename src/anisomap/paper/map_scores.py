@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from anisomap.drawing.figures.charts import METHOD_LOOKS, NullBox
 from anisomap.evaluation import Mantel, Score, align, score
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.options import MethodOptions
 from anisomap.paper.cases import METHODS, true_positions

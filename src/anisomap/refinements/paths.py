@@ -7,11 +7,11 @@ from scipy.spatial.distance import pdist, squareform
 
 from anisomap.evidence import PairStatistics
 from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
-from anisomap.numerics.graph.local_paths import local_path_lengths
+from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.sampling_noise import typical_variance
-from anisomap.numerics.scaling.stress_minimisation import smacof
+from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.options import MethodOptions
 from anisomap.refinements.chain import MIN_SENSORS, Proposal

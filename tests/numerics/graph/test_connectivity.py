@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import squareform
 
-from anisomap.numerics.graph.connectivity import (
+from anisomap.numerics.graph.neighbour_graphs import (
     components,
     neighbour_graph,
     smallest_connected_neighbour_graph,

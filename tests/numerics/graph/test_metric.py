@@ -9,10 +9,8 @@ from scipy.sparse.csgraph import floyd_warshall
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
-from anisomap.numerics.graph.connectivity import (
-    components,
-)
 from anisomap.numerics.graph.metric import metricise, minimax_paths
+from anisomap.numerics.graph.neighbour_graphs import components
 
 
 @st.composite

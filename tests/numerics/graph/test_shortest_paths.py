@@ -11,11 +11,11 @@ from scipy.spatial.distance import pdist, squareform
 
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, MIN_PARALLEL_ROWS
 from anisomap.numerics.compiled.path_tiles import SIDE
-from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.graph.shortest_paths import (
+from anisomap.numerics.graph.metric import (
     N_CHECKED,
     along_few_edges,
     are_shortest,
+    metricise,
     shortest_paths,
     through_all_nodes,
 )

@@ -16,8 +16,7 @@ from anisomap.numerics.reliability.sampling_noise import (
     block_edges,
     thinning,
 )
-from anisomap.numerics.similarity.correlation import pearson
-from anisomap.numerics.similarity.resampled import resampled_correlation
+from anisomap.numerics.similarity.correlation import pearson, resampled_correlation
 
 
 def autoregressive(n_frames, n_sensors, coefficient, seed=0):

@@ -19,7 +19,7 @@ from anisomap.numerics.reliability.significance import (
     significant_links,
     standardised_correlation,
 )
-from anisomap.numerics.scaling.classical import torgerson
+from anisomap.numerics.scaling.multidimensional_scaling import torgerson
 from anisomap.numerics.similarity.correlation import pearson
 
 REACH = 3.0

@@ -8,7 +8,7 @@ from scipy.spatial.distance import pdist, squareform
 from scipy.stats import special_ortho_group
 
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.dimension import choose_dimensions
+from anisomap.numerics.scaling.multidimensional_scaling import choose_dimensions
 
 seeds = st.integers(0, 10_000)
 

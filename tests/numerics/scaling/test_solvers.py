@@ -15,10 +15,19 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import InputError
 from anisomap.evaluation import align
 from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
-from anisomap.numerics.scaling.classical import DENSE_LIMIT, torgerson
-from anisomap.numerics.scaling.solvers import MAX_BOTH, SOLVERS
-from anisomap.numerics.scaling.stress import Problem, objective, plain_stress
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
+from anisomap.numerics.scaling.multidimensional_scaling import (
+    DENSE_LIMIT,
+    SmacofOptions,
+    smacof,
+    torgerson,
+)
+from anisomap.numerics.scaling.stress_solvers import (
+    MAX_BOTH,
+    SOLVERS,
+    Problem,
+    objective,
+    plain_stress,
+)
 from skins import lattice
 
 

@@ -11,8 +11,12 @@ from sklearn.manifold import smacof as sklearn_smacof
 
 from anisomap.errors import InputError
 from anisomap.evaluation import align
-from anisomap.numerics.scaling.classical import DENSE_LIMIT, torgerson
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
+from anisomap.numerics.scaling.multidimensional_scaling import (
+    DENSE_LIMIT,
+    SmacofOptions,
+    smacof,
+    torgerson,
+)
 
 # Borg & Groenen (1997), Modern Multidimensional Scaling, p. 154: four objects, their
 # dissimilarities, the initial configuration, and the configuration after one step.

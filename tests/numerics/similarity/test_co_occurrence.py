@@ -11,11 +11,6 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.special import xlogy
 from sklearn.metrics import mutual_info_score
 
-from anisomap.numerics.similarity.accumulators import (
-    MIN_FAST_PRODUCT_SENSORS,
-    SINGLE_FRAMES,
-    Moments,
-)
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.co_occurrence import (
     MIN_COMPILED_SENSORS,
@@ -25,7 +20,13 @@ from anisomap.numerics.similarity.co_occurrence import (
     joint_logarithms,
     joint_logarithms_of_counts,
 )
-from anisomap.numerics.similarity.correlation import co_activation, pearson
+from anisomap.numerics.similarity.correlation import (
+    MIN_FAST_PRODUCT_SENSORS,
+    SINGLE_FRAMES,
+    Moments,
+    co_activation,
+    pearson,
+)
 from anisomap.numerics.similarity.information import information_from_codes
 from anisomap.numerics.similarity.rest import estimate_rest
 

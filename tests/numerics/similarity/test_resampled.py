@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisomap.numerics.similarity.resampled import resampled_correlation
+from anisomap.numerics.similarity.correlation import resampled_correlation
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,16 @@ from scipy import stats
 from sklearn.metrics import mutual_info_score
 
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
-from anisomap.numerics.similarity.accumulators import (
+from anisomap.numerics.similarity.binning import maximum_entropy_codes
+from anisomap.numerics.similarity.correlation import (
     CHUNK_FRAMES,
     MIN_FAST_PRODUCT_SENSORS,
     SINGLE_FRAMES,
     Moments,
+    co_activation,
+    pearson,
+    spearman,
 )
-from anisomap.numerics.similarity.binning import maximum_entropy_codes
-from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import information_from_codes, mutual_information
 from anisomap.numerics.similarity.rest import estimate_rest
 

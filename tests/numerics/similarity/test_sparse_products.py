@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, MIN_PARALLEL_ROWS
-from anisomap.numerics.similarity.accumulators import Moments
-from anisomap.numerics.similarity.sparse_products import is_sparse, sparse_comoments
+from anisomap.numerics.similarity.correlation import Moments, is_sparse, sparse_comoments
 
 MOSTLY_FIVE = st.one_of(st.just(5.0), st.just(5.0), st.floats(-9, 9, width=32))
 

@@ -7,13 +7,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.stats import rankdata
 
-from anisomap.numerics.similarity.binning import maximum_entropy_codes
+from anisomap.numerics.similarity.binning import ValueCounts, maximum_entropy_codes
 from anisomap.numerics.similarity.rest import (
     estimate_rest,
     quantile_from_counts,
     rest_from_counts,
 )
-from anisomap.numerics.similarity.value_counts import ValueCounts
 
 shapes = array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=20)
 few = st.one_of(

@@ -19,7 +19,7 @@ from anisomap.evaluation import PERMUTATIONS
 from anisomap.health import Finding
 from anisomap.io import ChoiceError
 from anisomap.methods import DEFAULT_METHOD, check_even_spacing, find_method
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.options import MethodOptions
 from anisomap.tracking import gather_evidence

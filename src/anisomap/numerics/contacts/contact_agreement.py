@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.graph.connectivity import neighbour_graph
+from anisomap.numerics.graph.neighbour_graphs import neighbour_graph
 from anisomap.numerics.precision import Reals, mirror
 from anisomap.numerics.similarity.correlation import pearson
 

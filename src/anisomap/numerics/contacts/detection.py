@@ -14,7 +14,7 @@ from scipy.sparse import csr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from anisomap.numerics.graph.connectivity import greatest_of_rows, spanning_tree
+from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows, spanning_tree
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
 
 Floats = NDArray[np.float64]

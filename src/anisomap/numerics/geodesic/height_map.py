@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 from anisomap.errors import InputError
 from anisomap.numerics.geodesic.contact_heights import HeightSimilarity
 from anisomap.numerics.graph.metric import minimax_paths
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 
 Matrix = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ from scipy.sparse.csgraph import shortest_path
 from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.graph.connectivity import spanning_tree
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO, partial_correlation
 from anisomap.numerics.graph.metric import minimax_paths
+from anisomap.numerics.graph.neighbour_graphs import spanning_tree
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.blending import blended_correlation
 from anisomap.numerics.reliability.split_half import split_blocks

@@ -24,7 +24,7 @@ from anisomap.numerics.geodesic.neighbours import (
     split_half_agreement,
     unevenness,
 )
-from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 
 Matrix = NDArray[np.float64]
 

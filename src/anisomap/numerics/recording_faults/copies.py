@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
 from anisomap.numerics.signals import (
     MAX_FRAMES,
     middle_frames,
     some_sensors,
     standardised,
 )
-from anisomap.numerics.similarity.search import NO_SENSOR, most_similar
 
 FALSE_ALARMS = 0.01
 """Expected number of false findings in a recording."""

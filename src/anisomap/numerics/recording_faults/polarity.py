@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.graph.connectivity import greatest_of_rows
+from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.signals import MAX_FRAMES, maximum_spanning_tree, standardised
 
 _MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.similarity.accumulators import Moments
-from anisomap.numerics.similarity.correlation import moments, scale_extremes
+from anisomap.numerics.similarity.correlation import Moments, moments, scale_extremes
 
 _MAX_CORRELATION = 0.999  # a profile hardly repeats better; Fisher's z stays finite
 

@@ -1,0 +1,377 @@
+"""Classical scaling.
+
+Metric scaling by minimising the raw stress (SMACOF).
+
+Number of dimensions of a metric, from the elbow of the stress.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
+from scipy.linalg.blas import dsymv, ssymv
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
+
+from anisomap.errors import InputError
+from anisomap.numerics.graph.dissimilarity import as_symmetric
+from anisomap.numerics.graph.metric import check_semi_metric, metricise
+from anisomap.numerics.graph.neighbour_graphs import components
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.scaling.stress_solvers import SOLVERS, Problem
+
+DENSE_LIMIT = 200
+"""Maximum number of points for which a full eigendecomposition is faster than an iterative one."""
+
+_NEARLY_GREATEST = 1 - 1e-6  # magnitudes above this share differ by rounding only
+
+
+def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
+    """Classical scaling: positions from the leading eigenvectors of the inner products.
+
+    Parameters
+    ----------
+    distances : array_like of shape (N, N)
+        Finite, symmetric, zero diagonal.
+    dimensions : int
+        Number of coordinates, k >= 1.
+
+    Returns
+    -------
+    ndarray of shape (N, k)
+        Centred; columns are orthogonal, by decreasing spread. The entry of greatest magnitude of
+        each column is positive, so that runs agree; of equal ones, as on symmetric skins, the
+        first. Columns with eigenvalues of 0 or less are 0.
+
+    Raises
+    ------
+    InputError
+        If the distances are not finite, not symmetric or negative, or `dimensions` is less than 1.
+
+    Notes
+    -----
+    Torgerson (1952), Psychometrika 17: 401-419; Borg & Groenen (2005), chapter 12. For many points
+    double centring is applied as a linear operator, and eigenvectors are computed iteratively.
+    """
+    squares = np.square(check_semi_metric(distances, copy=False))
+    if dimensions < 1:
+        raise InputError(f"dimensions must be at least 1, got {dimensions}")
+    if not np.isfinite(squares.max()):
+        raise InputError("distances must be finite; scale each connected component separately")
+    n_points = len(squares)
+    if n_points <= max(DENSE_LIMIT, 2 * dimensions + 1):
+        values, vectors = _leading_dense(squares, min(dimensions, n_points))
+    else:
+        values, vectors = _leading_iterative(squares, dimensions)
+    order = np.argsort(values)[::-1]
+    columns = vectors[:, order] * np.sqrt(np.maximum(values[order], 0))
+    magnitudes = np.abs(columns)
+    first = (magnitudes >= _NEARLY_GREATEST * magnitudes.max(axis=0)).argmax(axis=0)
+    peaks = columns[first, np.arange(columns.shape[1])]
+    columns = columns * np.where(peaks < 0, -1.0, 1.0)
+    return np.pad(columns, ((0, 0), (0, dimensions - columns.shape[1])))
+
+
+def _leading_dense(squares: Reals, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    rows = squares.mean(axis=0, dtype=np.float64)
+    inner = -(squares - np.add.outer(rows, rows) + rows.mean()) / 2
+    values, vectors = eigh(inner, subset_by_index=[len(inner) - count, len(inner) - 1])
+    return values, vectors
+
+
+def _leading_iterative(
+    squares: Reals, count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    double = squares.dtype == np.float64
+    multiply = dsymv if double else ssymv
+
+    def double_centred(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        # symv reads only one triangle; reading the matrix takes most of the time.
+        product = multiply(1.0, squares.T, vector - vector.mean()).astype(np.float64, copy=False)
+        return np.asarray((product - product.mean()) / -2)
+
+    operator = LinearOperator(squares.shape, matvec=double_centred, dtype=np.float64)
+    # A fixed start, since ARPACK's own is random.
+    start = np.random.default_rng(0).standard_normal(len(squares))
+    try:
+        # Machine precision, or the precision of products in float32.
+        values, vectors = eigsh(operator, k=count, which="LA", v0=start, tol=0 if double else 1e-5)
+    except ArpackError:  # no convergence, or the matrix is zero: all points coincide
+        return _leading_dense(squares, count)
+    return values, vectors
+
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SmacofOptions:
+    """Stopping criteria and solver of stress minimisation.
+
+    Parameters
+    ----------
+    tolerance : float
+        Relative decrease of the raw stress per iteration (of L-BFGS, in three iterations) below
+        which iterations stop. Independent of the unit of the distances.
+    max_iterations : int
+        Maximum number of iterations.
+    solver : {"auto", "lbfgs", "majorization"}
+        ``"majorization"`` is SMACOF as published, which converges slowly where the stress is flat.
+        ``"lbfgs"`` takes about a tenth of the iterations. ``"auto"`` is L-BFGS; for up to 100
+        points, where minima are many, it is the better result of both; from 1,000 points on, it
+        stops at a tolerance of 1e-5, with Stress-1 within 0.1 % of the minimum.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range, or the solver is unknown.
+    """
+
+    tolerance: float = 1e-8
+    max_iterations: int = 3000
+    solver: str = "auto"
+
+    def __post_init__(self) -> None:
+        if self.solver not in SOLVERS:
+            raise InputError(f"unknown solver {self.solver!r}; choose from {', '.join(SOLVERS)}")
+        if not self.tolerance >= 0:
+            raise InputError(f"tolerance must be at least 0, got {self.tolerance}")
+        if self.max_iterations < 0:
+            raise InputError(f"max_iterations must be at least 0, got {self.max_iterations}")
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """Result of stress minimisation.
+
+    Attributes
+    ----------
+    positions : ndarray of shape (N, k)
+        Centred on the origin.
+    raw_stress : float
+        Sum over i < j of w_ij (d_ij - D_ij)^2, in squared units of the distances.
+    spread : float
+        Sum over i < j of w_ij d_ij^2.
+    trace : ndarray of shape (iterations + 1,)
+        Raw stress of the start and after each iteration; never increases.
+    converged : bool
+        Whether the tolerance was met within the maximum number of iterations.
+    """
+
+    positions: NDArray[np.float64]
+    raw_stress: float
+    spread: float
+    trace: NDArray[np.float64]
+    converged: bool
+
+    @property
+    def stress(self) -> float:
+        """Stress-1 (Borg & Groenen 2005, eq. 3.9); 0 if all positions coincide."""
+        return float(np.sqrt(self.raw_stress / self.spread)) if self.spread > 0 else 0.0
+
+
+def smacof(
+    distances: ArrayLike,
+    *,
+    dimensions: int = 3,
+    start: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    options: SmacofOptions | None = None,
+) -> Scaling:
+    """Find a configuration with minimal raw stress.
+
+    Parameters
+    ----------
+    distances : array_like of shape (N, N)
+        Symmetric, non-negative, zero diagonal; infinite where unknown.
+    dimensions : int
+        Number of coordinates, k >= 1; ignored if `start` is given.
+    start : array_like of shape (N, k), optional
+        Initial configuration; by default classical scaling, with shortest paths in place of
+        unknown distances.
+    weights : array_like of shape (N, N), optional
+        Symmetric, non-negative; 0 where unknown. The diagonal is ignored. 1 by default.
+    options : SmacofOptions, optional
+
+    Returns
+    -------
+    Scaling
+
+    Raises
+    ------
+    InputError
+        If shapes disagree, a matrix is not symmetric, a distance or weight is negative, the start
+        is not finite, or the known distances do not connect all points.
+
+    Notes
+    -----
+    De Leeuw (1977); Borg & Groenen (2005), chapter 8. No iteration of any solver increases the
+    weighted stress. From 500 points on the stress is computed by compiled loops.
+    """
+    chosen = options or SmacofOptions()
+    targets = check_semi_metric(distances, copy=False)
+    problem = Problem(targets, _check_weights(weights, targets))
+    known = targets if problem.equal_weights else _connected_targets(problem)
+    if start is None:
+        start = torgerson(known if np.isfinite(known.max()) else metricise(known), dimensions)
+    positions = _check_start(start, len(targets))
+    positions -= positions.mean(axis=0)  # float32 could not resolve points far from the origin
+    if not problem.equal_weights:
+        problem = replace(problem, targets=np.where(np.isinf(targets), 0, targets))
+    solve = SOLVERS[chosen.solver]
+    positions, trace, converged = solve(problem, positions, chosen.tolerance, chosen.max_iterations)
+    if not converged and chosen.max_iterations:
+        logger.info("stress minimisation did not converge in %d iterations", len(trace) - 1)
+    history = np.array(trace)
+    positions = positions - positions.mean(axis=0)
+    positions.setflags(write=False)
+    history.setflags(write=False)
+    return Scaling(
+        positions=positions,
+        raw_stress=trace[-1],
+        spread=problem.weighted_squares(positions),
+        trace=history,
+        converged=bool(converged),
+    )
+
+
+def _connected_targets(problem: Problem) -> Reals:
+    """Return the distances, infinite where unknown; raise unless they connect all points."""
+    known = problem.targets.copy()
+    known[problem.weights <= 0] = np.inf
+    np.fill_diagonal(known, 0)
+    n_components = components(known).max() + 1
+    if n_components > 1:
+        raise InputError(
+            f"the known distances form {n_components} connected components; scale each separately"
+        )
+    return known
+
+
+def _check_weights(weights: ArrayLike | None, targets: Reals) -> Reals:
+    if weights is None and np.isfinite(targets.max()):
+        return np.ones((1, len(targets)), targets.dtype)
+    if weights is None:
+        checked = np.ones_like(targets)
+    else:
+        checked = as_symmetric(weights, "weight").astype(targets.dtype, copy=False)
+        if checked.shape != targets.shape:
+            raise InputError(f"weights have shape {checked.shape}; they must be {targets.shape}")
+        if (checked < 0).any() or not np.isfinite(checked).all():
+            raise InputError("weights must be finite and at least 0")
+    np.fill_diagonal(checked, 0)
+    checked[np.isinf(targets)] = 0
+    return checked
+
+
+def _check_start(start: ArrayLike, n_points: int) -> NDArray[np.float64]:
+    positions = np.array(start, dtype=np.float64)
+    if positions.ndim != 2 or len(positions) != n_points or not positions.shape[1]:
+        raise InputError(f"the start has shape {positions.shape}; it must be ({n_points}, k)")
+    if not np.isfinite(positions).all():
+        raise InputError("the start has NaN or infinite coordinates")
+    return positions
+
+
+MAX_DIMENSIONS = 3
+"""Skins lie in space; the stress of one dimension more shows what chance explains."""
+
+FLAT_ELBOW, SPATIAL_ELBOW = 1.17, 1.25
+"""Elbow at 3 dimensions below which 2 suffice, and from which 3 are required.
+
+At most 1.144 on flat skins, simulated (seeds 1 to 3, 300 to 2,000 frames) and real, and at least
+1.19 on bodies that are curved in two directions, such as a hemisphere.
+"""
+
+PLANE_ELBOW = 1.18
+"""Minimum elbow at 2 dimensions of a flat skin.
+
+At least 1.20 on flat skins, real ones included; 1.15 or less on points in 5 and 6 dimensions.
+"""
+
+DISTINCT_PLANE, WEAK_FLAT_ELBOW = 3.0, 1.09
+"""Elbow at 2 dimensions below which the elbow at 3 has to be smaller, and its limit there.
+
+Where stimuli reach far, no dimension fits well. Simulated flat skins with an elbow at 2 dimensions
+of less than 3 had at most 1.08 at 3 dimensions, and bodies at least 1.106 (seeds 1 to 9).
+"""
+
+LINE_ELBOW, LINE_STRESS = 5.0, 0.1
+"""Minimum elbow at 1 dimension, and maximum Stress-1 in it, of sensors along a line.
+
+At least 7.8 and at most .083 on simulated lines; at most 2.8 and at least .14 on skins that are
+less than four times as long as wide.
+"""
+
+_FLOOR = 0.01  # Stress-1 that counts as perfect; bounds the elbows of exact distances
+_MIN_POINTS = 8  # fewer have hardly more distances than coordinates in 4 dimensions
+_MAX_POINTS = 1000  # regularly sampled; their 500,000 distances determine the stress
+# With 1e-8, elbows differ by less than .0003 (eight recordings, real and simulated).
+_SOLVER = SmacofOptions(solver="lbfgs", tolerance=1e-6)
+
+
+@dataclass(frozen=True)
+class DimensionChoice:
+    """Number of dimensions of a metric.
+
+    dimensions: 2 or 3; 3 if it is not clear.
+    clear: Whether the metric shows the number of dimensions.
+    line: Whether one dimension appears to suffice.
+    stress: Stress-1 in 1 to 4 dimensions; empty if there are fewer than 8 points.
+    """
+
+    dimensions: int = MAX_DIMENSIONS
+    clear: bool = False
+    line: bool = False
+    stress: tuple[float, ...] = ()
+
+    def elbow(self, dimensions: int) -> float:
+        """Return how much more the last of some dimensions lowers the stress than the next one."""
+        if not self.stress:
+            return float("nan")
+        s = np.hypot((1.0, *self.stress), _FLOOR)  # in 0 dimensions, Stress-1 is 1
+        return float(s[dimensions - 1] * s[dimensions + 1] / s[dimensions] ** 2)
+
+
+def choose_dimensions(metric: ArrayLike, weights: Reals | None = None) -> DimensionChoice:
+    """Choose between 2 and 3 dimensions by the elbow of the stress.
+
+    metric (N, N), weights (N, N).
+
+    More dimensions always lower the stress (Kruskal 1964, Psychometrika 29: 1-27,
+    doi:10.1007/BF02289565). The fourth fits only errors, as skins lie in space, and the third is
+    required if it lowers the stress by clearly more than the fourth does.
+
+    Lengths along a surface do not change if it is bent without stretching (Gauss's theorema
+    egregium), so half a cylinder spans 2 dimensions, like a sheet that is rolled out.
+    """
+    lengths = np.asarray(metric)
+    known = lengths if weights is None else np.where(weights > 0, lengths, np.inf)
+    largest = np.flatnonzero(components(known) == 0)
+    largest = largest[:: -(-len(largest) // _MAX_POINTS)]
+    if len(largest) < _MIN_POINTS:
+        return DimensionChoice()
+    inside = np.ix_(largest, largest)
+    if weights is not None and (components(known[inside]) > 0).any():
+        return DimensionChoice()  # the sample lost the pairs that connect it
+    stress = tuple(
+        smacof(
+            lengths[inside],
+            dimensions=k,
+            weights=None if weights is None else weights[inside],
+            options=_SOLVER,
+        ).stress
+        for k in range(1, MAX_DIMENSIONS + 2)
+    )
+    found = DimensionChoice(stress=stress)
+    if stress[0] <= LINE_STRESS and found.elbow(1) >= LINE_ELBOW:
+        return DimensionChoice(2, clear=True, line=True, stress=stress)
+    if found.elbow(3) >= SPATIAL_ELBOW:
+        return DimensionChoice(3, clear=True, stress=stress)
+    limit = FLAT_ELBOW if found.elbow(2) >= DISTINCT_PLANE else WEAK_FLAT_ELBOW
+    if found.elbow(3) < limit and found.elbow(2) >= PLANE_ELBOW:
+        return DimensionChoice(2, clear=True, stress=stress)
+    return found
