@@ -42,17 +42,25 @@ Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
 class ReadingOptions:
     """Options of readers.
 
-    select: Recording to read from a file that contains several: a topic (optionally with its field,
+    Parameters
+    ----------
+    select
+        Recording to read from a file that contains several: a topic (optionally with its field,
         as in /skin:data), a dataset, a column or a port; anisomap info lists them. Several topics
         or ports are separated by commas.
-    grid: Rows and columns of a rectangular array in row-major order, as in 32x64; gives the true
+    grid
+        Rows and columns of a rectangular array in row-major order, as in 32x64; gives the true
         positions.
-    msg: Message definition (.msg) for a bag without definitions; may be repeated.
-    preset: Robot with a known numbering of sensors: icub, icub-hand.
-    positions: File of true positions, matched by the names of the sensors or the numbers at their
+    msg
+        Message definition (.msg) for a bag without definitions; may be repeated.
+    preset
+        Robot with a known numbering of sensors: icub, icub-hand.
+    positions
+        File of true positions, matched by the names of the sensors or the numbers at their
         ends. Sensors that a list of contacts or spikes does not mention are added: they were
         silent.
-    bin: Width of the bins in which events are counted, such as 1s or 50ms.
+    bin
+        Width of the bins in which events are counted, such as 1s or 50ms.
     """
 
     select: Annotated[str, Parameter(name=("--select", "--topic", "--dataset", "--field"))] = ""
@@ -81,8 +89,12 @@ DEFAULT_READING = ReadingOptions()
 class ReportingOptions:
     """Format of the printed results.
 
-    quiet: Print no results; warnings and errors remain.
-    json: Print the results as one JSON object, for scripts.
+    Parameters
+    ----------
+    quiet
+        Print no results; warnings and errors remain.
+    json
+        Print the results as one JSON object, for scripts.
     """
 
     quiet: Annotated[bool, Parameter(name=("--quiet", "-q"), negative=())] = False
@@ -103,11 +115,17 @@ DEFAULT_REPORTING = ReportingOptions()
 class PlacingOptions:
     """Scale, handedness and frame of a map.
 
-    spacing: Median distance between neighbouring sensors, such as 6.5mm: scales the map. Formats of
+    Parameters
+    ----------
+    spacing
+        Median distance between neighbouring sensors, such as 6.5mm: scales the map. Formats of
         robot software are in metres and require it.
-    mirror: Reflect the map: readings do not determine its handedness.
-    frame: Name of the coordinate frame.
-    split_components: Write each connected component of the map to a separate file: map-1.csv,
+    mirror
+        Reflect the map: readings do not determine its handedness.
+    frame
+        Name of the coordinate frame.
+    split_components
+        Write each connected component of the map to a separate file: map-1.csv,
         map-2.csv ...
     """
 

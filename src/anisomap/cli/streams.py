@@ -42,11 +42,17 @@ large_group = Group("Large recordings", sort_key=4)
 class LargeOptions:
     """Options for large recordings.
 
-    workers: Number of parallel threads; more than the number of cores bring no gain.
-    dask: Address of a Dask scheduler, as in tcp://host:8786; its workers are used instead of
+    Parameters
+    ----------
+    workers
+        Number of parallel threads; more than the number of cores bring no gain.
+    dask
+        Address of a Dask scheduler, as in tcp://host:8786; its workers are used instead of
         threads.
-    checkpoint: File for intermediate results; if it exists, the computation resumes from it.
-    approximate: Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
+    checkpoint
+        File for intermediate results; if it exists, the computation resumes from it.
+    approximate
+        Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
     """
 
     workers: Annotated[int, Parameter(validator=Number(gte=1))] = 1
