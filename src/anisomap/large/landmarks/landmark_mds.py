@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from anisomap.large.landmarks.landmark_stress import Targets, refine, stress_of
 from anisomap.large.landmarks.options import loops
 from anisomap.numerics.compiled.parallel import parallel_map
+from anisomap.numerics.graph.shortest_paths import bandwidth_order
 from anisomap.numerics.scaling.stress_minimisation import SmacofOptions, smacof
 
 logger = logging.getLogger(__name__)
@@ -116,7 +116,7 @@ def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> 
         Infinite where there is no path. The relative rounding error of h edges is about h 1e-7.
     """
     sources = np.asarray(landmarks, dtype=np.int64)
-    order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
+    order = bandwidth_order(graph.indptr, graph.indices)
     edges = (
         graph.indptr.astype(np.int64),
         graph.indices.astype(np.int64),
