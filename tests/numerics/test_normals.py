@@ -34,7 +34,7 @@ def degrees(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
 @settings(max_examples=10)
 def test_normals_of_a_sphere_point_outwards(seed: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
-    turn, shift = Rotation.random(rng=rng), rng.normal(size=3)
+    turn, shift = Rotation.from_quat(rng.normal(size=4)), rng.normal(size=3)
     outward = turn.apply(sphere(300))
     normals, reliable = estimate_normals(radius * outward + shift)
     assert reliable.all()

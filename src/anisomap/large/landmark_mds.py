@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from anisomap.large.sketch import loops
 from anisomap.numerics.compiled.parallel import parallel_map
+from anisomap.numerics.graph.metric import bandwidth_order
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from anisomap.numerics.scaling.stress_solvers import Floats, SolverResult, minimise_lbfgs
 
@@ -167,7 +167,7 @@ def place_component(
 def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> NDArray[np.float32]:
     """Compute the lengths of the shortest paths from landmarks to all sensors. graph (N, N)."""
     sources = np.asarray(landmarks, dtype=np.int64)
-    order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
+    order = bandwidth_order(graph.indptr, graph.indices)
     edges = (
         graph.indptr.astype(np.int64),
         graph.indices.astype(np.int64),

@@ -17,7 +17,6 @@ NEIGHBOURS = 8
 """Neighbours used for the tangent plane at a point; a point of a square lattice has 8."""
 
 _MIN_ASPECT = 0.05  # width / length of a neighbourhood with a defined plane; chosen by hand
-_MIN_COST = 1e-3  # cost of an edge between parallel normals: sparse graphs drop edges of cost 0
 
 
 def estimate_normals(positions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -72,9 +71,12 @@ def _orient(
     """Flip normals for consistency along a minimum spanning tree of ``1 - |n_i n_j|``."""
     n_points, count = nearest.shape
     start, end = np.repeat(np.arange(n_points), count), nearest.ravel()
-    cost = 1 + _MIN_COST - np.abs(np.einsum("ed,ed->e", normals[start], normals[end]))
-    graph = coo_array((cost, (start, end)), shape=(n_points, n_points)).tocsr()
-    tree = minimum_spanning_tree(graph)
+    cost = 1 - np.abs(np.einsum("ed,ed->e", normals[start], normals[end]))
+    # scipy sorts costs with an unstable sort: of equal ones, as on flat skins, the first are taken.
+    rank = np.empty(len(cost))
+    rank[np.argsort(cost, kind="stable")] = np.arange(1, len(cost) + 1)
+    ends = start.astype(np.int32), end.astype(np.int32)  # scipy 1.14 takes no others
+    tree = minimum_spanning_tree(coo_array((rank, ends), shape=(n_points, n_points)).tocsr())
     oriented = normals.copy()
     labels = connected_components(tree, directed=False)[1]
     for label in range(labels.max() + 1):

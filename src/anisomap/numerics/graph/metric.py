@@ -97,7 +97,7 @@ def along_few_edges(
     """
     n_nodes = len(lengths)
     near = _edges(lengths, *nearest_edges(lengths, n_nearest))
-    order = _bandwidth_order(near)
+    order = bandwidth_order(near.offsets, near.ends)
     if _tight_share(lengths, order, near) > max_share:
         return None
     paths = lengths.copy()
@@ -213,17 +213,19 @@ def _edges(lengths: Reals, starts: NDArray[np.int64], ends: NDArray[np.int64]) -
     return Edges(np.searchsorted(starts, np.arange(n_nodes + 1)), ends, lengths[starts, ends])
 
 
-def _bandwidth_order(edges: Edges) -> NDArray[np.int64]:
+def bandwidth_order(
+    offsets: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]
+) -> NDArray[np.int64]:
     """Order nodes so that neighbours are close together; a sweep then extends paths far.
 
-    Cuthill & McKee (1969), doi:10.1145/800195.805928: breadth first, by increasing degree. Nodes of
-    equal degree follow each other as they are numbered; scipy sorts degrees with an unstable sort,
-    which orders them differently on different processors.
+    Edges are those of `Edges`, in both directions. Cuthill & McKee (1969),
+    doi:10.1145/800195.805928: breadth first, by increasing degree. Nodes of equal degree follow
+    each other as they are numbered; scipy sorts degrees with an unstable sort, which orders them
+    differently on different processors.
     """
-    n_nodes = len(edges.offsets) - 1
-    by_degree = np.argsort(np.diff(edges.offsets), kind="stable")
-    ones = np.ones(len(edges.ends))
-    graph = csr_array((ones, edges.ends, edges.offsets), shape=(n_nodes, n_nodes))
+    n_nodes = len(offsets) - 1
+    by_degree = np.argsort(np.diff(offsets), kind="stable")
+    graph = csr_array((np.ones(len(ends)), ends, offsets), shape=(n_nodes, n_nodes))
     joined: Any = graph[by_degree][:, by_degree]
     # One search visits all components, which are joined by their first nodes.
     first = np.unique(connected_components(joined, directed=False)[1], return_index=True)[1]

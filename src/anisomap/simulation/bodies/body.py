@@ -203,7 +203,8 @@ def _shortest_paths(body: Body) -> NDArray[np.float64]:
     # An arc that turns by an angle a is longer than its chord by the factor 1 + a^2 / 24.
     arc = chord * (1 + (turn / chord) ** 2 / 24)
     valid = _on_surface(points, normals, edges, chord)
-    graph = coo_array((arc[valid], tuple(edges[valid].T)), shape=(len(points), len(points)))
+    ends = edges[valid].T.astype(np.int32)  # scipy 1.14 takes no others
+    graph = coo_array((arc[valid], tuple(ends)), shape=(len(points), len(points)))
     found = dijkstra(graph.tocsr(), directed=False, indices=np.arange(body.n_sensors))
     between = found[:, : body.n_sensors]
     return np.asarray(np.minimum(between, between.T))
