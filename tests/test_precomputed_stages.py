@@ -26,7 +26,7 @@ def test_reconstruction_can_start_from_every_stage(method):
         skin, "covariogram" if method == "contact-fit" else method, 2, options=WITHOUT_CONTACTS
     )
     known = stages(skin.readings, method)
-    refined = METHODS[method].refine is not None
+    refined = bool(METHODS[method].refinements)
     for stage in ("similarity", "dissimilarity", "metric"):
         given = {stage: getattr(known, stage)}
         if stage == "similarity" and refined:

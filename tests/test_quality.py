@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 import pytest
-from benchmarks import quality, quality_tables
-from benchmarks.quality_tables import FRAMES, SCENARIOS, Result
+from benchmarks import quality
+from benchmarks.quality import FRAMES, SCENARIOS, Result
 
 import anisomap
 from anisomap.comparison import COMPARED
@@ -32,7 +32,7 @@ RESULTS = [
 
 
 def test_a_row_holds_means_and_worst_scores_and_counts_missing_maps_as_zero():
-    text = quality_tables.tables(RESULTS)
+    text = quality.tables(RESULTS)
     line = next(line for line in text.splitlines() if line.startswith("| sphere"))
     cells = [cell.strip() for cell in line.strip("|").split("|")]
     assert cells[1] == "2"
@@ -46,7 +46,7 @@ def test_a_row_holds_means_and_worst_scores_and_counts_missing_maps_as_zero():
 
 def test_losses_are_named_with_both_scores():
     worse = [result("pca-on-r", 0.95, seed=seed) for seed in (1, 2)]
-    text = quality_tables.tables([q for q in RESULTS if q.method != "pca-on-r"] + worse)
+    text = quality.tables([q for q in RESULTS if q.method != "pca-on-r"] + worse)
     assert (
         f"a stock method is better than {DEFAULT_METHOD} on 1 of 1 rows: sphere, bombardment, "
         "2,000 frames (0.850 against 0.950 of pca-on-r)." in text
@@ -54,21 +54,21 @@ def test_losses_are_named_with_both_scores():
 
 
 def test_the_summary_for_documents_has_the_numbers_of_the_table():
-    row = next(csv.DictReader(quality_tables.summary(RESULTS, 2000).splitlines()))
+    row = next(csv.DictReader(quality.summary(RESULTS, 2000).splitlines()))
     assert row[DEFAULT_METHOD] == "0.850 (0.800)"
     assert (row["best stock"], row["best stock r"]) == ("pca-on-r", "0.800 (0.700)")
     assert float(row["margin"]) == pytest.approx(0.05)
-    assert quality_tables.summary(RESULTS, 500).count("\n") == 1
+    assert quality.summary(RESULTS, 500).count("\n") == 1
 
 
 def test_recordings_are_compared_and_written_with_the_simulated_ones(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "umap", None)  # compiling it takes some 10 s
     skin = flat_skin(n_frames=120)
     anisomap.write(skin, tmp_path / "skin.npz")
-    comparison, results = quality.score_file(tmp_path / "skin.npz")
+    [(comparison, results)] = quality.score_file(tmp_path / "skin.npz")
     assert [q.method for q in results] == list(COMPARED)
     anisomap.write(anisomap.Recording(skin.readings), tmp_path / "unknown.npz")
-    assert quality.score_file(tmp_path / "unknown.npz") == (None, [])
+    assert quality.score_file(tmp_path / "unknown.npz") == []
     simulated = [
         result(method, r - 10 / n, recording=f"{body}, {scenario}", n_frames=n)
         for body, scenario in SCENARIOS

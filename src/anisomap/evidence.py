@@ -58,7 +58,7 @@ class Similarity:
     compute: Callable[[ArrayLike, int], Reals]
     scores: Callable[[NDArray[np.generic]], ArrayLike] | None = None
     blend: Callable[[ArrayLike], Blend] | None = None
-    refer: Callable[[NDArray[Any]], NDArray[Any]] | None = None
+    refer: Callable[[NDArray[Any]], tuple[NDArray[Any], float]] | None = None
 
     def with_variance(self, readings: NDArray[np.generic], bins: int) -> tuple[Reals, Reals]:
         """Compute the similarity, and its sampling variance for unrelated sensors, (n, n) each."""
@@ -67,9 +67,9 @@ class Similarity:
             return found.similarity, found.variance
         return self.compute(readings, bins), self.variance(readings)
 
-    def referred(self, readings: NDArray[Any]) -> NDArray[Any]:
-        """Return the readings that are compared, shape (T, n)."""
-        return readings if self.refer is None else self.refer(readings)
+    def referred(self, readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
+        """Return the readings that are compared, (T, n), and the share of what was subtracted."""
+        return (readings, 0.0) if self.refer is None else self.refer(readings)
 
     def variance(self, readings: NDArray[np.generic]) -> Reals:
         """Compute the sampling variance of the similarity for unrelated sensors, (n, n)."""
@@ -126,6 +126,8 @@ class PairStatistics:
         What a blended correlation was computed from, of all sensors that were compared.
     given_changes : ndarray of shape (n, n), optional
         `changes`, if they were computed already.
+    common_share : float
+        Share of the mean over sensors that is a signal of all of them, which was subtracted.
     """
 
     similarity: Reals
@@ -135,6 +137,7 @@ class PairStatistics:
     statistic: str = ""
     blended: Blend | None = None
     given_changes: Reals | None = None
+    common_share: float = 0.0
 
     @classmethod
     def from_similarity(
@@ -318,7 +321,7 @@ def compare(
         return statistic.compute(readings, bins), np.nan
 
     if len({frozenset(run.names) for run in runs}) == 1:
-        readings = statistic.referred(_joined(runs, runs[0].names))
+        readings, share = statistic.referred(_joined(runs, runs[0].names))
         if with_noise and statistic.blend is not None:
             readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
             blended = statistic.blend(readings)
@@ -328,7 +331,7 @@ def compare(
                 readings=readings,
                 statistic=similarity,
             )
-            return replace(pairs, blended=blended)
+            return replace(pairs, blended=blended, common_share=share)
         found, variance = computed(readings)
         return PairStatistics.from_similarity(
             found,
@@ -340,7 +343,7 @@ def compare(
     shared = _shared_runs(runs, names)
     values, noise = np.eye(len(names)), np.ones(shared.shape)
     for runs_of_pair, chosen, sensors in _groups(runs, shared):
-        readings = statistic.referred(_joined(chosen, tuple(names[i] for i in sensors)))
+        readings, _ = statistic.referred(_joined(chosen, tuple(names[i] for i in sensors)))
         inside = np.ix_(sensors, sensors)
         in_group = shared[inside] == runs_of_pair
         found, variance = computed(readings)

@@ -22,6 +22,10 @@ from anisomap.options import MethodOptions
 from anisomap.recording import Recording
 from anisomap.scaling import Configuration, configure
 
+_MOSTLY = (
+    0.5  # share of a common signal, which is subtracted, and fields as wide as the skin with it
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Stages:
@@ -46,7 +50,7 @@ def compute_stages(
         if dimensions == AUTO and recipe.dissimilarity != METHODS[DEFAULT_METHOD].dissimilarity:
             plan = _plan_by_default_method(runs, options)
         else:
-            plan = plan_dimensions(dimensions, metric, pairs.weights, examine=refined)
+            plan = _plan(dimensions, pairs, metric, examine=refined)
         configuration, plan = configure(
             plan, metric, pairs, steps=recipe.refinements, options=options, weights=pairs.weights
         )
@@ -104,12 +108,20 @@ def _dissimilarity_of(pairs: PairStatistics, recipe: Method, options: MethodOpti
     return dissimilarity
 
 
+def _plan(
+    dimensions: Dimensions, pairs: PairStatistics, metric: Reals, *, examine: bool = True
+) -> DimensionPlan:
+    """Plan the dimensions, which are not clear if the mean over sensors is mostly common."""
+    examined = None if pairs.common_share > _MOSTLY else metric
+    return plan_dimensions(dimensions, examined, pairs.weights, examine=examine)
+
+
 def _plan_by_default_method(runs: Sequence[Recording], options: MethodOptions) -> DimensionPlan:
     """Choose dimensions by the default method, which examines contacts if the skin looks flat."""
     recipe = METHODS[DEFAULT_METHOD]
     pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=True)
     metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
-    plan = plan_dimensions(AUTO, metric, pairs.weights)
+    plan = _plan(AUTO, pairs, metric)
     if plan.dimensions == SPATIAL:
         return plan
     return configure(

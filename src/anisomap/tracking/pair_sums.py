@@ -66,7 +66,7 @@ class PairSums:
         chosen, shape = SIMILARITIES[similarity], (readings.shape[1],) * 2
         if similarity in _OF_CONTACTS and len(distinct_contacts(readings)) < _MIN_CONTACTS:
             return cls(*(np.zeros(shape) for _ in fields(cls)))
-        readings = chosen.referred(readings)
+        readings, _ = chosen.referred(readings)
         products, squares, weight = _pooling(similarity).sums(
             readings, chosen.compute(readings, bins)
         )

@@ -33,8 +33,8 @@ def common_share(correlation: Reals) -> float:
     return min(1.0, apart / mean) if apart > 0 else 0.0
 
 
-def without_common_signal(readings: NDArray[Any]) -> NDArray[Any]:
-    """Return readings less the signal that all sensors share, shape (T, N).
+def without_common_signal(readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
+    """Return readings less the signal that all sensors share, shape (T, N), and its share.
 
     Potentials are differences to a reference, and loads on soft ground rise together: all sensors
     share a signal, and correlations depend on places only beyond it. The mean over sensors
@@ -49,11 +49,11 @@ def without_common_signal(readings: NDArray[Any]) -> NDArray[Any]:
     varying = some[:, (some != some[0]).any(axis=0)]
     share = common_share(pearson(varying)) if varying.shape[1] >= _MIN_SENSORS else 0.0
     if share == 0:
-        return readings
+        return readings, 0.0
     values = scale_extremes(readings).astype(np.float64)
     values -= values.mean(axis=0)
     amplitude = values.std(axis=0)
     varies = amplitude > 0
     mean = (values[:, varies] / amplitude[varies]).mean(axis=1)
     values -= math.sqrt(share) * mean[:, None] * amplitude
-    return np.asarray(values)
+    return values, share
