@@ -14,10 +14,11 @@ from anisomap.refinements.chain import EXACT, MIN_SENSORS, Proposal
 
 logger = logging.getLogger(__name__)
 
-
 # Greatest precision for readings that are on or off, of which the covariogram, too, compares
 # contacts: see `anisomap.numerics.contacts.contact_agreement`.
 _ON_OFF = 1.0
+
+_LEAST_UNEXPLAINED = 0.01  # share; keeps the odds finite for readings without noise
 
 
 def by_contacts(
@@ -35,7 +36,7 @@ def by_contacts(
     fit = _fitted(pairs, positions, options)
     if not fit.used:
         return None
-    odds = fit.explained / (1 - fit.explained)
+    odds = fit.explained / max(1 - fit.explained, _LEAST_UNEXPLAINED)
     return _proposed(fit, min(odds, _ON_OFF) if fit.n_levels == 1 else odds)
 
 
