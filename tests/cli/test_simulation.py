@@ -33,7 +33,7 @@ def test_a_body_is_simulated_and_drawn(run, tmp_path):
         assert said in outcome.out
 
 
-@pytest.mark.parametrize("renderer", ["drawing", "mujoco"])
+@pytest.mark.parametrize("renderer", ["drawing", pytest.param("mujoco", marks=pytest.mark.slow)])
 def test_a_run_is_drawn_as_an_animation(run, tmp_path, renderer):
     pictures = ("--picture", "run.png", "--video", "run.gif", "--renderer", renderer)
     outcome = run("simulate", "plane", "-s", "rubbing", "--frames", "3", *pictures)
@@ -43,6 +43,7 @@ def test_a_run_is_drawn_as_an_animation(run, tmp_path, renderer):
     assert not outcome.err or "drawing instead" in outcome.err
 
 
+@pytest.mark.slow
 def test_several_runs_have_consecutive_seeds(run):
     outcome = run(
         *("simulate", "plane", "-s", "rubbing", "--sensors", "25"),
@@ -56,6 +57,7 @@ def test_several_runs_have_consecutive_seeds(run):
         assert dict(recording.metadata) == dict(expected.metadata)
 
 
+@pytest.mark.slow
 def test_a_robot_part_with_its_sensors_becomes_a_recording(run, tmp_path):
     trimesh = pytest.importorskip("trimesh")
     part = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
@@ -116,6 +118,7 @@ def test_lists_are_complete(run):
             assert f"{parameter} = {default}" in told
 
 
+@pytest.mark.slow
 def test_a_coverage_curve_is_printed_written_and_drawn(run, tmp_path):
     outcome = run(
         *("coverage", "sphere", "--sensors", "20", "--runs", "2", "-m", "r-anisomap"),
