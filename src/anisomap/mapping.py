@@ -22,9 +22,7 @@ from anisomap.options import MethodOptions
 from anisomap.recording import Recording
 from anisomap.scaling import Configuration, configure
 
-_MOSTLY = (
-    0.5  # share of a common signal, which is subtracted, and fields as wide as the skin with it
-)
+_MOSTLY = 0.5  # least share of a common signal that hides how many dimensions a skin has
 
 
 @dataclass(frozen=True, eq=False)

@@ -178,6 +178,7 @@ def resampled_maps(
     curvature: SharedCurvature | None = None
     linked: NDArray[np.bool_] | None = None
     averaged = refined is None or bool(refined.weights.get("paths"))
+    variance = typical_variance(pairs.noise)
     made: list[NDArray[np.float64]] = []
     with limited_blas(len(positions)):
         for resample in _similarities(pairs, edges, weights):
@@ -196,7 +197,7 @@ def resampled_maps(
                 resample,
                 _scaled(start, metric),
                 metric,
-                noise=typical_variance(pairs.noise),
+                noise=variance,
                 exponent=exponent,
                 options=replace(options.covariogram, max_iterations=iterations),
                 shared=curvature,
