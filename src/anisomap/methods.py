@@ -131,7 +131,7 @@ def _anisomap(similarity: str, summary: str) -> Method:
 
 
 PAPER_METHODS = ("r-anisomap", "i-anisomap", "information-distance", "isomap")
-"""The methods of McGregor et al. (2011), in the order of its Figure 3, best to worst."""
+"""The methods of McGregor et al. (2011)."""
 
 METHODS: Mapping[str, Method] = MappingProxyType(
     {

@@ -357,7 +357,7 @@ COLUMNS = {
     "claims",
     "Claims of the paper and results",
     "Each testable claim of the paper, with a criterion in numbers that was chosen here. The "
-    "paper's supplement with the parameters of its simulation is no longer available. A claim that "
+    "paper's supplement with the parameters of its simulation could not be had. A claim that "
     "is not reproduced may therefore depend on these parameters; the sensitivity analyses below "
     "show their effects.",
     needs=(*SCORES, "figure-2", "figure-4", "figure-7", "bins", "unlike-responses"),

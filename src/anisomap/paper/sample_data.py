@@ -127,7 +127,7 @@ def _text_s1(cases: Iterable[Case]) -> str:
     parts = [
         "Text S1. Summary of the simulation",
         f"Simulated with the default parameters of anisomap {__version__}; the paper's parameters "
-        "are no longer available. Lengths are in metres. Each data file repeats the parameters of "
+        "could not be had. Lengths are in metres. Each data file repeats the parameters of "
         "its run.",
         _FORMAT.strip(),
         "A sensor is a point on the surface of a rigid body, surrounded by a detection sphere. Its "

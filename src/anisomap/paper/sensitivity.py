@@ -199,9 +199,9 @@ _EVERY = (
         "sensitivity-radius",
         "Sensitivity to the detection radius",
         "detection radius, relative to the default",
-        "The detection radius of the sensors was given in the paper's Text S1, which is no longer "
-        "available. The default here is 0.44 m for bombarded bodies that extend 1 m from their "
-        "centre. No other parameter has a larger effect.",
+        "The detection radius of the sensors is in the paper's Text S1, which could not be had. "
+        "The default here is 0.44 m for bombarded bodies that extend 1 m from their centre. No "
+        "other parameter has a larger effect.",
         (0.4, 0.55, 0.7, 0.85, 1, 1.2, 1.5, 2),
         (0.7, 1),
         _with_radius,

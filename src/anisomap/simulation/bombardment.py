@@ -1,8 +1,7 @@
 """Bombardment: elastic balls fly about a body fixed in the middle of a box without gravity.
 
-McGregor et al. (2011), section "Scenarios". The paper's parameters were in its Text S1, which is no
-longer available; defaults here were chosen for the reasons given. Lengths are in m, and the paper's
-sphere has a radius of 1 m.
+McGregor et al. (2011), section "Scenarios". Its parameters are in Text S1, which could not be had;
+defaults here were chosen for the reasons given. Lengths are in m, for a sphere of radius 1 m.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ _MESH_THICKNESS = 1e-6  # x reach
 
 @dataclass(frozen=True)
 class BombardmentOptions(PhysicsOptions):
-    """Options of a bombardment. Defaults, for the paper's sphere, scale with the body.
+    """Options of a bombardment. Defaults, for a sphere of 1 m, scale with the body.
 
     Parameters
     ----------
@@ -64,7 +63,7 @@ class BombardmentOptions(PhysicsOptions):
         contact falls between sensors.
     size_ratio : float
         Ratio of the largest to the smallest radius, at least 1. Radii form a geometric sequence;
-        density is constant. 1: equal balls, as in the paper.
+        density is constant. 1: equal balls, the simplest choice; the paper gives no sizes.
     speed : float
         Root mean square speed of the balls, in m/s. 3: a ball crosses the box in 2 s, and the body
         is hit about 400 times in 2,000 frames.

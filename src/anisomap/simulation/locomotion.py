@@ -1,8 +1,7 @@
 """Locomotion: a sphere or cylinder rolls over uneven ground under gravity.
 
-McGregor et al. (2011), section "Scenarios". The paper's parameters were in its Text S1, which is no
-longer available; defaults here were chosen for the reasons given. Lengths are in m, and the paper's
-sphere has a radius of 1 m.
+McGregor et al. (2011), section "Scenarios". Its parameters are in Text S1, which could not be had;
+defaults here were chosen for the reasons given. Lengths are in m, for a sphere of radius 1 m.
 """
 
 from __future__ import annotations
@@ -115,7 +114,7 @@ _ROUNDING = 1e-9  # relative error of scaled lengths
 
 @dataclass(frozen=True)
 class LocomotionOptions(PhysicsOptions):
-    """Options of locomotion. Defaults, for the paper's sphere, scale with the body.
+    """Options of locomotion. Defaults, for a sphere of 1 m, scale with the body.
 
     Parameters
     ----------

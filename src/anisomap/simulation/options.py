@@ -1,6 +1,6 @@
 """Options of scenarios, which validate themselves and scale with the body, and their results.
 
-Documented defaults are for the paper's sphere, with a radius of 1 m and a sensor spacing of 0.43 m.
+Documented defaults are for a sphere of 60 sensors with a radius of 1 m, spaced by 0.43 m.
 For other bodies, lengths scale with the reach or the sensor spacing of the body.
 """
 
@@ -40,7 +40,7 @@ class Limits:
 
 
 def option(default: float | None, values: Range, *limits: str, **named: str) -> Any:
-    """Declare an option with a default for the paper's sphere; see `Limits`.
+    """Declare an option with a default for a sphere of 1 m; see `Limits`.
 
     Without a default, it is derived from other options.
     """

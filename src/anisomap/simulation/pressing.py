@@ -30,7 +30,7 @@ _SLAB_HALF_THICKNESS = 0.02  # x reach; for drawing only
 
 @dataclass(frozen=True)
 class PressingOptions(ScenarioOptions):
-    """Options of pressing. Defaults, for the paper's sphere, scale with the body.
+    """Options of pressing. Defaults, for a sphere of 1 m, scale with the body.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ _MAX_ROUNDS = 1000  # of rejection sampling
 
 @dataclass(frozen=True)
 class PulsesOptions(ScenarioOptions):
-    """Options of pulses. Defaults, for the paper's sphere, scale with the body.
+    """Options of pulses. Defaults, for a sphere of 1 m, scale with the body.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ _LIFT_PROFILE = np.array([1, 2, 3]) / 3
 
 @dataclass(frozen=True)
 class StrokeOptions(ScenarioOptions):
-    """Options of strokes. Defaults, for the paper's sphere, scale with the body.
+    """Options of strokes. Defaults, for a sphere of 1 m, scale with the body.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def scenarios(
     Parameters
     ----------
     scenario
-        Scenario for which to list the parameters, with their defaults for the paper's sphere.
+        Scenario for which to list the parameters, with their defaults for a sphere of 1 m.
     """
     with reporting.printer() as printer:
         if scenario is None:

@@ -210,7 +210,7 @@ _MM = 1e-3
 
 
 def hexagon(n_sensors: int = 60) -> Body:
-    """Make a hexagonal patch of six triangles with ten sensors each, as in the paper."""
+    """Make a hexagonal patch of six triangles with ten sensors each (the paper counts twelve)."""
     sensing = [pad for pad in range(_N_PADS) if pad not in THERMAL_PADS]
     expected = TRIANGLES * len(sensing)
     if n_sensors != expected:
