@@ -144,6 +144,48 @@ def test_missing_pairs_and_weights():
     assert mantel(weighted.embedding_, points, permutations=0).r > 0.9999
 
 
+def test_dissimilarities_as_points_raise_a_warning():
+    points = np.random.default_rng(0).random((9, 2))
+    distances = squareform(pdist(points))
+    with pytest.warns(AnisomapWarning, match="set metric='precomputed'"):
+        Anisomap().fit(distances)
+    Anisomap(metric="precomputed").fit(distances)
+    Anisomap().fit(distances[:, :5])
+
+
+@pytest.mark.parametrize(
+    "parameters", [{"metric": False}, {"dissimilarity": "precomputed"}, {"n_init": 0}]
+)
+def test_parameters_of_other_estimators_are_refused_with_ours(parameters):
+    message = "n_init must be" if "n_init" in parameters else "metric='precomputed' here"
+    with pytest.raises(InputError, match=message):
+        Anisomap(**parameters).fit(np.eye(3))
+
+
+def test_the_best_of_several_starts_is_kept_and_repeats_with_the_seed():
+    line = np.arange(12.0)[:, None]
+    wrong = 1e-3 * np.random.default_rng(1).permutation(line)
+    one, several, again, other = (
+        Anisomap(1, method="mds", n_init=n, random_state=seed, max_iter=0).fit(line, init=wrong)
+        for n, seed in ((1, 3), (8, 3), (8, 3), (8, 4))
+    )
+    assert several.stress_ < one.stress_
+    np.testing.assert_array_equal(several.embedding_, again.embedding_)
+    assert not np.array_equal(several.embedding_, other.embedding_)
+
+
+def test_the_order_of_dissimilarities_suffices():
+    points = np.random.default_rng(2).random((25, 2))
+    distorted = squareform(pdist(points)) ** 3
+    plain = Anisomap(2, metric="precomputed", method="mds").fit(distorted)
+    found = Anisomap(2, metric="precomputed", method="ordinal").fit(distorted)
+    assert found.stress_ < 0.01 < plain.stress_
+    assert mantel(found.embedding_, points, permutations=0).r > 0.995
+    known = np.triu_indices(25, 1)
+    order = np.argsort(distorted[known])
+    assert (np.diff(found.metric_matrix_[known][order]) >= 0).all()
+
+
 def test_separate_objects_are_not_bridged():
     distances = np.full((4, 4), np.nan)
     distances[:2, :2] = distances[2:, 2:] = 1

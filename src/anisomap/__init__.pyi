@@ -1,3 +1,4 @@
+from . import datasets as datasets
 from . import drawing as drawing
 from . import errors as errors
 from . import estimators as estimators

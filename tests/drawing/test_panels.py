@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from anisomap.drawing import figures as fig
 from anisomap.drawing.figures import backend, charts, panels, scenes
 from anisomap.errors import InputError, MissingExtraError
-from anisomap.evaluation import ShiftTest, compare_maps, score, shepard, stress_per_point
+from anisomap.evaluation import NullTest, compare_maps, score, shepard, stress_per_point
 from anisomap.health import SensorHealth, touch_coverage
 from anisomap.layout import LayoutCheck
 from anisomap.layout.checking import LayoutFinding
@@ -72,9 +72,9 @@ PANELS = {
         lambda ax: fig.plot_stress_per_point(stress_per_point(WANTED, TRUTH), NAMES, ax=ax),
     ),
     "plot_shepard": (2, lambda ax: fig.plot_shepard(shepard(WANTED, TRUTH), units="mm", ax=ax)),
-    "plot_shift_test": (
+    "plot_null_test": (
         2,
-        lambda ax: fig.plot_shift_test(ShiftTest(0.1, np.arange(9.0), 0.1), ax=ax),
+        lambda ax: fig.plot_null_test(NullTest(0.1, np.arange(9.0), 0.1), ax=ax),
     ),
     "plot_series": (2, lambda ax: fig.plot_series(np.sin(np.arange(2000.0)), rate_hz=20, ax=ax)),
 } | {

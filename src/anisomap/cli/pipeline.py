@@ -307,14 +307,19 @@ def write_outputs(
     result: Score | None = None,
     examined: Examined | None = None,
     coverage: TouchCoverage | None = None,
+    *,
+    draw: Callable[[], Figure] | None = None,
 ) -> list[tuple[str, Path]]:
-    """Write all files; return them, each with its content."""
+    """Write all files; return them, each with its content.
+
+    draw: Draws the picture; the map by default.
+    """
     if not (outputs.picture or outputs.report):
         return outputs.write(sensor_map)
     from anisomap.drawing import figures, report  # noqa: PLC0415, slow to import
 
     figure = figures.map_figure(sensor_map, result)
-    written = outputs.write(sensor_map, lambda: figure)
+    written = outputs.write(sensor_map, draw or (lambda: figure))
     if outputs.report:
         with progress("writing"):
             report.write_report(

@@ -1,17 +1,7 @@
 """Comparison of maps with true positions: Mantel r, alignment and neighbourhoods."""
 
 from anisomap.evaluation.difference import Difference, compare_maps
-from anisomap.evaluation.mantel_r import (
-    PERMUTATIONS,
-    Mantel,
-    Shepard,
-    ShiftTest,
-    mantel,
-    partial_mantel,
-    shepard,
-    shift_test,
-    stress_per_point,
-)
+from anisomap.evaluation.mantel_r import PERMUTATIONS, Mantel, mantel, partial_mantel
 from anisomap.evaluation.scoring import (
     Alignment,
     Score,
@@ -20,21 +10,30 @@ from anisomap.evaluation.scoring import (
     neighbour_agreement,
     score,
 )
+from anisomap.evaluation.stress import (
+    NullTest,
+    Shepard,
+    permutation_test,
+    shepard,
+    shift_test,
+    stress_per_point,
+)
 
 __all__ = [
     "PERMUTATIONS",
     "Alignment",
     "Difference",
     "Mantel",
+    "NullTest",
     "Score",
     "Shepard",
-    "ShiftTest",
     "align",
     "compare_maps",
     "mantel",
     "median_spacing",
     "neighbour_agreement",
     "partial_mantel",
+    "permutation_test",
     "score",
     "shepard",
     "shift_test",

@@ -6,6 +6,10 @@ they share. A new format is one module with its readers and writers, and one lin
 `registry.FORMATS`.
 """
 
+from anisomap.io.dissimilarities import Dissimilarities as Dissimilarities
+from anisomap.io.dissimilarities import find_dissimilarities as find_dissimilarities
+from anisomap.io.dissimilarities import read_dissimilarities as read_dissimilarities
+from anisomap.io.dissimilarities import read_pair_weights as read_pair_weights
 from anisomap.io.maps.csv import read_modules as read_modules
 from anisomap.io.maps.urdf import read_robot as read_robot
 from anisomap.io.presets import apply_preset as apply_preset

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from anisomap import io
 from anisomap.cli import parameters as options
 from anisomap.cli import pipeline, printing, streams
+from anisomap.cli.commands import dissimilarities as objects
 from anisomap.cli.console import print_warning, progress
 from anisomap.dimensions import AUTO
 from anisomap.errors import InputError
@@ -22,6 +24,7 @@ from anisomap.methods import DEFAULT_METHOD, check_even_spacing, find_method
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.options import MethodOptions
+from anisomap.recording import MissingPolicy
 from anisomap.tracking import gather_evidence
 
 
@@ -137,6 +140,8 @@ def map_recording(
     recordings: Annotated[list[Path], Parameter(help="Recording files of one skin.")],
     /,
     *,
+    dissimilarities: Annotated[bool | None, Parameter(group=options.method_group)] = None,
+    weights: Annotated[Path | None, Parameter(group=options.method_group)] = None,
     output: options.Output = None,
     picture: options.Picture = None,
     report: options.Report = None,
@@ -160,7 +165,16 @@ def map_recording(
     placing: options.Placing = options.DEFAULT_PLACING,
     truth: options.Truth = None,
     exclude: options.Exclude = None,
-    permutations: options.Permutations = PERMUTATIONS,
+    permutations: Annotated[
+        int | None,
+        Parameter(
+            group=options.score_group,
+            validator=Number(gte=0),
+            help="Size of the null distribution of Mantel r, or of the stress of dissimilarities; "
+            "0 skips it.",
+            show_default=f"{PERMUTATIONS}, or {objects.PERMUTATIONS} of the stress",
+        ),
+    ] = None,
     seed: options.Seed = 0,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
     large: Annotated[
@@ -173,8 +187,17 @@ def map_recording(
     above 512 MiB are read in blocks, and must then all have the same sensors; notes on the map list
     the differences.
 
+    A square symmetric matrix with a zero diagonal is mapped as dissimilarities of objects.
+
     Parameters
     ----------
+    dissimilarities
+        The file holds dissimilarities: a square matrix, a triangle, or lines of two names and a
+        value. --method is then anisomap (distances are shortest paths), mds (they are the
+        dissimilarities) or ordinal (they have their order), and --picture shepard and
+        --picture stress draw NAME.shepard.png and NAME.stress.png.
+    weights
+        File of the weights of pairs, in the form of the dissimilarities; 0 leaves a pair out.
     output
         File for the map; its suffix chooses the format. May be repeated. Default: NAME.map.csv in
         the current folder.
@@ -197,6 +220,29 @@ def map_recording(
     """
     if min_quality and not verdict:
         raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
+    chosen = tuning.checked()
+    table = objects.find(recordings, wanted=dissimilarities, weights=weights)
+    if table is not None:
+        objects.map_file(
+            table,
+            recordings,
+            output=output,
+            picture=picture,
+            report=report,
+            weights=weights,
+            drop=drop,
+            method=method,
+            dimensions=dimensions,
+            options=chosen.smacof,
+            placing=placing,
+            truth=truth,
+            exclude=exclude,
+            permutations=permutations,
+            seed=seed,
+            reporting=reporting,
+            others=repair or keep_statistics or bool(min_quality) or large.is_requested,
+        )
+        return 0
     maps = output or [options.beside(recordings[0], ".map.csv")]
     statistics = io.statistics_beside(maps[0]) if keep_statistics else None
     outputs = pipeline.Outputs(
@@ -209,31 +255,23 @@ def map_recording(
     )
     placing.check(maps)
     how = reading.checked()
-    chosen = tuning.checked()
     by = large.method(method)
     # Unknown methods and options are refused before the recording is read.
     find_method(by)
     check_even_spacing(by, chosen, readings=True)
     reference = None if truth is None else pipeline.read_reference(truth)
-    source: pipeline.Source
-    mended: Sequence[Finding] = ()
-    if large.is_requested or streams.too_large(recordings, how):
-        _check_in_blocks(repair=repair, keep_statistics=keep_statistics)
-        source = streams.read_in_blocks(
-            recordings,
-            how,
-            missing=missing,
-            method=by,
-            options=chosen,
-            large=large,
-            drop=drop,
-            seed=seed,
-        )
-    elif repair:
-        runs, mended = pipeline.repair_runs([pipeline.read(path, how) for path in recordings])
-        source = [pipeline.complete(run, missing) for run in runs]
-    else:
-        source = pipeline.read_runs(recordings, how, missing)
+    source, mended = _read_source(
+        recordings,
+        how,
+        repair=repair,
+        keep_statistics=keep_statistics,
+        missing=missing,
+        method=by,
+        options=chosen,
+        large=large,
+        drop=drop,
+        seed=seed,
+    )
     remaining = [one for one in mended if not one.mendable] if repair else None
     examined = pipeline.examine(source, remaining)
     names = examined.recording.names
@@ -272,7 +310,7 @@ def map_recording(
             outputs,
             placing.applied(sensor_map),
             examined,
-            permutations=permutations,
+            permutations=PERMUTATIONS if permutations is None else permutations,
             seed=seed,
             exclude=left_out,
             written=written,
@@ -280,6 +318,26 @@ def map_recording(
         )
     level = (min_quality or "").replace("-", " ")
     return 0 if not level or pipeline.reaches(sensor_map.verdict, level) else 1
+
+
+def _read_source(
+    recordings: list[Path],
+    how: io.ReadOptions,
+    *,
+    repair: bool,
+    keep_statistics: bool,
+    missing: MissingPolicy,
+    large: streams.LargeOptions,
+    **settings: Any,
+) -> tuple[pipeline.Source, Sequence[Finding]]:
+    """Read recordings, in blocks if they are large; return them and the faults that were mended."""
+    if large.is_requested or streams.too_large(recordings, how):
+        _check_in_blocks(repair=repair, keep_statistics=keep_statistics)
+        return streams.read_in_blocks(recordings, how, missing=missing, large=large, **settings), ()
+    if not repair:
+        return pipeline.read_runs(recordings, how, missing), ()
+    runs, mended = pipeline.repair_runs([pipeline.read(path, how) for path in recordings])
+    return [pipeline.complete(run, missing) for run in runs], mended
 
 
 def _check_in_blocks(*, repair: bool, keep_statistics: bool) -> None:

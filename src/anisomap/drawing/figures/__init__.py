@@ -1,7 +1,12 @@
 """Figures of maps and simulated scenes; matplotlib is imported when the first one is drawn."""
 
 from anisomap.drawing.figures.backend import KINDS, check_writable, figure_bytes, save_figure
-from anisomap.drawing.figures.charts import plot_shepard, plot_shift_test, plot_stress_per_point
+from anisomap.drawing.figures.charts import (
+    plot_null_test,
+    plot_shepard,
+    plot_stress_per_point,
+    stress_figure,
+)
 from anisomap.drawing.figures.displacements import (
     difference_figure,
     layout_figure,
@@ -30,13 +35,14 @@ __all__ = [
     "plot_distances",
     "plot_layout",
     "plot_map",
+    "plot_null_test",
     "plot_placement",
     "plot_series",
     "plot_shepard",
-    "plot_shift_test",
     "plot_stress_per_point",
     "plot_touches",
     "save_figure",
     "series_figure",
+    "stress_figure",
     "touch_figure",
 ]

@@ -27,7 +27,7 @@ from anisomap.drawing.figures.backend import (
 )
 from anisomap.drawing.view import printable
 from anisomap.errors import InputError
-from anisomap.evaluation import Shepard, ShiftTest
+from anisomap.evaluation import NullTest, Shepard
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -294,7 +294,7 @@ _N_LABELS = 6
 
 @panel()
 def plot_stress_per_point(
-    shares: Sequence[float], names: Sequence[str] = (), *, ax: Axes = None
+    shares: Sequence[float] | NDArray[np.float64], names: Sequence[str] = (), *, ax: Axes = None
 ) -> None:
     """Plot the share of each sensor in the stress, the greatest first, and name the greatest.
 
@@ -311,7 +311,12 @@ def plot_stress_per_point(
     ax.plot(np.arange(1, len(order) + 1), values[order], ".", color=PALETTE[0], markersize=5)
     for rank, i in enumerate(order[:_N_LABELS].tolist(), start=1):
         ax.annotate(
-            f" {printable(labels[i])}", (rank, values[i]), fontsize=7, color=INK, parse_math=False
+            f" {printable(labels[i])}",
+            (rank, values[i]),
+            fontsize=7,
+            color=INK,
+            rotation=30,
+            parse_math=False,
         )
     ax.axhline(100 / len(values), color=FAINT, linewidth=0.8, linestyle=":")
     ax.set(xlabel="rank of the sensor", ylabel="share of the stress, %")
@@ -347,18 +352,56 @@ def plot_shepard(found: Shepard, *, units: str = "", ax: Axes = None) -> None:
 
 
 @panel()
-def plot_shift_test(found: ShiftTest, *, label: str = "statistic", ax: Axes = None) -> None:
-    """Plot the null distribution of a test by shifts, and the observed value.
+def plot_null_test(found: NullTest, *, label: str = "statistic", ax: Axes = None) -> None:
+    """Plot the null distribution of a test, and the observed value.
 
     Parameters
     ----------
-    found : ShiftTest
-        From `anisomap.evaluation.shift_test`.
+    found : NullTest
+        From `anisomap.evaluation.shift_test` or `anisomap.evaluation.permutation_test`.
     label : str
         Name of the statistic, with its unit.
     """
-    ax.hist(found.null, bins="auto", color=PALETTE[0], alpha=0.6, label="sensors shifted in time")
-    ax.axvline(found.observed, color=PALETTE[1], linewidth=1.6, label="recording")
-    ax.set(xlabel=label, ylabel="number of shifted recordings")
+    ax.hist(found.null, bins="auto", color=PALETTE[0], alpha=0.6, label=found.hypothesis)
+    ax.axvline(found.observed, color=PALETTE[1], linewidth=1.6, label="observed")
+    ax.set(xlabel=label, ylabel="number of cases")
     ax.legend(frameon=False, fontsize=8)
-    set_title(ax, f"Test by circular shifts: p = {found.p_value:.3g}")
+    set_title(ax, f"{found.hypothesis.capitalize()}: p = {found.p_value:.3g}")
+
+
+def stress_figure(
+    title: str,
+    diagram: Shepard,
+    shares: Sequence[float] | NDArray[np.float64],
+    names: Sequence[str],
+    test: NullTest,
+) -> Figure:
+    """Draw how well a map fits its dissimilarities: Shepard diagram, stress per point, test.
+
+    Parameters
+    ----------
+    title : str
+    diagram : Shepard
+        From `anisomap.evaluation.shepard`.
+    shares : sequence of float
+        From `anisomap.evaluation.stress_per_point`.
+    names : sequence of str
+        Names of the sensors or objects.
+    test : NullTest
+        Test of Stress-1; not drawn if its null is empty.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    with drawing_style():
+        n_panels = 2 + bool(test.null.size)
+        figure = new_figure(4.6 * n_panels, 4.6)
+        figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.91))
+        axes = [figure.add_subplot(1, n_panels, i + 1) for i in range(n_panels)]
+        plot_shepard(diagram, ax=axes[0])
+        plot_stress_per_point(shares, names, ax=axes[1])
+        if test.null.size:
+            plot_null_test(test, label="Stress-1", ax=axes[2])
+        write_title(figure, title)
+        return figure

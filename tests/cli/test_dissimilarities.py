@@ -1,0 +1,134 @@
+"""Journeys of ``anisomap map`` with dissimilarities, beside the worked examples of R.
+
+Ekman's similarities of colours are those of R's package smacof; road distances those of R.
+"""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist, squareform
+
+import anisomap
+from anisomap import datasets, evaluation
+
+RAW_STRESS_OF_EKMAN = 2 * 0.52785281847690113
+"""De Leeuw's smacof of 1 - ekman in 2 dimensions, which gives half the sum of squares.
+
+https://github.com/deleeuw/smacofExamples, ekman/ekmanMetric.R.
+"""
+
+CITIES_OF_R = {"Athens": (2290.27468, 1798.8029), "Barcelona": (-825.38279, 546.8115)}
+"""First rows of ``cmdscale(eurodist)``, in the documentation of R."""
+
+
+@pytest.fixture
+def points():
+    return np.random.default_rng(4).random((12, 2))
+
+
+@pytest.fixture
+def dist_csv(tmp_path, points):
+    names = [f"p{i}" for i in range(len(points))]
+    lines = [",".join(["", *names])]
+    for name, row in zip(names, squareform(pdist(points)), strict=True):
+        lines.append(",".join([name, *map(repr, row.tolist())]))
+    path = tmp_path / "dist.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_matrix_is_recognised_mapped_and_examined(run, dist_csv, points, tmp_path):
+    done = run("map", dist_csv, "-d", 2, "--picture", "stress", "--report", "r.html", "--json")
+    assert done.code == 0, done.err
+    found = anisomap.read_map(tmp_path / "dist.map.csv")
+    assert found.names == tuple(f"p{i}" for i in range(12))
+    assert evaluation.mantel(found, points, permutations=0).r > 0.999999
+    fit = done.values["dissimilarities"]
+    assert (fit["objects"], fit["pairs"], fit["unknown"]) == (12, 66, 0)
+    assert fit["stress"] < 1e-3
+    assert fit["p_value"] == pytest.approx(0.01)
+    assert sum(fit["stress_per_point"].values()) == pytest.approx(1)
+    assert (tmp_path / "dist.stress.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "r.html").exists()
+
+
+def test_a_doubtful_matrix_is_refused_with_both_readings(run, tmp_path):
+    np.savetxt(tmp_path / "d.csv", 1 - np.eye(6)[::-1] - np.eye(6), delimiter=",")
+    done = run("map", "d.csv")
+    assert done.code == 2
+    for option in ("--dissimilarities", "--no-dissimilarities", "recording of 6 frames"):
+        assert option in done.err
+    assert "Traceback" not in done.err
+
+
+def test_a_square_recording_can_be_named_as_such(run_map, tmp_path):
+    rng = np.random.default_rng(0)
+    half = rng.random((8, 8))
+    np.savetxt(tmp_path / "d.csv", (half + half.T) * (1 - np.eye(8)), delimiter=",")
+    assert "Dissimilarities" in run_map("d.csv", "-m", "mds").out
+    assert "frames" in run_map("d.csv", "--no-dissimilarities").out
+
+
+def test_weights_and_missing_pairs(run, tmp_path, points):
+    """A wrong distance of weight 0 does not matter, and neither do unknown ones."""
+    true = squareform(pdist(points))
+    wrong = true.copy()
+    wrong[0, 5] = wrong[5, 0] = 9
+    wrong[1, 2] = wrong[2, 1] = np.nan
+    np.savetxt(tmp_path / "d.csv", wrong, delimiter=",")
+    (tmp_path / "w.csv").write_text("s0,s5,0\n")
+    args = ["map", "d.csv", "-d", 2, "-m", "mds", "--dissimilarities", "--permutations", 0]
+    assert run(*args, "-o", "bent.csv").code == 0
+    done = run(*args, "--weights", "w.csv", "-o", "m.csv", "--json")
+    assert done.values["dissimilarities"]["unknown"] == 2
+    bent, good = (
+        evaluation.mantel(anisomap.read_map(tmp_path / name), true, permutations=0).r
+        for name in ("bent.csv", "m.csv")
+    )
+    assert good > 0.999 > bent
+
+
+def test_objects_without_known_pairs_are_refused(run, tmp_path):
+    (tmp_path / "d.csv").write_text("A,B,1\nB,C,1\nD,E,1\nE,F,1\n")
+    done = run("map", "d.csv", "--dissimilarities", "-d", 2)
+    assert done.code == 2
+    assert "2 connected components" in done.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--repair"], "leave out other files, --repair"),
+        (["-m", "covariogram"], "choose from anisomap, mds, ordinal"),
+        (["--drop", "p0,p1,p2,p3,p4,p5,p6,p7,p8,p9"], "at least 3 objects, got 2"),
+        (["--no-dissimilarities", "--weights", "w.csv"], "give --dissimilarities as well"),
+    ],
+)
+def test_what_does_not_apply_is_refused(run, dist_csv, arguments, message):
+    done = run("map", dist_csv, *arguments)
+    assert done.code == 2
+    assert message in done.err
+
+
+def test_ekman_has_the_stress_that_smacof_finds(run, tmp_path):
+    ekman = datasets.load_ekman()
+    known = np.triu_indices(14, 1)
+    np.savetxt(tmp_path / "ekman.csv", ekman.dissimilarities, delimiter=",")
+    done = run("map", "ekman.csv", "-d", 2, "-m", "mds", "--json", "--permutations", 0)
+    found = anisomap.read_map(tmp_path / "ekman.map.csv")
+    missed = pdist(found.positions) - ekman.dissimilarities[known]
+    assert (missed**2).sum() == pytest.approx(RAW_STRESS_OF_EKMAN, rel=1e-7)
+    fit = done.values["dissimilarities"]
+    explicit = np.sqrt(RAW_STRESS_OF_EKMAN / (ekman.dissimilarities[known] ** 2).sum())
+    assert fit["explicit_stress"] == pytest.approx(explicit, rel=1e-6)
+    ordinal = run("map", "ekman.csv", "-d", 2, "-m", "ordinal", "--json", "--permutations", 19)
+    fit = ordinal.values["dissimilarities"]
+    assert fit["stress"] == pytest.approx(fit["nonmetric_stress"], rel=1e-6)
+    assert fit["stress"] == pytest.approx(0.023, abs=5e-4)
+    assert fit["p_value"] == pytest.approx(0.05)
+
+
+def test_road_distances_have_the_classical_scaling_of_r():
+    roads = datasets.load_eurodist()
+    found = anisomap.numerics.scaling.multidimensional_scaling.torgerson(roads.dissimilarities, 2)
+    for city, place in CITIES_OF_R.items():
+        np.testing.assert_allclose(np.abs(found[roads.names.index(city)]), np.abs(place), rtol=1e-6)
