@@ -21,11 +21,12 @@ from scipy.spatial.distance import pdist, squareform
 from sklearn.isotonic import IsotonicRegression
 
 import anisomap
-from anisomap.comparison import MIN_TOUCHES, spanned_dimensions, touched
+from anisomap.comparison import spanned_dimensions, touched
+from anisomap.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.evaluation import mantel
 from anisomap.evidence import compare
 from anisomap.mapping import dissimilarities
-from anisomap.methods import DEFAULT_METHOD, METHODS
+from anisomap.methods import METHODS
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
 from anisomap.scaling import Configuration, refine_components

@@ -23,7 +23,8 @@ from matplotlib.figure import Figure
 import anisomap
 from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.comparison import COMPARED, RIVALS, Comparison, compare_methods
-from anisomap.methods import DEFAULT_METHOD, METHODS
+from anisomap.defaults import DEFAULT_METHOD
+from anisomap.methods import METHODS
 from benchmarks.harness import COLOURS, files_in, heading, in_parallel, line, options, write_rows
 
 SCENARIOS = (

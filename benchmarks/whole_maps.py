@@ -13,10 +13,11 @@ from scipy.spatial.distance import cdist, pdist
 from sklearn.manifold import MDS, Isomap
 
 from anisomap import AnisomapWarning, Recording, SensorMap, reconstruct, reconstruct_from
+from anisomap.defaults import DEFAULT_BINS
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
-from anisomap.numerics.similarity.binning import DEFAULT_BINS, maximum_entropy_codes
+from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.information import mutual_information
 from benchmarks.comparison import Comparison, Reference, Setting, describe_share

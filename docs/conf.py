@@ -13,13 +13,12 @@ from sphinx.util import logging as sphinx_logging
 from sphinx.writers.html5 import HTML5Translator
 
 from anisomap import __version__
-from anisomap.cli.app import COMMANDS, describe
+from anisomap.cli.app import load_commands
 
 sys.path.insert(0, str(Path(__file__).parent))
 from notebooks import to_markdown
 
-for command in COMMANDS:
-    describe(command)
+load_commands()
 
 project = "anisomap"
 author = "The anisomap developers"

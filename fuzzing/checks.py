@@ -156,7 +156,7 @@ def check_file_by_command(path: Path, found: Findings, rng: Generator) -> None:
         scaled = ("--spacing", "5mm") if rng.integers(2) else ()
         found.command("convert", path, output, *scaled)
     elif use <= 3:
-        found.command("info", path, *(["--sensors"] if rng.integers(2) else ["--json"]))
+        found.command("info", path, *(["--all"] if rng.integers(2) else ["--json"]))
     elif use == 4:
         found.command("score", path, path, "--permutations", "0")
     else:

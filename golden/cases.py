@@ -12,7 +12,8 @@ from typing import Literal
 import numpy as np
 
 import anisomap
-from anisomap.methods import DEFAULT_METHOD, METHODS
+from anisomap.defaults import DEFAULT_METHOD
+from anisomap.methods import METHODS
 from anisomap.recording import MissingPolicy, Recording
 
 _ROOT = Path(__file__).parents[1]

@@ -13,8 +13,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from anisomap import Anisomap, Recording, SensorMapper, mantel, reconstruct
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.methods import DEFAULT_METHOD
 from skins import flat_skin, lattice
 
 SKIN = flat_skin()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import anisomap
+from anisomap.defaults import DEFAULT_BINS
 from anisomap.evidence import compare
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from skins import flat_skin
 
 

@@ -11,7 +11,7 @@ from benchmarks.quality import FRAMES, SCENARIOS, Result
 
 import anisomap
 from anisomap.comparison import COMPARED
-from anisomap.methods import DEFAULT_METHOD
+from anisomap.defaults import DEFAULT_METHOD
 from skins import flat_skin
 
 

@@ -59,7 +59,7 @@ def folder(tmp_path):
 @pytest.mark.parametrize(
     ("command", "written"),
     [
-        (["info", "skin.csv", "--sensors"], set()),
+        (["info", "skin.csv", "--all"], set()),
         (["convert", "skin.npz", "m.launch.xml", "--spacing", "5mm"], {"m.launch.xml"}),
         pytest.param(
             ["map", "skin.npz", "-m", "r-anisomap", "-o", "m.csv", "--report", "r.html"],

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from anisomap.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.errors import AnisomapWarning, InputError, MissingExtraError
 from anisomap.evaluation import score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
-from anisomap.methods import DEFAULT_METHOD, METHODS, PAPER_METHODS
+from anisomap.methods import METHODS, PAPER_METHODS
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
@@ -192,13 +193,6 @@ def map_by_rival(recording: Recording, name: str, dimensions: int, *, seed: int 
 COMPARED = (DEFAULT_METHOD, "contact-fit", *PAPER_METHODS, *RIVALS)
 """Methods that are compared by default: the default method, its refinement by contacts, the paper's
 methods, and the stock methods."""
-
-MIN_TOUCHES = 5
-"""Frames in which a sensor must differ from rest to be mapped.
-
-Fewer say almost nothing about its place, and a few such sensors ruin the map of all others; the
-value is that of the published comparisons on Nao's skin.
-"""
 
 _FLAT = 0.02  # relative singular value of positions below which a direction is not spanned
 _MIN_SHARE = 0.5  # two maps that both place more than half of the sensors share some of them

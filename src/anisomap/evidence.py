@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
 from anisomap.numerics.graph.dissimilarity import as_symmetric
@@ -24,7 +25,6 @@ from anisomap.numerics.reliability.blending import (
 )
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.reliability.split_half import at_frames, split_blocks, spread_frames
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.numerics.similarity.reference import without_common_signal

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.dimensions import (
     AUTO,
     SPATIAL,
@@ -15,7 +16,7 @@ from anisomap.dimensions import (
     plan_dimensions,
 )
 from anisomap.evidence import PairStatistics, compare
-from anisomap.methods import DEFAULT_METHOD, METHODS, Method, find_method
+from anisomap.methods import METHODS, Method, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.precision import Reals
 from anisomap.options import MethodOptions

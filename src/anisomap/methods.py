@@ -17,6 +17,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.evidence import PairStatistics
 from anisomap.numerics.contacts.contact_agreement import shows_single_contacts
@@ -42,8 +43,6 @@ from anisomap.refinements.paths import by_paths
 from anisomap.refinements.spacing import by_even_spacing
 
 logger = logging.getLogger(__name__)
-
-DEFAULT_METHOD = "covariogram"
 
 _MIN_KNOWN = 0.6  # share of known pairs below which partial correlations miss too much
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from anisomap.defaults import DEFAULT_BINS, DEFAULT_MU
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class MethodOptions:
         If `mu` or `independent_frames` is out of range.
     """
 
-    mu: float = 1.0
+    mu: float = DEFAULT_MU
     bins: int = DEFAULT_BINS
     n_neighbours: int | None = None
     smacof: SmacofOptions = field(default_factory=SmacofOptions)

@@ -21,6 +21,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.description import (
     caveats,
     options_provenance,
@@ -38,13 +39,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evidence import PairStatistics
 from anisomap.mapping import Stages, compute_stages, dissimilarities
 from anisomap.memory import check_pair_memory
-from anisomap.methods import (
-    DEFAULT_METHOD,
-    Method,
-    check_even_spacing,
-    examined_metric,
-    find_method,
-)
+from anisomap.methods import Method, check_even_spacing, examined_metric, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.metric import check_semi_metric
 from anisomap.options import MethodOptions

@@ -25,7 +25,8 @@ map skin.npz -o .                                         | folder
 map skin.npz -o skin.mjcf                                 | --spacing 6.5mm
 map skin.npz --picture map.bmp                            | .png
 map skin.npz --report nowhere/r.html                      | folder nowhere does not exist
-map missing.csv -m pca                                    | no method 'pca'
+map skin.npz -m pca                                       | no method 'pca'
+map missing.csv -o map.csv                                | there is no file missing.csv
 map skin.npz -d 0                                         | -d
 map skin.npz -d 1.5                                       | 1.5
 map skin.npz -d flat                                      | flat
@@ -33,8 +34,8 @@ map skin.npz -d 100 -m r-anisomap                         | 100
 map skin.npz --exclude nobody                             | nobody
 map skin.npz --drop 99                                    | 99
 map skin.npz --drop {LONG}                                | there is no sensor 'xxx
-map skin.npz --mu -1                                      | mu
-map skin.npz -m i-anisomap --bins 1                       | bins
+map skin.npz --regularisation -1                                      | mu
+map skin.npz -m i-anisomap --entropy-bins 1                       | bins
 map skin.npz -m isomap --n-neighbours 0                   | neighbours
 map skin.npz -m r-anisomap --even-spacing                 | r-anisomap does not support even spacing
 map skin.npz --tolerance -1                               | tolerance
@@ -60,16 +61,15 @@ map skin.csv --grid 6x8                                   | 48
 map skin.csv --grid six                                   | rows and columns, as in 32x64
 map constant.csv -o old.csv                               | got 0 of 3
 info nothing.npz --quiet                                  | nothing.npz
-info skin.csv --bin 0                                     | --bin must be a time above 0
-info skin.csv --bin 1min                                  | --bin must be a time above 0
-info skin.csv --bin nan                                   | --bin must be a time above 0
-info skin.csv --bin '1 s s'                               | --bin must be a time above 0
-info skin.csv --bin {"9" * 400}                           | --bin must be a time above 0
+info skin.csv --bin-width 0                                     | --bin-width must be a time above 0
+info skin.csv --bin-width 1min                                  | --bin-width must be a time above 0
+info skin.csv --bin-width nan                                   | --bin-width must be a time above 0
+info skin.csv --bin-width '1 s s'                               | --bin-width must be a time above 0
+info skin.csv --bin-width {"9" * 400}                           | --bin-width must be a time above 0
 compare skin.csv                                          | no true positions
 compare skin.npz -o skin.npz                              | .md
 compare skin.csv --positions truth.csv -o truth.csv       | truth.csv
-score map.csv                                             | --truth
-score map.csv truth.csv --truth truth.csv                 | --truth
+score map.csv                                             | REFERENCE_FILE
 score map.csv truth.csv --picture truth.csv               | another file
 score map.csv empty.csv                                   | empty.csv
 score map.csv header.csv                                  | header.csv
@@ -79,7 +79,7 @@ score ragged.csv truth.csv                                | ragged.csv
 diff truth.csv missing.csv                                | missing.csv
 diff truth.csv truth.csv --picture truth.csv              | truth.csv
 diff truth.csv truth.csv --picture diff.bmp               | .png, .svg or .pdf
-diff truth.csv truth.csv --level 2                        | level must be between 0 and 1
+diff truth.csv truth.csv --significance 2                        | level must be between 0 and 1
 convert map.csv a.urdf                                    | in metres, but the map has no scale
 convert map.csv a.urdf --spacing 6.5                      | '6.5' is not a length
 convert map.csv a.xyz                                     | unknown suffix '.xyz'
@@ -105,7 +105,7 @@ check layout.csv skin.npz -o a.xyz                        | unknown suffix
 check map.csv skin.npz -o a.urdf                          | metres
 check layout.csv skin.npz --picture p.bmp                 | p.bmp
 check layout.csv skin.npz --module-size 50                | size of modules
-check layout.csv skin.npz --module-size 10 --modules m    | not by both
+check layout.csv skin.npz --module-size 10 --module-table m    | not by both
 place map.csv                                             | nothing places the map
 place map.csv --anchor s1=1                               | is not an anchor
 place map.csv --anchor s1=0,0 --anchor s2=0,0,0           | all anchors must have two coordinates
@@ -113,10 +113,10 @@ place map.csv --anchor sx=0,0 --anchor s2=0,1             | anchor sx is no sens
 place map.csv --anchors missing.csv                       | missing.csv
 place map.csv --anchors anchors.csv -o anchors.csv        | anchors.csv
 place map.csv --anchors anchors.csv -o a.unknown          | unknown suffix
-place map.csv --anchors anchors.csv --module anchors.csv  | either --modules
+place map.csv --anchors anchors.csv --module-layout anchors.csv  | either --module-table
 place map.csv --anchors anchors.csv --mesh map.csv        | map.csv
 place map.csv --module-size 5                             | modules need the positions of their pads
-place map.csv --module anchors.csv --module-size 40 --module-first 0 | no such pad
+place map.csv --module-layout anchors.csv --module-size 40 --first-pad 0 | no such pad
 place map.csv --spacing 6                                 | is not a length
 place map.csv --anchor s1=0,0,0 --link left               | give --self-touch
 place placed.csv --anchors anchors.csv -o a.csv           | in the frame of the robot already
@@ -125,7 +125,6 @@ update kept.csv skin.npz -o kept.csv                      | also an input
 update kept.csv skin.npz -o kept.npz                      | also an input
 update map.csv skin.npz                                   | --keep-statistics
 update kept.csv skin.npz --statistics map.csv             | map.csv
-update kept.csv skin.npz --level 2                        | level must be between 0 and 1
 update kept.csv zero.csv                                  | no evidence
 update kept.csv skin.npz -o a.xyz                         | suffix
 update kept.csv skin.npz -o a.urdf                        | place the map first

@@ -47,7 +47,7 @@ def test_from_a_wrong_layout_to_a_corrected_one(run, files):
 def test_a_right_layout_is_consistent(run, files):
     rows = [f"{name},{i // 10}" for i, name in enumerate(NAMES)]
     (files / "modules.csv").write_text("sensor,module\n" + "\n".join(rows))
-    for modules in (("--module-size", 10), ("--modules", "modules.csv")):
+    for modules in (("--module-size", 10), ("--module-table", "modules.csv")):
         checked = run("check", "right.icub.txt", "skin.npz", "--json", *modules)
         assert checked.code == 0
         values = checked.values

@@ -82,8 +82,8 @@ FILES: dict[str, tuple[Callable[[Recording, Path], None], tuple[str, ...]]] = {
     "contacts.csv": (contacts_as_text, ()),
     "skin_events.log": (contacts_of_the_icub, ()),
     "touch.mat": (contacts_in_matlab, ("--select", "torso")),
-    "spikes.csv": (spikes_as_text, ("--bin", "100ms")),
-    "spikes.h5": (spikes_in_hdf5, ("--bin", ".1")),
+    "spikes.csv": (spikes_as_text, ("--bin-width", "100ms")),
+    "spikes.h5": (spikes_in_hdf5, ("--bin-width", ".1")),
     "insole.csv": (lists_in_cells, ()),
     "hand.txt": (cyskin, ()),
 }
@@ -137,7 +137,7 @@ def test_the_default_bins_are_said(run, skin, tmp_path):
     looked = run("info", "spikes.h5")
     assert looked.code == 0
     assert "warning: spikes.h5: events are counted in bins of 1 s, the default" in looked.err
-    chosen = run("info", "spikes.h5", "--bin", "200ms")
+    chosen = run("info", "spikes.h5", "--bin-width", "200ms")
     assert "in bins" not in chosen.err
     assert "counted in bins of 0.2 s" in chosen.out
 

@@ -404,3 +404,18 @@ def test_a_file_that_changes_while_it_is_read(tmp_path, name):
         path.write_bytes(content)
         # In another process, which a bus error would end.
         assert in_a_child(partial(read_while, change, path)) == 0, name_of_change
+
+
+def test_an_interrupted_verdict_leaves_the_map(folder, monkeypatch, capsys):
+    def interrupted(sensor_map, with_verdict=True, **options):
+        if with_verdict:
+            raise KeyboardInterrupt
+        return sensor_map
+
+    monkeypatch.setattr("anisomap.cli.pipeline.diagnose", interrupted)
+    monkeypatch.chdir(folder)
+    assert run(["map", "skin.npz", "-d", "2", "-m", "r-anisomap", "-o", "m.csv"]) == 130
+    said = capsys.readouterr()
+    assert "Map by r-anisomap" in said.out
+    assert said.err == "error: interrupted; m.csv is written, without a verdict\n"
+    assert anisomap.read_map(folder / "m.csv").placed.all()

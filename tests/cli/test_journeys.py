@@ -57,7 +57,7 @@ def test_a_map_is_scored_against_any_layout(run, run_map, skin_csv, truth_csv, t
     while_mapping = done.values["score"]
     assert while_mapping["mantel_r"] > 0.9
     files = ("--picture", "score.png", "--report", "score.html", "--permutations", 9)
-    after = run("score", "map.csv", "--truth", truth, *files, "--json").values["score"]
+    after = run("score", "map.csv", truth, *files, "--json").values["score"]
     assert after["mantel_r"] == while_mapping["mantel_r"]
     assert (tmp_path / "score.png").stat().st_size > 10_000
     assert "Mantel r" in (tmp_path / "score.html").read_text()

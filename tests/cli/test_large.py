@@ -60,7 +60,7 @@ def test_large_recordings_make_the_same_map(run_map, parts, method, request):
 
 def said_of_both(run):
     """Return the lines on a map, except for its touches, which need all readings."""
-    lines = "\n".join(line.rstrip() for line in run.out.split("Files")[0].splitlines())
+    lines = "\n".join(line.rstrip() for line in run.out.split("Written to")[0].splitlines())
     return re.sub(r"^Touches\n( .*\n)+", "", lines, flags=re.MULTILINE)
 
 

@@ -14,7 +14,7 @@ from skins import flat_skin, lattice
 
 def test_every_file_holds_the_map_and_its_verdict(made):
     said = json.loads((made / "said.json").read_text())
-    score, verdict = said["score"], said["map"]["verdict"]
+    score, verdict = said["score"], said["verdict"]
     assert score["mantel_r"] > 0.95
     assert score["p_value"] == pytest.approx(0.01)
     assert (score["sensors_compared"], score["units"]) == (42, "mm")
@@ -117,7 +117,7 @@ def test_separate_components_are_warned_of_and_written_apart(run_map, tmp_path):
         touch = rng.uniform(sensors.start, sensors.stop, 600)[:, None]
         readings[frames, sensors.start : sensors.stop] = np.maximum(0, 2 - abs(touch - sensors))
     anisomap.write(anisomap.Recording(readings), tmp_path / "pieces.npz")
-    words = ("pieces.npz", "-d", 2, "--mu", 0)
+    words = ("pieces.npz", "-d", 2, "--regularisation", 0)
     made = run_map(*words, "-o", "m.csv", "--picture", "m.png", "--report", "m.html")
     assert made.code == 0
     assert "2 separate components" in made.err
@@ -203,7 +203,7 @@ def test_a_map_of_few_of_the_sensors_is_not_called_a_perfect_fit(run, tmp_path):
     assert "perfect fit" not in made.out
     shown = anisomap.read_map("m.csv").component_sizes[0]
     assert shown < 64 / 3
-    assert "verdict not usable" in " ".join(made.out.split())
+    assert "Verdict: not usable" in " ".join(made.out.split())
     assert f"the map shows only {shown} sensors" in made.out
 
 

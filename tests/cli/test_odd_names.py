@@ -43,7 +43,7 @@ def strings(value: object) -> set[str]:
 
 
 def test_information_shows_names_as_text(run, hostile: Path) -> None:
-    for options in ([], ["--sensors"], ["--sensors", "--json"]):
+    for options in ([], ["--all"], ["--all", "--json"]):
         shown = run("info", hostile, *options)
         assert shown.code == 0
         assert not unsafe(shown.out + shown.err)

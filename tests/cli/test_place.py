@@ -79,7 +79,7 @@ def test_modules_give_millimetres_and_the_hand_without_anchors(run, run_map, tmp
     )
     modules = np.column_stack([np.arange(60) // 10, np.arange(60) % 10])
     write_layout(tmp_path / "modules.csv", modules, names, "sensor,module,pad")
-    words = ("--module", "triangle.csv", "--modules", "modules.csv")
+    words = ("--module-layout", "triangle.csv", "--module-table", "modules.csv")
     done = run("place", "map.csv", *words, "-o", "placed.csv", "--json")
     assert done.code == 0, done.err
     placed = io.read_map(tmp_path / "placed.csv")
@@ -200,7 +200,7 @@ def test_a_map_is_placed_by_self_touch(two_arms, tmp_path):
     placed = io.read_map(outputs[1])
     assert placed.frame == "left"
     assert (tmp_path / "placed.png").stat().st_size > 10_000
-    exact = call(folder, *touching(joints="degrees.csv"), "--degrees", "--exact",
+    exact = call(folder, *touching(joints="degrees.csv"), "--degrees", "--fixed-shape",
                  "-o", tmp_path / "exact.npz")  # fmt: skip
     assert exact.code == 0, exact.err
     assert "agree" in exact.out
@@ -227,7 +227,7 @@ def test_a_map_is_placed_by_self_touch(two_arms, tmp_path):
 def test_bad_input_of_self_touch(two_arms, changes, message):
     folder, _ = two_arms
     before = contents(folder)
-    done = call(folder, *touching(**changes), "--exact", "-o", "placed.csv")
+    done = call(folder, *touching(**changes), "--fixed-shape", "-o", "placed.csv")
     assert done.code == 2
     assert message in done.err
     assert len(done.err.splitlines()) == 1

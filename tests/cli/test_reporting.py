@@ -63,6 +63,27 @@ def test_results_are_one_json_object_or_nothing(folder, command):
     assert (quiet.code, quiet.out) == (0, "")
 
 
+def test_quiet_does_not_silence_json(folder):
+    assert "methods" in call(folder, "methods", "-q", "--json").values
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["info nothing.npz", "map skin.npz --frobnicate", "mapp skin.npz", "map skin.npz -m no"],
+)
+def test_errors_are_json_if_asked_for(folder, command):
+    plain, found = call(folder, *command.split()), call(folder, *command.split(), "--json")
+    assert plain.code == found.code == found.values["exit_code"] == 2
+    assert (found.err, plain.err) == ("", f"error: {found.values['error']}\n")
+
+
+def test_help_states_options_of_every_command_in_a_screen_or_two(folder):
+    commands = call(folder, "--help").out
+    for name in app.COMMANDS:
+        assert name in commands
+        assert len(call(folder, name, "--help").out.splitlines()) <= 90
+
+
 def test_the_map_is_written_if_the_reader_closes_the_pipe(folder, monkeypatch):
     monkeypatch.setattr(console.console, "quiet", False)  # restored, since a closed pipe sets it
     reader, writer = os.pipe()

@@ -153,7 +153,9 @@ def test_a_truncated_list_loses_its_last_line(put: Put) -> None:
 
 def test_readings_have_no_bins(tmp_path: Path) -> None:
     np.save(tmp_path / "x.npy", np.eye(3))
-    with pytest.raises(FileError, match=r"x\.npy .* holds readings, not events; leave out --bin"):
+    with pytest.raises(
+        FileError, match=r"x\.npy .* holds readings, not events; leave out --bin-width"
+    ):
         io.read(tmp_path / "x.npy", options=OPTIONS(bin_s=1.0))
 
 

@@ -43,7 +43,7 @@ def test_the_default_width_of_bins_is_said(put: Put) -> None:
     times = np.linspace(0.1, 9.4, 40)
     rows = "".join(f"{time:.4f},{i % 3}\n" for i, time in enumerate(times))
     path = put("spikes.csv", "time,electrode\n" + rows)
-    with pytest.warns(AnisomapWarning, match=r"in bins of 1 s, the default width.*--bin"):
+    with pytest.warns(AnisomapWarning, match=r"in bins of 1 s, the default width.*--bin-width"):
         found = io.read(path)
     assert found.readings.sum() == 40
     assert found.metadata["bin_s"] == 1
@@ -165,5 +165,5 @@ class TestSpikeTables:
         ["a,b\n1,2\n3,4\n", "a,b\n1.5,2\n0.5,4\n", "a,b\n0.5,1\n,2\n1.5,3\n", "a,b\n0.5,x\n"],
     )
     def test_readings_are_not_spikes(self, put: Put, text: str) -> None:
-        with pytest.raises(FileError, match=r"x\.csv .* holds readings, not events.*--bin"):
+        with pytest.raises(FileError, match=r"x\.csv .* holds readings, not events.*--bin-width"):
             io.read(put("x.csv", text), options=OPTIONS(bin_s=1.0))

@@ -32,11 +32,11 @@ def main(arguments: list[str] | None = None) -> None:
             _signal.signal(_signal.SIGINT, end)
     except ValueError:
         pass  # not the main thread, which alone handles signals
-    import gc  # noqa: PLC0415
+    import gc
 
     gc.set_threshold(_NEW_OBJECTS)
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", _BUSY_TICKS)
-    from anisomap.cli.app import run_process  # noqa: PLC0415
+    from anisomap.cli.app import run_process
 
     run_process(arguments)
 

@@ -9,7 +9,7 @@ import sys
 import warnings
 from _thread import interrupt_main
 from collections.abc import Mapping, Sequence
-from inspect import getdoc
+from difflib import get_close_matches
 from threading import Timer, current_thread, main_thread
 from types import CodeType, FrameType, MappingProxyType
 
@@ -20,14 +20,21 @@ from anisomap.cli import INTERRUPTED, INTERRUPTION, end
 from anisomap.cli.console import (
     console,
     discard_stdout,
+    errors,
     prepare_streams,
     print_error,
     print_warning,
 )
-from anisomap.errors import AnisomapError, AnisomapWarning
+from anisomap.errors import AnisomapError, AnisomapWarning, InputError
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70  # EX_SOFTWARE of sysexits.h
+
+
+def _shown(default: object) -> str | None:
+    """Return the default of an option as its help shows it; nothing for switches and no value."""
+    return None if default in (None, "", [], True, False) else str(default)
+
 
 app = App(
     name="anisomap",
@@ -35,73 +42,63 @@ app = App(
     version=__version__,
     help_epilogue="Maps are known up to rotation, translation, scale and reflection.",
     console=console,
-    help_format="plaintext",
+    help_format="markdown",
     suppress_keyboard_interrupt=False,  # `run` reports it
-    default_parameter=Parameter(json_list=False, json_dict=False),  # "[a].csv" is a file name
+    # "[a].csv" is a file name; nothing is said of switches that are off.
+    default_parameter=Parameter(json_list=False, json_dict=False, show_default=_shown),
 )
 
-COMMANDS: Mapping[str, tuple[str, str]] = MappingProxyType(
+COMMANDS: Mapping[str, str] = MappingProxyType(
     {
-        "map": ("recording:map_recording", "Make a map from a recording."),
-        "live": ("live:live", "Map a skin while it is touched, and show where to touch next."),
-        "info": ("recording:info", "Summarise a recording and flag faulty sensors."),
-        "score": ("comparison:score_map", "Score a map against reference positions."),
-        "diff": (
-            "maps:diff",
-            "Compare two maps of one skin: which sensors moved, appeared or were lost.",
-        ),
-        "update": ("maps:update", "Add the evidence of a new recording to a map."),
-        "place": ("placement:place_map", "Place a map in the frame of the robot, in metres."),
-        "check": ("layout:check", "Check sensor positions against a recording."),
-        "convert": ("maps:convert", "Write a map in another format, or in metres."),
-        "compare": (
-            "comparison:compare",
-            "Score several methods on recordings with known positions.",
-        ),
-        "methods": ("listing:methods", "List the methods and the similarities."),
-        "formats": ("listing:formats", "List the file formats."),
-        "demo": ("demo:demo", "Simulate a skin, map it, and score the map."),
-        "simulate": (
-            "simulation:simulate_body",
-            "Simulate a recording with known sensor positions.",
-        ),
-        "paper": ("demo:paper", "Reproduce every figure and table of the paper."),
-        "coverage": ("simulation:coverage", "Estimate how long a skin must be stimulated."),
-        "spoil": ("simulation:spoil", "Inject documented faults into a recording."),
-        "repair": ("recording:repair", "Mend the faults of a recording."),
-        "bodies": ("listing:bodies", "List the bodies that can be simulated."),
-        "scenarios": (
-            "listing:scenarios",
-            "List the scenarios of simulation and their parameters.",
-        ),
-        "faults": ("listing:faults", "List the faults that can be injected."),
+        "map": "recording:map_recording",
+        "live": "live:live",
+        "info": "recording:info",
+        "score": "comparison:score_map",
+        "diff": "maps:diff",
+        "update": "maps:update",
+        "place": "placement:place_map",
+        "check": "layout:check",
+        "convert": "maps:convert",
+        "compare": "comparison:compare",
+        "methods": "listing:methods",
+        "formats": "listing:formats",
+        "demo": "demo:demo",
+        "simulate": "simulation:simulate_body",
+        "paper": "demo:paper",
+        "coverage": "simulation:coverage",
+        "spoil": "simulation:spoil",
+        "repair": "recording:repair",
+        "bodies": "listing:bodies",
+        "scenarios": "listing:scenarios",
+        "faults": "listing:faults",
     }
 )
-"""Where the function of each command is, and a line for the list of commands. Commands are imported
-when they run, so that --help stays fast."""
+"""Where the function of each command is. Functions import what they need when they run, so that
+help pages and errors of options come at once."""
 
-for _name, (_target, _summary) in COMMANDS.items():
-    app.command(f"anisomap.cli.commands.{_target}", name=_name, help=_summary)
+for _i, (_name, _target) in enumerate(COMMANDS.items()):
+    app.command(f"anisomap.cli.commands.{_target}", name=_name, sort_key=_i)
 
 app.register_install_completion_command(
     help="Install completion for the current shell (bash, zsh or fish)."
 )
 
 
-def describe(name: str) -> None:
-    """Show the docstring of a command on its help page, instead of its line in `COMMANDS`."""
-    command = app[name]
-    text = (getdoc(command.default_command) or "").partition("\n\nParameters\n")[0]
-    command.help = "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
+def load_commands() -> None:
+    """Import all commands, so that the list of them shows what their docstrings say."""
+    for name in COMMANDS:
+        app[name]
 
 
 def run(arguments: list[str] | None, received: Sequence[int] = ()) -> int:
     """Run a command, report any error as one sentence, and return the exit code."""
     prepare_streams()
+    given = sys.argv[1:] if arguments is None else arguments
+    errors.as_json = "--json" in given
     try:
-        return _run(arguments)
-    except KeyboardInterrupt:
-        return _failed(INTERRUPTION, INTERRUPTED)
+        return _run(given)
+    except KeyboardInterrupt as interrupted:
+        return _failed(str(interrupted) or INTERRUPTION, INTERRUPTED)
     except Exception as error:
         if signal.SIGINT in received:
             return _failed(INTERRUPTION, INTERRUPTED)
@@ -111,6 +108,8 @@ def run(arguments: list[str] | None, received: Sequence[int] = ()) -> int:
 def _report(error: Exception) -> int:
     """Print an error as one sentence; return the exit code."""
     match error:
+        case CycloptsError(__cause__=AnisomapError() as refused):
+            return _failed(str(refused), BAD_INPUT)
         case CycloptsError():
             return _failed(f"{error} (see --help)", BAD_INPUT)
         case AnisomapError():
@@ -130,21 +129,24 @@ def _report(error: Exception) -> int:
     )
 
 
-def _run(arguments: list[str] | None) -> int:
+def _run(given: list[str]) -> int:
     """Run a command; return its exit code, which is 0 unless the command returns another."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # users cannot act on warnings of other packages
         warnings.simplefilter("always", AnisomapWarning)
         warnings.showwarning = lambda message, *_, **__: print_warning(str(message))
-        given = sys.argv[1:] if arguments is None else arguments
-        if given and given[0] in COMMANDS:
-            describe(given[0])
+        if given and not given[0].startswith("-") and given[0] not in COMMANDS:
+            near = get_close_matches(given[0], COMMANDS, n=1)
+            hint = f"did you mean {near[0]}?" if near else "anisomap --help lists the commands"
+            raise InputError(f"there is no command {given[0]!r}; {hint}")
+        if not given or given[0] in app.help_flags:
+            load_commands()
         code = app(given, exit_on_error=False, print_error=False, result_action="return_value")
     return code if isinstance(code, int) else 0
 
 
 def _failed(message: str, code: int) -> int:
-    print_error(message)
+    print_error(message, code)
     return code
 
 

@@ -40,7 +40,12 @@ _MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
 
 
 class _Terminal(Console):
-    """A standard stream; if its reader closes the pipe, the command continues without it."""
+    """A standard stream; if its reader closes the pipe, the command continues without it.
+
+    as_json: Whether errors are printed as JSON.
+    """
+
+    as_json = False
 
     def __exit__(self, *raised: Any) -> None:
         """Write what was printed; what cannot be, as on a full disk, is dropped."""
@@ -70,9 +75,12 @@ console = _Terminal(highlight=False, soft_wrap=False)
 errors = _Terminal(stderr=True, highlight=False, soft_wrap=True)
 
 
-def print_error(message: str) -> None:
-    """Print an error on stderr."""
+def print_error(message: str, code: int) -> None:
+    """Print an error on stderr; with --json, as an object on stdout."""
     text = shortened(_one_line(message), MAX_CHARACTERS)  # escapes are longer than what they show
+    if errors.as_json:
+        console.out(json.dumps({"error": text, "exit_code": code}))
+        return
     _complain(Text.assemble(("error:", "bold red"), " ", text))
 
 
@@ -112,7 +120,7 @@ def _lines(text: str) -> str:
 class Printer:
     """Printer of the results of a command: as text, as one JSON object, or not at all.
 
-    quiet: Print nothing. Warnings and errors still appear on stderr.
+    quiet: Print no text. Warnings and errors still appear on stderr.
     as_json: Print the recorded values as one JSON object at the end, and no text.
     """
 
@@ -199,12 +207,12 @@ class Printer:
 
     def event(self, values: Mapping[str, object]) -> None:
         """Print values at once as a JSON object on a line of its own, if `as_json`."""
-        if self.as_json and not self.quiet:
+        if self.as_json:
             self._emit(console.out, json.dumps(plain(values)))
 
     def finish(self) -> None:
         """Print the JSON object if `as_json`."""
-        if self.as_json and not self.quiet:
+        if self.as_json:
             values = plain(self.values)
             text = json.dumps(values, indent=2, ensure_ascii=False)
             if _lines(text) != text or not console.encoding.startswith("utf"):

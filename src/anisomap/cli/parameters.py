@@ -1,4 +1,7 @@
-"""Options that several commands share."""
+"""Options that several commands share.
+
+The library is imported when a command runs, so that help pages and errors of options take .2 s.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +10,21 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Group, Parameter, Token
 from cyclopts.validators import Number
 
-from anisomap import io
 from anisomap.cli.console import Printer
-from anisomap.dimensions import AUTO, Dimensions, check_dimensions
-from anisomap.errors import InputError
-from anisomap.io import ReadOptions
-from anisomap.placement import METRES, mirrored, parse_length, scaled_to_spacing
-from anisomap.recording import Scalar
-from anisomap.sensor_map import SensorMap
-from anisomap.wording import printable
+from anisomap.errors import FileError, InputError
+from anisomap.usability import LEVELS
+from anisomap.wording import join_items, printable
+
+if TYPE_CHECKING:
+    from anisomap.dimensions import Dimensions
+    from anisomap.io import ReadOptions
+    from anisomap.recording import Scalar
+    from anisomap.sensor_map import SensorMap
 
 _PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
 _DURATION = re.compile(r"(\d{1,15}(?:\.\d{0,15})?|\.\d{1,15})\s*(s|ms|us|)")
@@ -29,7 +33,9 @@ reading_group = Group("Reading", sort_key=0)
 outputs_group = Group("Output", sort_key=1)
 method_group = Group("Method", sort_key=2)
 score_group = Group("Score", sort_key=3)
-reporting_group = Group("Reporting", sort_key=5)
+expert_group = Group("Expert options", sort_key=9)
+expert = Parameter(group=expert_group)
+expert_flag = Parameter(group=expert_group, negative=())
 
 
 Count: TypeAlias = Annotated[int, Parameter(validator=Number(gte=1))]
@@ -59,16 +65,16 @@ class ReadingOptions:
         File of true positions, matched by the names of the sensors or the numbers at their
         ends. Sensors that a list of contacts or spikes does not mention are added: they were
         silent.
-    bin
+    bin_width
         Width of the bins in which events are counted, such as 1s or 50ms.
     """
 
     select: Annotated[str, Parameter(name=("--select", "--topic", "--dataset", "--field"))] = ""
     grid: str = ""
-    msg: Annotated[list[Path], Parameter(negative=())] = field(default_factory=list)
+    msg: Annotated[list[Path], expert_flag] = field(default_factory=list)
     preset: str = ""
     positions: Path | None = None
-    bin: str = ""
+    bin_width: Annotated[str, expert] = ""
 
     @property
     def inputs(self) -> list[Path]:
@@ -78,7 +84,9 @@ class ReadingOptions:
     def checked(self) -> ReadOptions:
         """Convert to the options of the library."""
         grid = _rows_and_columns(self.grid) if self.grid else None
-        bin_s = _seconds(self.bin) if self.bin else None
+        bin_s = _seconds(self.bin_width) if self.bin_width else None
+        from anisomap.io import ReadOptions
+
         return ReadOptions(self.select, grid, tuple(self.msg), self.preset, self.positions, bin_s)
 
 
@@ -92,13 +100,13 @@ class ReportingOptions:
     Parameters
     ----------
     quiet
-        Print no results; warnings and errors remain.
+        Print no text; warnings and errors remain.
     json
-        Print the results as one JSON object, for scripts.
+        Print the results, or the error, as one JSON object.
     """
 
-    quiet: Annotated[bool, Parameter(name=("--quiet", "-q"), negative=())] = False
-    json: Flag = False
+    quiet: Annotated[bool, Parameter(name=("--quiet", "-q")), expert_flag] = False
+    json: Annotated[bool, expert_flag] = False
 
     @contextmanager
     def printer(self) -> Iterator[Printer]:
@@ -130,12 +138,15 @@ class PlacingOptions:
     """
 
     spacing: str = ""
-    mirror: Flag = False
-    frame: str = ""
-    split_components: Flag = False
+    mirror: Annotated[bool, expert_flag] = False
+    frame: Annotated[str, expert] = ""
+    split_components: Annotated[bool, expert_flag] = False
 
     def check(self, outputs: Iterable[Path], units: str = "") -> None:
         """Check, before the map is computed, that the outputs can be written."""
+        from anisomap import io
+        from anisomap.placement import METRES, parse_length
+
         if self.spacing:
             parse_length(self.spacing)
             return
@@ -148,6 +159,8 @@ class PlacingOptions:
 
     def applied(self, sensor_map: SensorMap) -> SensorMap:
         """Apply the options to a map."""
+        from anisomap.placement import mirrored, parse_length, scaled_to_spacing
+
         if self.mirror:
             sensor_map = mirrored(sensor_map)
         if self.spacing:
@@ -160,6 +173,8 @@ class PlacingOptions:
         self, sensor_map: SensorMap, path: Path, inputs: Iterable[Path] = ()
     ) -> tuple[Path, ...]:
         """Write a map, or each of its connected components, over no input; return the files."""
+        from anisomap import io
+
         if self.split_components:
             return io.write_components(sensor_map, path, inputs=inputs)
         n_components = len(sensor_map.component_sizes)
@@ -186,13 +201,33 @@ def _seconds(text: str) -> float:
     match = _DURATION.fullmatch(text.strip())
     value = float(match[1]) / _PER_SECOND[match[2]] if match else 0.0
     if not 0 < value < float("inf"):
-        raise InputError(f"--bin must be a time above 0, as in 1s or 50ms, got {text}")
+        raise InputError(f"--bin-width must be a time above 0, as in 1s or 50ms, got {text}")
     return value
 
 
-RecordingFile: TypeAlias = Annotated[Path, Parameter(help="File of a recording.")]
-MapFile: TypeAlias = Annotated[Path, Parameter(help="File of a map.")]
+def _exists(_: object, given: Path | Sequence[Path]) -> None:
+    """Raise FileError for a file that does not exist, before the library is imported."""
+    for path in [given] if isinstance(given, Path) else given:
+        if not path.exists():
+            raise FileError(f"there is no file {path}")
 
+
+existing = Parameter(validator=_exists)
+RecordingFile: TypeAlias = Annotated[Path, Parameter(help="File of a recording."), existing]
+MapFile: TypeAlias = Annotated[Path, Parameter(help="File of a map."), existing]
+
+
+def _read_quality(_: object, tokens: Sequence[Token]) -> str:
+    level = tokens[0].value.replace("-", " ")
+    if level not in list(LEVELS)[1:]:
+        raise ValueError(f"choose from {QUALITIES}")
+    return level
+
+
+QUALITIES = join_items([level.replace(" ", "-") for level in reversed(list(LEVELS)[1:])])
+"""Levels of a verdict that can be asked for, as options name them."""
+
+Quality: TypeAlias = Annotated[str, Parameter(converter=_read_quality)]
 
 Output: TypeAlias = Annotated[
     list[Path] | None, Parameter(alias="-o", group=outputs_group, negative=())
@@ -207,11 +242,11 @@ Report: TypeAlias = Annotated[
 ]
 
 Seed: TypeAlias = Annotated[
-    Amount, Parameter(group=score_group, help="Seed of the random number generator.")
+    Amount, Parameter(group=expert_group, help="Seed: the same seed gives the same result.")
 ]
 Permutations: TypeAlias = Annotated[
     Amount,
-    Parameter(group=score_group, help="Size of the null distribution of Mantel r; 0 skips it."),
+    Parameter(group=expert_group, help="Size of the null distribution of Mantel r; 0 skips it."),
 ]
 Truth: TypeAlias = Annotated[
     Path | None,
@@ -224,7 +259,7 @@ Truth: TypeAlias = Annotated[
 Exclude: TypeAlias = Annotated[
     list[str] | None,
     Parameter(
-        group=score_group,
+        group=expert_group,
         negative=(),
         help="Sensors to leave out of the score, but not of the map: names or indices, separated "
         "by commas; may be repeated.",
@@ -234,6 +269,8 @@ Exclude: TypeAlias = Annotated[
 
 def _read_dimensions(_: object, tokens: Sequence[Token]) -> Dimensions:
     """Read a number of dimensions: the default conversion rounds fractions."""
+    from anisomap.dimensions import AUTO, check_dimensions
+
     text = tokens[0].value
     try:
         dimensions = text if text == AUTO else int(text)
@@ -270,7 +307,7 @@ Missing: TypeAlias = Annotated[
 
 
 Placing: TypeAlias = Annotated[PlacingOptions, Parameter(name="*", group=outputs_group)]
-Reporting: TypeAlias = Annotated[ReportingOptions, Parameter(name="*", group=reporting_group)]
+Reporting: TypeAlias = Annotated[ReportingOptions, Parameter(name="*", group=expert_group)]
 Reading: TypeAlias = Annotated[ReadingOptions, Parameter(name="*", group=reading_group)]
 
 

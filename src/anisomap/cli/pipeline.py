@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -12,7 +13,7 @@ import numpy as np
 from anisomap import io
 from anisomap.cli import printing
 from anisomap.cli.console import Printer, print_warning, progress
-from anisomap.cli.parameters import PlacingOptions
+from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import Dimensions
 from anisomap.errors import FileError, InputError
@@ -43,12 +44,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from anisomap.drawing import report
-
-_SHARE_OF_MAP = 0.45
-"""Share of the time of a map with its verdict that the map takes, for the progress display.
-
-.43 to .51 on eleven recordings, simulated and real; .24 to .34 on three others.
-"""
 
 _NOT_MAPS = {
     **dict.fromkeys((".png", ".svg", ".pdf"), "a picture: name it by --picture"),
@@ -89,11 +84,11 @@ class Outputs:
             if self.recording.suffix.lower() != ".npz":
                 raise FileError(f"recordings are written as NPZ: {self.recording} must end in .npz")
         if self.picture:
-            from anisomap.drawing import figures  # noqa: PLC0415, slow to import
+            from anisomap.drawing import figures
 
             figures.check_writable(self.picture)
         if self.report:
-            from anisomap.drawing import report  # noqa: PLC0415, slow to import
+            from anisomap.drawing import report
 
             report.check_writable(self.report)
 
@@ -115,7 +110,7 @@ class Outputs:
                     files = self.placing.write(sensor_map, path, inputs)
                     written += [(content, file) for file in files]
             if self.picture and draw:
-                from anisomap.drawing import figures  # noqa: PLC0415, slow to import
+                from anisomap.drawing import figures
 
                 figures.save_figure(draw(), self.picture)
                 written.append(("picture", self.picture))
@@ -200,6 +195,10 @@ def examine(source: Source, findings: Sequence[Finding] | None = None) -> Examin
         return Examined(source, joined, health, summarise(joined, health), found)
 
 
+Judge: TypeAlias = Callable[..., SensorMap]
+"""A function that adds its verdict to a map."""
+
+
 def make_map(
     examined: Examined,
     method: str,
@@ -207,33 +206,30 @@ def make_map(
     *,
     options: MethodOptions | None = None,
     drop: Sequence[str] = (),
-    with_verdict: bool = True,
     seed: int = 0,
-) -> SensorMap:
-    """Reconstruct and diagnose a map, with progress; its notes are issued as warnings."""
+) -> tuple[SensorMap, Judge | None]:
+    """Make a map, with progress, and what judges it if it can be judged; notes are warnings."""
     source = examined.source
-    with progress("making the map") as report_progress:
+    with progress("making the map"):
         if isinstance(source, SimilarityGraph):
-            return map_similarity_graph(source, dimensions, options=options)
+            return map_similarity_graph(source, dimensions, options=options), None
         if isinstance(source, StreamedSimilarity):
-            return map_streamed_similarity(source, method, dimensions, options=options, drop=drop)
+            made = map_streamed_similarity(source, method, dimensions, options=options, drop=drop)
+            return made, None
         made, stages = reconstruct_with_stages(
             source, method, dimensions, options=options, drop=drop
         )
-        if with_verdict:
-            report_progress(_SHARE_OF_MAP)
-        return diagnose(
-            made,
-            source,
+        diagnosed = partial(
+            diagnose,
+            recording=source,
             options=options,
             drop=drop,
             health=examined.health,
             findings=examined.findings,
-            with_verdict=with_verdict,
             rng=seed,
-            progress=lambda share: report_progress(_SHARE_OF_MAP + (1 - _SHARE_OF_MAP) * share),
             stages=stages,
         )
+        return diagnosed(made, with_verdict=False), diagnosed
 
 
 def reaches(verdict: Verdict, level: str) -> bool:
@@ -252,24 +248,39 @@ def finish(
     *,
     permutations: int,
     seed: int,
+    judge: Judge | None = None,
     exclude: Sequence[str] = (),
     written: Sequence[tuple[str, Path]] = (),
     truth: SensorMap | None = None,
-) -> None:
-    """Score a map if the truth is known, write all files, and print the results."""
-    result = None
-    if truth is not None or examined.recording.positions is not None:
-        result = score_with_progress(
-            sensor_map, truth or examined.recording, permutations, seed, exclude=exclude
-        )
+) -> SensorMap:
+    """Write and print a map; then judge it, score it if the truth is known, and write all files.
+
+    If it is interrupted from the verdict on, the map is written without one.
+    """
+    placed = (outputs.placing or DEFAULT_PLACING).applied
     coverage = touch_coverage(sensor_map, examined.runs) if examined.runs else None
-    files = write_outputs(outputs, sensor_map, result, examined, coverage)
+    files = outputs.write(placed(sensor_map))
     printing.print_health(printer, examined.health)
     printing.print_touches(printer, coverage, sensor_map.names)
-    printing.print_map(printer, sensor_map)
-    if result is not None:
-        printing.print_score(printer, result, sensor_map, "Score against the true positions")
+    printing.print_map(printer, placed(sensor_map))
+    paths = ", ".join(str(path) for _, path in files)
+    printer.line(f"Written to {paths}" + ("; the verdict follows" if judge else ""))
+    try:
+        if judge is not None:
+            with progress("judging the map; Ctrl-C keeps it without a verdict") as report_progress:
+                sensor_map = judge(sensor_map, progress=report_progress)
+        shown, result = placed(sensor_map), None
+        printing.print_verdict(printer, shown)
+        if truth is not None or examined.recording.positions is not None:
+            result = score_with_progress(
+                shown, truth or examined.recording, permutations, seed, exclude=exclude
+            )
+            printing.print_score(printer, result, shown, "Score against the true positions")
+        files += write_outputs(outputs, shown, result, examined, coverage)[len(files) :]
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted; {paths} is written, without a verdict") from None
     printing.print_files(printer, [*written, *files])
+    return sensor_map
 
 
 def score_with_progress(
@@ -316,7 +327,7 @@ def write_outputs(
     """
     if not (outputs.picture or outputs.report):
         return outputs.write(sensor_map)
-    from anisomap.drawing import figures, report  # noqa: PLC0415, slow to import
+    from anisomap.drawing import figures, report
 
     figure = figures.map_figure(sensor_map, result)
     written = outputs.write(sensor_map, draw or (lambda: figure))
@@ -341,7 +352,7 @@ def _touches(
     """Return the section of a report on contacts and doubted sensors; None without contacts."""
     if examined is None or coverage is None:
         return None
-    from anisomap.drawing import figures, report  # noqa: PLC0415, slow to import
+    from anisomap.drawing import figures, report
 
     doubted = [sensor for sensor in examined.health if sensor.status != "ok"]
     series = figures.series_figure(examined.recording, doubted) if doubted else None

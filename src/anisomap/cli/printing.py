@@ -22,7 +22,7 @@ from anisomap.sensor_map import SensorMap
 from anisomap.wording import join_items
 
 _WEIGHT = "weight_of_"  # of a step, in the provenance of a map
-_MAX_SHOWN = 12  # faulty sensors; --sensors of anisomap info shows all
+_MAX_SHOWN = 12  # faulty sensors; anisomap info --all shows all
 
 
 def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
@@ -60,7 +60,8 @@ def print_recording(printer: Printer, recording: Recording, summary: RecordingSu
             "true positions": "unknown" if recording.positions is None else "known",
         },
     )
-    printer.record(recording={"source": recording.source, **asdict(summary)})
+    values = {name.removeprefix("n_"): value for name, value in asdict(summary).items()}
+    printer.record(recording={"source": recording.source, **values})
 
 
 def print_health(
@@ -72,7 +73,7 @@ def print_health(
     healthy = [sensor for sensor in health if sensor.status == "ok"]
     counts = Counter(sensor.status for sensor in health)
     title = "Sensor health: " + ", ".join(f"{n} {status}" for status, n in counts.most_common())
-    printer.record(sensors=[asdict(sensor) for sensor in (health if all_sensors else faulty)])
+    printer.record(health=[asdict(sensor) for sensor in (health if all_sensors else faulty)])
     rows = [
         (
             sensor.name,
@@ -95,7 +96,7 @@ def print_health(
     if len(faulty) > len(shown):
         printer.line(
             f"  ... and {len(faulty) - len(shown)} more faulty sensors: "
-            "anisomap info --sensors lists all"
+            "anisomap info --all lists them"
         )
 
 
@@ -117,7 +118,7 @@ def print_findings(
 
 
 def print_map(printer: Printer, sensor_map: SensorMap) -> None:
-    """Print what a map places, its stress and its verdict."""
+    """Print what a map places, and how well it fits."""
     n_placed, sizes = int(np.count_nonzero(sensor_map.placed)), sensor_map.component_sizes
     approximate = ", approximate" if sensor_map.approximate else ""
     because = sensor_map.provenance.get("dimensions_because")
@@ -138,24 +139,36 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
                 if len(sizes) > 1
                 else "(0 is a perfect fit of the metric)"
             ),
-            "verdict": str(sensor_map.verdict),
             "known up to": sensor_map.known_up_to,
         },
     )
+
+
+def print_verdict(printer: Printer, sensor_map: SensorMap) -> None:
+    """Print how far a map can be used, and why; record the map with its verdict."""
+    verdict = sensor_map.verdict
+    printer.facts(f"Verdict: {verdict.summary}", {})
+    for reason in verdict.reasons:
+        printer.line(f"  {reason}")
+    record_map(printer, sensor_map)
+
+
+def record_map(printer: Printer, sensor_map: SensorMap) -> None:
+    """Record a map and its verdict for the JSON object."""
     printer.record(
         map={
             "method": sensor_map.method,
             "dimensions": sensor_map.dimensions,
             "sensors": sensor_map.n_sensors,
-            "placed": n_placed,
+            "placed": int(sensor_map.placed.sum()),
             "component_sizes": sensor_map.component_sizes,
             "approximate": sensor_map.approximate,
             "stress": sensor_map.stress,
-            "verdict": asdict(sensor_map.verdict),
             "units": sensor_map.units,
             "notes": sensor_map.notes,
             "provenance": dict(sensor_map.provenance),
-        }
+        },
+        verdict=asdict(sensor_map.verdict),
     )
 
 

@@ -8,11 +8,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from cyclopts import Group, Parameter
-from cyclopts.validators import Number
 from numpy.typing import NDArray
 
 from anisomap import io
@@ -20,72 +18,23 @@ from anisomap.cli.console import progress
 from anisomap.cli.parameters import sensors
 from anisomap.errors import InputError
 from anisomap.io.presets import with_grid
-from anisomap.large.approximation import APPROXIMATED, SimilarityGraph, build_similarity_graph
+from anisomap.large.approximation import SimilarityGraph, build_similarity_graph
 from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.large.map_reduce import WorkerPool
 from anisomap.large.sketch import ApproximateOptions
 from anisomap.large.streaming import StreamedSimilarity, stream_similarity
-from anisomap.methods import DEFAULT_METHOD, check_even_spacing
+from anisomap.methods import check_even_spacing
 from anisomap.options import MethodOptions
 from anisomap.recording import MissingPolicy, Recording, default_names
+
+if TYPE_CHECKING:
+    from anisomap.cli.commands.recording import LargeOptions
 
 LARGE_BYTES = 1 << 29
 """Size of the readings, as float32, above which a recording is read in blocks: 512 MiB."""
 
 PROBED_BYTES = 1 << 24
 """Total size of files below which the size of the readings is not estimated."""
-
-large_group = Group("Large recordings", sort_key=4)
-
-
-@dataclass(frozen=True)
-class LargeOptions:
-    """Options for large recordings.
-
-    Parameters
-    ----------
-    workers
-        Number of parallel threads; more than the number of cores bring no gain.
-    dask
-        Address of a Dask scheduler, as in tcp://host:8786; its workers are used instead of
-        threads.
-    checkpoint
-        File for intermediate results; if it exists, the computation resumes from it.
-    approximate
-        Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
-    """
-
-    workers: Annotated[int, Parameter(validator=Number(gte=1))] = 1
-    dask: str = ""
-    checkpoint: Path | None = None
-    approximate: Annotated[bool, Parameter(negative=())] = False
-
-    @property
-    def is_requested(self) -> bool:
-        """Whether any of the options was given."""
-        return self.approximate or self._in_chunks
-
-    @property
-    def _in_chunks(self) -> bool:
-        return self.workers > 1 or bool(self.dask) or self.checkpoint is not None
-
-    def method(self, requested: str | None) -> str:
-        """Return the requested method, or the default one."""
-        if not self.approximate:
-            return requested or DEFAULT_METHOD
-        if requested not in (None, APPROXIMATED):
-            raise InputError(
-                f"--approximate supports {APPROXIMATED} only, got {requested}; leave out --method "
-                "or --approximate"
-            )
-        if self._in_chunks:
-            raise InputError(
-                "--approximate does not support --workers, --dask and --checkpoint; leave them out"
-            )
-        return APPROXIMATED
-
-
-DEFAULT_LARGE = LargeOptions()
 
 
 def too_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:

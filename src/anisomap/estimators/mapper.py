@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from anisomap.defaults import DEFAULT_BINS, DEFAULT_METHOD
 from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import AnisomapWarning
 from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
 from anisomap.large.chunks import Excerpt
-from anisomap.methods import DEFAULT_METHOD, find_method
+from anisomap.methods import find_method
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import Moments
 from anisomap.numerics.similarity.information import JointValues
 from anisomap.numerics.similarity.rest import Rest, estimate_rest

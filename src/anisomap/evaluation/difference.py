@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from anisomap.defaults import LEVEL
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances, median_spacing
 from anisomap.numerics.neighbours import nearest_others, padded
@@ -21,9 +22,6 @@ MIN_COMPARED = 8
 
 The scale and the tail of chance differences are estimated from the median and a quartile.
 """
-
-LEVEL = 0.01
-"""Probability that chance alone marks any sensor as moved."""
 
 # Tuned on maps of halves of the iCub hexagon and palm and of rubbed planes, cylinders and spheres.
 _NEIGHBOURS = 12

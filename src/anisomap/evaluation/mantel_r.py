@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import pdist, squareform
 
+from anisomap.defaults import PERMUTATIONS
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.sensor_map import SensorMap
-
-PERMUTATIONS = 10_000
-"""Size of the null distribution, as in Figure 3 of the paper."""
 
 NULL_QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.95, 1.0)
 """Levels of the quantiles by which a null distribution is summarised."""

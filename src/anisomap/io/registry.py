@@ -435,7 +435,7 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
             budget.spend(SENSOR_BYTES * stream.n_sensors, "its list of sensors")
             if options.bin_s is not None and not stream.silent_are_zero:
                 raise FileError(
-                    f"{file} ({chosen.summary}) holds readings, not events; leave out --bin"
+                    f"{file} ({chosen.summary}) holds readings, not events; leave out --bin-width"
                 )
             stream = replace(stream, names=distinct_names(file, stream.names))
             if options.positions is not None and not options.preset:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import InputError
 from anisomap.health import SensorHealth, assess
@@ -26,7 +27,7 @@ from anisomap.large.chunks import (
 )
 from anisomap.large.map_reduce import SERIAL, WorkerPool, map_reduce
 from anisomap.memory import check_pair_memory, check_worker_memory
-from anisomap.methods import DEFAULT_METHOD, check_even_spacing, find_method
+from anisomap.methods import check_even_spacing, find_method
 from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
 from anisomap.numerics.geodesic.path_lengths import GeodesicOptions
 from anisomap.numerics.precision import Reals

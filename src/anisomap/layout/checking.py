@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
+from anisomap.defaults import N_SHIFTS
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.layout.explanation import Explained, explain, module_members
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.layout.chance import (
-    N_SHIFTS,
     ReadingStatistics,
     agreement,
     own_agreement,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import io
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import AnisomapError
@@ -21,7 +22,6 @@ from anisomap.health import RecordingSummary, SensorHealth, assess, summarise
 from anisomap.io.stream import ReadOptions
 from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.large.streaming import map_streamed_similarity, stream_similarity
-from anisomap.methods import DEFAULT_METHOD
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording

@@ -6,11 +6,11 @@ import shlex
 from pathlib import Path
 
 from anisomap import io
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.dimensions import AUTO
 from anisomap.drawing import figures, report
 from anisomap.errors import InputError
 from anisomap.live.examination import Examination, ExaminationOptions
-from anisomap.methods import DEFAULT_METHOD
 from anisomap.placement import Anchors, parse_length, place, scaled_to_spacing
 from anisomap.sensor_map import SensorMap
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from anisomap.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import ScoreGroup, scores_figure
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.cases import CASES, FAILING, METHODS, PATCH_RUNS, Case, patch_run, patch_seed
 from anisomap.paper.experiment import (
     Outcome,

@@ -6,9 +6,9 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from anisomap.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.panels import Panel, gallery_figure, map_panel, truth_panel
 from anisomap.drawing.figures.scenes import bodies_figure, scene_figure
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case, find_case, true_positions
 from anisomap.paper.experiment import (
     Outcome,

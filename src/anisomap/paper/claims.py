@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.defaults import DEFAULT_BINS
 from anisomap.paper.accuracy import SCORES, all_scores, by_group
 from anisomap.paper.cases import FIRST_FAILED_RUN, METHODS
 from anisomap.paper.experiment import Outcome, Row, Settings, Table, Tables, experiment, mean_by

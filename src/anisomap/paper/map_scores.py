@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
+from anisomap.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import METHOD_LOOKS, NullBox
 from anisomap.evaluation import Mantel, Score, align, score
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.options import MethodOptions
 from anisomap.paper.cases import METHODS, true_positions
 from anisomap.paper.experiment import Row, Settings

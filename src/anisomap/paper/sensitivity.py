@@ -9,9 +9,9 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import CurvePanel, curves_figure
 from anisomap.errors import InputError
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.options import MethodOptions

@@ -262,7 +262,7 @@ def _undecided(count: int, dimensions: int, uneven: bool, *, sides: bool = False
         return f"{doubt}the anchors do not distinguish the two sides of the flat map; give {more}"
     return (
         f"{doubt}the anchors do not distinguish the map from its mirror image; give {more}, "
-        "--mesh, --module, or --handedness same or mirrored"
+        "--mesh, --module-layout, or --handedness same or mirrored"
     )
 
 

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import median_spacing
 from anisomap.evidence import PairStatistics
 from anisomap.memory import check_pair_memory
-from anisomap.methods import DEFAULT_METHOD, check_even_spacing, find_method
+from anisomap.methods import check_even_spacing, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import (
     MIN_CONTACTS,

@@ -8,30 +8,21 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from io import StringIO
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline, printing
 from anisomap.cli.console import print_warning, progress
-from anisomap.comparison import (
-    COMPARED,
-    MIN_TOUCHES,
-    RIVALS,
-    Comparison,
-    MethodScore,
-    check_methods,
-    compare_methods,
-)
+from anisomap.defaults import MIN_TOUCHES, PERMUTATIONS
 from anisomap.errors import FileError, InputError
-from anisomap.evaluation import PERMUTATIONS
 from anisomap.files import atomic_write, check_distinct, check_target
-from anisomap.io.parsing.delimited import guard_formula
-from anisomap.recording import Recording
 from anisomap.wording import printable
+
+if TYPE_CHECKING:
+    from anisomap.comparison import Comparison, MethodScore
+    from anisomap.recording import Recording
 
 _FACTS = ("recording", "sensors x frames", "map", "scored")
 _LEGEND = (
@@ -43,6 +34,8 @@ _LEGEND = (
 
 def to_markdown(comparisons: Sequence[Comparison]) -> str:
     """Format comparisons of the same methods as a Markdown table, followed by its losses."""
+    from anisomap.comparison import RIVALS
+
     methods = [s.method for s in comparisons[0].scores]
     lines = [[*_FACTS, *methods]]
     lines.append(["---"] * len(lines[0]))
@@ -83,6 +76,8 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
     error in spacings), and ``best stock``, ``best stock r`` and ``margin``: Mantel r of the first
     method of anisomap minus that of the best stock method.
     """
+    from anisomap.io.parsing.delimited import guard_formula
+
     methods = [s.method for s in comparisons[0].scores]
     text = StringIO()
     table = csv.writer(text, lineterminator="\n")
@@ -159,6 +154,7 @@ def compare(
             help="Files of recordings with positions, or folders, which stand for the NPZ files in "
             "them."
         ),
+        options.existing,
     ],
     /,
     *,
@@ -167,7 +163,7 @@ def compare(
         list[int] | None,
         Parameter(alias="-d", group=options.method_group, negative=(), validator=Number(gte=1)),
     ] = None,
-    min_touches: Annotated[options.Amount, Parameter(group=options.method_group)] = MIN_TOUCHES,
+    min_touches: Annotated[options.Amount, options.expert] = MIN_TOUCHES,
     missing: options.Missing = "error",
     seed: options.Seed = 0,
     reading: options.Reading = options.DEFAULT_READING,
@@ -192,6 +188,8 @@ def compare(
     output
         File for the table, in Markdown (.md) or CSV (.csv); may be repeated.
     """
+    from anisomap.comparison import COMPARED, check_methods, compare_methods
+
     check_methods(method or ())
     outputs = output or []
     for path in outputs:
@@ -260,6 +258,8 @@ def _read(
 def _with_positions(
     path: Path, reading: options.ReadingOptions, missing: options.Missing
 ) -> Recording:
+    from anisomap.cli import pipeline
+
     recording = pipeline.complete(pipeline.read(path, reading.checked()), missing)
     if recording.positions is None:
         raise InputError(
@@ -292,15 +292,15 @@ def _values(comparison: Comparison) -> dict[str, object]:
 def score_map(
     map_file: options.MapFile,
     reference_file: Annotated[
-        Path | None,
+        Path,
         Parameter(
             help="File of reference positions: true positions (x, y[, z] and names), a recording "
             "with positions, or another map."
         ),
-    ] = None,
+        options.existing,
+    ],
     /,
     *,
-    truth: Annotated[Path | None, Parameter(group=options.score_group)] = None,
     units: str | None = None,
     exclude: options.Exclude = None,
     permutations: options.Permutations = PERMUTATIONS,
@@ -315,26 +315,21 @@ def score_map(
 
     Parameters
     ----------
-    truth
-        The same as the second argument.
     units
         Unit of the reference positions, if the file does not state it.
     """
-    given = [path for path in (reference_file, truth) if path is not None]
-    if len(given) != 1:
-        raise InputError(
-            "give one file of reference positions: anisomap score MAP REFERENCE, or --truth FILE"
-        )
-    chosen = given[0]
-    outputs = pipeline.Outputs(picture=picture, report=report, inputs=(map_file, chosen))
-    sensor_map, reference = io.read_map(map_file), pipeline.read_reference(chosen, units)
+    from anisomap import io
+    from anisomap.cli import pipeline, printing
+
+    outputs = pipeline.Outputs(picture=picture, report=report, inputs=(map_file, reference_file))
+    sensor_map, reference = io.read_map(map_file), pipeline.read_reference(reference_file, units)
     left_out = options.sensors(exclude, sensor_map.names)
     with reporting.printer() as printer:
         result = pipeline.score_with_progress(
             sensor_map, reference, permutations, seed, exclude=left_out
         )
         files = pipeline.write_outputs(outputs, sensor_map, result)
-        kind = f"the map {chosen.name}" if reference.method else chosen.name
+        kind = f"the map {reference_file.name}" if reference.method else reference_file.name
         printing.print_score(
             printer, result, sensor_map, f"Score of {map_file.name} against {kind}"
         )

@@ -4,29 +4,26 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline, printing
 from anisomap.cli.console import errors, progress
+from anisomap.defaults import DEFAULT_METHOD, PERMUTATIONS
 from anisomap.errors import FileError
-from anisomap.evaluation import PERMUTATIONS
-from anisomap.methods import DEFAULT_METHOD
-from anisomap.paper import Settings, Status, reproduce
-from anisomap.paper.runner import PAGE
-from anisomap.simulation import simulate
+
+if TYPE_CHECKING:
+    from anisomap.paper import Status
 
 
 def demo(
     *,
     output_dir: Annotated[Path, Parameter(alias="-o")] = Path("demo"),
     frames: options.Count = 2000,
-    method: Annotated[str, Parameter(alias="-m")] = DEFAULT_METHOD,
+    method: Annotated[str, Parameter(alias="-m"), options.expert] = DEFAULT_METHOD,
     permutations: options.Permutations = PERMUTATIONS,
-    seed: options.Seed = 1,
+    seed: options.Seed = 0,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Simulate a skin, map it, and score the map.
@@ -42,6 +39,10 @@ def demo(
     method
         Reconstruction method: see `anisomap methods`.
     """
+    from anisomap import io
+    from anisomap.cli import pipeline, printing
+    from anisomap.simulation import simulate
+
     try:
         output_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -59,7 +60,7 @@ def demo(
     examined = pipeline.examine([recording])
     with reporting.printer() as printer:
         printing.print_recording(printer, examined.recording, examined.summary)
-        sensor_map = pipeline.make_map(examined, method, dimensions=3)
+        sensor_map, judge = pipeline.make_map(examined, method, dimensions=3)
         pipeline.finish(
             printer,
             outputs,
@@ -67,6 +68,7 @@ def demo(
             examined,
             permutations=permutations,
             seed=seed,
+            judge=judge,
             written=[("recording", output_dir / "recording.npz")],
         )
         printer.line("\nMap the recording from its file:")
@@ -79,7 +81,7 @@ def paper(
         "paper-out"
     ),
     quick: options.Flag = False,
-    seed: options.Amount = 1,
+    first_seed: Annotated[options.Amount, options.expert] = 1,
     workers: options.Count | None = None,
     recordings: Path | None = None,
     only: options.Words = None,
@@ -96,7 +98,7 @@ def paper(
         Folder for the results; created if absent. Open its index.html.
     quick
         Use far fewer frames, seeds and permutations, for a preview.
-    seed
+    first_seed
         First seed of each scenario; the same seed gives the same results.
     workers
         Number of processes; the number of cores by default.
@@ -105,7 +107,10 @@ def paper(
     only
         Experiment to run, after those that it needs; may be repeated. All by default.
     """
-    settings = Settings(seed=seed, quick=quick, recordings=recordings)
+    from anisomap.paper import Settings, reproduce
+    from anisomap.paper.runner import PAGE
+
+    settings = Settings(seed=first_seed, quick=quick, recordings=recordings)
     with progress("reproducing the paper") as show:
 
         def report(status: Status, fraction: float) -> None:

@@ -14,9 +14,9 @@ from anisomap import io
 from anisomap.cli import pipeline, printing
 from anisomap.cli.console import Printer, number, percent, progress
 from anisomap.cli.parameters import PlacingOptions, ReportingOptions, beside, sensors
+from anisomap.defaults import PERMUTATIONS, STRESS_PERMUTATIONS
 from anisomap.dimensions import AUTO, Dimensions, plan_dimensions
 from anisomap.errors import InputError
-from anisomap.evaluation import PERMUTATIONS as MANTEL_PERMUTATIONS
 from anisomap.evaluation import NullTest, Shepard, permutation_test, shepard, stress_per_point
 from anisomap.numerics.scaling.dissimilarity_scaling import SCALINGS, find_scaling
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
@@ -25,9 +25,6 @@ from anisomap.sensor_map import SensorMap
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-PERMUTATIONS = 99
-"""Default size of the null distribution of the stress; each permutation is scaled."""
 
 PICTURES = ("shepard", "stress")
 """Pictures that --picture takes by name."""
@@ -119,7 +116,7 @@ def map_file(
         _print_fit(printer, made, fit)
         result = None
         if reference is not None:
-            count = MANTEL_PERMUTATIONS if permutations is None else permutations
+            count = PERMUTATIONS if permutations is None else permutations
             left_out = sensors(exclude, made.names)
             result = pipeline.score_with_progress(made, reference, count, seed, exclude=left_out)
             printing.print_score(printer, result, made, "Score against the true positions")
@@ -164,7 +161,7 @@ def map_objects(
     def stress(permuted: NDArray[np.float64]) -> float:
         return scale(permuted, dimensions=k, weights=shares, options=quick)[0].stress
 
-    count = PERMUTATIONS if permutations is None else permutations
+    count = STRESS_PERMUTATIONS if permutations is None else permutations
     with progress(f"computing {count} permutations") as report_progress:
         test = permutation_test(
             values, stress, permutations=count, rng=seed, progress=report_progress
@@ -187,7 +184,7 @@ def map_objects(
 
 
 def _draw(kind: str, made: SensorMap, fit: Fit) -> Figure:
-    from anisomap.drawing import figures  # noqa: PLC0415, slow to import
+    from anisomap.drawing import figures
 
     if kind == "shepard":
         drawn: Figure = figures.plot_shepard(fit.diagram).figure
@@ -207,6 +204,7 @@ def _print_fit(printer: Printer, made: SensorMap, fit: Fit) -> None:
         },
     )
     printing.print_map(printer, made)
+    printing.record_map(printer, made)
     worst = np.argsort(-fit.shares, kind="stable")[:_WORST]
     # smacof divides by the dissimilarities instead of the distances (Borg & Groenen 2005, 11.1).
     explicit = made.stress / np.hypot(1, made.stress)

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline, printing
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, number, percent, progress
-from anisomap.drawing import figures
+from anisomap.defaults import N_SHIFTS
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
-from anisomap.layout import LayoutCheck, LayoutFinding, check_layout
-from anisomap.numerics.layout.chance import N_SHIFTS
-from anisomap.sensor_map import UNSCALED
 from anisomap.wording import join_items
+
+if TYPE_CHECKING:
+    from anisomap.io import ReadOptions
+    from anisomap.layout import LayoutCheck, LayoutFinding
 
 INCONSISTENT = 1
 """Exit code if readings of sensors contradict their positions."""
@@ -28,18 +27,20 @@ _MEASURED = ("displacement", "agreement_stated", "agreement_proposed", "chance",
 
 
 def check(
-    layout_file: Annotated[Path, Parameter(help="File of sensor positions, in any map format.")],
+    layout_file: Annotated[
+        Path, Parameter(help="File of sensor positions, in any map format."), options.existing
+    ],
     recording_file: options.RecordingFile,
     /,
     *,
     output: Annotated[Path | None, Parameter(alias="-o", group=options.outputs_group)] = None,
     picture: options.Picture = None,
-    modules: Annotated[Path | None, Parameter(group=options.method_group)] = None,
+    module_table: Annotated[Path | None, Parameter(group=options.method_group)] = None,
     module_size: Annotated[
         int | None, Parameter(group=options.method_group, validator=Number(gte=3))
     ] = None,
-    shifts: Annotated[options.Count, Parameter(group=options.method_group)] = N_SHIFTS,
-    seed: Annotated[options.Amount, Parameter(group=options.method_group)] = 0,
+    time_shifts: Annotated[options.Count, options.expert] = N_SHIFTS,
+    seed: options.Seed = 0,
     missing: options.Missing = "error",
     reading: options.Reading = options.DEFAULT_READING,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
@@ -54,32 +55,35 @@ def check(
     ----------
     output
         File for the corrected positions, in any map format.
-    modules
+    module_table
         Table of the modules: columns sensor, module and optionally pad. By default, modules are
         found as blocks of consecutive sensors whose shapes repeat.
     module_size
         Channels per module, those without a sensor included: 12 for the triangles of the iCub. The
         numbers at the end of sensor names count.
-    shifts
-        Circular shifts in time that show what chance explains.
-    seed
-        Seed of the shifts.
+    time_shifts
+        Number of random circular shifts in time that show what chance explains.
     """
-    if modules and module_size:
-        raise InputError("give the modules by --modules or by --module-size, not by both")
+    from anisomap import io
+    from anisomap.cli import pipeline, printing
+    from anisomap.drawing import figures
+    from anisomap.layout import check_layout
+
+    if module_table and module_size:
+        raise InputError("give the modules by --module-table or by --module-size, not by both")
     outputs = pipeline.Outputs(
         maps=[output] if output else [],
         picture=picture,
-        inputs=[layout_file, recording_file, modules, *reading.inputs],
+        inputs=[layout_file, recording_file, module_table, *reading.inputs],
     )
     how = reading.checked()
     try:
         layout = io.read_map(layout_file)
         options.DEFAULT_PLACING.check(outputs.maps, layout.units)
-        chosen = io.read_modules(modules, layout.names) if modules else module_size
+        chosen = io.read_modules(module_table, layout.names) if module_table else module_size
         recording = pipeline.complete(pipeline.read(recording_file, how), missing)
         with progress("checking the layout"):
-            found = check_layout(layout, recording, modules=chosen, n_shifts=shifts, rng=seed)
+            found = check_layout(layout, recording, modules=chosen, n_shifts=time_shifts, rng=seed)
     except InputError as error:
         if _are_swapped(layout_file, recording_file, how):
             hint = f"swap the arguments: anisomap check {recording_file} {layout_file}"
@@ -96,8 +100,10 @@ def check(
     return 0 if found.consistent else INCONSISTENT
 
 
-def _are_swapped(layout_file: Path, recording_file: Path, how: io.ReadOptions) -> bool:
+def _are_swapped(layout_file: Path, recording_file: Path, how: ReadOptions) -> bool:
     """Return whether the first file is a recording of sensors that the second one places."""
+    from anisomap import io
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AnisomapWarning)
@@ -108,6 +114,8 @@ def _are_swapped(layout_file: Path, recording_file: Path, how: io.ReadOptions) -
 
 
 def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
+    from anisomap.sensor_map import UNSCALED
+
     layout = found.layout
     accused = int(np.count_nonzero(found.accused))
     printer.facts(

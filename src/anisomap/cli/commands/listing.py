@@ -8,19 +8,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from docstring_parser import parse as parse_docstring
-
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number
-from anisomap.comparison import RIVALS
-from anisomap.evidence import SIMILARITIES
-from anisomap.io import FORMATS
-from anisomap.methods import METHODS, PAPER_METHODS
-from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS, find_scenario
 
 
 def methods(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
     """List the methods and the similarities."""
+    from anisomap.comparison import RIVALS
+    from anisomap.evidence import SIMILARITIES
+    from anisomap.methods import METHODS, PAPER_METHODS
+
     with reporting.printer() as printer:
         _print_rows(
             printer,
@@ -46,7 +43,9 @@ def methods(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None
 
 
 def formats(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
-    """List the file formats, their abilities to read and write, and the extras that they need."""
+    """List the file formats, what reads and writes them, and the extras that they need."""
+    from anisomap.io import FORMATS
+
     rows = [
         (
             form.name,
@@ -65,6 +64,8 @@ def formats(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None
 
 def bodies(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
     """List the bodies that can be simulated."""
+    from anisomap.simulation import BODIES
+
     rows = []
     for name, make in BODIES.items():
         body = make()
@@ -87,6 +88,8 @@ def scenarios(
     scenario
         Scenario for which to list the parameters, with their defaults for a sphere of 1 m.
     """
+    from anisomap.simulation import SCENARIOS
+
     with reporting.printer() as printer:
         if scenario is None:
             rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
@@ -101,6 +104,8 @@ def scenarios(
 
 def faults(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
     """List the faults that `anisomap spoil` can inject."""
+    from anisomap.simulation import FAULTS, FRAME_FAULTS
+
     rows = []
     for name, function in {**FAULTS, **FRAME_FAULTS}.items():
         parameters = inspect.signature(function).parameters.values()
@@ -124,6 +129,10 @@ class _ScenarioParameter:
 
 def _parameters(scenario: str) -> Iterator[_ScenarioParameter]:
     """Yield the parameters of a scenario, inherited ones included, documented ones first."""
+    from docstring_parser import parse as parse_docstring
+
+    from anisomap.simulation import find_scenario
+
     options_class = find_scenario(scenario).options
     defaults = options_class()
     summaries = {

@@ -9,25 +9,23 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
-from anisomap.cli import bodies, pipeline, printing
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number, percent, print_warning, progress
-from anisomap.dimensions import AUTO
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.files import check_target
-from anisomap.io.presets import check_preset
-from anisomap.live import ExaminationOptions, LiveSession, open_source
-from anisomap.live.batches import Source
-from anisomap.live.page.server import Server
-from anisomap.live.saving import save_map, save_report
-from anisomap.live.sources.replay import Advised, SimulatedHand
-from anisomap.methods import DEFAULT_METHOD, find_method
+
+if TYPE_CHECKING:
+    from anisomap.live import LiveSession
+    from anisomap.live.batches import Source
+    from anisomap.live.page.server import Server
+    from anisomap.live.sources.replay import Advised
 
 _source = Group("Source", sort_key=0)
 _page = Group("Page", sort_key=4)
@@ -52,16 +50,17 @@ class PageOptions:
     headless
         Show no page: print lines instead, or JSON objects with --json.
     until
-        End the session when two checked maps in a row reach this level, or a better one.
+        End the session when two checked maps in a row reach this level, or a better one: usable
+        or usable-locally.
     duration
         End the session after this number of seconds.
     """
 
-    port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535))] = 8765
-    host: str = "127.0.0.1"
-    browser: bool = True
+    port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535)), options.expert] = 8765
+    host: Annotated[str, options.expert] = "127.0.0.1"
+    browser: Annotated[bool, options.expert] = True
     headless: options.Flag = False
-    until: Literal["usable", "usable locally"] | None = None
+    until: options.Quality | None = None
     duration: Annotated[float | None, Parameter(name="--for", validator=Number(gt=0))] = None
 
 
@@ -80,18 +79,18 @@ def live(
     /,
     *,
     simulate: Annotated[str | None, Parameter(group=_source)] = None,
-    coached: Annotated[bool, Parameter(group=_source, negative=())] = False,
+    coached: Annotated[bool, options.expert_flag] = False,
     speed: Annotated[float, Parameter(group=_source, validator=Number(gte=0))] = 1.0,
-    seed: Annotated[options.Amount, Parameter(group=_source)] = 1,
+    seed: options.Seed = 0,
     preset: Annotated[str, Parameter(group=_source)] = "",
     recording: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
     output: options.Output = None,
     report: options.Report = None,
     spacing: Annotated[str, Parameter(group=options.outputs_group)] = "",
-    method: Annotated[str, Parameter(alias="-m", group=options.method_group)] = DEFAULT_METHOD,
+    method: Annotated[str, Parameter(alias="-m"), options.expert] = DEFAULT_METHOD,
     dimensions: Annotated[
         Literal["auto", 2, 3], Parameter(alias="-d", group=options.method_group)
-    ] = AUTO,
+    ] = "auto",
     drop: options.Drop = None,
     truth: Annotated[Path | None, Parameter(group=options.score_group)] = None,
     page: Annotated[PageOptions, Parameter(name="*", group=_page)] = DEFAULT_PAGE,
@@ -111,8 +110,6 @@ def live(
         Let the simulated hand follow the advice of the page.
     speed
         Multiple of the rate of a replay or a simulation; 0 for as fast as possible.
-    seed
-        Seed of the simulation.
     preset
         Robot with a known numbering of sensors: icub, icub-hand.
     recording
@@ -130,6 +127,13 @@ def live(
     truth
         File of true positions to compare with.
     """
+    from anisomap.cli import pipeline
+    from anisomap.io.presets import check_preset
+    from anisomap.live import ExaminationOptions, LiveSession
+    from anisomap.live.page.server import Server
+    from anisomap.live.sources.replay import SimulatedHand
+    from anisomap.methods import find_method
+
     target = recording or Path(time.strftime("live-%Y%m%d-%H%M%S.csv"))
     if target.suffix.lower() != ".csv":
         raise InputError(f"the recording is written as CSV: {target} must end in .csv")
@@ -170,11 +174,16 @@ def live(
 def _opened(
     source: str | None, simulate: str | None, speed: float, seed: int, coached: bool
 ) -> Source:
+    from anisomap.live import open_source
+
     if (source is None) == (simulate is None):
         raise InputError("give either a source or --simulate BODY")
     if coached and simulate is None:
         raise InputError("--coached is for a simulated hand; use it with --simulate BODY")
     if simulate is not None:
+        from anisomap.cli import bodies
+        from anisomap.live.sources.replay import SimulatedHand
+
         return SimulatedHand(bodies.find(simulate, None), seed, speed)
     return open_source(str(source), speed=speed)
 
@@ -284,6 +293,9 @@ def _finish(
     session: LiveSession, printer: Printer, maps: list[Path], report: Path | None, spacing: str
 ) -> None:
     """Make the final map, write all files, and say what was written."""
+    from anisomap.cli import printing
+    from anisomap.live.saving import save_map, save_report
+
     with progress("making the final map"):
         final = session.finish()
     written = [("recording", segment.path) for segment in session.recorder.segments]

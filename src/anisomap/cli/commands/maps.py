@@ -6,24 +6,19 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
-from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline, printing
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, number, progress
-from anisomap.drawing import figures
+from anisomap.defaults import LEVEL
 from anisomap.errors import InputError
-from anisomap.evaluation import Difference, compare_maps
-from anisomap.evaluation.difference import LEVEL
-from anisomap.placement import METRES, median_spacing
-from anisomap.recording import join_runs
-from anisomap.sensor_map import UNSCALED
-from anisomap.tracking import Update, update_map
-from anisomap.tracking.updating import UPDATE_LEVEL
+
+if TYPE_CHECKING:
+    from anisomap.evaluation import Difference
+    from anisomap.tracking import Update
 
 
 def convert(
@@ -38,6 +33,10 @@ def convert(
 
     `anisomap formats` lists the formats.
     """
+    from anisomap import io
+    from anisomap.cli import pipeline, printing
+    from anisomap.placement import METRES, median_spacing
+
     pipeline.Outputs(maps=[output], inputs=[map_file])
     sensor_map = io.read_map(map_file)
     placing.check([output], sensor_map.units)
@@ -53,9 +52,9 @@ def convert(
         if spacing is not None:
             facts["median spacing"] = f"{spacing:.4g} {placed.units}"
         facts["known up to"] = placed.known_up_to
-        printer.facts(f"Written to {', '.join(map(str, written))}", facts)
+        printer.facts(f"Map of {map_file.name}", facts)
+        printing.print_files(printer, [("map", path) for path in written])
         printer.record(
-            files=written,
             sensors=placed.n_sensors,
             placed=n_placed,
             median_spacing=spacing,
@@ -69,12 +68,12 @@ DIFFERENT = 1
 
 
 def diff(
-    before_file: Annotated[Path, Parameter(help="File of the first map.")],
-    after_file: Annotated[Path, Parameter(help="File of the second map.")],
+    before_file: Annotated[Path, Parameter(help="File of the first map."), options.existing],
+    after_file: Annotated[Path, Parameter(help="File of the second map."), options.existing],
     /,
     *,
     picture: options.Picture = None,
-    level: float = LEVEL,
+    significance: Annotated[float, options.expert] = LEVEL,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> int:
     """Compare two maps of one skin: which sensors moved, appeared or were lost.
@@ -85,12 +84,17 @@ def diff(
 
     Parameters
     ----------
-    level
+    significance
         Probability that chance alone marks any sensor as moved.
     """
+    from anisomap import io
+    from anisomap.cli import pipeline, printing
+    from anisomap.drawing import figures
+    from anisomap.evaluation import compare_maps
+
     outputs = pipeline.Outputs(picture=picture, inputs=(before_file, after_file))
     before, after = io.read_map(before_file), io.read_map(after_file)
-    found = compare_maps(before, after, level=level)
+    found = compare_maps(before, after, level=significance)
     title = f"{before_file.name} and {after_file.name}"
     files = outputs.write(after, lambda: figures.difference_figure(found, title))
     with reporting.printer() as printer:
@@ -101,6 +105,8 @@ def diff(
 
 
 def _print_difference(printer: Printer, found: Difference, title: str) -> None:
+    from anisomap.sensor_map import UNSCALED
+
     units = "units of the first map" if found.units in UNSCALED else found.units
     spacing = found.spacing  # 0 if most sensors have the place of another
     masks = {"moved": found.moved, "appeared": found.appeared, "lost": found.lost}
@@ -163,15 +169,16 @@ def _print_moved(printer: Printer, records: Sequence[Mapping[str, Any]], units: 
 
 def update(
     map_file: options.MapFile,
-    recordings: Annotated[list[Path], Parameter(help="Files of new recordings of the skin.")],
+    recordings: Annotated[
+        list[Path], Parameter(help="Files of new recordings of the skin."), options.existing
+    ],
     /,
     *,
     output: options.Output = None,
     picture: options.Picture = None,
-    statistics: Path | None = None,
+    statistics: Annotated[Path | None, options.expert] = None,
     drop: options.Drop = None,
     missing: options.Missing = "error",
-    level: float = UPDATE_LEVEL,
     reading: options.Reading = options.DEFAULT_READING,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
@@ -188,9 +195,13 @@ def update(
         in the current folder. The new statistics are written beside the first.
     statistics
         Statistics of the map. Default: NAME.statistics.npz beside the map.
-    level
-        Probability that chance alone marks any sensor as moved.
     """
+    from anisomap import io
+    from anisomap.cli import pipeline, printing
+    from anisomap.drawing import figures
+    from anisomap.recording import join_runs
+    from anisomap.tracking import update_map
+
     maps = output or [options.beside(map_file, ".updated.csv")]
     old_statistics = statistics or io.statistics_beside(map_file)
     new_statistics = io.statistics_beside(maps[0])
@@ -213,7 +224,7 @@ def update(
     joined = join_runs(runs)
     dropped = options.sensors(drop, joined.names, joined.metadata)
     with progress("updating the map"):
-        found = update_map(sensor_map, evidence, runs, drop=dropped, level=level)
+        found = update_map(sensor_map, evidence, runs, drop=dropped)
     provenance = {**found.map.provenance, "updated_by": joined.source}
     updated = replace(found.map, provenance=provenance)
     io.write_statistics(found.evidence, new_statistics)
@@ -225,6 +236,9 @@ def update(
 
 
 def _check_scale(outputs: list[Path], units: str) -> None:
+    from anisomap import io
+    from anisomap.sensor_map import UNSCALED
+
     for path in outputs:
         if io.needs_scale(path) and units in UNSCALED:
             raise InputError(
@@ -234,6 +248,8 @@ def _check_scale(outputs: list[Path], units: str) -> None:
 
 
 def _print_update(printer: Printer, found: Update, name: str) -> None:
+    from anisomap.sensor_map import UNSCALED
+
     changes, total = found.difference, found.evidence
     known = changes.distance[changes.compared & ~changes.moved]
     units = "units of the map" if changes.units in UNSCALED else changes.units
@@ -274,10 +290,10 @@ def _print_update(printer: Printer, found: Update, name: str) -> None:
         sensors=found.map.n_sensors,
         placed=int(found.map.placed.sum()),
         units=changes.units,
-        spacing=changes.spacing,
+        median_spacing=changes.spacing,
         agreement=found.agreement,
         added=found.added,
-        moved=[{**one, "p": one["p_value"]} for one in moved],
+        moved=moved,
         not_recorded=found.silent,
         not_placed=found.unplaced,
         shifts=dict(zip(changes.names, changes.distance.tolist(), strict=True)),

@@ -5,39 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
-from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline, printing
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, number
-from anisomap.drawing import figures
 from anisomap.errors import InputError
-from anisomap.mesh_files import read_mesh
-from anisomap.numerics.kinematics import TURNING, KinematicTree
-from anisomap.placement import (
-    METRES,
-    Anchors,
-    Modules,
-    Placement,
-    SelfTouch,
-    TouchPlacement,
-    anchors_from_map,
-    median_spacing,
-    modules_by_size,
-    parse_anchor,
-    parse_length,
-    place,
-    place_by_self_touch,
-    suggest_anchors,
-)
-from anisomap.scene import Mesh
-from anisomap.sensor_map import SensorMap
 from anisomap.wording import join_items
+
+if TYPE_CHECKING:
+    from anisomap.numerics.kinematics import KinematicTree
+    from anisomap.placement import Anchors, Modules, Placement, SelfTouch, TouchPlacement
+    from anisomap.scene import Mesh
+    from anisomap.sensor_map import SensorMap
 
 
 @dataclass(frozen=True)
@@ -49,31 +32,31 @@ class SelfTouchOptions:
     self_touch
         Recording of the sensors of both patches, while they touch each other in many postures.
     urdf
-        Kinematics of the robot.
+        With --self-touch: kinematics of the robot.
     joints
-        Angles of the joints: a file with a column per joint and a row per frame of the recording.
-        In radians, and metres for prismatic joints.
+        With --self-touch: angles of the joints, a file with a column per joint and a row per frame
+        of the recording. In radians, and metres for prismatic joints.
     degrees
-        Angles are in degrees.
+        The angles of --joints are in degrees.
     link
-        Link of the patch that is placed.
+        With --self-touch: link of the patch that is placed.
     other
-        Layout of the other patch, in the frame of its link.
+        With --self-touch: layout of the other patch, in the frame of its link.
     other_link
-        Link of the other patch.
-    exact
-        The map holds the positions of the sensors in a frame of their own, with a unit; only its
-        pose is fitted.
+        With --self-touch: link of the other patch.
+    fixed_shape
+        With --self-touch: keep the shape and size of the map, which has a unit, and fit its pose
+        alone.
     """
 
     self_touch: Path | None = None
-    urdf: Path | None = None
-    joints: Path | None = None
-    degrees: options.Flag = False
-    link: str = ""
-    other: Path | None = None
-    other_link: str = ""
-    exact: options.Flag = False
+    urdf: Annotated[Path | None, options.expert] = None
+    joints: Annotated[Path | None, options.expert] = None
+    degrees: Annotated[bool, options.expert_flag] = False
+    link: Annotated[str, options.expert] = ""
+    other: Annotated[Path | None, options.expert] = None
+    other_link: Annotated[str, options.expert] = ""
+    fixed_shape: Annotated[bool, options.expert_flag] = False
 
     @property
     def files(self) -> list[Path | None]:
@@ -85,6 +68,9 @@ class SelfTouchOptions:
 
         alone: Whether nothing else is given that places the map.
         """
+        from anisomap import io
+        from anisomap.placement import SelfTouch
+
         recording, robot, joints, other = self.files
         required = {
             "--self-touch": recording,
@@ -95,7 +81,7 @@ class SelfTouchOptions:
             "--other-link": self.other_link,
         }
         missing = [name for name, value in required.items() if not value]
-        if len(missing) == len(required) and not (self.exact or self.degrees):
+        if len(missing) == len(required) and not (self.fixed_shape or self.degrees):
             return None
         if missing or not (recording and robot and joints and other):
             raise InputError(f"to place a map by self-touch, give {', '.join(missing)} as well")
@@ -115,6 +101,9 @@ class SelfTouchOptions:
         return touches, io.read_map(other)
 
     def _angles(self, path: Path, robot: KinematicTree) -> dict[str, np.ndarray]:
+        from anisomap import io
+        from anisomap.numerics.kinematics import TURNING
+
         table = io.read(path).complete("error")
         found = {
             name: np.asarray(column, dtype=np.float64)
@@ -148,15 +137,18 @@ class AnchorOptions:
         File with the positions of some sensors, and optionally normals: any layout that can be
         read.
     units
-        Unit of that file, if it states none.
+        Unit of the file of --anchors, if it states none.
     """
 
     anchor: Annotated[list[str], Parameter(negative=())] = field(default_factory=list)
     anchors: Path | None = None
-    units: str = ""
+    units: Annotated[str, options.expert] = ""
 
     def read(self) -> Anchors | None:
         """Read the anchors; None if there are none."""
+        from anisomap import io
+        from anisomap.placement import Anchors, anchors_from_map, parse_anchor
+
         given = [parse_anchor(text) for text in self.anchor]
         widths = {len(position) for _, position in given}
         if len(widths) > 1:
@@ -181,41 +173,49 @@ class ModuleOptions:
 
     Parameters
     ----------
-    module
+    module_layout
         File with the positions of the pads on a module, with units: x [mm], y [mm].
     module_size
         Numbers per module, pads that do not exist included: sensors are divided by the numbers at
         the end of their names.
-    module_first
+    first_pad
         Number of the first pad of one module. Default: 0 or 1, whichever gives fewer modules.
-    modules
+    module_table
         File with the columns sensor, module and optionally pad, instead of --module-size.
     """
 
-    module: Path | None = None
+    module_layout: Path | None = None
     module_size: Annotated[int | None, Parameter(validator=Number(gte=2))] = None
-    module_first: Annotated[int | None, Parameter(validator=Number(gte=0))] = None
-    modules: Path | None = None
+    first_pad: Annotated[int | None, Parameter(validator=Number(gte=0)), options.expert] = None
+    module_table: Path | None = None
+
+    @property
+    def files(self) -> list[Path | None]:
+        """Files that are read."""
+        return [self.module_layout, self.module_table]
 
     def read(self, sensor_map: SensorMap) -> Modules | None:
         """Read the modules; None if there are none."""
+        from anisomap import io
+        from anisomap.placement import modules_by_size
+
         if not self.given:
             return None
-        if self.module is None or (self.modules is None) == (self.module_size is None):
+        if self.module_layout is None or (self.module_table is None) == (self.module_size is None):
             raise InputError(
-                "modules need the positions of their pads, --module FILE, and either --modules "
-                "FILE or --module-size"
+                "modules need the positions of their pads, --module-layout FILE, and either "
+                "--module-table FILE or --module-size"
             )
-        if self.modules is not None:
-            divided = io.read_modules(self.modules, sensor_map.names)
+        if self.module_table is not None:
+            divided = io.read_modules(self.module_table, sensor_map.names)
         else:
-            divided = modules_by_size(sensor_map.names, self.module_size or 0, self.module_first)
-        return divided.with_template(io.read_map(self.module))
+            divided = modules_by_size(sensor_map.names, self.module_size or 0, self.first_pad)
+        return divided.with_template(io.read_map(self.module_layout))
 
     @property
     def given(self) -> bool:
         """Whether anything is known of modules."""
-        return bool(self.module or self.modules or self.module_size)
+        return bool(self.module_layout or self.module_table or self.module_size)
 
 
 def place_map(
@@ -224,12 +224,12 @@ def place_map(
     *,
     output: options.Output = None,
     picture: options.Picture = None,
-    frame: Annotated[str, Parameter(group=options.outputs_group)] = "",
+    frame: Annotated[str, options.expert] = "",
     known: Annotated[AnchorOptions, Parameter(name="*", group=anchors_group)] = AnchorOptions(),
     rigid: Annotated[ModuleOptions, Parameter(name="*", group=modules_group)] = ModuleOptions(),
     touching: Annotated[SelfTouchOptions, Parameter(name="*", group=touch_group)] = NO_SELF_TOUCH,
     mesh: Path | None = None,
-    mesh_units: str = "m",
+    mesh_units: Annotated[str, options.expert] = "m",
     spacing: str = "",
     handedness: Literal["same", "mirrored"] | None = None,
     suggest: options.Amount = 0,
@@ -261,6 +261,11 @@ def place_map(
     suggest
         Number of sensors of each component to name as worth measuring; nothing is placed.
     """
+    from anisomap import io
+    from anisomap.cli import pipeline, printing
+    from anisomap.drawing import figures
+    from anisomap.placement import parse_length, place, place_by_self_touch, suggest_anchors
+
     if suggest:
         with reporting.printer() as printer:
             names = suggest_anchors(io.read_map(map_file), suggest)
@@ -270,7 +275,13 @@ def place_map(
     outputs = pipeline.Outputs(
         maps=output or [options.beside(map_file, ".placed.csv")],
         picture=picture,
-        inputs=[map_file, rigid.module, rigid.modules, known.anchors, mesh, *touching.files],
+        inputs=[
+            map_file,
+            *rigid.files,
+            known.anchors,
+            mesh,
+            *touching.files,
+        ],
     )
     alone = not (known.anchor or known.anchors or rigid.given or mesh or spacing)
     touches = touching.read(alone=alone)
@@ -279,7 +290,7 @@ def place_map(
     touched = None
     if touches is not None:
         touched = place_by_self_touch(
-            sensor_map, *touches, exact=touching.exact, handedness=handedness or ""
+            sensor_map, *touches, exact=touching.fixed_shape, handedness=handedness or ""
         )
         placement = touched.placement
     else:
@@ -304,6 +315,10 @@ def place_map(
 
 
 def _read_mesh(path: Path, units: str) -> Mesh:
+    from anisomap.mesh_files import read_mesh
+    from anisomap.placement import METRES
+    from anisomap.scene import Mesh
+
     if units not in METRES:
         raise InputError(f"--mesh-units must be one of {', '.join(METRES)}, got {units!r}")
     vertices, faces = read_mesh(path)
@@ -311,6 +326,8 @@ def _read_mesh(path: Path, units: str) -> Mesh:
 
 
 def _spacing(placed: SensorMap) -> float:
+    from anisomap.placement import median_spacing
+
     try:
         return median_spacing(placed)
     except InputError:
@@ -318,6 +335,8 @@ def _spacing(placed: SensorMap) -> float:
 
 
 def _print(printer: Printer, placement: Placement, name: str) -> None:
+    from anisomap.placement import METRES
+
     placed = placement.map
     errors = placed.errors[np.isfinite(placed.errors)] * _MM
     spacing = _spacing(placed) * _MM * METRES[placed.units]

@@ -5,34 +5,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from anisomap import io
 from anisomap.cli import parameters as options
-from anisomap.cli import pipeline, printing, streams
-from anisomap.cli.commands import dissimilarities as objects
 from anisomap.cli.console import print_warning, progress
-from anisomap.dimensions import AUTO
+from anisomap.defaults import (
+    DEFAULT_BINS,
+    DEFAULT_METHOD,
+    DEFAULT_MU,
+    MAX_ITERATIONS,
+    PERMUTATIONS,
+    STRESS_PERMUTATIONS,
+    TOLERANCE,
+)
 from anisomap.errors import InputError
-from anisomap.evaluation import PERMUTATIONS
-from anisomap.health import Finding
-from anisomap.io import ChoiceError
-from anisomap.methods import DEFAULT_METHOD, check_even_spacing, find_method
-from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
-from anisomap.numerics.similarity.binning import DEFAULT_BINS
-from anisomap.options import MethodOptions
-from anisomap.recording import MissingPolicy
-from anisomap.tracking import gather_evidence
+
+if TYPE_CHECKING:
+    from anisomap.cli import pipeline
+    from anisomap.health import Finding
+    from anisomap.io import ReadOptions
+    from anisomap.options import MethodOptions
+    from anisomap.recording import MissingPolicy
 
 
 def info(
     recording: options.RecordingFile,
     /,
     *,
-    sensors: options.Flag = False,
+    all_sensors: Annotated[bool, Parameter(name="--all", negative=())] = False,
     reading: options.Reading = options.DEFAULT_READING,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
@@ -40,9 +43,12 @@ def info(
 
     Parameters
     ----------
-    sensors
+    all_sensors
         List all sensors, not only faulty ones.
     """
+    from anisomap.cli import pipeline, printing
+    from anisomap.io import ChoiceError
+
     how = reading.checked()
     with reporting.printer() as printer:
         printing.print_contents(printer, recording, how)
@@ -54,7 +60,7 @@ def info(
         examined = pipeline.examine([found])
         printing.print_recording(printer, examined.recording, examined.summary)
         printing.print_findings(printer, examined.findings)
-        printing.print_health(printer, examined.health, all_sensors=sensors)
+        printing.print_health(printer, examined.health, all_sensors=all_sensors)
         printing.print_touches(printer, printing.coverage_without_map(found), found.names)
         for weakness in examined.summary.warnings:
             print_warning(weakness)
@@ -83,6 +89,9 @@ def repair(
     output
         NPZ file to write. Default: NAME.repaired.npz in the current folder.
     """
+    from anisomap import io
+    from anisomap.cli import pipeline, printing
+
     output = output or options.beside(recording, ".repaired.npz")
     pipeline.Outputs(recording=output, inputs=(recording, *reading.inputs))
     found = pipeline.read(recording, reading.checked())
@@ -101,9 +110,9 @@ class TuningOptions:
 
     Parameters
     ----------
-    mu
+    regularisation
         Regularisation of ANISOMAP's reciprocal; with 0, unrelated components stay separate.
-    bins
+    entropy_bins
         Bins per sensor for entropies.
     n_neighbours
         Neighbours per sensor in ISOMAP's graph. Default: the smallest number that connects all.
@@ -115,18 +124,21 @@ class TuningOptions:
         Maximum number of iterations of the scaling.
     """
 
-    mu: float = MethodOptions.mu
-    bins: int = DEFAULT_BINS
+    regularisation: float = DEFAULT_MU
+    entropy_bins: int = DEFAULT_BINS
     n_neighbours: int | None = None
     even_spacing: options.Flag = False
-    tolerance: float = SmacofOptions.tolerance
-    max_iterations: int = SmacofOptions.max_iterations
+    tolerance: float = TOLERANCE
+    max_iterations: int = MAX_ITERATIONS
 
     def checked(self) -> MethodOptions:
         """Convert to the options of the library."""
+        from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
+        from anisomap.options import MethodOptions
+
         return MethodOptions(
-            mu=self.mu,
-            bins=self.bins,
+            mu=self.regularisation,
+            bins=self.entropy_bins,
             n_neighbours=self.n_neighbours,
             even_spacing=self.even_spacing,
             smacof=SmacofOptions(self.tolerance, self.max_iterations),
@@ -136,12 +148,50 @@ class TuningOptions:
 _DEFAULT_TUNING = TuningOptions()
 
 
+@dataclass(frozen=True)
+class LargeOptions:
+    """Options for large recordings.
+
+    Parameters
+    ----------
+    workers
+        Number of parallel threads; more than the number of cores bring no gain.
+    dask
+        Address of a Dask scheduler, as in tcp://host:8786; its workers are used instead of
+        threads.
+    checkpoint
+        File for intermediate results; if it exists, the computation resumes from it.
+    approximate
+        Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
+    """
+
+    workers: options.Count = 1
+    dask: str = ""
+    checkpoint: Path | None = None
+    approximate: options.Flag = False
+
+    @property
+    def given(self) -> bool:
+        """Whether any of the options was given."""
+        return self.approximate or self.in_chunks
+
+    @property
+    def in_chunks(self) -> bool:
+        """Whether all pairs of sensors are compared in blocks of frames."""
+        return self.workers > 1 or bool(self.dask) or self.checkpoint is not None
+
+
+_DEFAULT_LARGE = LargeOptions()
+
+
 def map_recording(
-    recordings: Annotated[list[Path], Parameter(help="Recording files of one skin.")],
+    recordings: Annotated[
+        list[Path], Parameter(help="Recording files of one skin."), options.existing
+    ],
     /,
     *,
     dissimilarities: Annotated[bool | None, Parameter(group=options.method_group)] = None,
-    weights: Annotated[Path | None, Parameter(group=options.method_group)] = None,
+    weights: Annotated[Path | None, options.expert] = None,
     output: options.Output = None,
     picture: options.Picture = None,
     report: options.Report = None,
@@ -149,19 +199,17 @@ def map_recording(
         str | None,
         Parameter(alias="-m", group=options.method_group, show_default=DEFAULT_METHOD),
     ] = None,
-    dimensions: options.MapDimensions = AUTO,
+    dimensions: options.MapDimensions = "auto",
     drop: options.Drop = None,
     missing: options.Missing = "error",
-    repair: Annotated[options.Flag, Parameter(group=options.method_group)] = False,
+    repair: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
     tuning: Annotated[
-        TuningOptions, Parameter(name="*", group=options.method_group)
+        TuningOptions, Parameter(name="*", group=options.expert_group)
     ] = _DEFAULT_TUNING,
     reading: options.Reading = options.DEFAULT_READING,
     verdict: Annotated[bool, Parameter(group=options.method_group)] = True,
-    keep_statistics: Annotated[options.Flag, Parameter(group=options.outputs_group)] = False,
-    min_quality: Annotated[
-        Literal["usable", "usable-locally"] | None, Parameter(group=options.method_group)
-    ] = None,
+    keep_statistics: Annotated[bool, Parameter(group=options.outputs_group, negative=())] = False,
+    min_quality: Annotated[options.Quality | None, options.expert] = None,
     placing: options.Placing = options.DEFAULT_PLACING,
     truth: options.Truth = None,
     exclude: options.Exclude = None,
@@ -172,14 +220,14 @@ def map_recording(
             validator=Number(gte=0),
             help="Size of the null distribution of Mantel r, or of the stress of dissimilarities; "
             "0 skips it.",
-            show_default=f"{PERMUTATIONS}, or {objects.PERMUTATIONS} of the stress",
+            show_default=f"{PERMUTATIONS}, or {STRESS_PERMUTATIONS} of the stress",
         ),
     ] = None,
     seed: options.Seed = 0,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
     large: Annotated[
-        streams.LargeOptions, Parameter(name="*", group=streams.large_group)
-    ] = streams.DEFAULT_LARGE,
+        LargeOptions, Parameter(name="*", group=options.expert_group)
+    ] = _DEFAULT_LARGE,
 ) -> int:
     """Make a map from one or several recordings of a skin.
 
@@ -211,13 +259,20 @@ def map_recording(
         that sensors share, drift and gaps. `anisomap info` lists those that it finds.
     verdict
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
-        This takes about as long as the map.
+        This takes about as long as the map, which is written before; Ctrl-C ends it.
     keep_statistics
         Also write NAME.statistics.npz beside the map, from which `anisomap update` adds recordings
         to it.
     min_quality
-        Exit with code 1 if the verdict is worse than this, or unknown; all files are written.
+        Exit with code 1 if the verdict is unknown or worse than this: usable or usable-locally.
+        All files are written.
     """
+    from anisomap import io
+    from anisomap.cli import pipeline, printing
+    from anisomap.cli.commands import dissimilarities as objects
+    from anisomap.methods import check_even_spacing, find_method
+    from anisomap.tracking import gather_evidence
+
     if min_quality and not verdict:
         raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
     chosen = tuning.checked()
@@ -240,7 +295,7 @@ def map_recording(
             permutations=permutations,
             seed=seed,
             reporting=reporting,
-            others=repair or keep_statistics or bool(min_quality) or large.is_requested,
+            others=repair or keep_statistics or bool(min_quality) or large.given,
         )
         return 0
     maps = output or [options.beside(recordings[0], ".map.csv")]
@@ -255,7 +310,7 @@ def map_recording(
     )
     placing.check(maps)
     how = reading.checked()
-    by = large.method(method)
+    by = _method(large, method)
     # Unknown methods and options are refused before the recording is read.
     find_method(by)
     check_even_spacing(by, chosen, readings=True)
@@ -283,14 +338,8 @@ def map_recording(
             "--exclude has no effect: the recording has no true positions to score against"
         )
     with reporting.printer() as printer:
-        sensor_map = pipeline.make_map(
-            examined,
-            by,
-            dimensions,
-            options=chosen,
-            drop=dropped,
-            with_verdict=verdict,
-            seed=seed,
+        sensor_map, judge = pipeline.make_map(
+            examined, by, dimensions, options=chosen, drop=dropped, seed=seed
         )
         printing.print_recording(printer, examined.recording, examined.summary)
         printing.print_findings(printer, mended if repair else examined.findings, repaired=repair)
@@ -299,39 +348,59 @@ def map_recording(
             sensor_map = replace(sensor_map, provenance=provenance)
         written = []
         if statistics is not None:
-            with progress("gathering statistics"):
+            with progress("collecting statistics"):
                 evidence = gather_evidence(
                     examined.runs, by, sensor_map.dimensions, options=chosen, drop=dropped
                 )
             io.write_statistics(evidence, statistics)
             written.append(("statistics", statistics))
-        pipeline.finish(
+        judged = pipeline.finish(
             printer,
             outputs,
-            placing.applied(sensor_map),
+            sensor_map,
             examined,
             permutations=PERMUTATIONS if permutations is None else permutations,
             seed=seed,
+            judge=judge if verdict else None,
             exclude=left_out,
             written=written,
             truth=reference,
         )
-    level = (min_quality or "").replace("-", " ")
-    return 0 if not level or pipeline.reaches(sensor_map.verdict, level) else 1
+    return 0 if not min_quality or pipeline.reaches(judged.verdict, min_quality) else 1
+
+
+def _method(large: LargeOptions, requested: str | None) -> str:
+    """Return the requested method, or the default one."""
+    from anisomap.large.approximation import APPROXIMATED
+
+    if not large.approximate:
+        return requested or DEFAULT_METHOD
+    if requested not in (None, APPROXIMATED):
+        raise InputError(
+            f"--approximate supports {APPROXIMATED} only, got {requested}; leave out --method "
+            "or --approximate"
+        )
+    if large.in_chunks:
+        raise InputError(
+            "--approximate does not support --workers, --dask and --checkpoint; leave them out"
+        )
+    return APPROXIMATED
 
 
 def _read_source(
     recordings: list[Path],
-    how: io.ReadOptions,
+    how: ReadOptions,
     *,
     repair: bool,
     keep_statistics: bool,
     missing: MissingPolicy,
-    large: streams.LargeOptions,
+    large: LargeOptions,
     **settings: Any,
 ) -> tuple[pipeline.Source, Sequence[Finding]]:
     """Read recordings, in blocks if they are large; return them and the faults that were mended."""
-    if large.is_requested or streams.too_large(recordings, how):
+    from anisomap.cli import pipeline, streams
+
+    if large.given or streams.too_large(recordings, how):
         _check_in_blocks(repair=repair, keep_statistics=keep_statistics)
         return streams.read_in_blocks(recordings, how, missing=missing, large=large, **settings), ()
     if not repair:

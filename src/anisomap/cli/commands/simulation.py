@@ -4,37 +4,22 @@ from __future__ import annotations
 
 from collections import defaultdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
 from numpy.typing import NDArray
 
-from anisomap import io
-from anisomap.cli import bodies, pipeline, printing
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Columns, Printer, number, percent, print_warning, progress
-from anisomap.drawing import figures
-from anisomap.drawing.figures import scenes
-from anisomap.drawing.figures.charts import coverage_figure
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.files import atomic_write, check_target
-from anisomap.methods import DEFAULT_METHOD
-from anisomap.scene import Scene
-from anisomap.simulation import (
-    Body,
-    Simulation,
-    coverage_curve,
-    inject,
-    injected_faults,
-    mujoco_viewer,
-    parse_fault,
-    run_simulation,
-    simulate_runs,
-)
-from anisomap.simulation.coverage import LENGTHS
-from anisomap.simulation.faults import ALL_SENSORS
 from anisomap.wording import join_items
+
+if TYPE_CHECKING:
+    from anisomap.scene import Scene
+    from anisomap.simulation import Body, Simulation
 
 _looks = Group("Pictures", sort_key=1)
 
@@ -45,16 +30,16 @@ def simulate_body(
     *,
     scenario: Annotated[str, Parameter(alias="-s")] = "bombardment",
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
-    seed: options.Amount = 1,
+    seed: options.Seed = 0,
     frames: options.Count = 2000,
     sensors: str | None = None,
-    placement: str | None = None,
+    placement: Annotated[str | None, options.expert] = None,
     parameter: Annotated[options.Words, Parameter(alias="-p")] = None,
-    runs: options.Count = 1,
+    runs: Annotated[options.Count, options.expert] = 1,
     picture: Annotated[Path | None, Parameter(group=_looks)] = None,
     video: Annotated[Path | None, Parameter(group=_looks)] = None,
-    renderer: Annotated[Literal["drawing", "mujoco"], Parameter(group=_looks)] = "drawing",
-    view: Annotated[bool, Parameter(group=_looks, negative=())] = False,
+    renderer: Annotated[Literal["drawing", "mujoco"], options.expert] = "drawing",
+    view: Annotated[bool, options.expert_flag] = False,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Simulate a recording with known sensor positions.
@@ -69,8 +54,6 @@ def simulate_body(
     output
         NPZ file to write. Default: BODY-SCENARIO.npz. With several runs, the seed is appended to
         its name.
-    seed
-        The same seed gives the same recording.
     frames
         Number of frames to record.
     sensors
@@ -91,6 +74,11 @@ def simulate_body(
     view
         Show the run in MuJoCo's viewer.
     """
+    from anisomap import io
+    from anisomap.cli import bodies, pipeline, printing
+    from anisomap.drawing.figures import scenes
+    from anisomap.simulation import run_simulation
+
     skin = bodies.find(body, sensors, **({"placement": placement} if placement else {}))
     target = output or Path(f"{skin.name}-{scenario}.npz")
     pipeline.Outputs(recording=target, picture=picture, others=[video], inputs=[Path(body)])
@@ -119,6 +107,9 @@ def simulate_body(
 def _simulate_many(
     skin: Body, scenario: str, seeds: range, target: Path, settings: dict[str, Any]
 ) -> list[tuple[str, Path]]:
+    from anisomap import io
+    from anisomap.simulation import simulate_runs
+
     with progress(f"simulating {len(seeds)} runs"):
         runs = simulate_runs(skin, scenario, seeds, **settings)
         rows = []
@@ -150,7 +141,7 @@ def _print(printer: Printer, simulation: Simulation, skin: Body) -> None:
     printer.record(
         body=skin.name,
         sensors=skin.n_sensors,
-        spacing=skin.spacing,
+        median_spacing=skin.spacing,
         frames=recording.n_frames,
         rate_hz=recording.rate_hz,
         never_touched=int((~recording.varying()).sum()),
@@ -161,6 +152,9 @@ def _print(printer: Printer, simulation: Simulation, skin: Body) -> None:
 def _show(
     scene: Scene, picture: Path | None, video: Path | None, renderer: str
 ) -> list[tuple[str, Path]]:
+    from anisomap.drawing import figures
+    from anisomap.drawing.figures import scenes
+
     rendered = renderer == "mujoco" and (picture or video) and _rendered(scene, picture, video)
     if picture and not rendered:
         with progress("drawing the scene"):
@@ -174,6 +168,9 @@ def _show(
 
 def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
     """Render with MuJoCo; return False if there is no display."""
+    from anisomap.drawing.figures import scenes
+    from anisomap.simulation import mujoco_viewer
+
     frames = range(min(scenes.MAX_ANIMATION_FRAMES, scene.n_frames)) if video else range(0)
     try:
         with progress("rendering the scene"):
@@ -189,6 +186,8 @@ def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
 
 
 def _view(scene: Scene) -> None:
+    from anisomap.simulation import mujoco_viewer
+
     try:
         mujoco_viewer.show(scene)
     except mujoco_viewer.NoScreenError as error:
@@ -210,12 +209,12 @@ def coverage(
     *,
     scenario: Annotated[str, Parameter(alias="-s")] = "rubbing",
     frames: Annotated[list[options.Count] | None, Parameter(negative=())] = None,
-    runs: options.Count = 3,
-    seed: options.Amount = 1,
+    runs: Annotated[options.Count, options.expert] = 3,
+    first_seed: Annotated[options.Amount, options.expert] = 1,
     sensors: str | None = None,
-    parameter: Annotated[options.Words, Parameter(alias="-p")] = None,
-    method: Annotated[str, Parameter(alias="-m")] = DEFAULT_METHOD,
-    dimensions: Annotated[options.Count, Parameter(alias="-d")] = 3,
+    parameter: Annotated[options.Words, Parameter(alias="-p"), options.expert] = None,
+    method: Annotated[str, Parameter(alias="-m"), options.expert] = DEFAULT_METHOD,
+    dimensions: Annotated[options.Count, Parameter(alias="-d"), options.expert] = 3,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     picture: options.Picture = None,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
@@ -232,8 +231,8 @@ def coverage(
         Recording length; may be repeated.
     runs
         Number of seeds to average over.
-    seed
-        First seed.
+    first_seed
+        Seed of the first run.
     sensors
         Number of sensors, or a file with their positions.
     parameter
@@ -246,6 +245,12 @@ def coverage(
     output
         CSV file for the table.
     """
+    from anisomap.cli import bodies, pipeline
+    from anisomap.drawing import figures
+    from anisomap.drawing.figures.charts import coverage_figure
+    from anisomap.simulation import coverage_curve
+    from anisomap.simulation.coverage import LENGTHS
+
     pipeline.Outputs(picture=picture, others=[output])
     if output:
         check_target(output)
@@ -255,7 +260,7 @@ def coverage(
             skin,
             scenario,
             frames or LENGTHS,
-            range(seed, seed + runs),
+            range(first_seed, first_seed + runs),
             method=method,
             dimensions=dimensions,
             **bodies.parse_parameters(parameter or []),
@@ -302,7 +307,7 @@ def spoil(
     *,
     fault: Annotated[list[str], Parameter(alias="-f", negative=())],
     output: Annotated[Path, Parameter(alias="-o")],
-    seed: options.Amount = 0,
+    seed: options.Seed = 0,
     reporting: options.Reporting = options.DEFAULT_REPORTING,
 ) -> None:
     """Inject documented faults into a recording.
@@ -316,9 +321,12 @@ def spoil(
         May be repeated; faults are applied in order. `anisomap faults` lists them.
     output
         NPZ file to write.
-    seed
-        The same seed gives the same faults.
     """
+    from anisomap import io
+    from anisomap.cli import pipeline, printing
+    from anisomap.simulation import inject, injected_faults, parse_fault
+    from anisomap.simulation.faults import ALL_SENSORS
+
     requests = [parse_fault(text) for text in fault]
     pipeline.Outputs(recording=output, inputs=[recording])
     spoilt = inject(pipeline.read(recording), requests, seed)

@@ -202,7 +202,7 @@ def stream_events(
         bin_s = DEFAULT_BIN_S
         warnings.warn(
             f"{path}: events are counted in bins of {bin_s:g} s, the default width; choose another "
-            "with --bin (bin_s in Python)",
+            "with --bin-width (bin_s in Python)",
             AnisomapWarning,
             stacklevel=2,
         )
@@ -261,7 +261,7 @@ def _bins(
     if n_bins > max(_MIN_REFUSED_BINS, _MAX_BINS_PER_EVENT * len(moments)):
         raise FileError(
             f"{path}: {len(moments)} events from {start:g} to {end:g} s would fill {n_bins} bins "
-            f"of {width:g} s; choose wider bins with --bin, or correct the times"
+            f"of {width:g} s; choose wider bins with --bin-width, or correct the times"
         )
     return np.floor(places).astype(np.intp), n_bins
 

@@ -185,7 +185,7 @@ def stream_table(path: Path, bin_s: float) -> Stream:
     if not trains:
         raise FileError(
             f"{path} (delimited text) holds readings, not events: its numbers do not increase "
-            "along all lines or all columns, as the times of spikes do; leave out --bin"
+            "along all lines or all columns, as the times of spikes do; leave out --bin-width"
         )
     lengths = [len(times) for _, times in trains]
     return stream_events(

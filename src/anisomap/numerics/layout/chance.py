@@ -12,15 +12,13 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from anisomap.defaults import N_SHIFTS
 from anisomap.errors import InputError
 from anisomap.numerics.layout.evidence import REACH, Evidence, Move
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.split_half import split_blocks
 from anisomap.numerics.similarity.correlation import scale_extremes
 from anisomap.numerics.similarity.rest import ranks_of_depths
-
-N_SHIFTS = 19
-"""Number of circular shifts: an unrelated sensor exceeds all of them with probability 1/20."""
 
 MIN_FRAMES = 40
 """Minimum number of frames: 2 in each of the 20 blocks of `split_blocks`."""

@@ -16,6 +16,7 @@ from scipy.linalg import eigh
 from scipy.linalg.blas import dsymv, ssymv
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
+from anisomap.defaults import MAX_ITERATIONS, TOLERANCE
 from anisomap.errors import InputError
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric, metricise
@@ -130,8 +131,8 @@ class SmacofOptions:
         If a value is out of range, or the solver is unknown.
     """
 
-    tolerance: float = 1e-8
-    max_iterations: int = 3000
+    tolerance: float = TOLERANCE
+    max_iterations: int = MAX_ITERATIONS
     solver: str = "auto"
 
     def __post_init__(self) -> None:

@@ -17,13 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
 from anisomap.numerics.columns import columns, count_values
 from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.similarity.co_occurrence import MIN_COMPILED_SENSORS
-
-DEFAULT_BINS = 4
-"""Number of bins in the paper, which reports similar results for 6 and 8."""
 
 MAX_BINS = 1024
 """Maximum number of bins; the joint counts of more need over a million frames."""

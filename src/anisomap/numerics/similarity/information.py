@@ -16,13 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.special import xlogy
 
+from anisomap.defaults import DEFAULT_BINS
 from anisomap.numerics.precision import Reals, float_type, row_blocks
-from anisomap.numerics.similarity.binning import (
-    DEFAULT_BINS,
-    Recoding,
-    ValueCounts,
-    maximum_entropy_codes,
-)
+from anisomap.numerics.similarity.binning import Recoding, ValueCounts, maximum_entropy_codes
 from anisomap.numerics.similarity.co_occurrence import (
     CHUNK_FRAMES,
     MIN_COMPILED_SENSORS,

@@ -1,0 +1,31 @@
+"""Defaults that the help of the command line shows, without importing what uses them."""
+
+DEFAULT_METHOD = "covariogram"
+
+DEFAULT_MU = 1.0
+"""Regularisation of the reciprocal; the paper gives no value, and 0.01 makes the same maps."""
+
+DEFAULT_BINS = 4
+"""Number of bins in the paper, which reports similar results for 6 and 8."""
+
+TOLERANCE, MAX_ITERATIONS = 1e-8, 3000
+"""Stopping criteria of the scaling."""
+
+PERMUTATIONS = 10_000
+"""Size of the null distribution, as in Figure 3 of the paper."""
+
+STRESS_PERMUTATIONS = 99
+"""Size of the null distribution of the stress; each permutation is scaled."""
+
+LEVEL = 0.01
+"""Probability that chance alone marks any sensor as moved."""
+
+N_SHIFTS = 19
+"""Number of circular shifts: an unrelated sensor exceeds all of them with probability 1/20."""
+
+MIN_TOUCHES = 5
+"""Frames in which a sensor must differ from rest to be mapped.
+
+Fewer say almost nothing about its place, and a few such sensors ruin the map of all others; the
+value is that of the published comparisons on Nao's skin.
+"""
