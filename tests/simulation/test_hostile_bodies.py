@@ -56,6 +56,14 @@ def test_models_that_declare_too_much_are_refused(model, what: str) -> None:
         load_body(model(*DECLARED[what]))
 
 
+def test_copies_of_a_mesh_are_limited_by_their_triangles(model, tmp_path: Path) -> None:
+    trimesh.creation.icosphere(subdivisions=5).export(tmp_path / "ball.stl")  # 20,480 triangles
+    asset, copy = '<mesh name="m" file="ball.stl"/>', '<geom type="mesh" mesh="m"/>'
+    with pytest.raises(FileError, match="surface of its meshes expands to"):
+        load_body(model(asset, copy * 100), 4)
+    assert load_body(model(asset, copy), 4).n_sensors == 4
+
+
 def test_models_with_copies_and_comments_are_read(model) -> None:
     body = load_body(
         model("", '<replicate count="5" offset="0 0 .1"><geom size=".1"/></replicate>')

@@ -58,7 +58,7 @@ def test_sites_of_a_model_become_sensors(folder: Path) -> None:
     np.testing.assert_allclose(places, [[0, 0, 1.1], [0, 0.2, 1.1], [-0.1, 0.2, 1]], atol=1e-9)
     np.testing.assert_allclose(body.normals, [[0, 0, 1], [0, 0, 1], [-1, 0, 0]], atol=1e-4)
     # Without the floor and the visual box.
-    assert {solid.kind for solid in body.solids} == {"capsule", "mesh"}
+    assert {solid.kind for solid in body.solids} == {"capsule", "ellipsoid"}
     assert body.units == "m"
     assert load_body(folder / "bare.xml", 30).n_sensors == 30
 

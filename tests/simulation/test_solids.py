@@ -20,12 +20,14 @@ PRIMITIVES: dict[str, Callable[[], Solid]] = {
     "capsule": lambda: solids.capsule(0.3, (0, 0, -0.6), (0, 0, 0.6)),
     "cylinder": lambda: solids.cylinder(0.5, 0.9),
     "box": lambda: solids.box((0.4, 0.7, 0.2)),
+    "ellipsoid": lambda: Solid("ellipsoid", (0.3, 0.5, 0.8)),
 }
 VOLUMES = {
     "sphere": 4 / 3 * np.pi * 0.7**3,
     "capsule": np.pi * 0.3**2 * 1.2 + 4 / 3 * np.pi * 0.3**3,
     "cylinder": np.pi * 0.5**2 * 1.8,
     "box": 8 * 0.4 * 0.7 * 0.2,
+    "ellipsoid": 4 / 3 * np.pi * 0.3 * 0.5 * 0.8,
 }
 
 
@@ -113,6 +115,39 @@ def test_distance_from_a_mesh_of_a_box_agrees_with_the_box() -> None:
     points = np.random.default_rng(3).uniform(-1, 1, size=(3000, 3))
     np.testing.assert_allclose(
         TriangleSearch(exact.outline).signed_distance(points), exact.distance(points), atol=1e-12
+    )
+
+
+@given(seed=seeds)
+@settings(max_examples=15)
+def test_distance_along_a_normal_of_an_ellipsoid_is_exact(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    axes = rng.uniform(0.01, 3, size=3)
+    unit = rng.normal(size=(20, 3))
+    foot = axes * unit / np.linalg.norm(unit, axis=1, keepdims=True)
+    normal = foot / axes**2
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    least_radius = axes.min() ** 2 / axes.max()  # of curvature
+    for along in (-0.9 * least_radius, 0.0, 1.0, 1e3):
+        found = Solid("ellipsoid", tuple(axes)).distance(foot + along * normal)
+        np.testing.assert_allclose(found, along, rtol=1e-9, atol=1e-12)
+
+
+@given(seed=seeds)
+@settings(max_examples=5)
+def test_a_union_is_as_near_as_the_nearest_of_its_solids(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cube = solids.mesh(
+        solids.box((0.3, 0.2, 0.1)).outline.vertices, solids.box((1, 1, 1)).outline.faces
+    )
+    parts = [
+        part.moved(Rotation.random(rng=rng).as_matrix(), rng.uniform(-2, 2, size=3))
+        for part in (*(make() for make in PRIMITIVES.values()), *[cube] * 9)
+    ]
+    points = rng.uniform(-3, 3, size=(200, 3))
+    each = [part.distance(points) for part in parts]
+    np.testing.assert_allclose(
+        solids.union_distance(parts, points), np.min(each, axis=0), atol=1e-12
     )
 
 

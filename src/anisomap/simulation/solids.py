@@ -27,15 +27,16 @@ _CIRCLE_VERTICES = 48
 _COARSE_VERTICES = 16
 _GRADIENT_STEP = 1e-5  # x reach
 _N_PROJECTIONS = 4
+_MAX_NEWTON, _NEWTON_CONVERGED = 100, 1e-15  # steps; the last one, relative to the root
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
     """A solid, made by `ball`, `capsule`, `cylinder`, `box` or `mesh`.
 
-    kind: Type of geom in MuJoCo: ``"sphere"``, ``"capsule"``, ``"cylinder"``, ``"box"`` or
-        ``"mesh"``.
-    size: Size as in MuJoCo: (radius,); (radius, half length of the axis); or the half edges.
+    kind: Type of geom in MuJoCo: ``"sphere"``, ``"capsule"``, ``"cylinder"``, ``"box"``,
+        ``"ellipsoid"`` or ``"mesh"``.
+    size: Size as in MuJoCo: (radius,); (radius, half length of the axis); or half edges or axes.
     centre (3,)
     rotation (3, 3): Columns are the local x, y and z axes; capsules and cylinders lie along z.
     shape: Triangles of a mesh, in local coordinates.
@@ -103,6 +104,19 @@ class Solid:
             return float(ends.max()) + self.size[0]
         return float(np.linalg.norm(self.outline.vertices, axis=1).max())
 
+    def outside_ball(self, points: Points) -> Points:
+        """Compute a lower bound of the distance of points: that from a ball around the solid."""
+        centre, radius = self._ball
+        return np.asarray(np.linalg.norm(points - centre, axis=1) - radius)
+
+    @cached_property
+    def _ball(self) -> tuple[Points, float]:
+        if self.shape is None:
+            return self.centre, sum(self.size)
+        vertices = self.outline.vertices
+        centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+        return centre, float(np.linalg.norm(vertices - centre, axis=1).max())
+
     @cached_property
     def _search(self) -> TriangleSearch:
         if self.shape is None:
@@ -161,7 +175,25 @@ def mesh(vertices: ArrayLike, faces: ArrayLike) -> Solid:
 
 def union_distance(solids: Sequence[Solid], points: ArrayLike) -> Points:
     """Compute the signed distance of points from a union of solids. Returns (n,)."""
-    return np.asarray(np.min([solid.distance(points) for solid in solids], axis=0))
+    points = np.asarray(points, dtype=np.float64)
+    found = np.full(len(points), np.inf)
+    # Meshes, whose search is slow, come last: most of them are too far away to be searched.
+    for solid in sorted(solids, key=lambda solid: solid.kind == "mesh"):
+        near = solid.kind != "mesh" or solid.outside_ball(points) < found
+        if np.all(near):
+            np.minimum(found, solid.distance(points), out=found)
+        else:
+            found[near] = np.minimum(found[near], solid.distance(points[near]))
+    return found
+
+
+def _exposed(solids: Sequence[Solid], points: Points, depth: float) -> NDArray[np.bool_]:
+    """Return whether points lie in no solid deeper than `depth`, shape (n,)."""
+    exposed = np.ones(len(points), dtype=np.bool_)
+    for solid in solids:
+        (near,) = np.nonzero(exposed & (solid.outside_ball(points) < 0))
+        exposed[near] = solid.distance(points[near]) >= -depth
+    return exposed
 
 
 def surface_normals(solids: Sequence[Solid], points: ArrayLike) -> Points:
@@ -214,12 +246,36 @@ def _from_slabs(beyond: Points) -> Points:
     return np.asarray(outside + np.minimum(beyond.max(axis=1), 0))
 
 
+def _ellipsoid_distance(points: Points, size: tuple[float, ...]) -> Points:
+    """Compute distances by Newton's method, which increases to the only root.
+
+    Eberly (2013), Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid.
+    """
+    least = min(size)
+    axes = np.array(size) / least
+    outer = np.maximum(np.abs(points) / least, np.finfo(float).tiny ** 0.25)
+    beyond = axes**2 - 1
+    root = (axes * outer - beyond).max(axis=1, keepdims=True)
+    for _ in range(_MAX_NEWTON):
+        terms = (axes * outer / (root + beyond)) ** 2
+        step = (terms.sum(axis=1, keepdims=True) - 1) / (
+            2 * (terms / (root + beyond)).sum(axis=1, keepdims=True)
+        )
+        root += step
+        if (step <= _NEWTON_CONVERGED * root).all():
+            break
+    feet = axes**2 * outer / (root + beyond)
+    sign = np.where(((outer / axes) ** 2).sum(axis=1) < 1, -least, least)
+    return np.asarray(sign * np.linalg.norm(outer - feet, axis=1))
+
+
 _DISTANCES: Mapping[str, Callable[[Points, tuple[float, ...]], Points]] = MappingProxyType(
     {
         "sphere": _ball_distance,
         "capsule": _capsule_distance,
         "cylinder": _cylinder_distance,
         "box": _box_distance,
+        "ellipsoid": _ellipsoid_distance,
     }
 )
 
@@ -238,6 +294,9 @@ def _tessellated(kind: str, size: tuple[float, ...]) -> Mesh:
         quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
         faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
         return Mesh(corners * np.array(size), np.array(faces))
+    if kind == "ellipsoid":
+        unit = revolved(_profile("sphere", (1.0,)))
+        return Mesh(unit.vertices * size, unit.faces)
     return revolved(_profile(kind, size))
 
 
@@ -295,7 +354,7 @@ def sample_surface(
 ) -> tuple[Points, Points]:
     """Draw points uniformly from the surface of a union of solids. Returns (n_points, 3)."""
     areas = np.array([_doubled_areas(solid.outline)[0].sum() for solid in solids])
-    inside = -_ROUNDING * max(solid.reach for solid in solids)
+    depth = _ROUNDING * max(solid.reach for solid in solids)
     found: list[tuple[Points, Points]] = []
     n_found = 0
     for _ in range(_MAX_ROUNDS):
@@ -307,7 +366,7 @@ def sample_surface(
         ]
         points, normals = (np.vstack(parts) for parts in zip(*drawn, strict=True))
         if len(solids) > 1:
-            exposed = union_distance(solids, points) >= inside
+            exposed = _exposed(solids, points, depth)
             points, normals = points[exposed], normals[exposed]
         found.append((points, normals))
         n_found += len(points)
@@ -331,6 +390,12 @@ def _sample_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tupl
     points = np.einsum("nc,ncd->nd", weights, corners[chosen])
     if solid.is_flat:
         return points, cross[chosen] / doubled[chosen, None]
+    if solid.kind in ("sphere", "ellipsoid"):
+        local = solid.to_local(points) / solid.size
+        local /= np.linalg.norm(local, axis=1, keepdims=True)
+        normals = local / solid.size
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return local * solid.size @ solid.rotation.T + solid.centre, normals @ solid.rotation.T
     points = project([solid], points)
     return points, surface_normals([solid], points)
 

@@ -429,6 +429,8 @@ def _support_of_one(solid: Solid, directions: Points) -> NDArray[np.float64]:
         return np.asarray(middle + np.abs(local) @ np.array(size))
     if solid.kind == "sphere":
         return np.asarray(middle + size[0])
+    if solid.kind == "ellipsoid":
+        return np.asarray(middle + np.linalg.norm(local * size, axis=1))
     ends = middle + size[1] * np.abs(local[:, 2])
     if solid.kind == "capsule":
         return np.asarray(ends + size[0])

@@ -174,6 +174,8 @@ TOLERANCE = 0.02
 """Maximum distance of a given sensor from the surface, as a fraction of the reach of the body."""
 
 _SEED = 0
+_SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}  # of geoms of MuJoCo
+_TRIANGLE_BYTES = 72  # of its corners
 _MIN_LENGTH = 1e-100  # its cube is within the range of float64
 _MIN_SHARE = 1e-9  # of a part in the extent of the body; `TriangleSearch` rounds distances to it
 _MAX_BALL_RADIUS = 0.6  # x median spacing: adjacent balls overlap, so nothing passes between them
@@ -303,7 +305,13 @@ def body_from_mjcf(
     scenery = {int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)}
     candidates = [i for i in range(model.ngeom) if int(model.geom_type[i]) not in scenery]
     colliding = [i for i in candidates if model.geom_contype[i] or model.geom_conaffinity[i]]
-    parts = [_solid_from_geom(mujoco, model, data, i) for i in colliding or candidates]
+    used = colliding or candidates
+    is_mesh = model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH)
+    assets = [int(model.geom_dataid[i]) for i in used if is_mesh[i]]
+    n_bytes = _TRIANGLE_BYTES * int(model.mesh_facenum[assets].sum(dtype=np.int64))
+    Budget(path).check(n_bytes, "the surface of its meshes")
+    shapes = {asset: _solid_from_mesh(model.mesh(asset), model) for asset in set(assets)}
+    parts = [_solid_from_geom(mujoco, model, data, shapes, i) for i in used]
     if not parts:
         raise FileError(f"{path} has no geoms for sensors")
     if sensors is None:
@@ -472,34 +480,28 @@ def _check_near_surface(
         )
 
 
-def _solid_from_geom(mujoco: Any, model: Any, data: Any, i: int) -> Solid:
-    primitives = {
-        int(mujoco.mjtGeom.mjGEOM_SPHERE): ("sphere", 1),
-        int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
-        int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
-        int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
-    }
-    rotation, centre = data.geom_xmat[i].reshape(3, 3), data.geom_xpos[i]
-    kind = int(model.geom_type[i])
-    if kind in primitives:
-        name, n_sizes = primitives[kind]
-        size = tuple(float(length) for length in model.geom_size[i][:n_sizes])
-        return Solid(name, size).moved(rotation, centre)
-    if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID):
-        unit = solids.ball(1.0).outline
-        scaled = solids.mesh(unit.vertices * model.geom_size[i], unit.faces)
-        return scaled.moved(rotation, centre)
-    if kind != int(mujoco.mjtGeom.mjGEOM_MESH):
+def _solid_from_geom(
+    mujoco: Any, model: Any, data: Any, shapes: Mapping[int, Solid], i: int
+) -> Solid:
+    kind = mujoco.mjtGeom(int(model.geom_type[i])).name.removeprefix("mjGEOM_").lower()
+    if kind == "mesh":
+        solid = shapes[int(model.geom_dataid[i])]
+    elif kind in _SIZES:
+        solid = Solid(kind, tuple(float(length) for length in model.geom_size[i][: _SIZES[kind]]))
+    else:
         raise InputError(
             f"geom {model.geom(i).name or i} must be a sphere, capsule, cylinder, box, ellipsoid "
             "or mesh"
         )
-    shape = model.mesh(model.geom_dataid[i])
+    return solid.moved(data.geom_xmat[i].reshape(3, 3), data.geom_xpos[i])
+
+
+def _solid_from_mesh(shape: Any, model: Any) -> Solid:
     first, count = int(shape.vertadr[0]), int(shape.vertnum[0])
     vertices = np.array(model.mesh_vert[first : first + count])
     first, count = int(shape.faceadr[0]), int(shape.facenum[0])
     faces = np.array(model.mesh_face[first : first + count])
     try:
-        return solids.mesh(vertices, faces).moved(rotation, centre)
+        return solids.mesh(vertices, faces)
     except InputError:
-        return solids.mesh(vertices, ConvexHull(vertices).simplices).moved(rotation, centre)
+        return solids.mesh(vertices, ConvexHull(vertices).simplices)
