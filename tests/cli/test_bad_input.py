@@ -59,6 +59,9 @@ map skin.npz --approximate --workers 2                    | does not support --w
 map skin.npz --approximate --even-spacing                 | even spacing
 map skin.csv --grid 6x8                                   | 48
 map skin.csv --grid six                                   | rows and columns, as in 32x64
+map skin.csv --grid 6x7x8                                 | rows and columns, as in 32x64
+map skin.csv --grid {"9" * 5000}x1                        | rows and columns, as in 32x64
+map skin.csv --grid 0x3                                   | two whole numbers of at least 1
 map constant.csv -o old.csv                               | got 0 of 3
 info nothing.npz --quiet                                  | nothing.npz
 info skin.csv --bin-width 0                                     | --bin-width must be a time above 0

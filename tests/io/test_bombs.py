@@ -2,6 +2,7 @@
 
 import gzip
 import io as streams
+import struct
 import subprocess
 import sys
 import zipfile
@@ -178,6 +179,19 @@ def _bag(path: Path, kept: int, mode: str) -> None:
             writer.write(connection, bags.START + i, message)
 
 
+def _lz4(path: Path, kept: int) -> None:
+    """One large message in one chunk, which is declared as it is."""
+    frame = pytest.importorskip("lz4.frame")
+    content = b"\5" + struct.pack("<Q", kept) + bytes(kept)
+    packed = frame.compress(content)
+    header = (
+        struct.pack("<QQQII", 0, 1, len(content), 0, 3) + b"lz4" + struct.pack("<Q", len(packed))
+    )
+    chunk = b"\6" + struct.pack("<Q", len(header + packed)) + header + packed
+    magic = b"\x89MCAP0\r\n"
+    path.write_bytes(magic + b"\1" + struct.pack("<Q", 8) + bytes(8) + chunk + magic)
+
+
 def _tiff(path: Path, kept: int) -> None:
     pillow = pytest.importorskip("PIL.Image")
     page = pillow.fromarray(np.zeros((kept // 4096, 1024), "u1"))
@@ -212,6 +226,7 @@ BOMBS: dict[str, Callable[[Path, int], None]] = {
     "mcap-storage": lambda path, kept: _bag(path, kept, "STORAGE"),
     "db3-file": lambda path, kept: _bag(path, kept, "FILE"),
     "db3-message": lambda path, kept: _bag(path, kept, "MESSAGE"),
+    "lz4.mcap": _lz4,
     "pages.tif": _tiff,
     "frames.gif": _gif,
 }

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from anisomap import io
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap.errors import AnisomapWarning, FileError, InputError
 
 Put = Callable[[str, str | bytes], Path]
 OPTIONS = io.ReadOptions
@@ -58,3 +58,9 @@ def test_lists_of_another_length(put: Put) -> None:
     with pytest.warns(AnisomapWarning, match="last line is truncated"):
         found = io.read(put("walk.csv", f'frame,cells\n{rows}60,"1,2'))
     assert found.n_frames == 60
+
+
+@pytest.mark.parametrize("grid", [(-1, -2), (0, 3), (1, 2, 3), (2.0, 3), 6, "2x3", ((1, 2), 3)])
+def test_a_grid_that_is_none_is_named(grid):
+    with pytest.raises(InputError, match="^grid must be two whole numbers of at least 1"):
+        OPTIONS(grid=grid)

@@ -150,6 +150,14 @@ def test_buttons(page):
         ("/files/..%2fr.csv", "GET", {}),
         ("/state", "GET", {"Host": "[::1"}),
         ("/state", "GET", {"Origin": "http://["}),
+        ("/state", "GET", {"Host": "[::1].evil.com"}),
+        ("/state", "GET", {"Host": "x@localhost"}),
+        ("/state", "GET", {"Host": "localhost:1:2"}),
+        ("/state", "GET", {"Host": "localhost/"}),
+        ("/state", "GET", {"Host": ""}),
+        ("/state", "GET", {"Host": "localhost", "Origin": "https://localhost"}),
+        ("/state", "GET", {"Host": "localhost:80", "Origin": "http://localhost:80/"}),
+        ("/state", "GET", {"Host": "localhost", "Origin": "null"}),
     ],
 )
 def test_others_are_refused(page, path, method, headers):
@@ -158,6 +166,11 @@ def test_others_are_refused(page, path, method, headers):
     assert answer.status in (403, 404)
     assert b"Traceback" not in content
     assert not page.session.wanted_end.is_set()
+
+
+@pytest.mark.parametrize("host", ["localhost", "LOCALHOST:8765", "127.0.0.1:1", "[::1]:8765"])
+def test_the_page_answers_on_every_name_of_this_computer(page, host):
+    assert ask(page.server, "/state", Host=host, Origin=f"http://{host}")[0].status == 200
 
 
 @pytest.mark.parametrize("length", ["-1", "8388609", "9" * 5000, "\xb2", "x"])

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from anisomap.sensor_map import SensorMap
 
 _PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
+_GRID = re.compile(r"\s*+(\d{1,9})\s*+[xX]\s*+(\d{1,9})\s*+")
 _DURATION = re.compile(r"(\d{1,15}(?:\.\d{0,15})?|\.\d{1,15})\s*(s|ms|us|)")
 
 reading_group = Group("Reading", sort_key=0)
@@ -191,10 +192,10 @@ DEFAULT_PLACING = PlacingOptions()
 
 
 def _rows_and_columns(text: str) -> tuple[int, int]:
-    sizes = [int(size) for size in text.lower().split("x") if size.strip().isdecimal()]
-    if len(sizes) != 2 or not all(sizes):
+    match = _GRID.fullmatch(text)
+    if not match:
         raise InputError(f"--grid must give rows and columns, as in 32x64, got {text}")
-    return sizes[0], sizes[1]
+    return int(match[1]), int(match[2])
 
 
 def _seconds(text: str) -> float:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io.parsing.source import DamagedError, error_reason
 from anisomap.recording import Recording, Scalar, default_names
 from anisomap.wording import join_items
@@ -142,6 +142,11 @@ class ReadOptions:
         the numbers at the ends of the names.
     bin_s : float, optional
         Width in seconds of the bins in which events are counted; for recordings of events only.
+
+    Raises
+    ------
+    InputError
+        If `grid` or `bin_s` is out of range.
     """
 
     select: str = ""
@@ -150,6 +155,18 @@ class ReadOptions:
     preset: str = ""
     positions: Path | None = None
     bin_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.grid is not None and not (
+            isinstance(self.grid, tuple | list)
+            and len(self.grid) == 2
+            and all(isinstance(n, int | np.integer) and n >= 1 for n in self.grid)
+        ):
+            raise InputError(
+                f"grid must be two whole numbers of at least 1, rows and columns, got {self.grid!r}"
+            )
+        if self.bin_s is not None and not 0 < self.bin_s < np.inf:
+            raise InputError(f"bin_s must be a positive number of seconds, got {self.bin_s}")
 
 
 @dataclass(frozen=True, eq=False)

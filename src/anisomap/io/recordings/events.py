@@ -17,7 +17,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.errors import AnisomapWarning, FileError
 from anisomap.io.parsing.columns import is_time
 from anisomap.io.parsing.naming import numbers_of
 from anisomap.io.stream import BLOCK_BYTES, Block, Stream
@@ -193,8 +193,6 @@ def stream_events(
         raise FileError(f"{path} holds no event")
     if not np.isfinite(events.moments).all():
         raise FileError(f"{path}: the time of an event is not finite")
-    if bin_s is not None and not 0 < bin_s < math.inf:
-        raise InputError(f"bin_s must be a positive number of seconds, got {bin_s}")
     if bin_s is not None and not events.timed:
         raise FileError(f"{path} numbers its events without times, so bins do not apply to it")
     needs_bins = spikes or (events.timed and not contacts and _alone(events))

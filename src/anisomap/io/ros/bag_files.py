@@ -15,6 +15,7 @@ from anisomap.files import open_regular, read_small
 from anisomap.io.parsing.source import library_errors
 from anisomap.io.ros.repair import (
     EXTRA,
+    MAX_MESSAGE,
     BagFile,
     check_chunk,
     check_chunks,
@@ -29,9 +30,6 @@ MAGICS = {b"#ROSBAG V2.0\n": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 
 
 METADATA = "metadata.yaml"
 """The file that makes a folder a bag of ROS 2."""
-
-MAX_MESSAGE = 1 << 24
-"""Bytes of a message; a million readings in float64 are half of it."""
 
 _REPAIRABLE = (".bag", ".mcap")
 _WHOLE_FILES, _EACH_MESSAGE = "file", "message"

@@ -23,14 +23,13 @@ from anisomap.errors import FileError, import_extra
 from anisomap.io.parsing.source import guarded_iter, library_errors
 from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.ros.bag_files import (
-    MAX_MESSAGE,
     METADATA,
     limit_unpacking,
     register_definitions,
     rosbags_paths,
     warn_of_missing_end,
 )
-from anisomap.io.ros.repair import EXTRA, decompress_message
+from anisomap.io.ros.repair import EXTRA, MAX_MESSAGE, check_part, decompress_message
 from anisomap.io.stream import (
     BLOCK_BYTES,
     Block,
@@ -321,11 +320,7 @@ class _Bag:
             raw = stored
             if self.packed_messages:
                 raw = decompress_message(self.path, budget, stored)
-            if len(raw) > MAX_MESSAGE:
-                raise FileError(
-                    f"{self.path}: a message of {topic} has {len(raw)} bytes; at most "
-                    f"{MAX_MESSAGE} are supported"
-                )
+            check_part(self.path, len(raw), MAX_MESSAGE, f"a message of {topic}")
             with library_errors(self.path):
                 message = self.reader.deserialize(raw, connection.msgtype)
                 received = int(stamp)  # of any type in a database

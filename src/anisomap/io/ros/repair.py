@@ -22,13 +22,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from anisomap.errors import import_extra
+from anisomap.errors import FileError, import_extra
 from anisomap.files import open_regular
 from anisomap.io.parsing.source import DamagedError, library_errors
 from anisomap.memory import Budget
 
 EXTRA = "ros"
 
+MAX_MESSAGE = 1 << 24
+"""Bytes of a message; a million readings in float64 are half of it."""
+
+_MAX_CHUNK = 1 << 26  # unpacked; recorders make chunks of some MiB, and rosbags copies them
 _STEP = 1 << 20
 _MCAP_CHUNK, _CHUNK_HEADER = 0x06, 40  # opcode, and bytes beside the name of the compression
 _MAGIC_BYTES = 8
@@ -45,23 +49,34 @@ def decompress_chunk(path: Path, budget: Budget, compressed: bytes, compression:
         decompressor = bz2.BZ2Decompressor()
     else:
         return compressed
-    return _decompress(path, budget, decompressor, compressed, "a chunk")
+    return _decompress(path, budget, decompressor, compressed, _MAX_CHUNK)
 
 
 def decompress_message(path: Path, budget: Budget, compressed: bytes) -> bytes:
     """Decompress a message of a ROS 2 bag whose messages are compressed one by one."""
-    return _decompress(path, budget, _zstd().ZstdDecompressor(), compressed, "a message")
+    decompressor = _zstd().ZstdDecompressor()
+    return _decompress(path, budget, decompressor, compressed, MAX_MESSAGE)
 
 
 def _decompress(
-    path: Path, budget: Budget, decompressor: Any, compressed: bytes, what: str
+    path: Path, budget: Budget, decompressor: Any, compressed: bytes, limit: int
 ) -> bytes:
+    what = "a message" if limit == MAX_MESSAGE else "a chunk"
     with library_errors(path):
-        content: bytes = decompressor.decompress(compressed, max_length=budget.limit + 1)
+        content: bytes = decompressor.decompress(compressed, max_length=limit + 1)
+    check_part(path, len(content), limit, what)
     budget.spend(len(content), what)
     if not decompressor.eof:
         raise DamagedError(f"{path} is damaged or cut short: {what} has no end")
     return content
+
+
+def check_part(path: Path, n_bytes: int, limit: int, what: str) -> None:
+    """Check the size of a message or chunk, which is held in memory as a whole."""
+    if n_bytes > limit:
+        raise FileError(
+            f"{path}: {what} has at least {n_bytes} bytes; at most {limit} are supported"
+        )
 
 
 def decompress_file(source: BinaryIO, path: Path, target: BinaryIO) -> None:
@@ -98,6 +113,8 @@ def check_chunks(path: Path, file: BinaryIO, budget: Budget) -> None:
 def check_chunk(path: Path, compressed: bytes, compression: str, declared: int) -> None:
     """Compare the size of a chunk of an MCAP file with the declared size."""
     size = 0
+    if compression:
+        check_part(path, declared, _MAX_CHUNK, "a chunk")
     if compression == "lz4":
         size = _lz4_size(compressed, declared)
     elif compression == "zstd":

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ipaddress
 import json
 import logging
+import re
 import secrets
 import sys
 import threading
@@ -45,6 +46,9 @@ _PAGE: Mapping[str, tuple[str, str]] = MappingProxyType(
 )
 _BYTES: Mapping[str, str] = MappingProxyType({"errors": "surrogateescape"})  # of file names
 _STATUS_S = 0.5  # between two states of what changes slowly
+_HOST = re.compile(
+    r"(?:\[([0-9a-fA-F:.]+)\]|([0-9A-Za-z.-]+))(?::\d{1,5})?"
+)  # address or name, port
 _TIMEOUT_S = 20.0  # of a connection that takes nothing
 _MAX_BODY = 1 << 23
 _MAX_DIGITS = 20  # of a length; those of numbers of 64 bits
@@ -175,12 +179,13 @@ class _Handler(BaseHTTPRequestHandler):
         """Check who asks: names of other hosts (DNS rebinding), other sites, the token."""
         host = self.headers.get("Host", "")
         origin = self.headers.get("Origin")
-        if origin is not None and _split(origin).netloc != host:
+        if origin is not None and origin != f"http://{host}":
             self._refuse(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
             return False
         token = self.server.token
         if not token:
-            if _is_loopback(_hostname(host)):
+            name = _HOST.fullmatch(host)
+            if name and _is_loopback(name[1] or name[2]):
                 return True
             self._refuse(HTTPStatus.FORBIDDEN, "open the page by the address that was printed")
             return False
@@ -284,11 +289,6 @@ def _state(session: LiveSession) -> dict[str, Any]:
     return {"map": map_snapshot(session), "status": status_snapshot(session)}
 
 
-def _hostname(host: str) -> str:
-    """Return the name in a Host header, without port and brackets."""
-    return _split(f"//{host}").hostname or ""
-
-
 def _split(address: str) -> SplitResult:
     """Split an address; one that is not valid, such as ``//[``, has no parts."""
     try:
@@ -298,7 +298,7 @@ def _split(address: str) -> SplitResult:
 
 
 def _is_loopback(host: str) -> bool:
-    if host == "localhost":
+    if host.lower() == "localhost":
         return True
     try:
         return ipaddress.ip_address(host).is_loopback
