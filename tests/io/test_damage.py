@@ -5,6 +5,7 @@ A sample with fixed seeds; ``make fuzz`` tries many more, and measures their mem
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -110,3 +111,18 @@ def test_no_byte_of_a_matlab_file_ends_the_process(tmp_path, tolerantly, compres
         finally:
             os._exit(code)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+@pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_adobe_deflate", "jpeg"])
+def test_the_library_of_damaged_images_prints_nothing(tmp_path, capfd, compression):
+    pillow = pytest.importorskip("PIL.Image")
+    values = np.random.default_rng(0).integers(0, 256, (4, 20, 30)).astype("u1")
+    pages = [pillow.fromarray(page) for page in values]
+    path = tmp_path / "film.tif"
+    pages[0].save(path, save_all=True, append_images=pages[1:], compression=compression)
+    content = path.read_bytes()
+    path.write_bytes(content[:8] + b"\xff" * 400 + content[408:])
+    with suppress(AnisomapError):
+        io.read(path)
+    assert capfd.readouterr() == ("", "")

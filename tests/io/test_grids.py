@@ -62,5 +62,5 @@ def test_lists_of_another_length(put: Put) -> None:
 
 @pytest.mark.parametrize("grid", [(-1, -2), (0, 3), (1, 2, 3), (2.0, 3), 6, "2x3", ((1, 2), 3)])
 def test_a_grid_that_is_none_is_named(grid):
-    with pytest.raises(InputError, match="^grid must be two whole numbers of at least 1"):
+    with pytest.raises(InputError, match=r"^grid must be two whole numbers of at least 1"):
         OPTIONS(grid=grid)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import logging
-import os
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -18,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import import_extra
 from anisomap.simulation.solids import Solid
 
-_STANDARD_ERROR = 2  # the file descriptor: the compiler does not write to sys.stderr
 _logger = logging.getLogger(__name__)
 
 
@@ -32,23 +28,6 @@ def load_mujoco() -> ModuleType:
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(_log_warning)
     return mujoco
-
-
-@contextmanager
-def silent_compiler() -> Iterator[None]:
-    """Discard what MuJoCo's compiler of models prints on standard error: reports of Qhull.
-
-    The exception that follows them states the problem in one sentence.
-    """
-    sys.stderr.flush()
-    original, null = os.dup(_STANDARD_ERROR), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(null, _STANDARD_ERROR)
-        yield
-    finally:
-        os.dup2(original, _STANDARD_ERROR)
-        os.close(original)
-        os.close(null)
 
 
 def _log_warning(message: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
-from anisomap.files import check_regular, without_log
+from anisomap.files import check_regular, silent_library, without_log
 from anisomap.io.parsing.source import library_errors
 from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
@@ -124,6 +124,7 @@ def _page(path: Path, image: Any, page: int) -> NDArray[Any]:
         budget = Budget(path)
         reachable = DEFLATE_RATIO * budget.size
         budget.check(8 * image.width * image.height, f"page {page}", reachable=reachable)
-        image.load()
+        with silent_library():  # libtiff reports damage there, too
+            image.load()
         grey = image if image.mode in _GREY_MODES else image.convert("L")
         return np.asarray(grey)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.files import check_regular, open_regular
+from anisomap.files import check_regular, open_regular, silent_library
 from anisomap.memory import Budget
 from anisomap.mesh_files import read_mesh
 from anisomap.numerics.surfaces import estimate_normals
@@ -29,7 +29,7 @@ from anisomap.recording import default_names
 from anisomap.simulation import solids
 from anisomap.simulation.bodies.body import Body, nearest_neighbours
 from anisomap.simulation.checks import COUNT
-from anisomap.simulation.engine import load_mujoco, silent_compiler
+from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.solids import Points, Solid, spread
 
 MAX_ELEMENTS = 10_000
@@ -292,7 +292,7 @@ def body_from_mjcf(
     mujoco = load_mujoco()
     check_model(path)
     try:
-        with silent_compiler():
+        with silent_library():
             model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, mujoco.FatalError) as error:
         first = str(error).strip().splitlines()[0]
