@@ -9,6 +9,7 @@ from scipy.spatial.distance import pdist, squareform
 from sklearn.datasets import make_swiss_roll
 from sklearn.decomposition import PCA
 from sklearn.manifold import smacof
+from sklearn.model_selection import GridSearchCV, KFold
 from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
@@ -97,6 +98,31 @@ def test_missing_readings_are_left_out_of_the_centre():
     frame[0, [3, 4]] = 1
     frame[0, 5] = np.nan
     np.testing.assert_allclose(mapper.transform(frame)[0], mapper.positions_[[3, 4]].mean(axis=0))
+
+
+def test_missing_readings_are_refused_with_our_option(mapper):
+    readings = SKIN.readings.copy()
+    readings[3, 2] = np.nan
+    for call in (SensorMapper().fit, SensorMapper().partial_fit, mapper.transform):
+        with pytest.raises(InputError, match="SensorMapper\\(missing='interpolate'\\)"):
+            call(readings)
+
+
+def test_the_score_prefers_the_true_map(mapper):
+    score = mapper.score(SKIN.readings)
+    assert score > 0.8
+    np.testing.assert_array_equal(mapper.embedding_, mapper.positions_)
+    shuffled = SKIN.readings[:, np.random.default_rng(0).permutation(42)]
+    assert abs(mapper.score(shuffled)) < 0.2
+    assert np.isnan(mapper.score(np.zeros((5, 42))))
+
+
+def test_a_grid_search_chooses_by_the_score():
+    search = GridSearchCV(
+        SensorMapper(method="r-anisomap"), {"n_components": [1, 2]}, cv=KFold(3)
+    ).fit(SKIN.readings)
+    assert search.best_params_ == {"n_components": 2}
+    assert np.isfinite(search.cv_results_["mean_test_score"]).all()
 
 
 def test_columns_name_the_sensors():

@@ -281,3 +281,10 @@ def test_sensors_are_assessed_in_the_run_with_most_contacts():
     health = assess(runs)
     assert [sensor.name for sensor in health] == list(NAMED.names)
     assert health[5].status == "ok"
+
+
+def test_columns_of_a_data_frame_name_the_sensors():
+    frame = pd.DataFrame([[0.0, 1], [2, 3]], columns=["left", "right"])
+    assert Recording(frame).names == ("left", "right")
+    assert Recording(frame, names=("a", "b")).names == ("a", "b")
+    assert Recording(frame).select([1]).names == ("right",)

@@ -17,6 +17,7 @@ from anisomap.diagnosis.parts import repeatability_of_halves
 from anisomap.diagnosis.verdict import expected_mantel_r
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
+from anisomap.large import reconstruct_chunks
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
 from skins import flat_map, flat_skin, lattice
@@ -226,7 +227,7 @@ def test_maps_that_do_not_follow_from_the_recording_are_not_trusted():
         np.fill_diagonal(matrix, 1 if stage == "similarity" else 0)
         made = reconstruct_from(method="r-anisomap", dimensions=2, **{stage: matrix})
         assert verdict(made, skin).level == UNKNOWN
-    chunked = anisomap.large.reconstruct_chunks(skin.readings, "r-anisomap", dimensions=2)
+    chunked = reconstruct_chunks(skin.readings, "r-anisomap", dimensions=2)
     assert verdict(chunked, skin).level == UNKNOWN
     made = flat_map()
     assert verdict(made, skin).level == "usable"

@@ -38,7 +38,7 @@ class Recording:
         One row per frame, one column per sensor. Real numbers; NaN and infinities mark missing
         readings (see `complete`). Stored as float32 if that is lossless, else as float64.
     names : sequence of str, optional
-        Unique names, one per sensor; ``s0, s1, ...`` by default.
+        Unique names, one per sensor; by default the columns of a DataFrame, or ``s0, s1, ...``.
     times : array_like of shape (T,), optional
         Seconds, strictly increasing.
     rate_hz : float, optional
@@ -76,9 +76,10 @@ class Recording:
     metadata: Mapping[str, Scalar] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        columns = () if len(self.names) else getattr(self.readings, "columns", ())
         readings = _as_readings(self.readings)
         n_frames, n_sensors = readings.shape
-        names = tuple(str(name) for name in self.names) or default_names(n_sensors)
+        names = tuple(map(str, (*self.names, *columns))) or default_names(n_sensors)
         check_names(names, n_sensors)
         times, rate_hz = self.times, self.rate_hz
         if times is not None:
@@ -447,8 +448,7 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
             f"sequence of Recording; got {type(recording).__name__}"
             + (f" of shape {readings.shape}" if isinstance(recording, np.ndarray) else "")
         )
-    columns = getattr(recording, "columns", ())  # of a DataFrame
-    return (Recording(readings, names=tuple(map(str, columns))),)
+    return (Recording(recording),)  # type: ignore[arg-type]  # array_like
 
 
 def join_runs(runs: Sequence[Recording]) -> Recording:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from anisomap.errors import InputError
-from anisomap.recording import Scalar, check_names, default_names, find_sensors
+from anisomap.errors import InputError, import_extra
+from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
 from anisomap.usability import Verdict
 from anisomap.wording import html_table
 
@@ -41,6 +42,9 @@ def _no_values() -> NDArray[np.float64]:
 @dataclass(frozen=True, eq=False, repr=False)
 class SensorMap:
     """Positions of N sensors, known up to rotation, translation, scale and reflection, or placed.
+
+    ``len(m)`` is the number of sensors, ``m["name"]`` the position of one, and ``np.asarray(m)``
+    all positions, shape (N, k); iteration gives the names.
 
     Parameters
     ----------
@@ -217,6 +221,22 @@ class SensorMap:
         """Number of sensors of each connected component."""
         return tuple(np.bincount(self.component[self.placed]).tolist())
 
+    def __len__(self) -> int:
+        return self.n_sensors
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __getitem__(self, sensor: str | int) -> NDArray[np.float64]:
+        """Return the position of a sensor, shape (k,), by name or index."""
+        return np.asarray(self.positions[self.indices([sensor])[0]])
+
+    def __array__(
+        self, dtype: DTypeLike | None = None, copy: bool | None = None
+    ) -> NDArray[np.float64]:
+        """Return the positions, shape (N, k)."""
+        return np.array(self.positions, dtype=dtype, copy=copy)
+
     def __repr__(self) -> str:
         details = [f"{np.count_nonzero(self.placed)} of {self.n_sensors} sensors placed"]
         details.append(f"{self.dimensions}D")
@@ -278,11 +298,53 @@ class SensorMap:
             normals=None if self.normals is None else self.normals[chosen],
         )
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the map to a file: see `anisomap.write`."""
+        import anisomap  # noqa: PLC0415, the writers import this module
+
+        anisomap.write(self, path)
+
+    def plot(
+        self, truth: SensorMap | Recording | ArrayLike | None = None, *, ax: Any = None
+    ) -> Any:
+        """Plot the map, beside true positions if given: see `anisomap.plot`."""
+        import anisomap  # noqa: PLC0415, the figures import this module
+
+        return anisomap.plot(self, truth, ax=ax)
+
+    def to_dataframe(self) -> Any:
+        """Return a table with one row per sensor.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The sensors are the index; columns are the coordinates x, y, z (or x1, x2, ...),
+            `component`, `health` and `error`.
+
+        Raises
+        ------
+        MissingExtraError
+            If pandas is not installed.
+        """
+        pandas = import_extra("pandas", "a DataFrame", "pandas")
+        axes = dict(zip(axis_names(self.dimensions), self.positions.T, strict=True))
+        facts = {"component": self.component, "health": self.health, "error": self.errors}
+        return pandas.DataFrame(axes | facts, index=pandas.Index(self.names, name="sensor"))
+
     def split(self) -> tuple[SensorMap, ...]:
         """Return each connected component as a separate map, the largest first."""
         return tuple(
             self.select(self.component == label) for label in range(len(self.component_sizes))
         )
+
+
+def axis_names(dimensions: int) -> tuple[str, ...]:
+    """Return the coordinate names x, y, z, or x1, x2, ... for more than three dimensions."""
+    return (
+        tuple("xyz"[:dimensions])
+        if dimensions <= 3
+        else tuple(f"x{i + 1}" for i in range(dimensions))
+    )
 
 
 def _as_covariances(covariances: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:

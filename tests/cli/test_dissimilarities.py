@@ -9,6 +9,7 @@ from scipy.spatial.distance import pdist, squareform
 
 import anisomap
 from anisomap import datasets, evaluation
+from anisomap.numerics.scaling.multidimensional_scaling import torgerson
 
 RAW_STRESS_OF_EKMAN = 2 * 0.52785281847690113
 """De Leeuw's smacof of 1 - ekman in 2 dimensions, which gives half the sum of squares.
@@ -129,6 +130,6 @@ def test_ekman_has_the_stress_that_smacof_finds(run, tmp_path):
 
 def test_road_distances_have_the_classical_scaling_of_r():
     roads = datasets.load_eurodist()
-    found = anisomap.numerics.scaling.multidimensional_scaling.torgerson(roads.dissimilarities, 2)
+    found = torgerson(roads.dissimilarities, 2)
     for city, place in CITIES_OF_R.items():
         np.testing.assert_allclose(np.abs(found[roads.names.index(city)]), np.abs(place), rtol=1e-6)

@@ -17,6 +17,7 @@ import pytest
 import anisomap
 from anisomap.cli import main
 from anisomap.cli.app import run
+from anisomap.errors import AnisomapError, FileError
 from skins import flat_skin
 
 if sys.platform == "win32":
@@ -296,7 +297,7 @@ def test_every_writer_removes_what_it_could_not_finish(folder, suffix):
 
     def write():
         limited()  # in another process, since a limit is not lifted again
-        with pytest.raises(anisomap.errors.FileError, match="cannot write"):
+        with pytest.raises(FileError, match="cannot write"):
             anisomap.write(made, path)
 
     assert in_a_child(write) == 0
@@ -381,7 +382,7 @@ def large(path):
 def read_while(change, path):
     """Change a file after its first block; exit with 0 for a result or an AnisomapError."""
     with (
-        suppress(anisomap.errors.AnisomapError),
+        suppress(AnisomapError),
         anisomap.io.open_stream(path, frames=100) as stream,
     ):
         for number, block in enumerate(stream.blocks):

@@ -8,13 +8,15 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import pdist
+from scipy.stats import spearmanr
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from anisomap.defaults import DEFAULT_BINS, DEFAULT_METHOD
 from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import AUTO, Dimensions
-from anisomap.errors import AnisomapWarning
+from anisomap.errors import AnisomapWarning, InputError
 from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
 from anisomap.large.chunks import Excerpt
 from anisomap.methods import find_method
@@ -56,7 +58,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
     Attributes
     ----------
-    positions_ : ndarray of shape (n_sensors, k)
+    positions_, embedding_ : ndarray of shape (n_sensors, k)
         Positions of the sensors; NaN for constant sensors.
     map_ : SensorMap
         The map, with sensor health (after `fit`), stress and notes.
@@ -196,15 +198,42 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
             beyond rest; NaN for frames without contact.
         """
         check_is_fitted(self)
-        readings = validate_data(self, X, reset=False, ensure_all_finite="allow-nan")
-        if self.missing == "error" and np.isnan(readings).any():
-            validate_data(self, X, reset=False)
+        readings = self._checked(X, reset=False)
         largest = self.map_.component == 0
         depth = np.nan_to_num(self._rest.depth(readings)[:, largest])
         total = depth.sum(axis=1, keepdims=True)
         centre = depth @ self.positions_[largest]
         nowhere = np.full_like(centre, np.nan)
         return np.asarray(np.divide(centre, total, out=nowhere, where=total > 0))
+
+    def score(self, X: ArrayLike, y: object = None) -> float:
+        """Score the map on other frames: sensors that agree in them should be close together.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_frames, n_sensors)
+            Readings, such as those that a cross-validation left out.
+        y : object
+            Ignored.
+
+        Returns
+        -------
+        float
+            Rank correlation of Pearson's r in these frames with the nearness of sensors on the
+            map, at most 1; pairs of the largest component whose sensors vary in them. NaN if all r
+            or all distances are equal.
+        """
+        check_is_fitted(self)
+        moments = Moments.of(self._validated(X, reset=False).readings)
+        kept = np.flatnonzero((self.map_.component == 0) & moments.varying())
+        pairs = np.triu_indices(len(kept), k=1)
+        agreement = moments.correlation()[np.ix_(kept, kept)][pairs]
+        if not pairs[0].size:
+            return float("nan")
+        nearness = -pdist(self.positions_[kept])
+        if np.ptp(agreement) == 0 or np.ptp(nearness) == 0:
+            return float("nan")
+        return float(spearmanr(agreement, nearness).statistic)
 
     @property
     def _n_features_out(self) -> int:
@@ -216,17 +245,27 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         return tags
 
     def _validated(self, X: ArrayLike, *, reset: bool) -> Recording:
+        readings = self._checked(X, reset=reset)
+        names = getattr(self, "feature_names_in_", ())
+        return Recording(readings, names=tuple(names)).complete(self.missing)
+
+    def _checked(self, X: ArrayLike, *, reset: bool) -> NDArray[np.floating]:
+        """Check readings as scikit-learn does; the error on missing ones names our option."""
         readings = validate_data(
             self,
             X,
             reset=reset,
             dtype=(np.float64, np.float32),
-            ensure_all_finite=True if self.missing == "error" else "allow-nan",
+            ensure_all_finite="allow-nan",
             ensure_min_samples=2 if reset else 1,
             ensure_min_features=2 if reset else 0,
         )
-        names = getattr(self, "feature_names_in_", ())
-        return Recording(readings, names=tuple(names)).complete(self.missing)
+        if self.missing == "error" and np.isnan(readings).any():
+            raise InputError(
+                "Input X contains NaN, missing readings; SensorMapper(missing='interpolate') fills "
+                "them in, and missing='drop-frames' leaves their frames out"
+            )
+        return np.asarray(readings)
 
     def _reset(self) -> None:
         self.n_samples_seen_ = 0
@@ -279,5 +318,5 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
     def _set_map(self, sensor_map: SensorMap) -> None:
         self.map_ = sensor_map
-        self.positions_ = sensor_map.positions
+        self.positions_ = self.embedding_ = sensor_map.positions
         self.n_iter_ = max(1, sensor_map.n_iterations)  # 0 if the initial positions fit exactly

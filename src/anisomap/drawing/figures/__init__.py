@@ -15,7 +15,7 @@ from anisomap.drawing.figures.displacements import (
     plot_layout,
     plot_placement,
 )
-from anisomap.drawing.figures.maps import map_figure, plot_distances, plot_map
+from anisomap.drawing.figures.maps import map_figure, plot, plot_distances, plot_map
 from anisomap.drawing.figures.touches import (
     plot_series,
     plot_touches,
@@ -31,6 +31,7 @@ __all__ = [
     "layout_figure",
     "map_figure",
     "placement_figure",
+    "plot",
     "plot_difference",
     "plot_distances",
     "plot_layout",

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from anisomap.drawing.figures.backend import (
     INK,
@@ -37,6 +37,8 @@ from anisomap.drawing.view import (
 )
 from anisomap.errors import InputError
 from anisomap.evaluation import Score
+from anisomap.evaluation import score as score_map
+from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap, is_faulty
 from anisomap.wording import join_items
 
@@ -111,6 +113,39 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
         write_notes(figure, notes, x=0.28, y=0.15)
         _add_legend(figure, sensor_map, first + small)
         return figure
+
+
+def plot(
+    sensor_map: SensorMap,
+    truth: SensorMap | Recording | ArrayLike | None = None,
+    *,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot the largest component of a map, on its true positions if these are known.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        Of more than three dimensions, the first three are drawn.
+    truth : SensorMap, Recording or array_like of shape (N, 2) or (N, 3), optional
+        True positions, as for `anisomap.score`: the map is aligned with them, and lines join true
+        neighbours.
+    ax : matplotlib Axes, optional
+        See `anisomap.drawing.figures.plot_map`.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    InputError
+        See `anisomap.drawing.figures.plot_map` and `anisomap.score`.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    result = None if truth is None else score_map(sensor_map, truth, permutations=0)
+    return plot_map(sensor_map, result, ax=ax)
 
 
 def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | None = None) -> Axes:

@@ -32,7 +32,7 @@ from anisomap.io.parsing.table import LineError, is_number, parse_number
 from anisomap.io.recordings.delimited_text import MAP_TITLE
 from anisomap.placement.modules import Modules, modules_by_name
 from anisomap.recording import Scalar
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import SensorMap, axis_names
 from anisomap.usability import ERRORS, UNKNOWN, Verdict
 
 Value = TypeVar("Value")
@@ -54,13 +54,6 @@ class _Columns:
     units: str
     from_header: bool
     covariances: tuple[str, ...] = ()
-
-
-def axis_names(dimensions: int) -> tuple[str, ...]:
-    """Return the coordinate names x, y, z, or x1, x2, ... for more than three dimensions."""
-    if dimensions <= len(_AXES):
-        return tuple(_AXES[:dimensions])
-    return tuple(f"x{i + 1}" for i in range(dimensions))
 
 
 def read_map(path: Path) -> SensorMap:
